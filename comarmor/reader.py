@@ -1,0 +1,176 @@
+"""Reads one XML document from bytes: bounded, without DOCTYPE, entities or network, with true line numbers.
+
+The document is read twice. First expat walks through it, builds nothing, and refuses what is too large or dangerous;
+only then lxml builds the tree. So no limit depends on a tree that has already been built.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, NoReturn
+from xml.parsers import expat  # nosec - refuses every DOCTYPE, so that there are no entities to expand
+
+from lxml import etree
+
+from comarmor.errors import ComArmorError, Location, quoted
+
+XSI = "http://www.w3.org/2001/XMLSchema-instance"
+_HINTS = ("schemaLocation", "noNamespaceSchemaLocation")
+
+
+@dataclass(frozen=True, slots=True)
+class Limits:
+    """Bounds of what is read; reaching one is an error.
+
+    Attributes:
+        file_bytes: bytes of one file.
+        total_bytes: bytes of all files together.
+        depth: nesting of elements in one file.
+        nodes: elements, in one file and, counted at each inclusion, in all files together.
+        include_depth: files between a root and an included file.
+        inclusions: inclusions, where a file that is included twice counts with everything in it twice.
+    """
+
+    file_bytes: int = 16 * 2**20
+    total_bytes: int = 64 * 2**20
+    depth: int = 64
+    nodes: int = 1_000_000
+    include_depth: int = 16
+    inclusions: int = 50_000
+
+
+LIMITS = Limits()
+
+
+class _Element(etree.ElementBase):
+    """An element that knows its line, which libxml2 keeps in 16 bits, and as that of the end of the start tag."""
+
+    @property
+    def sourceline(self) -> int:  # type: ignore[override]
+        """Line number from 1, as expat counted it."""
+        counted: int = self.__dict__.get("line", 0)
+        return counted
+
+
+def parse(content: bytes, name: str, *, limits: Limits = LIMITS) -> etree._Element:
+    """Return the root element of an XML document.
+
+    Comments and processing instructions are left out, so that the text of an element is in one piece. Hints
+    where a schema may be found (``xsi:schemaLocation``, ``xsi:noNamespaceSchemaLocation``) are accepted at the root and
+    left out as well, so that no validator follows them. ``sourceline`` of each element is its true line.
+
+    Args:
+        content: the document.
+        name: path of the file as the user would type it, for messages.
+        limits: bounds.
+
+    Raises:
+        ComArmorError: not well-formed, too large, or with a DOCTYPE; with ``file:line``.
+    """
+    if len(content) > limits.file_bytes:
+        raise ComArmorError(
+            f"the file has more than the {limits.file_bytes:,} bytes allowed", where=Location(name), code="xml-limit"
+        )
+    lines = _Scanner(name, limits).scan(content)
+    parser = etree.XMLParser(
+        resolve_entities=False, load_dtd=False, no_network=True, remove_comments=True, remove_pis=True
+    )
+    parser.set_element_class_lookup(etree.ElementDefaultClassLookup(element=_Element))
+    try:
+        root = etree.fromstring(content, parser)
+    except etree.XMLSyntaxError as error:
+        raise ComArmorError(
+            f"not well-formed XML: {error.msg}", where=Location(name, error.lineno or 0), code="xml-syntax"
+        ) from None
+    elements = list(root.iter())
+    docinfo: Any = root.getroottree().docinfo
+    if docinfo.doctype or len(elements) != len(lines):
+        # Two parsers that read different documents: a file made to be read differently by different tools.
+        raise ComArmorError("the file is not plain XML", where=Location(name), code="xml-syntax")
+    for element, number in zip(elements, lines, strict=True):
+        element.__dict__["line"] = number
+    root.__dict__["elements"] = elements  # keeps the Python objects, which know their lines, alive
+    for hint in _HINTS:
+        root.attrib.pop(f"{{{XSI}}}{hint}", "")
+    return root
+
+
+def line(element: etree._Element) -> int:
+    """Return the line on which an element of a parsed document begins, from 1."""
+    found = element.sourceline
+    return found if isinstance(found, int) else 0
+
+
+class _Scanner:
+    """Walks through a document without building anything.
+
+    Args:
+        name: path of the file as the user would type it.
+        limits: bounds.
+    """
+
+    def __init__(self, name: str, limits: Limits) -> None:
+        self.name = name
+        self.limits = limits
+        self.lines: list[int] = []
+        self.open: list[tuple[str, int]] = []
+        self.parser = expat.ParserCreate(namespace_separator="}")
+        self.parser.StartElementHandler = self.start
+        self.parser.EndElementHandler = self.end
+        self.parser.StartDoctypeDeclHandler = self.doctype
+
+    def scan(self, content: bytes) -> list[int]:
+        """Return the line of each element, in document order.
+
+        Raises:
+            ComArmorError: not well-formed, too large, or with a DOCTYPE.
+        """
+        try:
+            self.parser.Parse(content, True)
+        except expat.ExpatError as error:
+            raise ComArmorError(
+                f"not well-formed XML: {self.explain(error)}",
+                where=Location(self.name, error.lineno),
+                code="xml-syntax",
+            ) from None
+        except (LookupError, UnicodeError, ValueError) as error:
+            raise ComArmorError(
+                f"the encoding of the file is not usable: {quoted(str(error))}",
+                where=Location(self.name, 1),
+                help="save it as UTF-8",
+                code="xml-encoding",
+            ) from None
+        return self.lines
+
+    def explain(self, error: expat.ExpatError) -> str:
+        """Return what is wrong; of an end tag that does not fit, which one was expected."""
+        if error.code == expat.errors.codes[expat.errors.XML_ERROR_TAG_MISMATCH] and self.open:
+            tag, opened = self.open[-1]
+            return f"expected the end of <{tag.rpartition('}')[2]}>, which begins on line {opened}"
+        return expat.ErrorString(error.code)
+
+    def refuse(self, message: str, code: str, help_: str = "") -> NoReturn:
+        """Stop at the current line."""
+        raise ComArmorError(message, where=Location(self.name, self.parser.CurrentLineNumber), help=help_, code=code)
+
+    def start(self, tag: str, attributes: dict[str, str]) -> None:
+        """Note an element; expat calls this at each start tag."""
+        current = self.parser.CurrentLineNumber
+        self.open.append((tag, current))
+        self.lines.append(current)
+        if len(self.open) > self.limits.depth:
+            self.refuse(f"elements are nested more than {self.limits.depth} deep", "xml-limit")
+        if len(self.lines) > self.limits.nodes:
+            self.refuse(f"the file has more than the {self.limits.nodes:,} elements allowed", "xml-limit")
+        for attribute in attributes:
+            space, _, local = attribute.rpartition("}")
+            if space == XSI and (len(self.lines) > 1 or local not in _HINTS):
+                self.refuse(f"the attribute xsi:{local} is not expected here", "schema", "remove it")
+
+    def end(self, _tag: str) -> None:
+        """Note the end of an element."""
+        self.open.pop()
+
+    def doctype(self, *_args: object) -> None:
+        """Refuse a DOCTYPE before any of it is read."""
+        self.refuse("a DOCTYPE is not allowed", "xml-doctype", "remove it; entities are not needed in these files")

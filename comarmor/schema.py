@@ -1,0 +1,159 @@
+"""Holds XML against the project's XSDs, and says what is wrong in words a person can act on."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import Any
+
+from lxml import etree
+
+from comarmor.data import locate
+from comarmor.errors import ComArmorError, Diagnostic, Location, Severity, did_you_mean, quoted
+from comarmor.reader import line, parse
+
+_XS = "{http://www.w3.org/2001/XMLSchema}"
+_PREFIXES = {"http://www.w3.org/2001/XInclude": "xi:", "http://www.w3.org/XML/1998/namespace": "xml:"}
+_MOST = 50
+"""So many defects of one file are reported; a person mends the first ones first."""
+
+
+@dataclass(frozen=True, slots=True)
+class _Schema:
+    """A compiled XSD, with the names that it knows, for hints."""
+
+    compiled: etree.XMLSchema
+    roots: tuple[str, ...]
+    attributes: tuple[str, ...]
+
+
+@lru_cache
+def _load(name: str) -> _Schema:
+    path = locate("schemas") / name
+    document = parse(path.read_bytes(), str(path))
+    attributes = {str(item.get("name")) for item in document.iter(f"{_XS}attribute") if item.get("name")}
+    roots = tuple(str(item.get("name")) for item in document.iterchildren(f"{_XS}element"))
+    return _Schema(etree.XMLSchema(file=str(path)), roots, tuple(sorted(attributes)))
+
+
+def validate(root: etree._Element, schema: str, file: str, chain: tuple[Location, ...] = ()) -> None:
+    """Hold a document against a schema.
+
+    Args:
+        root: root element, from :func:`comarmor.source.parse`.
+        schema: path of the XSD below the folder of schemas, e.g. ``comarmor/comarmor.xsd``.
+        file: path of the document as the user would type it.
+        chain: the places that include the document, innermost first.
+
+    Raises:
+        ComArmorError: the document is not valid; every defect with ``file:line``, what was expected, and a hint.
+    """
+    loaded = _load(schema)
+    if loaded.compiled.validate(root):
+        return
+    found: dict[Diagnostic, None] = {}
+    log: Any = loaded.compiled.error_log
+    for entry in log:
+        element = _element(root, entry.path)
+        where = Location(file, entry.line if element is None else line(element), chain)
+        message, hint = _explain(entry.message, loaded)
+        found[Diagnostic("schema", Severity.ERROR, message, where, hint)] = None
+        if len(found) == _MOST:
+            break
+    raise ComArmorError.of(found)
+
+
+def _element(root: etree._Element, path: str | None) -> etree._Element | None:
+    """Return the element that an entry of the validator's log is about; its own line number is cut at 16 bits."""
+    prefixes = {prefix: uri for prefix, uri in root.nsmap.items() if prefix}
+    try:
+        found: Any = root.getroottree().xpath(path, namespaces=prefixes) if path else []
+    except etree.XPathError:
+        return None
+    return found[0] if found else None
+
+
+_NAME = re.compile(r"\{([^}]*)\}([^\s',)]+)")
+
+
+def _unexpected(found: re.Match[str], _schema: _Schema) -> tuple[str, str]:
+    expected = found[2].split(", ") if found[2] else []
+    wanted = f"expected {_one_of(expected)}" if expected else "nothing more is expected"
+    return f"<{found[1]}> is not expected here, {wanted}", did_you_mean(found[1], expected)
+
+
+def _missing(found: re.Match[str], _schema: _Schema) -> tuple[str, str]:
+    return f"<{found[1]}> is not complete, expected {_one_of(found[2].split(', '))}", ""
+
+
+def _root(found: re.Match[str], schema: _Schema) -> tuple[str, str]:
+    wanted = _one_of(schema.roots)
+    return f"<{found[1]}> is not expected as the root, expected {wanted}", did_you_mean(found[1], schema.roots)
+
+
+def _attribute(found: re.Match[str], schema: _Schema) -> tuple[str, str]:
+    return f"<{found[1]}> has the unknown attribute '{found[2]}'", did_you_mean(found[2], schema.attributes)
+
+
+def _required(found: re.Match[str], _schema: _Schema) -> tuple[str, str]:
+    return f"<{found[1]}> lacks its attribute '{found[2]}'", ""
+
+
+def _enumeration(found: re.Match[str], _schema: _Schema) -> tuple[str, str]:
+    values = [value.strip("'") for value in found[4].split(", ")]
+    near = did_you_mean(found[3], values) or did_you_mean(found[3].upper(), values)
+    return f"{_holder(found)} is {quoted(found[3])}, expected {' or '.join(values)}", near
+
+
+def _simple(found: re.Match[str], _schema: _Schema) -> tuple[str, str]:
+    return f"<{found[1]}> can only hold text, not elements", ""
+
+
+def _text(found: re.Match[str], _schema: _Schema) -> tuple[str, str]:
+    return f"<{found[1]}> cannot hold text", "remove the text, or put it into a comment"
+
+
+def _value(found: re.Match[str], _schema: _Schema) -> tuple[str, str]:
+    return f"{_holder(found)} is {quoted(found[3])}, which is not {found[4]}", ""
+
+
+_EXPLANATIONS: tuple[tuple[re.Pattern[str], Callable[[re.Match[str], _Schema], tuple[str, str]]], ...] = tuple(
+    (re.compile(pattern, re.DOTALL), explanation)
+    for pattern, explanation in (
+        (r"Element '(.+?)': This element is not expected\.(?: Expected is (?:one of )?\( (.+) \)\.)?", _unexpected),
+        (r"Element '(.+?)': Missing child element\(s\)\. Expected is (?:one of )?\( (.+) \)\.", _missing),
+        (r"Element '(.+?)': No matching global declaration", _root),
+        (r"Element '(.+?)', attribute '(.+?)': The attribute '.+' is not allowed", _attribute),
+        (r"Element '(.+?)': The attribute '(.+?)' is required but missing", _required),
+        (
+            r"Element '(.+?)'(?:, attribute '(.+?)')?: \[.+?\] The value '(.*)' is not .+ set \{(.+)\}",
+            _enumeration,
+        ),
+        (r"Element '(.+?)': Element content is not allowed", _simple),
+        (r"Element '(.+?)': Character content", _text),
+        (
+            r"Element '(.+?)'(?:, attribute '(.+?)')?: (?:\[.+?\] The value )?'(.*)' is not (a valid .+|accepted .+)\.",
+            _value,
+        ),
+    )
+)
+"""What libxml2 says, as patterns, and how it is said here. Groups: element, attribute, value, what was expected."""
+
+
+def _explain(message: str, schema: _Schema) -> tuple[str, str]:
+    """Return a message of libxml2 as message and help of ours; one that is not known stays as it is."""
+    message = _NAME.sub(lambda name: _PREFIXES.get(name[1], f"{{{name[1]}}}") + name[2], message)
+    for pattern, explanation in _EXPLANATIONS:
+        if found := pattern.match(message):
+            return explanation(found, schema)
+    return " ".join(message.split()), ""
+
+
+def _holder(found: re.Match[str]) -> str:
+    return f"attribute '{found[2]}' of <{found[1]}>" if found[2] else f"<{found[1]}>"
+
+
+def _one_of(names: Sequence[str]) -> str:
+    return " or ".join(f"<{name}>" for name in names)

@@ -1,0 +1,102 @@
+"""Tunables in force at a point of a policy: lexical scopes, as with variables of a programming language."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+from comarmor import template
+from comarmor.errors import ComArmorError, Location, did_you_mean
+from comarmor.model import Tunable
+from comarmor.template import Value
+
+MOST_CHARACTERS = 32 * 2**20
+"""Most characters that all expressions of a policy together may have once its tunables are expanded."""
+
+
+@dataclass(slots=True)
+class Budget:
+    """What the expressions of a policy have used of :data:`MOST_CHARACTERS`."""
+
+    used: int = 0
+
+
+@dataclass(slots=True)
+class Scope:
+    """The tunables that a ``<profiles>`` or ``<profile>`` has declared so far, and the scope around it."""
+
+    budget: Budget
+    outer: Scope | None = None
+    own: dict[str, Tunable] = field(default_factory=dict)
+
+    def inner(self) -> Scope:
+        """Return a new scope inside of this one."""
+        return Scope(self.budget, self)
+
+    def declare(self, name: str, values: Sequence[str], where: Location) -> None:
+        """Add a tunable to this scope; from here on it hides one of the same name in the scopes around.
+
+        Raises:
+            ComArmorError: this scope has one of that name, or a value refers to the tunable itself, or is wrong.
+        """
+        if name in self.own:
+            raise ComArmorError(
+                f"the tunable @{{{name}}} is declared twice in this scope",
+                where=where,
+                help=f"the first declaration is at {self.own[name].where}",
+                code="tunable",
+            )
+        self.own[name] = Tunable(name, (), where)  # if it is defective, its uses are not reported as well
+        expanded: dict[Value, None] = {}
+        for value in values:
+            pieces = template.parse(value)
+            if template.Reference(name) in pieces:
+                raise ComArmorError(f"the tunable @{{{name}}} refers to itself", where=where, code="tunable")
+            expanded.update(dict.fromkeys(template.expand(pieces, self.values)))
+            if len(expanded) > template.MOST_VALUES:
+                raise ComArmorError(
+                    f"the tunable has more than the {template.MOST_VALUES:,} values allowed", code="tunable"
+                )
+        self.spend(expanded)
+        self.own[name] = Tunable(name, tuple(expanded), where)
+
+    def values(self, name: str) -> tuple[Value, ...]:
+        """Return the values of a tunable.
+
+        Raises:
+            ComArmorError: it is not declared above, in this scope or one around it.
+        """
+        scope: Scope | None = self
+        known: dict[str, None] = {}
+        while scope is not None:
+            if name in scope.own:
+                return scope.own[name].values
+            known |= dict.fromkeys(scope.own)
+            scope = scope.outer
+        raise ComArmorError(
+            f"the tunable @{{{name}}} is not known here",
+            help=did_you_mean(name, tuple(known)) or "declare it above its use, with <tunable>",
+            code="tunable",
+        )
+
+    def expand(self, text: str) -> tuple[Value, ...]:
+        """Return what an attachment stands for once its tunables are expanded.
+
+        Raises:
+            ComArmorError: the notation is wrong, a tunable is not known, or it stands for too much; without a place.
+        """
+        expanded = dict.fromkeys(template.expand(template.parse(template.strip(text)), self.values))
+        self.spend(expanded)
+        return tuple(expanded)
+
+    def spend(self, values: dict[Value, None]) -> None:
+        """Count what was expanded.
+
+        Raises:
+            ComArmorError: it is more than a policy may have.
+        """
+        self.budget.used += sum(len(piece) for value in values for piece in value)
+        if self.budget.used > MOST_CHARACTERS:
+            raise ComArmorError(
+                f"the expanded tunables have more than the {MOST_CHARACTERS:,} characters allowed", code="tunable"
+            )

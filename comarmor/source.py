@@ -1,0 +1,367 @@
+"""Reads policies: XML files and what they include, confined to the policy's own folder.
+
+``xi:include`` (XInclude 1.0, W3C 2006) is resolved here and not by a library, because the origin of every element must
+be known, because no file outside the policy may be reached, not even through a symbolic link, and because the
+size of the whole must be known before it is put together: every file is read once, however often it is included.
+"""
+
+from __future__ import annotations
+
+import errno
+import hashlib
+import os
+import posixpath
+import stat
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from types import MappingProxyType
+from urllib.parse import unquote, urlsplit
+
+from lxml import etree
+
+from comarmor.errors import ComArmorError, Location, did_you_mean, quoted
+from comarmor.reader import LIMITS, Limits, line, parse
+
+__all__ = ["INCLUDE", "LIMITS", "XINCLUDE", "Document", "Limits", "Sources", "line", "load_tree", "parse"]
+
+XINCLUDE = "http://www.w3.org/2001/XInclude"
+INCLUDE = f"{{{XINCLUDE}}}include"
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Document:
+    """One file of a policy.
+
+    Attributes:
+        name: path as the user would type it.
+        root: the root element, with ``xi:include`` elements where they stand.
+        includes: the included document of each ``xi:include`` element.
+        nodes: elements, with those of included documents counted at each inclusion.
+        inclusions: inclusions, counted in the same way.
+    """
+
+    name: str
+    root: etree._Element
+    includes: Mapping[etree._Element, Document]
+    nodes: int
+    inclusions: int
+
+
+@dataclass(frozen=True, slots=True)
+class Sources:
+    """A policy as it was read: its root documents in order, and the SHA-256 of every file by its resolved path."""
+
+    roots: tuple[Document, ...]
+    files: Mapping[Path, bytes]
+
+
+@dataclass(frozen=True, slots=True)
+class _Folder:
+    """A folder that includes are confined to: resolved, and as the user would type it."""
+
+    real: Path
+    shown: str
+
+    def name(self, relative: str) -> str:
+        """Return the path of a file in this folder as the user would type it."""
+        return _printable(posixpath.join(self.shown, relative))
+
+
+def load_tree(path: Path, library: Path | None = None, *, limits: Limits = LIMITS) -> Sources:
+    """Read a policy: a file, or of a directory the ``*.xml`` files directly in it, in sorted order.
+
+    Args:
+        path: file or directory; includes are confined to the directory, or the file's own folder.
+        library: a folder in which an include is looked up that the policy itself does not have.
+        limits: bounds.
+
+    Raises:
+        ComArmorError: something is missing, outside, too large or not well-formed, with ``file:line``.
+    """
+    shown = _printable(str(path))
+    try:
+        if path.is_dir():
+            folder = _Folder(path.resolve(strict=True), str(path))
+            roots = sorted(
+                name
+                for name in os.listdir(path)
+                if name.endswith(".xml") and not name.startswith(".") and not (path / name).is_dir()
+            )
+        else:
+            real = path.resolve(strict=True)
+            folder = _Folder(real.parent, str(real.parent if path.is_symlink() else path.parent))
+            roots = [real.name]
+    except (OSError, RuntimeError, ValueError) as error:
+        raise ComArmorError(_unreadable(error, "the policy"), where=Location(shown), code="policy-missing") from None
+    if not roots:
+        raise ComArmorError(
+            "the policy directory has no *.xml file",
+            where=Location(shown),
+            help="put the policy's root files directly into it; files in sub-folders are only reached by includes",
+            code="policy-empty",
+        )
+    reader = _Reader(folder, _library(library), limits)
+    return Sources(tuple(reader.root(name) for name in roots), MappingProxyType(reader.files))
+
+
+def _library(library: Path | None) -> _Folder | None:
+    if library is None or not library.is_dir():
+        return None
+    return _Folder(library.resolve(), str(library))
+
+
+@dataclass(slots=True)
+class _Reader:
+    """Reads each file of a policy once.
+
+    Attributes:
+        folder: the policy's folder.
+        library: the library's folder.
+        limits: bounds.
+        files: digests of what was read.
+        done: documents by resolved path, complete with everything they include.
+        open: resolved paths of the files that are being read, outermost first.
+        total: bytes read.
+    """
+
+    folder: _Folder
+    library: _Folder | None
+    limits: Limits
+    files: dict[Path, bytes] = field(default_factory=dict)
+    done: dict[Path, Document] = field(default_factory=dict)
+    open: list[Path] = field(default_factory=list)
+    total: int = 0
+    nodes: int = 0
+    inclusions: int = 0
+
+    def root(self, relative: str) -> Document:
+        """Read a root file of the policy."""
+        where = Location(self.folder.name(relative))
+        document = self.document(self.folder, relative, where, ())
+        self.nodes += document.nodes
+        self.inclusions += document.inclusions
+        self.bound(self.nodes, self.inclusions, where)
+        return document
+
+    def document(self, folder: _Folder, relative: str, where: Location, chain: tuple[Location, ...]) -> Document:
+        """Read a file and everything it includes.
+
+        Args:
+            folder: the folder the file is confined to.
+            relative: its path in there.
+            where: what to blame if it cannot be read.
+            chain: the places that include it, innermost first.
+        """
+        real = _confined(folder, relative, where)
+        if real in self.open:
+            raise ComArmorError(
+                f"{quoted(folder.name(relative), 200)} includes itself",
+                where=where,
+                help="remove one of the includes of the loop",
+                code="include-loop",
+            )
+        if real in self.done:
+            return self.done[real]
+        name = folder.name(relative)
+        content = self.read(folder, real, where)
+        try:
+            root = parse(content, name, limits=self.limits)
+        except ComArmorError as error:
+            raise _with_chain(error, chain) from None
+        self.open.append(real)
+        includes: dict[etree._Element, Document] = {}
+        nodes, inclusions = 0, 0
+        for element in root.iter():
+            nodes += 1
+            if element.tag != INCLUDE:
+                continue
+            place = Location(name, line(element), chain)
+            if len(self.open) > self.limits.include_depth:
+                raise ComArmorError(
+                    f"includes are nested more than {self.limits.include_depth} deep", where=place, code="xml-limit"
+                )
+            included = self.include(element, folder, relative, place)
+            includes[element] = included
+            nodes += included.nodes
+            inclusions += 1 + included.inclusions
+            self.bound(nodes, inclusions, place)
+        self.open.pop()
+        document = Document(name, root, MappingProxyType(includes), nodes, inclusions)
+        self.done[real] = document
+        return document
+
+    def include(self, element: etree._Element, folder: _Folder, relative: str, where: Location) -> Document:
+        """Read what an ``xi:include`` element of a file refers to."""
+        href = _href(element, where)
+        target = posixpath.normpath(posixpath.join(posixpath.dirname(relative), href))
+        chain = (Location(where.file, where.line), *where.chain)
+        found = _exists(folder, target, where)
+        if not found and self.library is not None:
+            from_root = posixpath.normpath(href)
+            if _exists(self.library, from_root, where):
+                folder, target, found = self.library, from_root, True
+        if not found:
+            raise ComArmorError(
+                f"the included file {quoted(folder.name(target), 200)} does not exist",
+                where=where,
+                help=_nearest(folder, target),
+                code="include-missing",
+            )
+        return self.document(folder, target, where, chain)
+
+    def read(self, folder: _Folder, real: Path, where: Location) -> bytes:
+        """Return the bytes of a file, and note their digest."""
+        try:
+            content = _read(folder.real, real, self.limits.file_bytes + 1)
+        except (OSError, ValueError) as error:
+            raise ComArmorError(_unreadable(error, "the file"), where=where, code="unreadable") from None
+        self.total += len(content)
+        if self.total > self.limits.total_bytes:
+            raise ComArmorError(
+                f"the policy has more than the {self.limits.total_bytes:,} bytes allowed", where=where, code="xml-limit"
+            )
+        self.files[real] = hashlib.sha256(content).digest()
+        return content
+
+    def bound(self, nodes: int, inclusions: int, where: Location) -> None:
+        """Refuse a policy that would grow too large when everything it includes is put in its place."""
+        if nodes > self.limits.nodes or inclusions > self.limits.inclusions:
+            raise ComArmorError(
+                f"with its includes the policy has more than the {self.limits.nodes:,} elements"
+                f" or {self.limits.inclusions:,} inclusions allowed",
+                where=where,
+                code="xml-limit",
+            )
+
+
+def _href(element: etree._Element, where: Location) -> str:
+    """Return the relative path that an ``xi:include`` element refers to.
+
+    Raises:
+        ComArmorError: it is not a plain include of an XML file by relative path.
+    """
+    for attribute in element.attrib:
+        if attribute not in ("href", "parse"):
+            raise ComArmorError(
+                f"xi:include has the attribute {quoted(str(attribute))}, expected only href and parse",
+                where=where,
+                help=did_you_mean(str(attribute), ("href", "parse")),
+                code="schema",
+            )
+    if element.get("parse", "xml") != "xml":
+        raise ComArmorError('xi:include can only have parse="xml"', where=where, code="include-parse")
+    if len(element):
+        raise ComArmorError(
+            "xi:include cannot hold anything, not even xi:fallback",
+            where=Location(where.file, line(element[0]), where.chain),
+            help="a missing include is an error, so that no rule is ever left out silently",
+            code="include-fallback",
+        )
+    href = element.get("href", "")
+    try:
+        parts = urlsplit(href)
+    except ValueError:
+        parts = None
+    path = unquote(href)
+    if not path or "\0" in path or parts is None or parts.scheme or parts.netloc or parts.query or parts.fragment:
+        raise ComArmorError(
+            f"the href {quoted(href)} of xi:include is not a relative path of a file", where=where, code="include-href"
+        )
+    if posixpath.isabs(path):
+        raise ComArmorError(
+            f"xi:include of the absolute path {quoted(path)}, expected one relative to the including file",
+            where=where,
+            code="include-outside",
+        )
+    return path
+
+
+def _resolve(folder: _Folder, relative: str, where: Location) -> Path:
+    """Return the resolved path of a file in a folder, whether or not it exists.
+
+    Raises:
+        ComArmorError: it lies outside of the folder, also if only by ``..`` or a symbolic link.
+    """
+    outside = relative.split("/", 1)[0] == ".."
+    try:
+        real = (folder.real / relative).resolve()
+    except (OSError, RuntimeError, ValueError) as error:
+        raise ComArmorError(_unreadable(error, "the file"), where=where, code="unreadable") from None
+    if outside or not real.is_relative_to(folder.real):
+        raise ComArmorError(
+            f"{quoted(relative, 200)} is outside of the policy's folder {quoted(_printable(folder.shown), 200)}",
+            where=where,
+            help="copy the file into the folder, and include the copy",
+            code="include-outside",
+        )
+    return real
+
+
+def _exists(folder: _Folder, relative: str, where: Location) -> bool:
+    try:
+        _resolve(folder, relative, where).lstat()
+    except (FileNotFoundError, NotADirectoryError):
+        return False
+    except OSError as error:
+        raise ComArmorError(_unreadable(error, "the file"), where=where, code="unreadable") from None
+    return True
+
+
+def _confined(folder: _Folder, relative: str, where: Location) -> Path:
+    """Return the resolved path of a file that must exist in a folder."""
+    if not _exists(folder, relative, where):
+        raise ComArmorError("the file does not exist", where=where, code="unreadable")
+    return _resolve(folder, relative, where)
+
+
+def _read(folder: Path, real: Path, size: int) -> bytes:
+    """Return at most so many bytes of a regular file below a folder.
+
+    Each step is opened relative to the one before and none may be a symbolic link, so that a path which was resolved
+    and found to lie inside cannot be swapped for one that leads outside.
+    """
+    *folders, last = real.relative_to(folder).parts
+    here = os.open(folder, os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC)
+    try:
+        for part in folders:
+            inner = os.open(part, os.O_RDONLY | os.O_DIRECTORY | os.O_NOFOLLOW | os.O_CLOEXEC, dir_fd=here)
+            os.close(here)
+            here = inner
+        # Not blocking: a named pipe must not hold the tool up before it is seen not to be a file.
+        file = os.open(last, os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK | os.O_CLOEXEC, dir_fd=here)
+    finally:
+        os.close(here)
+    with os.fdopen(file, "rb") as stream:
+        if not stat.S_ISREG(os.fstat(file).st_mode):
+            raise OSError(errno.EINVAL, "it is not a regular file")
+        return stream.read(size)
+
+
+def _with_chain(error: ComArmorError, chain: tuple[Location, ...]) -> ComArmorError:
+    """Return an error of one file with the places that included the file."""
+    (found,) = error.diagnostics
+    where = found.where and Location(found.where.file, found.where.line, chain)
+    return ComArmorError(found.message, where=where, help=found.help, code=found.code)
+
+
+def _nearest(folder: _Folder, relative: str) -> str:
+    """Return a hint at a file beside the missing one that has nearly its name."""
+    beside = folder.real / posixpath.dirname(relative)
+    try:
+        names = os.listdir(beside)
+    except OSError:
+        return ""
+    return did_you_mean(posixpath.basename(relative), names)
+
+
+def _unreadable(error: Exception, what: str) -> str:
+    if isinstance(error, FileNotFoundError):
+        return f"{what} does not exist"
+    reason = error.strerror if isinstance(error, OSError) and error.strerror else str(error)
+    return f"{what} cannot be read: {reason}"
+
+
+def _printable(path: str) -> str:
+    """Return a path as text that can be printed, whatever bytes its name has."""
+    return path.encode("utf-8", "surrogateescape").decode("utf-8", "backslashreplace")

@@ -1,0 +1,89 @@
+"""Policy type ``keymint_ros2_comarmor``: ComArmor policies to the intermediate representation."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import comarmor
+from keymint.api import PolicySource
+from keymint.errors import Diagnostic, KeymintError, Origin, Severity
+from keymint.ir import Effect, Rule, SubjectRules
+
+__all__ = ["ComArmorPolicyType", "policy_type"]
+
+
+def _origin(where: comarmor.Location) -> Origin:
+    return Origin(where.file, where.line, tuple(_origin(outer) for outer in where.chain))
+
+
+def _diagnostic(found: comarmor.Diagnostic) -> Diagnostic:
+    where = _origin(found.where) if found.where else None
+    return Diagnostic(found.code, Severity(found.severity.value), found.message, where, found.help)
+
+
+def _rule(rule: comarmor.Rule) -> Rule:
+    return Rule(
+        effect=Effect(rule.effect.value),
+        kind=rule.kind,
+        permissions=rule.permissions,
+        expressions=tuple(dict.fromkeys(attachment.text for attachment in rule.attachments)),
+        partitions=rule.partitions,
+        audit=rule.audit,
+        origin=_origin(rule.where),
+    )
+
+
+@dataclass(frozen=True, slots=True)
+class _LoadedPolicy:
+    """A ComArmor policy, loaded once per command."""
+
+    policy: comarmor.Policy
+
+    @property
+    def files(self) -> Mapping[Path, bytes]:
+        """Every file that was read, with the SHA-256 of its bytes."""
+        return self.policy.files
+
+    def subjects(self) -> tuple[str, ...]:
+        """Return, sorted, the subjects that the policy names exactly."""
+        return self.policy.subjects()
+
+    def rules(self, subject: str) -> SubjectRules | None:
+        """Return the rules of a subject, or None when no profile applies to it."""
+        if not self.policy.applicable(subject):
+            return None
+        return SubjectRules(subject, tuple(_rule(rule) for rule in self.policy.rules(subject)))
+
+
+class ComArmorPolicyType:
+    """Acquires policy in the ComArmor profile language."""
+
+    API = "1.0"
+
+    def load(self, sources: Sequence[PolicySource], library: Path | None) -> _LoadedPolicy:
+        """Load policies as one: the union of their profiles.
+
+        Args:
+            sources: files or directories; includes of each are confined to its own folder.
+            library: a folder in which includes are looked up that a policy itself does not have.
+
+        Raises:
+            KeymintError: with ``file:line`` of each defect.
+        """
+        for source in sources:
+            if not source.path.exists():
+                raise KeymintError(
+                    f"the policy '{source.path}' does not exist",
+                    where=source.origin,
+                    help="name a ComArmor file, or a directory of *.xml files",
+                    code="policy-missing",
+                )
+        try:
+            return _LoadedPolicy(comarmor.load_all([source.path for source in sources], library=library))
+        except comarmor.ComArmorError as error:
+            raise KeymintError.of(map(_diagnostic, error.diagnostics)) from error
+
+
+policy_type = ComArmorPolicyType()
