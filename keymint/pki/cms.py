@@ -1,0 +1,150 @@
+"""Detached CMS signatures (RFC 5652): one signer, its certificate inside, SHA-256, signed attributes.
+
+Made by ``cryptography``, and verified here: every field either has one legal value and is compared with it, or is
+covered by the signature.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from dataclasses import dataclass
+
+from cryptography import x509
+from cryptography.exceptions import InvalidSignature
+from cryptography.hazmat.primitives import hashes, serialization
+from cryptography.hazmat.primitives.asymmetric import ec, padding, rsa
+from cryptography.hazmat.primitives.serialization import pkcs7
+
+from keymint.pki import der
+from keymint.pki.keys import PrivateKey
+
+_SIGNED_DATA = der.oid("1.2.840.113549.1.7.2")
+_DATA = der.oid("1.2.840.113549.1.7.1")
+_CONTENT_TYPE = der.oid("1.2.840.113549.1.9.3")
+_MESSAGE_DIGEST = der.oid("1.2.840.113549.1.9.4")
+_VERSION_1 = der.integer(1)
+
+
+def _algorithm(dotted: str) -> tuple[bytes, bytes]:
+    """Return both encodings of an AlgorithmIdentifier: parameters NULL, and absent (RFC 5754, section 2)."""
+    identifier = der.oid(dotted)
+    return der.tlv(der.SEQUENCE, identifier, der.tlv(der.NULL)), der.tlv(der.SEQUENCE, identifier)
+
+
+_SHA256 = _algorithm("2.16.840.1.101.3.4.2.1")
+_ECDSA_SHA256 = _algorithm("1.2.840.10045.4.3.2")
+# RSA by the key's identifier alone (RFC 3370, 3.2): sha256WithRSAEncryption is one altered byte away from it.
+_RSA = _algorithm("1.2.840.113549.1.1.1")
+
+_OPTIONS = (
+    pkcs7.PKCS7Options.DetachedSignature,
+    pkcs7.PKCS7Options.Binary,  # the caller has brought the text into canonical form
+    pkcs7.PKCS7Options.NoCapabilities,  # of use in e-mail only, and the documents travel in every handshake
+)
+
+
+@dataclass(frozen=True, slots=True)
+class Signature:
+    """A signature, taken apart.
+
+    Attributes:
+        certificate: the signer's certificate that is embedded, DER.
+        issuer_and_serial: what names the signer's certificate, DER.
+        attributes: signed attributes as they are signed (a SET), DER.
+        algorithm: signature algorithm, DER.
+        value: the signature.
+    """
+
+    certificate: bytes
+    issuer_and_serial: bytes
+    attributes: bytes
+    algorithm: bytes
+    value: bytes
+
+
+def sign(text: bytes, certificate: x509.Certificate, key: PrivateKey) -> bytes:
+    """Return a detached signature with SHA-256 over a text, in DER."""
+    builder = pkcs7.PKCS7SignatureBuilder().set_data(text).add_signer(certificate, key, hashes.SHA256())
+    return builder.sign(serialization.Encoding.DER, _OPTIONS)
+
+
+def parse(signature: bytes) -> Signature:
+    """Take a signature apart.
+
+    Raises:
+        ValueError: not of the one form that is accepted.
+    """
+    content_type, explicit = _parts(der.single(signature, der.SEQUENCE), 2)
+    version, digests, content, certificates, signers = _parts(
+        der.single(der.single(explicit, der.CONTEXT_0), der.SEQUENCE), 5
+    )
+    signer = der.single(der.single(signers, der.SET), der.SEQUENCE)
+    signer_version, name, digest, attributes, algorithm, value = _parts(signer, 6)
+    expected = (
+        content_type == _SIGNED_DATA
+        and version == signer_version == _VERSION_1
+        and der.single(digests, der.SET) in _SHA256
+        and digest in _SHA256
+        and content == der.tlv(der.SEQUENCE, _DATA)
+    )
+    if not expected:
+        raise ValueError("not a detached signature with SHA-256")
+    return Signature(
+        certificate=der.single(certificates, der.CONTEXT_0),
+        issuer_and_serial=name,
+        attributes=der.tlv(der.SET, der.single(attributes, der.CONTEXT_0)),
+        algorithm=algorithm,
+        value=der.single(value, der.OCTET_STRING),
+    )
+
+
+def verify(signature: Signature, text: bytes, certificate: x509.Certificate) -> bool:
+    """Tell whether a signature over a text was made with a certificate, which must be the embedded one."""
+    return (
+        signature.certificate == certificate.public_bytes(serialization.Encoding.DER)
+        and signature.issuer_and_serial == _issuer_and_serial(certificate)
+        and _attributes_match(signature.attributes, text)
+        and _signed(signature, certificate)
+    )
+
+
+def _attributes_match(attributes: bytes, text: bytes) -> bool:
+    """Compare the content type and the message digest, each present once (RFC 5652, 5.3 and 11)."""
+    try:
+        found = [_parts(content, 2) for tag, content in der.elements(der.single(attributes, der.SET))]
+    except ValueError:
+        return False
+    wanted = {
+        _CONTENT_TYPE: der.tlv(der.SET, _DATA),
+        _MESSAGE_DIGEST: der.tlv(der.SET, der.tlv(der.OCTET_STRING, hashlib.sha256(text).digest())),
+    }
+    return len({kind for kind, _ in found}) == len(found) and wanted.items() <= {tuple(pair) for pair in found}
+
+
+def _signed(signature: Signature, certificate: x509.Certificate) -> bool:
+    key = certificate.public_key()
+    try:
+        if isinstance(key, ec.EllipticCurvePublicKey) and signature.algorithm in _ECDSA_SHA256:
+            key.verify(signature.value, signature.attributes, ec.ECDSA(hashes.SHA256()))
+        elif isinstance(key, rsa.RSAPublicKey) and signature.algorithm in _RSA:
+            key.verify(signature.value, signature.attributes, padding.PKCS1v15(), hashes.SHA256())
+        else:
+            return False
+    except InvalidSignature:
+        return False
+    return True
+
+
+def _issuer_and_serial(certificate: x509.Certificate) -> bytes:
+    """Return IssuerAndSerialNumber (RFC 5652, 10.2.4) with the very bytes of the certificate."""
+    fields = der.elements(der.single(certificate.tbs_certificate_bytes, der.SEQUENCE))
+    serial, _, issuer = fields[1:4] if fields[0][0] == der.CONTEXT_0 else fields[:3]
+    return der.tlv(der.SEQUENCE, der.tlv(*issuer), der.tlv(*serial))
+
+
+def _parts(content: bytes, count: int) -> list[bytes]:
+    """Return the elements of a content, each with its header, of which there must be so many."""
+    found = [der.tlv(tag, part) for tag, part in der.elements(content)]
+    if len(found) != count:
+        raise ValueError("not the expected number of fields")
+    return found

@@ -1,0 +1,96 @@
+"""Distinguished Encoding Rules (ITU-T X.690), as little of them as CMS and raw extensions need.
+
+``cryptography`` signs CMS but does not verify it, and its own ASN.1 interface is declared unstable. The reader
+is strict: what has more than one encoding is refused, so that an altered byte never goes unseen.
+"""
+
+from __future__ import annotations
+
+BOOLEAN = 0x01
+INTEGER = 0x02
+OCTET_STRING = 0x04
+NULL = 0x05
+OBJECT_IDENTIFIER = 0x06
+UTF8_STRING = 0x0C
+PRINTABLE_STRING = 0x13
+IA5_STRING = 0x16
+SEQUENCE = 0x30
+SET = 0x31
+CONTEXT_0 = 0xA0
+
+_LONG_TAG = 0x1F
+_LONG_LENGTH = 0x80
+_MAX_LENGTH_BYTES = 4
+
+
+def tlv(tag: int, *parts: bytes) -> bytes:
+    """Return an element: tag, length, and the parts one after another as its content."""
+    content = b"".join(parts)
+    size = len(content)
+    if size < _LONG_LENGTH:
+        return bytes((tag, size)) + content
+    octets = size.to_bytes((size.bit_length() + 7) // 8, "big")
+    return bytes((tag, _LONG_LENGTH | len(octets))) + octets + content
+
+
+def integer(value: int) -> bytes:
+    """Return an INTEGER element."""
+    return tlv(INTEGER, value.to_bytes(value.bit_length() // 8 + 1, "big", signed=True))
+
+
+def oid(dotted: str) -> bytes:
+    """Return an OBJECT IDENTIFIER element for a dotted identifier such as ``1.2.840.113549.1.7.2``."""
+    first, second, *rest = (int(arc) for arc in dotted.split("."))
+    octets = bytearray()
+    for arc in (40 * first + second, *rest):
+        group = [arc & 0x7F]
+        while arc := arc >> 7:
+            group.append(0x80 | (arc & 0x7F))
+        octets += bytes(reversed(group))
+    return tlv(OBJECT_IDENTIFIER, bytes(octets))
+
+
+def elements(data: bytes) -> list[tuple[int, bytes]]:
+    """Return the tags and contents of the elements that make up the data, all of it.
+
+    Raises:
+        ValueError: not DER: a cut element, a length in more bytes than needed, a tag above 30.
+    """
+    found = []
+    position = 0
+    while position < len(data):
+        tag, start, end = _header(data, position)
+        found.append((tag, data[start:end]))
+        position = end
+    return found
+
+
+def single(data: bytes, tag: int) -> bytes:
+    """Return the content of the one element that the data is, which must have this tag.
+
+    Raises:
+        ValueError: not DER, another tag, or more than one element.
+    """
+    found = elements(data)
+    if len(found) != 1 or found[0][0] != tag:
+        raise ValueError("not one element of the expected tag")
+    return found[0][1]
+
+
+def _header(data: bytes, position: int) -> tuple[int, int, int]:
+    """Return the tag at a position, and where its content begins and ends."""
+    header = data[position : position + 2]
+    if len(header) != 2 or header[0] & _LONG_TAG == _LONG_TAG:  # noqa: PLR2004 - tag and length
+        raise ValueError("no tag and length")
+    tag, size = header
+    start = position + 2
+    if size >= _LONG_LENGTH:
+        count = size - _LONG_LENGTH
+        octets = data[start : start + count]
+        size = int.from_bytes(octets, "big")
+        if not 1 <= count <= _MAX_LENGTH_BYTES or len(octets) != count or octets[0] == 0 or size < _LONG_LENGTH:
+            raise ValueError("a length that is not in its shortest form")
+        start += count
+    if start + size > len(data):
+        raise ValueError("an element that is cut")
+    return tag, start, start + size

@@ -1,0 +1,318 @@
+"""X.509 v3 extensions from the text that people know: OpenSSL's ``x509v3_config`` notation."""
+
+from __future__ import annotations
+
+import ipaddress
+import re
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from types import MappingProxyType
+from typing import TypeVar
+
+from cryptography import x509
+from cryptography.x509.oid import AuthorityInformationAccessOID, ExtendedKeyUsageOID, ExtensionOID
+
+from keymint.api import Extension
+from keymint.errors import KeymintError
+from keymint.pki import der
+from keymint.pki.keys import PublicKey
+from keymint.pki.suggest import did_you_mean
+
+_E = TypeVar("_E", bound=x509.ExtensionType)
+
+
+@dataclass(frozen=True, slots=True)
+class Context:
+    """What an extension may depend on: the subject's public key, and the issuer (None when self-signed)."""
+
+    public_key: PublicKey
+    issuer: x509.Certificate | None
+
+
+KEY_USAGES: Mapping[str, str] = MappingProxyType(
+    {
+        "digitalSignature": "digital_signature",
+        "nonRepudiation": "content_commitment",
+        "contentCommitment": "content_commitment",
+        "keyEncipherment": "key_encipherment",
+        "dataEncipherment": "data_encipherment",
+        "keyAgreement": "key_agreement",
+        "keyCertSign": "key_cert_sign",
+        "cRLSign": "crl_sign",
+        "encipherOnly": "encipher_only",
+        "decipherOnly": "decipher_only",
+    }
+)
+"""Key usages (RFC 5280, 4.2.1.3) and how :class:`x509.KeyUsage` calls them."""
+_EXTENDED_KEY_USAGES = {
+    "serverAuth": ExtendedKeyUsageOID.SERVER_AUTH,
+    "clientAuth": ExtendedKeyUsageOID.CLIENT_AUTH,
+    "codeSigning": ExtendedKeyUsageOID.CODE_SIGNING,
+    "emailProtection": ExtendedKeyUsageOID.EMAIL_PROTECTION,
+    "timeStamping": ExtendedKeyUsageOID.TIME_STAMPING,
+    "OCSPSigning": ExtendedKeyUsageOID.OCSP_SIGNING,
+    "ipsecIKE": ExtendedKeyUsageOID.IPSEC_IKE,
+    "msSmartcardLogin": ExtendedKeyUsageOID.SMARTCARD_LOGON,
+    "anyExtendedKeyUsage": ExtendedKeyUsageOID.ANY_EXTENDED_KEY_USAGE,
+}
+_NS_COMMENT = x509.ObjectIdentifier("2.16.840.1.113730.1.13")
+_ANY_POLICY = x509.ObjectIdentifier("2.5.29.32.0")
+_DOTTED = re.compile(r"[0-2](?:\.(?:0|[1-9][0-9]*))+")
+_ASN1_STRINGS = {
+    "UTF8": (der.UTF8_STRING, "utf-8"),
+    "UTF8String": (der.UTF8_STRING, "utf-8"),
+    "IA5": (der.IA5_STRING, "ascii"),
+    "IA5STRING": (der.IA5_STRING, "ascii"),
+    "PRINTABLE": (der.PRINTABLE_STRING, "ascii"),
+    "PRINTABLESTRING": (der.PRINTABLE_STRING, "ascii"),
+}
+
+
+def key_usage(*names: str) -> x509.KeyUsage:
+    """Return a key usage from OpenSSL's names, which must be keys of :data:`KEY_USAGES`."""
+    bits = dict.fromkeys(KEY_USAGES.values(), False) | {KEY_USAGES[name]: True for name in names}
+    return x509.KeyUsage(**bits)
+
+
+def subject_key_identifier(context: Context) -> x509.SubjectKeyIdentifier:
+    """Return the identifier of the subject's key (RFC 5280, 4.2.1.2, method 1)."""
+    return x509.SubjectKeyIdentifier.from_public_key(context.public_key)
+
+
+def authority_key_identifier(issuer: x509.Certificate) -> x509.AuthorityKeyIdentifier:
+    """Return the identifier of the issuer's key, as the issuer's certificate has it (RFC 5280, 4.2.1.1)."""
+    identifier = value(issuer, x509.SubjectKeyIdentifier)
+    if identifier is None:
+        return x509.AuthorityKeyIdentifier.from_issuer_public_key(issuer.public_key())  # type: ignore[arg-type]
+    return x509.AuthorityKeyIdentifier.from_issuer_subject_key_identifier(identifier)
+
+
+def value(certificate: x509.Certificate, kind: type[_E]) -> _E | None:
+    """Return the value of a certificate's extension of a kind, or None where it has none."""
+    try:
+        return certificate.extensions.get_extension_for_class(kind).value
+    except x509.ExtensionNotFound:
+        return None
+
+
+def parse(extension: Extension, context: Context) -> tuple[x509.ObjectIdentifier, bool, x509.ExtensionType | None]:
+    """Return the OID of an extension, whether it is critical, and its value (None: it is not to be there).
+
+    Known are the names of :data:`NAMES`, and dotted OIDs with a value ``DER:hex`` or ``ASN1:type:text``.
+
+    Args:
+        extension: name, value and place.
+        context: what values such as ``hash`` and ``keyid`` stand for.
+
+    Raises:
+        KeymintError: an unknown name or a value that is not in the notation, with what was expected.
+    """
+    text = extension.value.strip()
+    critical = extension.critical
+    if marked := re.match(r"critical\s*,\s*", text):
+        critical, text = True, text[marked.end() :]
+    try:
+        if known := _KNOWN.get(extension.name):
+            oid, reader = known
+            return oid, critical, reader(text, context)
+        oid = _unknown(extension)
+        return oid, critical, x509.UnrecognizedExtension(oid, _raw(text))
+    except ValueError as error:
+        raise KeymintError(
+            f"{extension.name} = {extension.value[:80]!r}: {error}",
+            where=extension.origin,
+            help="the notation is that of OpenSSL's x509v3_config(5)",
+            code="extension-invalid",
+        ) from None
+
+
+def _unknown(extension: Extension) -> x509.ObjectIdentifier:
+    """Return the OID of an extension that is named by dotted OID.
+
+    Raises:
+        KeymintError: neither a known name nor a dotted OID, or the OID of a known name.
+    """
+    name = extension.name
+    if _DOTTED.fullmatch(name):
+        oid = x509.ObjectIdentifier(name)
+        known = next((known for known, (other, _) in _KNOWN.items() if other == oid), None)
+        if known is None:
+            return oid
+        problem, help_ = f"the extension {name} has a name", f"write {known}"
+    else:
+        problem = f"{name!r} is not an extension that is known"
+        help_ = did_you_mean(name, _KNOWN, "and dotted OIDs")
+    raise KeymintError(problem, where=extension.origin, help=help_, code="extension-unknown")
+
+
+def _items(text: str) -> list[str]:
+    items = [item.strip() for item in text.split(",")]
+    if not all(items):
+        raise ValueError("an entry is empty")
+    if len(set(items)) != len(items):
+        raise ValueError("an entry stands twice")
+    return items
+
+
+def _one_of(text: str, known: Mapping[str, object]) -> str:
+    if text in known:
+        return text
+    raise ValueError(f"{text!r} is not known, {did_you_mean(text, known)}")
+
+
+def _oid(text: str) -> x509.ObjectIdentifier:
+    if not _DOTTED.fullmatch(text):
+        raise ValueError(f"{text!r} is neither a known name nor a dotted OID")
+    return x509.ObjectIdentifier(text)
+
+
+def _basic_constraints(text: str, _: Context) -> x509.BasicConstraints:
+    authority = None
+    path_length = None
+    for item in _items(text):
+        name, _colon, rest = (part.strip() for part in item.partition(":"))
+        if name == "CA" and rest.upper() in {"TRUE", "FALSE"}:
+            authority = rest.upper() == "TRUE"
+        elif name == "pathlen" and rest.isascii() and rest.isdigit():
+            path_length = int(rest)
+        else:
+            raise ValueError(f"{item!r} is neither CA:TRUE, CA:FALSE nor pathlen:NUMBER")
+    if authority is None:
+        raise ValueError("CA:TRUE or CA:FALSE is missing")
+    return x509.BasicConstraints(authority, path_length)
+
+
+def _key_usage(text: str, _: Context) -> x509.KeyUsage:
+    return key_usage(*(_one_of(item, KEY_USAGES) for item in _items(text)))
+
+
+def _extended_key_usage(text: str, _: Context) -> x509.ExtendedKeyUsage:
+    return x509.ExtendedKeyUsage(
+        _oid(item) if item[0].isdigit() else _EXTENDED_KEY_USAGES[_one_of(item, _EXTENDED_KEY_USAGES)]
+        for item in _items(text)
+    )
+
+
+def _general_name(item: str) -> x509.GeneralName:
+    kind, _, text = (part.strip() for part in item.partition(":"))
+    makers: dict[str, Callable[[str], x509.GeneralName]] = {
+        "DNS": x509.DNSName,
+        "URI": x509.UniformResourceIdentifier,
+        "email": x509.RFC822Name,
+        "IP": lambda address: x509.IPAddress(ipaddress.ip_address(address)),
+        "RID": lambda dotted: x509.RegisteredID(_oid(dotted)),
+    }
+    maker = makers[_one_of(kind, makers)]
+    if not text:
+        raise ValueError(f"nothing follows {kind}:")
+    if not text.isascii():
+        raise ValueError(f"{text!r} is not ASCII")
+    return maker(text)
+
+
+def _subject_alternative_name(text: str, _: Context) -> x509.SubjectAlternativeName:
+    return x509.SubjectAlternativeName(_general_name(item) for item in _items(text))
+
+
+def _issuer_alternative_name(text: str, _: Context) -> x509.IssuerAlternativeName:
+    return x509.IssuerAlternativeName(_general_name(item) for item in _items(text))
+
+
+def _certificate_policies(text: str, _: Context) -> x509.CertificatePolicies:
+    return x509.CertificatePolicies(
+        x509.PolicyInformation(_ANY_POLICY if item == "anyPolicy" else _oid(item), None) for item in _items(text)
+    )
+
+
+def _crl_distribution_points(text: str, _: Context) -> x509.CRLDistributionPoints:
+    return x509.CRLDistributionPoints(
+        x509.DistributionPoint([_general_name(item)], None, None, None) for item in _items(text)
+    )
+
+
+def _authority_information_access(text: str, _: Context) -> x509.AuthorityInformationAccess:
+    methods = {
+        "OCSP": AuthorityInformationAccessOID.OCSP,
+        "caIssuers": AuthorityInformationAccessOID.CA_ISSUERS,
+    }
+    descriptions = []
+    for item in _items(text):
+        method, _semicolon, location = (part.strip() for part in item.partition(";"))
+        descriptions.append(x509.AccessDescription(methods[_one_of(method, methods)], _general_name(location)))
+    return x509.AuthorityInformationAccess(descriptions)
+
+
+def _subject_key_identifier(text: str, context: Context) -> x509.SubjectKeyIdentifier | None:
+    if text == "none":
+        return None
+    if text == "hash":
+        return subject_key_identifier(context)
+    return x509.SubjectKeyIdentifier(_hex(text))
+
+
+def _authority_key_identifier(text: str, context: Context) -> x509.AuthorityKeyIdentifier | None:
+    if text == "none":
+        return None
+    wanted = {item.removesuffix(":always") for item in _items(text)}
+    if not wanted <= {"keyid", "issuer"}:
+        raise ValueError("expected keyid, issuer (each perhaps with :always) or none")
+    if context.issuer is None:
+        return x509.AuthorityKeyIdentifier.from_issuer_public_key(context.public_key)
+    identifier = authority_key_identifier(context.issuer).key_identifier
+    if "issuer" not in wanted:
+        return x509.AuthorityKeyIdentifier(identifier, None, None)
+    return x509.AuthorityKeyIdentifier(
+        identifier if "keyid" in wanted else None,
+        [x509.DirectoryName(context.issuer.issuer)],
+        context.issuer.serial_number,
+    )
+
+
+def _ns_comment(text: str, _: Context) -> x509.UnrecognizedExtension:
+    return x509.UnrecognizedExtension(_NS_COMMENT, _string("IA5", text))
+
+
+def _string(kind: str, text: str) -> bytes:
+    tag, encoding = _ASN1_STRINGS[_one_of(kind, _ASN1_STRINGS)]
+    return der.tlv(tag, text.encode(encoding))
+
+
+def _hex(text: str) -> bytes:
+    try:
+        content = bytes.fromhex(text.replace(":", ""))
+    except ValueError:
+        raise ValueError(f"{text[:40]!r} is not hexadecimal") from None
+    if not content:
+        raise ValueError("no hexadecimal digits")
+    return content
+
+
+def _raw(text: str) -> bytes:
+    """Return the DER of ``DER:hex`` or ``ASN1:type:text``, of which there must be exactly one element."""
+    form, _, rest = text.partition(":")
+    if form == "ASN1":
+        kind, _, rest = rest.partition(":")
+        return _string(kind, rest)
+    if form != "DER":
+        raise ValueError("expected DER:hexadecimal or ASN1:UTF8String:text")
+    content = _hex(rest)
+    if len(der.elements(content)) != 1:
+        raise ValueError("not one DER element")
+    return content
+
+
+_KNOWN: dict[str, tuple[x509.ObjectIdentifier, Callable[[str, Context], x509.ExtensionType | None]]] = {
+    "basicConstraints": (ExtensionOID.BASIC_CONSTRAINTS, _basic_constraints),
+    "keyUsage": (ExtensionOID.KEY_USAGE, _key_usage),
+    "extendedKeyUsage": (ExtensionOID.EXTENDED_KEY_USAGE, _extended_key_usage),
+    "subjectAltName": (ExtensionOID.SUBJECT_ALTERNATIVE_NAME, _subject_alternative_name),
+    "issuerAltName": (ExtensionOID.ISSUER_ALTERNATIVE_NAME, _issuer_alternative_name),
+    "certificatePolicies": (ExtensionOID.CERTIFICATE_POLICIES, _certificate_policies),
+    "crlDistributionPoints": (ExtensionOID.CRL_DISTRIBUTION_POINTS, _crl_distribution_points),
+    "authorityInfoAccess": (ExtensionOID.AUTHORITY_INFORMATION_ACCESS, _authority_information_access),
+    "subjectKeyIdentifier": (ExtensionOID.SUBJECT_KEY_IDENTIFIER, _subject_key_identifier),
+    "authorityKeyIdentifier": (ExtensionOID.AUTHORITY_KEY_IDENTIFIER, _authority_key_identifier),
+    "nsComment": (_NS_COMMENT, _ns_comment),
+}
+NAMES = tuple(_KNOWN)
+"""Names of extensions that are known."""

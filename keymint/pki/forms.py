@@ -1,0 +1,205 @@
+"""What a certificate will say: a specification, its role's defaults, and the limits that its issuer sets."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from datetime import UTC
+from enum import Enum
+from types import MappingProxyType
+
+from cryptography import x509
+from cryptography.hazmat.primitives import hashes
+from cryptography.x509.oid import ExtendedKeyUsageOID, ExtensionOID
+
+from keymint.api import CertificateSpec, Validity
+from keymint.errors import Diagnostic, KeymintError, Origin, Severity
+from keymint.pki import extensions, keys, names
+
+HASHES: Mapping[str, Callable[[], hashes.SHA256 | hashes.SHA384 | hashes.SHA512]] = MappingProxyType(
+    {"SHA256": hashes.SHA256, "SHA384": hashes.SHA384, "SHA512": hashes.SHA512}
+)
+"""Hash algorithms of certificates. DDS vendors accept SHA256; the others are for keys that only some take."""
+_MAX_SERIAL = 1 << 159
+"""Exclusive: 20 octets, positive (RFC 5280, 4.1.2.2)."""
+_SIGNS_DOCUMENTS = (ExtendedKeyUsageOID.EMAIL_PROTECTION, ExtendedKeyUsageOID.ANY_EXTENDED_KEY_USAGE)
+"""Extended key usages with which OpenSSL takes a key for one that may sign S/MIME (purpose smimesign)."""
+
+
+_Values = dict[x509.ObjectIdentifier, tuple[bool, x509.ExtensionType]]
+
+
+class Role(Enum):
+    """What a certificate is for."""
+
+    AUTHORITY = "authority"
+    IDENTITY = "identity"
+
+
+@dataclass(frozen=True, slots=True)
+class Form:
+    """Everything that a certificate will say, but for its serial number."""
+
+    subject: x509.Name
+    issuer: x509.Name
+    validity: Validity
+    hash_algorithm: hashes.SHA256 | hashes.SHA384 | hashes.SHA512
+    extensions: _Values
+
+
+def form(
+    spec: CertificateSpec, public_key: keys.PublicKey, issuer: x509.Certificate | None, role: Role
+) -> tuple[Form, tuple[Diagnostic, ...]]:
+    """Return what a certificate will say, and a warning when its validity was cut to the issuer's.
+
+    Raises:
+        KeymintError: with the place of what cannot be issued.
+    """
+    if spec.serial is not None and not 0 < spec.serial < _MAX_SERIAL:
+        raise KeymintError(
+            f"the serial number {spec.serial} is not between 1 and 2^159 - 1 (RFC 5280, 4.1.2.2)",
+            where=spec.origin,
+            help="leave it empty for a random one",
+            code="serial-invalid",
+        )
+    if issuer is not None:
+        _check_issuer(issuer, spec.origin, role)
+    subject = names.parse(spec.subject_name, spec.origin)
+    validity, diagnostics = _clamp(spec, issuer)
+    made = Form(
+        subject=subject,
+        issuer=subject if issuer is None else issuer.subject,
+        validity=validity,
+        hash_algorithm=_hash(spec),
+        extensions=_extensions(spec, extensions.Context(public_key, issuer), role),
+    )
+    return made, diagnostics
+
+
+def _hash(spec: CertificateSpec) -> hashes.SHA256 | hashes.SHA384 | hashes.SHA512:
+    name = spec.hash_algorithm.upper().replace("-", "")
+    if name not in HASHES:
+        raise KeymintError(
+            f"{spec.hash_algorithm!r} is not a hash algorithm that certificates can have",
+            where=spec.origin,
+            help=f"known are {', '.join(HASHES)}",
+            code="hash-unknown",
+        )
+    return HASHES[name]()
+
+
+def _clamp(spec: CertificateSpec, issuer: x509.Certificate | None) -> tuple[Validity, tuple[Diagnostic, ...]]:
+    """Cut the validity to the issuer's, and to whole seconds (RFC 5280, 4.1.2.5)."""
+    first = spec.validity.not_before.astimezone(UTC).replace(microsecond=0)
+    last = spec.validity.not_after.astimezone(UTC).replace(microsecond=0)
+    wanted = Validity(first, last)
+    if issuer is not None:
+        first = max(first, issuer.not_valid_before_utc)
+        last = min(last, issuer.not_valid_after_utc)
+    if first >= last:
+        beyond = f", within that of its issuer {names.to_text(issuer.subject)!r}" if issuer is not None else ""
+        raise KeymintError(
+            f"no time of validity is left: {_period(wanted)}{beyond}",
+            where=spec.origin,
+            help="give it other dates, or renew the issuer",
+            code="validity-empty",
+        )
+    given = Validity(first, last)
+    if given == wanted or issuer is None:
+        return given, ()
+    warning = Diagnostic(
+        "validity-clamped",
+        Severity.WARNING,
+        f"the validity of {spec.subject_name!r}, {_period(wanted)}, is cut to its issuer's: {_period(given)}",
+        spec.origin,
+        "ask for no more than the issuer has, or renew the issuer",
+    )
+    return given, (warning,)
+
+
+def _period(validity: Validity) -> str:
+    return f"{validity.not_before:%Y-%m-%dT%H:%M:%SZ} to {validity.not_after:%Y-%m-%dT%H:%M:%SZ}"
+
+
+def _check_issuer(issuer: x509.Certificate, where: Origin, role: Role) -> None:
+    """Refuse an issuer whose certificate does not let it issue (RFC 5280, 4.2.1.3 and 4.2.1.9)."""
+    constraints = extensions.value(issuer, x509.BasicConstraints)
+    usage = extensions.value(issuer, x509.KeyUsage)
+    problem = ""
+    if constraints is None or not constraints.ca:
+        problem = "is not an authority's (basicConstraints)"
+    elif usage is not None and not usage.key_cert_sign:
+        problem = "lacks keyCertSign (keyUsage)"
+    elif role is Role.AUTHORITY and constraints.path_length == 0:
+        problem = "has pathlen:0, so it issues no authorities (basicConstraints)"
+    if problem:
+        raise KeymintError(
+            f"the issuer {names.to_text(issuer.subject)!r} cannot issue this certificate: its own {problem}",
+            where=where,
+            help="name another issuer, or change the extensions of this one",
+            code="issuer-invalid",
+        )
+
+
+def _extensions(spec: CertificateSpec, context: extensions.Context, role: Role) -> _Values:
+    """Return the role's defaults, each replaced by what the specification says of it."""
+    found: dict[x509.ObjectIdentifier, tuple[bool, x509.ExtensionType | None]] = _defaults(context, role)
+    given: set[x509.ObjectIdentifier] = set()
+    for extension in spec.extensions:
+        oid, critical, value = extensions.parse(extension, context)
+        if oid in given:
+            raise KeymintError(
+                f"the extension {extension.name} stands twice",
+                where=extension.origin,
+                code="extension-invalid",
+            )
+        given.add(oid)
+        found[oid] = (critical, value)
+        if problem := _conflict(value, critical, role):
+            raise KeymintError(
+                f"{extension.name} = {extension.value[:80]!r} {problem}",
+                where=extension.origin,
+                help="leave it out for the default" if role is Role.IDENTITY else "leave it out, or correct it",
+                code="extension-conflict",
+            )
+    return {oid: (critical, value) for oid, (critical, value) in found.items() if value is not None}
+
+
+def _defaults(
+    context: extensions.Context, role: Role
+) -> dict[x509.ObjectIdentifier, tuple[bool, x509.ExtensionType | None]]:
+    authority = role is Role.AUTHORITY
+    usages = _AUTHORITY_USAGE if authority else _IDENTITY_USAGE
+    defaults: dict[x509.ObjectIdentifier, tuple[bool, x509.ExtensionType | None]] = {
+        ExtensionOID.BASIC_CONSTRAINTS: (True, x509.BasicConstraints(authority, None)),
+        ExtensionOID.KEY_USAGE: (True, usages),
+    }
+    if not authority:
+        defaults[ExtensionOID.EXTENDED_KEY_USAGE] = (False, _IDENTITY_EXTENDED_USAGE)
+    defaults[ExtensionOID.SUBJECT_KEY_IDENTIFIER] = (False, extensions.subject_key_identifier(context))
+    if context.issuer is not None:
+        identifier = extensions.authority_key_identifier(context.issuer)
+        defaults[ExtensionOID.AUTHORITY_KEY_IDENTIFIER] = (False, identifier)
+    return defaults
+
+
+_AUTHORITY_USAGE = extensions.key_usage("digitalSignature", "keyCertSign", "cRLSign")
+_IDENTITY_USAGE = extensions.key_usage("digitalSignature")
+_IDENTITY_EXTENDED_USAGE = x509.ExtendedKeyUsage([ExtendedKeyUsageOID.SERVER_AUTH, ExtendedKeyUsageOID.CLIENT_AUTH])
+
+
+def _conflict(value: x509.ExtensionType | None, critical: bool, role: Role) -> str:
+    """Return why a certificate of this role must not have an extension, or nothing."""
+    match value:
+        case x509.ExtendedKeyUsage() if role is Role.IDENTITY and any(each in value for each in _SIGNS_DOCUMENTS):
+            return "would let an identity sign permissions of its own (emailProtection, anyExtendedKeyUsage)"
+        case x509.BasicConstraints() if role is Role.IDENTITY and value.ca:
+            return "would make an identity an authority"
+        case x509.KeyUsage() if role is Role.IDENTITY and value.key_cert_sign:
+            return "would let an identity issue certificates (keyCertSign)"
+        case x509.BasicConstraints() if role is Role.AUTHORITY and not (value.ca and critical):
+            return "must be critical and CA:TRUE for an authority (RFC 5280, 4.2.1.9)"
+        case x509.KeyUsage() if role is Role.AUTHORITY and not value.key_cert_sign:
+            return "must have keyCertSign for an authority (RFC 5280, 4.2.1.3)"
+        case _:
+            return ""

@@ -1,0 +1,212 @@
+"""Private keys: minted, stored as PKCS #8 PEM, read back, and held against certificates.
+
+No error here holds key material, and none passes on a message of the library that could.
+"""
+
+from __future__ import annotations
+
+import base64
+import binascii
+import re
+from collections.abc import Callable, Mapping
+from types import MappingProxyType
+
+from cryptography import x509
+from cryptography.exceptions import UnsupportedAlgorithm
+from cryptography.hazmat.primitives import serialization
+from cryptography.hazmat.primitives.asymmetric import ec, rsa
+
+from keymint.api import KeySpec
+from keymint.errors import KeymintError, Origin
+from keymint.pki.suggest import did_you_mean
+
+PrivateKey = ec.EllipticCurvePrivateKey | rsa.RSAPrivateKey
+PublicKey = ec.EllipticCurvePublicKey | rsa.RSAPublicKey
+
+# Spelled out: no text from a file ever names an attribute of a library.
+CURVES: Mapping[str, Callable[[], ec.EllipticCurve]] = MappingProxyType(
+    {"SECP256R1": ec.SECP256R1, "SECP384R1": ec.SECP384R1, "SECP521R1": ec.SECP521R1}
+)
+"""Curves by their SEC 2 names."""
+_CURVE_ALIASES = {
+    "PRIME256V1": "SECP256R1",
+    "P256": "SECP256R1",
+    "NISTP256": "SECP256R1",
+    "P384": "SECP384R1",
+    "NISTP384": "SECP384R1",
+    "P521": "SECP521R1",
+    "NISTP521": "SECP521R1",
+}
+MIN_RSA_BITS = 2048
+"""NIST SP 800-57 part 1, 5.6.2: 112 bits of security; DDS Security 1.1, 9.3.1, has RSA-2048."""
+MAX_RSA_BITS = 16384
+"""OpenSSL verifies no larger ones (OPENSSL_RSA_MAX_MODULUS_BITS)."""
+_PUBLIC_EXPONENT = 65537
+_LINE = 64
+"""Characters of base64 on a line (RFC 7468, section 2)."""
+_PEM = re.compile(rb"-----BEGIN ([A-Z0-9 ]+)-----\n((?:[A-Za-z0-9+/]{1,64}={0,2}\n)+)-----END \1-----\n")
+
+
+def curve_name(text: str, where: Origin | None = None) -> str:
+    """Return the name of a curve as a key of :data:`CURVES`; ``prime256v1`` and ``P-256`` are SECP256R1.
+
+    Raises:
+        KeymintError: the curve is not known; says which is near.
+    """
+    plain = re.sub(r"[-_ ]", "", text).upper()
+    name = _CURVE_ALIASES.get(plain, plain)
+    if name in CURVES:
+        return name
+    raise KeymintError(
+        f"{text!r} is not a curve that keys can have",
+        where=where,
+        help=did_you_mean(plain, CURVES),
+        code="key-type-unknown",
+    )
+
+
+def generate(spec: KeySpec, where: Origin | None = None) -> PrivateKey:
+    """Return a new private key.
+
+    Args:
+        spec: algorithm, and curve or size.
+        where: the place a person asked for it, for messages.
+
+    Raises:
+        KeymintError: the algorithm, the curve or the size is not one that can be used.
+    """
+    if _is_ec(spec, where):
+        return ec.generate_private_key(CURVES[curve_name(spec.curve, where)]())
+    return rsa.generate_private_key(_PUBLIC_EXPONENT, spec.size)
+
+
+def check(spec: KeySpec, where: Origin | None = None) -> None:
+    """Check that keys of a specification can be generated, without generating one.
+
+    Raises:
+        KeymintError: as :func:`generate` does.
+    """
+    if _is_ec(spec, where):
+        curve_name(spec.curve, where)
+
+
+def fits(key: PrivateKey | PublicKey, spec: KeySpec) -> bool:
+    """Tell whether a key is of the algorithm and of the curve or size that a specification asks for."""
+    if isinstance(key, ec.EllipticCurvePrivateKey | ec.EllipticCurvePublicKey):
+        return _is_ec(spec, None) and key.curve.name.upper() == curve_name(spec.curve)
+    return not _is_ec(spec, None) and key.key_size == spec.size
+
+
+def to_pem(key: PrivateKey, password: bytes | None = None) -> bytes:
+    """Return a private key as PKCS #8 PEM, encrypted (PBES2, AES-256) when a password is given."""
+    encryption = serialization.BestAvailableEncryption(password) if password else serialization.NoEncryption()
+    return key.private_bytes(serialization.Encoding.PEM, serialization.PrivateFormat.PKCS8, encryption)
+
+
+def from_pem(pem: bytes, password: bytes | None = None, where: Origin | None = None) -> PrivateKey:
+    """Return the private key of a PEM file.
+
+    Args:
+        pem: the file's bytes.
+        password: of an encrypted key; None for one that is stored in the clear.
+        where: the file, for messages.
+
+    Raises:
+        KeymintError: not a private key, of a kind that is not supported, or the password is missing or wrong.
+    """
+    encrypted = _is_encrypted(pem)
+    if encrypted and not password:
+        raise KeymintError(
+            "the private key is encrypted and no password is given",
+            where=where,
+            help="set the environment variable that password_env names",
+            code="key-password",
+        )
+    try:
+        # A password for a key in the clear is an error of the library, but not one of the user's.
+        key = serialization.load_pem_private_key(pem, password if encrypted else None)
+    except (ValueError, TypeError, UnsupportedAlgorithm):
+        problem = "the password of the private key is wrong" if encrypted else "not a private key in PEM"
+        raise KeymintError(
+            problem + (", or its file is damaged" if encrypted else ", or a damaged one"),
+            where=where,
+            help="restore the file, or mint a new key with --renew",
+            code="key-password" if encrypted else "key-invalid",
+        ) from None
+    if not isinstance(key, ec.EllipticCurvePrivateKey | rsa.RSAPrivateKey):
+        raise KeymintError(
+            "a private key that is neither EC nor RSA",
+            where=where,
+            help="mint one with --renew",
+            code="key-invalid",
+        )
+    return key
+
+
+def matches(key: PrivateKey, certificate: x509.Certificate) -> bool:
+    """Tell whether a private key belongs to a certificate."""
+    return key.public_key() == certificate.public_key()
+
+
+def is_canonical(pem: bytes, password: bytes | None = None) -> bool:
+    """Tell whether the bytes of a key file are exactly what :func:`to_pem` writes for the key that they hold.
+
+    Any changed byte of a file that once was canonical makes this False, or makes :func:`matches` fail. Of an
+    encrypted key (whose salt is random) the PEM frame is compared, and with its password also the content.
+
+    Args:
+        pem: the file's bytes.
+        password: of an encrypted key, where it is known.
+    """
+    try:
+        if not _is_encrypted(pem):
+            return to_pem(from_pem(pem)) == pem
+        if password:
+            from_pem(pem, password)
+    except KeymintError:
+        return False
+    return _is_canonical_frame(pem)
+
+
+def _is_encrypted(pem: bytes) -> bool:
+    return b"-----BEGIN ENCRYPTED PRIVATE KEY-----" in pem or b"Proc-Type: 4,ENCRYPTED" in pem
+
+
+def _is_canonical_frame(pem: bytes) -> bool:
+    """Tell whether one PEM block, base64 in full lines and nothing else, makes up the bytes."""
+    frame = _PEM.fullmatch(pem)
+    if frame is None:
+        return False
+    try:
+        content = base64.b64decode(frame.group(2).replace(b"\n", b""), validate=True)
+    except binascii.Error:
+        return False
+    text = base64.b64encode(content)
+    lines = b"".join(text[start : start + _LINE] + b"\n" for start in range(0, len(text), _LINE))
+    return lines == frame.group(2)
+
+
+def _is_ec(spec: KeySpec, where: Origin | None) -> bool:
+    """Tell EC from RSA.
+
+    Raises:
+        KeymintError: the algorithm is neither, or an RSA key would be too small or too large.
+    """
+    algorithm = spec.algorithm.lower()
+    if algorithm == "ec":
+        return True
+    if algorithm != "rsa":
+        raise KeymintError(
+            f"{spec.algorithm!r} is not an algorithm that keys can have",
+            where=where,
+            help="known are ec (with a curve) and rsa (with a size)",
+            code="key-type-unknown",
+        )
+    if not MIN_RSA_BITS <= spec.size <= MAX_RSA_BITS:
+        raise KeymintError(
+            f"an RSA key of {spec.size} bits is not between {MIN_RSA_BITS} and {MAX_RSA_BITS}",
+            where=where,
+            help="2048 is what every DDS vendor accepts",
+            code="key-type-unknown",
+        )
+    return False

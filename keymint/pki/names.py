@@ -1,0 +1,312 @@
+"""Distinguished names: from the text that a person writes, and to the text that DDS vendors compare.
+
+Names are written in *certificate order*, first RDN first: ``C=US, O=Acme, CN=ca``. RFC 4514 prints a name the
+other way round, and so do permissions documents: see :func:`render`.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import re
+from collections.abc import Iterator
+
+from cryptography import x509
+from cryptography.x509.oid import NameOID
+
+from keymint.errors import KeymintError, Origin
+from keymint.pki.suggest import did_you_mean
+
+MAX_COMMON_NAME = 64
+"""ub-common-name of RFC 5280, appendix A.1."""
+MAX_SEGMENTS = 16
+"""Path segments of a common name that leave room for further RDNs within :data:`MAX_TOKENS`."""
+MAX_TOKENS = 20
+"""Tokens, split at ``,`` ``/`` and ``|``, of a subject name that Cyclone DDS compares; it refuses more."""
+
+# Short name -> OID, upper bound of RFC 5280, appendix A.1. The short names are OpenSSL's: vendors print them.
+_TYPES: dict[str, tuple[x509.ObjectIdentifier, int]] = {
+    "CN": (NameOID.COMMON_NAME, MAX_COMMON_NAME),
+    "C": (NameOID.COUNTRY_NAME, 2),
+    "ST": (NameOID.STATE_OR_PROVINCE_NAME, 128),
+    "L": (NameOID.LOCALITY_NAME, 128),
+    "O": (NameOID.ORGANIZATION_NAME, 64),
+    "OU": (NameOID.ORGANIZATIONAL_UNIT_NAME, 64),
+    "DC": (NameOID.DOMAIN_COMPONENT, 63),
+    "UID": (NameOID.USER_ID, 256),
+    "emailAddress": (NameOID.EMAIL_ADDRESS, 255),
+    "serialNumber": (NameOID.SERIAL_NUMBER, 64),
+    "SN": (NameOID.SURNAME, 64),
+    "GN": (NameOID.GIVEN_NAME, 64),
+    "title": (NameOID.TITLE, 64),
+    "street": (NameOID.STREET_ADDRESS, 128),
+    "postalCode": (NameOID.POSTAL_CODE, 40),
+    "dnQualifier": (NameOID.DN_QUALIFIER, 64),
+    "pseudonym": (NameOID.PSEUDONYM, 128),
+}
+_ALIASES = {
+    "commonName": "CN",
+    "countryName": "C",
+    "stateOrProvinceName": "ST",
+    "S": "ST",
+    "localityName": "L",
+    "organizationName": "O",
+    "organizationalUnitName": "OU",
+    "domainComponent": "DC",
+    "userId": "UID",
+    "E": "emailAddress",
+    "email": "emailAddress",
+    "surname": "SN",
+    "givenName": "GN",
+    "streetAddress": "street",
+}
+_CANONICAL = {name.lower(): name for name in _TYPES} | {alias.lower(): name for alias, name in _ALIASES.items()}
+_SHORT = {oid: name for name, (oid, _) in _TYPES.items()}
+_ASCII_TYPES = frozenset({"C", "DC", "emailAddress", "serialNumber", "dnQualifier"})
+"""Types whose ASN.1 string is PrintableString or IA5String."""
+_UNBOUNDED = 1024
+"""Characters of a value whose type has no upper bound here."""
+
+_TYPE_THEN_EQUALS = re.compile(r"\s*([A-Za-z][A-Za-z0-9.-]*|[0-9][0-9.]*)\s*=")
+_HEX_PAIR = re.compile(r"[0-9A-Fa-f]{2}")
+_ESCAPABLE = frozenset(',+"\\<>;=/# ')
+_ESCAPED_IN_TEXT = frozenset(',+"\\<>;')
+_AMBIGUOUS = frozenset('"\\<>;|')
+"""Characters of a value that some vendor's comparison of names escapes, or takes for a separator."""
+_DDS_ESCAPES = re.compile(r"^#|[,+]")
+_EXAMPLE = "write e.g. CN=/robot/camera,OU=x1 or /C=US/O=Acme/CN=ca"
+
+
+def parse(text: str, where: Origin | None = None) -> x509.Name:
+    r"""Return the name that a text says, in certificate order.
+
+    Accepted are the comma form (RFC 4514, but in certificate order; ``\`` escapes, spaces around a comma are
+    skipped), OpenSSL's one-line form ``/C=US/CN=ca``, and the two mixed: ``O=Acme, CN=ca/emailAddress=a@b.c``.
+    A ``/`` begins an RDN where a known attribute type and ``=`` follow; ``CN=/robot/arm`` is one value.
+
+    Args:
+        text: the name.
+        where: the place a person wrote it, for messages.
+
+    Raises:
+        KeymintError: the text is not a name: says what is wrong and what is allowed.
+    """
+    if not text.strip():
+        raise KeymintError("a subject name is empty", where=where, help=_EXAMPLE, code="name-invalid")
+    return x509.Name([_attribute(kind, value, text, where) for kind, value in _pairs(text, where)])
+
+
+def to_text(name: x509.Name) -> str:
+    r"""Return a name as text in certificate order, ``O=Acme\, Inc,CN=ca``; :func:`parse` reads it back."""
+    return ",".join(f"{_SHORT.get(part.oid, part.oid.dotted_string)}={_escape(_string(part))}" for part in name)
+
+
+def render(name: x509.Name, where: Origin | None = None) -> str:
+    """Return the text of ``<subject_name>`` in a DDS permissions document.
+
+    It is the text that OpenSSL prints of the certificate's subject under ``XN_FLAG_RFC2253``, last RDN first: Fast DDS
+    2.9 compares with exactly that, Cyclone DDS takes the RDNs in any order (DDS Security 1.1, 9.4.1.3.2.1, leaves the
+    comparison to the vendor). A certificate with ``OU=x1,CN=/robot`` is ``CN=/robot,OU=x1`` here.
+
+    Raises:
+        KeymintError: the name holds something that vendors read differently; says what.
+    """
+    for part in name:
+        value = _string(part)
+        kind = _SHORT.get(part.oid)
+        if kind is None:
+            raise _not_portable(f"has the attribute {part.oid.dotted_string}", where)
+        if not value.isascii():
+            raise _not_portable(f"has characters beyond ASCII in {kind}={value!r}", where)
+        if odd := sorted(_AMBIGUOUS.intersection(value)):
+            raise _not_portable(f"has {' and '.join(map(repr, odd))} in {kind}={value!r}", where)
+        if value != " ".join(value.split()):
+            raise _not_portable(f"has leading, trailing or repeated spaces in {kind}={value!r}", where)
+    # Of a name without the characters refused above, OpenSSL escapes these alone.
+    shown = ",".join(f"{_SHORT[part.oid]}={_escape_for_dds(_string(part))}" for part in reversed(list(name)))
+    tokens = sum(1 for token in re.split(r"[,/]", shown) if token)
+    if tokens > MAX_TOKENS:
+        raise _not_portable(f"has {tokens} parts between ',' and '/', {MAX_TOKENS} are the most: {shown[:60]}…", where)
+    return shown
+
+
+def parse_rendered(text: str, where: Origin | None = None) -> x509.Name:
+    """Return the name that a ``<subject_name>`` says: what :func:`render` was given.
+
+    Raises:
+        KeymintError: the text is not a name.
+    """
+    return x509.Name(reversed(list(parse(text, where))))
+
+
+def common_name(subject: str) -> str:
+    """Return the common name for a subject: the subject, or where X.509 or a vendor ends, its last segments.
+
+    A common name that is cut is not unique: beside it stands an RDN of :func:`unique_suffix`.
+
+    Args:
+        subject: a subject's name, e.g. ``/robot1/arm/driver``.
+    """
+    segments = subject.removeprefix("/").split("/")
+    for first in range(max(0, len(segments) - MAX_SEGMENTS), len(segments)):
+        candidate = "/" + "/".join(segments[first:])
+        if len(candidate) <= MAX_COMMON_NAME:
+            return candidate
+    return f"/{segments[-1]}"[:MAX_COMMON_NAME]
+
+
+def unique_suffix(subject: str) -> str:
+    """Return 32 hexadecimal digits that no other subject has: half of the SHA-256 of its name."""
+    return hashlib.sha256(subject.encode()).hexdigest()[:32]
+
+
+def _not_portable(problem: str, where: Origin | None) -> KeymintError:
+    return KeymintError(
+        f"the subject name {problem}, which DDS vendors compare differently",
+        where=where,
+        help="use letters, digits and '/', '_', '-', '.', '@', e.g. CN=/robot/camera,OU=x1",
+        code="portability-subject-name",
+    )
+
+
+def _pairs(text: str, where: Origin | None) -> Iterator[tuple[str, str]]:
+    """Yield attribute types, as written, and values, unescaped."""
+    position = 1 if text.startswith("/") and _TYPE_THEN_EQUALS.match(text, 1) else 0
+    while True:
+        found = _TYPE_THEN_EQUALS.match(text, position)
+        if found is None:
+            rest = text[position:].strip()
+            raise KeymintError(
+                f"{text[:120]!r} is not a subject name: "
+                + (f"no attribute type and '=' in {rest[:60]!r}" if rest else "it ends with a separator"),
+                where=where,
+                help=rf"{_EXAMPLE}; a comma inside a value is written \,",
+                code="name-invalid",
+            )
+        value, position = _value(text, found.end(), where)
+        yield found.group(1), value
+        if position >= len(text):
+            return
+        position += 1
+
+
+def _value(text: str, position: int, where: Origin | None) -> tuple[str, int]:
+    """Return the value that begins at a position, unescaped, and the position of the separator after it."""
+    raw = bytearray()
+    kept = 0  # bytes that the trimming of spaces leaves alone, since they were escaped
+    while position < len(text) and text[position] == " ":
+        position += 1
+    while position < len(text):
+        character = text[position]
+        if character == "\\":
+            if pair := _HEX_PAIR.match(text, position + 1):
+                raw.append(int(pair.group(), 16))
+                position += 3
+            elif text[position + 1 : position + 2] in _ESCAPABLE:
+                raw += text[position + 1].encode()
+                position += 2
+            else:
+                raise KeymintError(
+                    f"{text[:120]!r} is not a subject name: after '\\' stands one of "
+                    f"{''.join(sorted(_ESCAPABLE))!r} or two hexadecimal digits",
+                    where=where,
+                    help="write \\\\ for a backslash",
+                    code="name-invalid",
+                )
+            kept = len(raw)
+            continue
+        if character == "," or (character == "/" and _begins_attribute(text, position + 1)):
+            break
+        if character == '"' or (character == "+" and _begins_attribute(text, position + 1)):
+            raise KeymintError(
+                f"{text[:120]!r} is not a subject name that can be used: "
+                + ("values are not quoted" if character == '"' else "RDNs with several attributes are not supported"),
+                where=where,
+                help=f"separate attributes by ',', or write \\{character} for the character itself",
+                code="name-invalid",
+            )
+        raw += character.encode("utf-8", "surrogatepass")
+        position += 1
+    while len(raw) > kept and raw.endswith(b" "):
+        del raw[-1:]
+    try:
+        return raw.decode(), position
+    except UnicodeDecodeError:
+        raise KeymintError(
+            f"{text[:120]!r} is not a subject name: an escaped value is not UTF-8",
+            where=where,
+            code="name-invalid",
+        ) from None
+
+
+def _begins_attribute(text: str, position: int) -> bool:
+    found = _TYPE_THEN_EQUALS.match(text, position)
+    return found is not None and found.group(1).lower() in _CANONICAL
+
+
+def _attribute(kind: str, value: str, name: str, where: Origin | None) -> x509.NameAttribute[str]:
+    """Return the attribute of a type and a value, both checked."""
+    oid, most = _type(kind, where)
+    short = _SHORT.get(oid, kind)
+    size = len(value.encode())
+    problem = ""
+    if not value:
+        problem = "is empty"
+    elif not value.isprintable():
+        problem = "has a control character"
+    elif size > most:
+        problem = f"has {size} bytes, {most} are the most (RFC 5280)"
+    elif short == "C" and size != most:
+        problem = "is a country of two letters"
+    elif short in _ASCII_TYPES and not value.isascii():
+        problem = "is ASCII only"
+    if problem:
+        too_long = short == "CN" and size > most
+        raise KeymintError(
+            f"{name[:120]!r} is not a subject name: {short} {problem}",
+            where=where,
+            help="CN={common_name},OU={unique} shortens it and keeps it unique" if too_long else _EXAMPLE,
+            code="name-invalid",
+        )
+    return x509.NameAttribute(oid, value)
+
+
+def _type(kind: str, where: Origin | None) -> tuple[x509.ObjectIdentifier, int]:
+    """Return the OID and the upper bound of an attribute type: a known name, or a dotted OID."""
+    if short := _CANONICAL.get(kind.lower()):
+        return _TYPES[short]
+    if kind[0].isdigit():
+        try:
+            oid = x509.ObjectIdentifier(kind)
+        except ValueError:
+            pass
+        else:
+            return _TYPES[_SHORT[oid]] if oid in _SHORT else (oid, _UNBOUNDED)
+    raise KeymintError(
+        f"{kind!r} is not an attribute type of a subject name",
+        where=where,
+        help=did_you_mean(kind, [*_TYPES, *_ALIASES], "and dotted OIDs"),
+        code="name-invalid",
+    )
+
+
+def _string(part: x509.NameAttribute[str | bytes]) -> str:
+    return part.value if isinstance(part.value, str) else part.value.hex()
+
+
+def _escape_for_dds(value: str) -> str:
+    return _DDS_ESCAPES.sub(r"\\\g<0>", value)
+
+
+def _escape(value: str) -> str:
+    """Return a value as :func:`parse` reads it: escaped by RFC 4514, 2.4, and a ``/`` that would separate."""
+    escaped = [
+        f"\\{character}"
+        if character in _ESCAPED_IN_TEXT or (character == "/" and _begins_attribute(value, position + 1))
+        else character
+        for position, character in enumerate(value)
+    ]
+    if value[0] in " #":
+        escaped[0] = f"\\{value[0]}"
+    if value[-1] == " ":
+        escaped[-1] = "\\ "
+    return "".join(escaped)

@@ -1,0 +1,162 @@
+"""Certification paths: from a certificate to a self-signed authority (RFC 5280, section 6).
+
+``cryptography.x509.verification`` is for the web: it demands a subjectAltName. What is checked here at each link is
+name chaining, signature, basicConstraints, path length, keyUsage, validity and unknown critical extensions.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from datetime import datetime
+
+from cryptography import x509
+from cryptography.exceptions import InvalidSignature
+
+from keymint.errors import Diagnostic, KeymintError, Origin, Severity
+from keymint.pki import certificates, extensions, names
+
+_UNDERSTOOD = (
+    x509.BasicConstraints,
+    x509.KeyUsage,
+    x509.ExtendedKeyUsage,
+    x509.SubjectAlternativeName,
+    x509.CertificatePolicies,
+)
+"""Extensions that may be critical: what they say is checked here, or narrows nothing that DDS asks for."""
+_MAX_PATH = 16
+"""Certificates of a path; DDS vendors take one authority, or a few."""
+
+
+def verify_chain(
+    certificate_pem: bytes, ca_pem_bundle: bytes, at: datetime, where: Origin | None = None
+) -> list[Diagnostic]:
+    """Return what is wrong with a certificate, held against the authorities that are trusted.
+
+    Args:
+        certificate_pem: the certificate.
+        ca_pem_bundle: authorities in any order: the issuer, and the others up to its self-signed root.
+        at: the time at which every certificate of the path must be valid (aware).
+        where: the certificate's file, for messages.
+
+    Returns:
+        Findings, none when all is well, with the codes ``certificate-invalid``, ``chain-incomplete``,
+        ``chain-signature``, ``chain-not-authority``, ``chain-path-length``, ``chain-key-usage``,
+        ``chain-critical-extension``, ``certificate-expired`` and ``certificate-not-yet-valid``.
+    """
+    try:
+        certificate = certificates.load(certificate_pem, where)
+        bundle = certificates.load_bundle(ca_pem_bundle, where)
+    except KeymintError as error:
+        return list(error.diagnostics)
+    path, broken = _path(certificate, bundle)
+    findings = [_finding(*broken, where)] if broken else []
+    for depth, link in enumerate(path):
+        problems = [*_time(link, at), *_critical(link), *(_authority(link, path[1:depth]) if depth else ())]
+        findings += [_finding(code, message, help_, where) for code, message, help_ in problems]
+    return findings
+
+
+_Problem = tuple[str, str, str]
+
+
+def _path(
+    certificate: x509.Certificate, bundle: Sequence[x509.Certificate]
+) -> tuple[list[x509.Certificate], _Problem | None]:
+    """Return the certificates from the first one up, and why they do not end at a self-signed one, if so."""
+    path = [certificate]
+    while len(path) <= _MAX_PATH:
+        last = path[-1]
+        if last.subject == last.issuer and (last in bundle or len(path) > 1):
+            return path, None if _issued_by(last, last) else _signature(last)
+        named = [each for each in bundle if each.subject == last.issuer and each not in path]
+        issuer = next((each for each in named if _issued_by(last, each)), None)
+        if issuer is None:
+            if named:
+                return path, _signature(last)
+            break
+        path.append(issuer)
+    return path, (
+        "chain-incomplete",
+        f"the issuer {_shown(path[-1].issuer)} of {_shown(path[-1].subject)} is not among the authorities",
+        "install it again, or add the missing authority",
+    )
+
+
+def _issued_by(certificate: x509.Certificate, issuer: x509.Certificate) -> bool:
+    try:
+        certificate.verify_directly_issued_by(issuer)
+    except (ValueError, TypeError, InvalidSignature):
+        return False
+    return True
+
+
+def _signature(certificate: x509.Certificate) -> _Problem:
+    return (
+        "chain-signature",
+        f"{_shown(certificate.subject)} is not signed by the key of its issuer {_shown(certificate.issuer)}",
+        "it was altered, or the authority's key was replaced: install it again",
+    )
+
+
+def _time(certificate: x509.Certificate, at: datetime) -> Iterator[_Problem]:
+    if at > certificate.not_valid_after_utc:
+        yield (
+            "certificate-expired",
+            f"the certificate of {_shown(certificate.subject)} expired on {_date(certificate.not_valid_after_utc)}",
+            "give it a later validity, or renew it with --renew",
+        )
+    elif at < certificate.not_valid_before_utc:
+        yield (
+            "certificate-not-yet-valid",
+            f"the certificate of {_shown(certificate.subject)} begins {_date(certificate.not_valid_before_utc)}",
+            "compare the clock of this machine, or give it an earlier start",
+        )
+
+
+def _critical(certificate: x509.Certificate) -> Iterator[_Problem]:
+    for extension in certificate.extensions:
+        if extension.critical and not isinstance(extension.value, _UNDERSTOOD):
+            yield (
+                "chain-critical-extension",
+                f"{_shown(certificate.subject)} has an unknown critical extension, {extension.oid.dotted_string}",
+                "make it not critical",
+            )
+
+
+def _authority(certificate: x509.Certificate, below: Sequence[x509.Certificate]) -> Iterator[_Problem]:
+    """Check an authority of a path; below it are the authorities between it and the end (RFC 5280, 6.1.4)."""
+    shown = _shown(certificate.subject)
+    constraints = extensions.value(certificate, x509.BasicConstraints)
+    usage = extensions.value(certificate, x509.KeyUsage)
+    if constraints is None or not constraints.ca:
+        yield (
+            "chain-not-authority",
+            f"{shown} issued a certificate but is no authority",
+            "name another issuer",
+        )
+        return
+    intermediates = sum(1 for each in below if each.subject != each.issuer)
+    if constraints.path_length is not None and intermediates > constraints.path_length:
+        yield (
+            "chain-path-length",
+            f"{shown} has pathlen:{constraints.path_length}, and {intermediates} authorities are below it",
+            "raise its pathlen, or name another issuer",
+        )
+    if usage is not None and not usage.key_cert_sign:
+        yield (
+            "chain-key-usage",
+            f"the keyUsage of {shown} lacks keyCertSign",
+            "add it, or name another issuer",
+        )
+
+
+def _date(at: datetime) -> str:
+    return f"{at:%Y-%m-%dT%H:%M:%SZ}"
+
+
+def _shown(name: x509.Name) -> str:
+    return repr(names.to_text(name))
+
+
+def _finding(code: str, message: str, help_: str, where: Origin | None) -> Diagnostic:
+    return Diagnostic(code, Severity.ERROR, message, where, help_)

@@ -1,0 +1,283 @@
+from __future__ import annotations
+
+from dataclasses import replace
+from datetime import UTC, datetime, timedelta
+
+import pytest
+from cryptography import x509
+
+from keymint.api import CertificateSpec, Extension, KeySpec, Validity
+from keymint.errors import KeymintError, Origin, Severity
+from keymint.pki import certificates, keys
+
+KEYS = [KeySpec("ec", "SECP256R1"), KeySpec("ec", "SECP384R1"), KeySpec("rsa", size=2048)]
+P256 = KEYS[0]
+
+
+def _authority(spec: CertificateSpec, issuer: certificates.Issuer | None = None) -> certificates.Issuer:
+    key = keys.generate(spec.key)
+    return certificates.Issuer(certificates.issue_authority(spec, key, issuer).certificate, key)
+
+
+@pytest.mark.parametrize("kind", KEYS, ids=lambda spec: spec.curve or f"rsa{spec.size}")
+@pytest.mark.parametrize("hash_algorithm", ["SHA256", "SHA384", "SHA512"])
+def test_openssl_accepts_authorities_and_identities(openssl, spec, kind: KeySpec, hash_algorithm: str) -> None:
+    ca = _authority(spec("C=US, O=Acme, CN=ca/emailAddress=a@b.c", key=kind, hash_algorithm=hash_algorithm))
+    identity = certificates.issue_identity(
+        spec("CN=/robot,OU=x1", hash_algorithm=hash_algorithm), keys.generate(P256).public_key(), ca
+    )
+    openssl.put(ca=certificates.to_pem(ca.certificate), identity=identity.pem)
+    openssl.accepts("verify", "-x509_strict", "-CAfile", "ca", "ca", "identity")
+    for purpose in ("sslserver", "sslclient"):
+        openssl.accepts("verify", "-x509_strict", "-purpose", purpose, "-CAfile", "ca", "identity")
+    openssl.refuses("verify", "-purpose", "smimesign", "-CAfile", "ca", "identity")
+    openssl.accepts("verify", "-purpose", "smimesign", "-CAfile", "ca", "ca")
+    text = openssl.run("x509", "-in", "identity", "-noout", "-text", "-nameopt", "oneline,-space_eq").stdout.decode()
+    assert "Subject: CN=/robot, OU=x1" in text
+    assert "CA:FALSE" in text
+    assert certificates.is_canonical(identity.pem)
+
+
+def test_openssl_accepts_a_hierarchy(openssl, spec) -> None:
+    root = _authority(spec("CN=root", basicConstraints="critical, CA:TRUE, pathlen:1"))
+    middle = _authority(spec("CN=middle", basicConstraints="critical, CA:TRUE, pathlen:0"), root)
+    identity = certificates.issue_identity(spec("CN=/robot"), keys.generate(P256).public_key(), middle)
+    openssl.put(
+        root=certificates.to_pem(root.certificate),
+        middle=certificates.to_pem(middle.certificate),
+        identity=identity.pem,
+    )
+    openssl.accepts("verify", "-x509_strict", "-CAfile", "root", "-untrusted", "middle", "identity")
+    with pytest.raises(KeymintError, match="pathlen:0") as caught:
+        _authority(spec("CN=bottom"), middle)
+    assert caught.value.diagnostics[0].where == Origin("profile/authorities.xml", 7)
+
+
+def test_the_defaults_of_the_roles(spec, authority: certificates.Issuer) -> None:
+    found = {each.oid._name: each for each in authority.certificate.extensions}
+    assert set(found) == {"basicConstraints", "keyUsage", "subjectKeyIdentifier"}
+    assert found["basicConstraints"].critical
+    assert found["keyUsage"].critical
+    identity = certificates.issue_identity(spec("CN=/robot"), keys.generate(P256).public_key(), authority)
+    found = {each.oid._name: each for each in identity.certificate.extensions}
+    assert set(found) == {
+        "basicConstraints",
+        "keyUsage",
+        "extendedKeyUsage",
+        "subjectKeyIdentifier",
+        "authorityKeyIdentifier",
+    }
+    assert found["authorityKeyIdentifier"].value.key_identifier == (
+        authority.certificate.extensions.get_extension_for_class(x509.SubjectKeyIdentifier).value.digest
+    )
+    assert x509.ExtendedKeyUsageOID.EMAIL_PROTECTION not in found["extendedKeyUsage"].value
+
+
+@pytest.mark.parametrize(
+    "value",
+    ["emailProtection", "serverAuth, emailProtection", "anyExtendedKeyUsage", "1.3.6.1.5.5.7.3.4", "2.5.29.37.0"],
+)
+def test_an_identity_never_gets_to_sign_documents(spec, authority: certificates.Issuer, value: str) -> None:
+    with pytest.raises(KeymintError, match="sign permissions of its own") as caught:
+        certificates.issue_identity(
+            spec("CN=/robot", extendedKeyUsage=value), keys.generate(P256).public_key(), authority
+        )
+    assert caught.value.diagnostics[0].where == Origin("profile/authorities.xml", 20)
+
+
+def test_the_back_door_of_a_dotted_oid_is_closed(spec, authority: certificates.Issuer) -> None:
+    raw = Extension("2.5.29.37", "DER:300A06082B06010505070304", False, Origin("identities.xml", 5))
+    with pytest.raises(KeymintError, match="write extendedKeyUsage"):
+        certificates.issue_identity(
+            replace(spec("CN=/robot"), extensions=(raw,)), keys.generate(P256).public_key(), authority
+        )
+
+
+@pytest.mark.parametrize(
+    ("extensions", "message"),
+    [
+        ({"basicConstraints": "critical, CA:TRUE"}, "make an identity an authority"),
+        ({"keyUsage": "keyCertSign"}, "issue certificates"),
+        ({"keyUsag": "digitalSignature"}, "did you mean keyUsage?"),
+        ({"keyUsage": "digitalSignatur"}, "did you mean digitalSignature?"),
+    ],
+)
+def test_extensions_that_an_identity_must_not_have(
+    spec, authority: certificates.Issuer, extensions: dict[str, str], message: str
+) -> None:
+    with pytest.raises(KeymintError) as caught:
+        certificates.issue_identity(spec("CN=/robot", **extensions), keys.generate(P256).public_key(), authority)
+    assert message in str(caught.value)
+    assert str(caught.value).startswith("profile/authorities.xml:20: ")
+
+
+@pytest.mark.parametrize(
+    ("extensions", "message"),
+    [
+        ({"basicConstraints": "critical, CA:FALSE"}, "CA:TRUE for an authority"),
+        ({"basicConstraints": "CA:TRUE"}, "must be critical"),
+        ({"keyUsage": "critical, digitalSignature"}, "keyCertSign for an authority"),
+    ],
+)
+def test_extensions_that_an_authority_must_have(spec, extensions: dict[str, str], message: str) -> None:
+    with pytest.raises(KeymintError, match=message):
+        _authority(spec(**extensions))
+
+
+def test_a_given_extension_replaces_the_default(openssl, spec, authority: certificates.Issuer) -> None:
+    issued = certificates.issue_identity(
+        spec("CN=/robot", keyUsage="critical, keyAgreement", subjectAltName="DNS:robot.local, URI:ros:/robot"),
+        keys.generate(P256).public_key(),
+        authority,
+    )
+    openssl.put(ca=certificates.to_pem(authority.certificate), identity=issued.pem)
+    openssl.accepts("verify", "-x509_strict", "-CAfile", "ca", "identity")
+    text = openssl.run("x509", "-in", "identity", "-noout", "-text").stdout.decode()
+    assert "Key Agreement" in text
+    assert "Digital Signature" not in text
+    assert "DNS:robot.local, URI:ros:/robot" in text
+
+
+def test_validity_is_never_longer_than_the_issuers(spec, authority: certificates.Issuer) -> None:
+    key = keys.generate(P256).public_key()
+    long = Validity(datetime(2010, 1, 1, tzinfo=UTC), datetime(2060, 1, 1, 1, 2, 3, 999999, tzinfo=UTC))
+    issued = certificates.issue_identity(spec("CN=/robot", validity=long), key, authority)
+    assert issued.certificate.not_valid_before_utc == authority.certificate.not_valid_before_utc
+    assert issued.certificate.not_valid_after_utc == authority.certificate.not_valid_after_utc
+    (warning,) = issued.diagnostics
+    assert (warning.code, warning.severity) == ("validity-clamped", Severity.WARNING)
+    assert warning.where == Origin("profile/authorities.xml", 7)
+    within = Validity(datetime(2021, 1, 1, tzinfo=UTC), datetime(2022, 1, 1, 1, 2, 3, 999999, tzinfo=UTC))
+    issued = certificates.issue_identity(spec("CN=/robot", validity=within), key, authority)
+    assert issued.diagnostics == ()
+    assert issued.certificate.not_valid_after_utc == datetime(2022, 1, 1, 1, 2, 3, tzinfo=UTC)
+    after = Validity(datetime(2050, 1, 1, tzinfo=UTC), datetime(2060, 1, 1, tzinfo=UTC))
+    with pytest.raises(KeymintError, match="no time of validity is left"):
+        certificates.issue_identity(spec("CN=/robot", validity=after), key, authority)
+
+
+def test_a_period_of_the_past_can_be_issued(spec) -> None:
+    past = Validity(datetime(2013, 10, 26, tzinfo=UTC), datetime(2023, 10, 26, 22, 45, 30, tzinfo=UTC))
+    ca = _authority(spec("CN=ca", validity=past, serial=1))
+    assert ca.certificate.serial_number == 1
+    issued = certificates.issue_identity(spec("CN=talker", validity=past), keys.generate(P256).public_key(), ca)
+    assert issued.certificate.not_valid_after_utc == past.not_after
+
+
+def test_serial_numbers(spec) -> None:
+    seen = {_authority(spec()).certificate.serial_number for _ in range(20)}
+    assert len(seen) == 20
+    assert all(0 < serial < 1 << 159 for serial in seen)
+    for serial in (0, -1, 1 << 159):
+        with pytest.raises(KeymintError, match="serial number"):
+            _authority(spec(serial=serial))
+
+
+@pytest.mark.parametrize("name", ["MD5", "SHA1", "__class__", ""])
+def test_weak_and_unknown_hashes_are_refused(spec, name: str) -> None:
+    with pytest.raises(KeymintError, match="known are SHA256"):
+        _authority(spec(hash_algorithm=name))
+
+
+def test_an_issuer_must_be_one(spec, authority: certificates.Issuer) -> None:
+    key = keys.generate(P256)
+    identity = certificates.issue_identity(spec("CN=/robot"), key.public_key(), authority)
+    with pytest.raises(KeymintError, match="not an authority's"):
+        certificates.issue_identity(spec("CN=/evil"), key.public_key(), certificates.Issuer(identity.certificate, key))
+
+
+@pytest.mark.parametrize("role", ["root", "middle", "identity"])
+def test_an_unchanged_certificate_is_kept_and_any_change_is_seen(
+    spec, authority: certificates.Issuer, other: certificates.Issuer, role: str
+) -> None:
+    key = keys.generate(P256)
+    wanted = spec("CN=/robot,OU=x1", subjectAltName="DNS:a", nsComment="hello", validity=_years(2021, 2060))
+    if role == "identity":
+        issued, issuer = certificates.issue_identity(wanted, key.public_key(), authority), authority.certificate
+    else:
+        issued = certificates.issue_authority(wanted, key, authority if role == "middle" else None)
+        issuer = authority.certificate if role == "middle" else None
+
+    def kept(
+        spec: CertificateSpec = wanted, pem: bytes = issued.pem, by=issuer, public: keys.PublicKey | None = None
+    ) -> bool:
+        return certificates.certificate_satisfies(
+            pem, spec, public or key.public_key(), by, authority=role != "identity"
+        )
+
+    assert kept()
+    assert kept(replace(wanted, serial=issued.certificate.serial_number))
+    changes = [
+        replace(wanted, subject_name="CN=/robot,OU=x2"),
+        replace(wanted, serial=1),
+        replace(wanted, hash_algorithm="SHA384"),
+        replace(wanted, validity=_years(2022, 2060)),
+        replace(wanted, validity=_years(2021, 2030)),
+        replace(wanted, extensions=wanted.extensions[:1]),
+        replace(wanted, extensions=(replace(wanted.extensions[0], critical=True), wanted.extensions[1])),
+        replace(wanted, extensions=(replace(wanted.extensions[0], value="DNS:b"), wanted.extensions[1])),
+    ]
+    assert not [change for change in changes if kept(change)]
+    assert not kept(public=keys.generate(P256).public_key())
+    assert not kept(by=other.certificate)
+    assert not kept(pem=issued.pem + b"\n")
+    assert not kept(pem=b"junk")
+    assert not kept(pem=certificates.to_pem(authority.certificate))
+    if role != "root":
+        assert kept(replace(wanted, validity=_years(2021, 2050)))  # both are cut to the issuer's end
+
+
+def _years(first: int, last: int) -> Validity:
+    return Validity(datetime(first, 1, 1, tzinfo=UTC), datetime(last, 1, 1, tzinfo=UTC))
+
+
+def test_every_changed_byte_of_a_certificate_is_found(spec, authority: certificates.Issuer) -> None:
+    wanted, key = spec("CN=/robot"), keys.generate(P256).public_key()
+    pem = certificates.issue_identity(wanted, key, authority).pem
+    for position in range(len(pem)):
+        damaged = bytearray(pem)
+        damaged[position] ^= 1
+        assert not certificates.certificate_satisfies(
+            bytes(damaged), wanted, key, authority.certificate, authority=False
+        ), position
+
+
+@pytest.mark.parametrize(
+    ("extensions", "problem"),
+    [
+        ({}, None),
+        ({"keyUsage": "critical, keyCertSign, cRLSign"}, "digitalSignature"),
+        ({"keyUsage": "critical, keyCertSign, nonRepudiation"}, None),
+        ({"extendedKeyUsage": "serverAuth"}, "emailProtection"),
+        ({"extendedKeyUsage": "serverAuth, emailProtection"}, None),
+    ],
+)
+def test_authorities_that_may_sign_documents_as_openssl_sees_it(
+    openssl, spec, extensions: dict[str, str], problem: str | None
+) -> None:
+    certificate = _authority(spec(**extensions)).certificate
+    openssl.put(ca=certificates.to_pem(certificate))
+    finding = certificates.can_sign_documents(certificate)
+    if problem is None:
+        assert finding is None
+        openssl.accepts("verify", "-purpose", "smimesign", "-CAfile", "ca", "ca")
+    else:
+        assert finding is not None
+        assert problem in finding.message
+        openssl.refuses("verify", "-purpose", "smimesign", "-CAfile", "ca", "ca")
+
+
+@pytest.mark.parametrize("pem", [b"", b"hello", b"-----BEGIN CERTIFICATE-----\nAAAA\n-----END CERTIFICATE-----\n"])
+def test_what_is_no_certificate_is_an_error(pem: bytes) -> None:
+    with pytest.raises(KeymintError, match="not a certificate") as caught:
+        certificates.load(pem, Origin("public/ca.cert.pem"))
+    assert str(caught.value).startswith("public/ca.cert.pem: ")
+    assert not certificates.is_canonical(pem)
+
+
+def test_times_of_other_zones_are_the_same_times(spec) -> None:
+    from datetime import timezone
+
+    zone = timezone(timedelta(hours=5))
+    ca = _authority(spec(validity=Validity(datetime(2021, 1, 1, 5, tzinfo=zone), datetime(2030, 1, 1, 5, tzinfo=zone))))
+    assert ca.certificate.not_valid_before_utc == datetime(2021, 1, 1, tzinfo=UTC)

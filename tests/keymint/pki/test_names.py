@@ -1,0 +1,178 @@
+from __future__ import annotations
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from keymint.errors import KeymintError, Origin
+from keymint.pki import certificates, keys, names
+
+HERE = Origin("identities.xml", 3)
+
+
+@pytest.mark.parametrize(
+    ("text", "expected"),
+    [
+        ("CN=/robot,OU=x1", "CN=/robot,OU=x1"),
+        ("CN = /robot ,  OU = x1 ", "CN=/robot,OU=x1"),
+        ("/C=US/O=x/CN=y", "C=US,O=x,CN=y"),
+        (
+            "C=US, ST=CA, O=Acme, CN=ca/emailAddress=acme@acme.acme",
+            "C=US,ST=CA,O=Acme,CN=ca,emailAddress=acme@acme.acme",
+        ),
+        ("CN=/robot/arm", "CN=/robot/arm"),
+        ("commonName=/robot,organizationalUnitName=a b", "CN=/robot,OU=a b"),
+        ("cn=x,Email=a@b.c", "CN=x,emailAddress=a@b.c"),
+        (r"CN=a,O=Acme\, Inc", r"CN=a,O=Acme\, Inc"),
+        (r"CN=a\2Cb", r"CN=a\,b"),
+        (r"CN=\C3\A9", "CN=é"),
+        (r"CN=a\/OU=b", r"CN=a\/OU=b"),
+        (r"CN=\ x\ ", r"CN=\ x\ "),
+        ("2.5.4.3=dotted", "CN=dotted"),
+        ("1.2.3.4=dotted,CN=a", "1.2.3.4=dotted,CN=a"),
+        ("CN=a=b", "CN=a=b"),
+    ],
+)
+def test_the_forms_found_in_the_field_are_read(text: str, expected: str) -> None:
+    assert names.to_text(names.parse(text)) == expected
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("", "empty"),
+        ("   ", "empty"),
+        ("robot", "no attribute type"),
+        ("/robot", "no attribute type"),
+        ("CN=a,", "ends with a separator"),
+        ("CN=a,,OU=b", "no attribute type"),
+        ("O=Acme, Inc,CN=a", "a comma inside a value"),
+        ("CN=", "CN is empty"),
+        ("CN=" + "x" * 65, "64 are the most"),
+        ("CNN=a", "did you mean CN?"),
+        ("emailAdress=a@b.c", "did you mean emailAddress?"),
+        ("C=USA", "2 are the most"),
+        ("C=U", "two letters"),
+        ("CN=a\nb", "control character"),
+        (r"CN=a\00b", "control character"),
+        (r"CN=\FF", "not UTF-8"),
+        (r"CN=a\x", "two hexadecimal digits"),
+        ('CN="a"', "not quoted"),
+        ("CN=a+OU=b", "several attributes"),
+        ("emailAddress=é@b.c", "ASCII"),
+        ("9.9.9=a", "not an attribute type"),
+    ],
+)
+def test_what_is_no_name_is_an_error_with_its_place(text: str, message: str) -> None:
+    with pytest.raises(KeymintError) as caught:
+        names.parse(text, HERE)
+    assert message in str(caught.value)
+    assert str(caught.value).startswith("identities.xml:3: ")
+    assert "\n" not in str(caught.value)
+
+
+VALUES = st.text(st.characters(codec="utf-8", exclude_categories=("C", "Zl", "Zp", "Zs")) | st.just(" "), min_size=1)
+PAIRS = st.lists(
+    st.tuples(st.sampled_from(["CN", "O", "OU", "L", "ST", "1.2.3.4"]), VALUES.map(lambda v: v[:16])), min_size=1
+)
+
+
+@given(PAIRS)
+def test_text_is_read_back_as_the_name_it_was_made_of(pairs: list[tuple[str, str]]) -> None:
+    escaped = ",".join(f"{kind}=" + "".join(f"\\{byte:02X}" for byte in value.encode()) for kind, value in pairs)
+    name = names.parse(escaped)
+    assert [part.value for part in name] == [value for _, value in pairs]
+    assert names.parse(names.to_text(name)) == name
+
+
+@given(st.text(max_size=60) | st.text('CN=,/\\+ ao0"', max_size=30))
+def test_any_text_is_a_name_or_an_error_of_ours(text: str) -> None:
+    try:
+        name = names.parse(text)
+    except KeymintError:
+        return
+    assert names.parse(names.to_text(name)) == name
+
+
+@given(
+    st.lists(
+        st.tuples(
+            st.sampled_from(["CN", "O", "OU"]),
+            st.from_regex(r"[A-Za-z0-9/_.@-]+( [A-Za-z0-9/_.@-]+)?", fullmatch=True).map(lambda v: v[:64].strip()),
+        ),
+        min_size=1,
+        max_size=3,
+    )
+)
+def test_what_is_rendered_for_dds_is_read_back(pairs: list[tuple[str, str]]) -> None:
+    name = names.parse(",".join(f"{kind}={value}" for kind, value in pairs))
+    try:
+        text = names.render(name)
+    except KeymintError as error:
+        assert "parts between" in str(error)  # noqa: PT017 - the one refusal that these names can meet
+        return
+    assert text == ",".join(f"{kind}={value}" for kind, value in reversed(pairs))
+    assert names.parse_rendered(text) == name
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "CN=/robot",
+        "OU=x1,CN=/robot/camera",
+        r"C=US,ST=CA,L=San Jose,O=Acme\, Inc,CN=ca,emailAddress=a@b.c",
+        r"O=\#1 a\+b #2,CN=a=b",
+        "street=s,postalCode=1,DC=a,UID=u,serialNumber=12,SN=s,GN=g,title=t,dnQualifier=q,pseudonym=p,CN=/r",
+    ],
+)
+def test_what_is_rendered_is_what_openssl_prints_for_the_vendors(openssl, spec, text: str) -> None:
+    key = keys.generate(spec().key)
+    issued = certificates.issue_authority(spec(text), key, None)
+    openssl.put(ca=issued.pem)
+    printed = openssl.run("x509", "-in", "ca", "-noout", "-subject", "-nameopt", "RFC2253").stdout.decode()
+    assert names.render(issued.certificate.subject) == printed.strip().removeprefix("subject=")
+    assert names.parse_rendered(names.render(issued.certificate.subject)) == issued.certificate.subject
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        (r"CN=a\;b", "';'"),
+        (r"CN=a\\b", "DDS vendors compare"),
+        ("CN=a|b", "'|'"),
+        ("CN=é", "ASCII"),
+        ("1.2.3.4=a", "1.2.3.4"),
+        (r"CN=\ a", "spaces"),
+        ("CN=a  b", "spaces"),
+        ("CN=" + "/a" * 20, "21 parts"),
+    ],
+)
+def test_names_that_vendors_compare_differently_are_refused(text: str, message: str) -> None:
+    with pytest.raises(KeymintError) as caught:
+        names.render(names.parse(text), HERE)
+    assert message in str(caught.value)
+    assert caught.value.diagnostics[0].code == "portability-subject-name"
+
+
+def test_nineteen_path_segments_are_what_cyclone_takes() -> None:
+    assert names.render(names.parse("CN=" + "/a" * 19)) == "CN=" + "/a" * 19
+
+
+SUBJECTS = st.lists(st.from_regex(r"[A-Za-z_][A-Za-z0-9_]{0,79}", fullmatch=True), min_size=1, max_size=30).map(
+    lambda segments: "/" + "/".join(segments)
+)
+
+
+@given(SUBJECTS)
+def test_every_subject_has_a_common_name_that_fits(subject: str) -> None:
+    common = names.common_name(subject)
+    assert (common == subject) == (len(subject) <= 64 and subject.count("/") <= 16)
+    assert subject.endswith(common) or f"/{subject.rpartition('/')[2]}".startswith(common)
+    unit = names.unique_suffix(subject)
+    assert names.render(names.parse(f"OU={unit},CN={common}")) == f"CN={common},OU={unit}"
+
+
+def test_unique_suffixes_are_deterministic_and_differ() -> None:
+    assert names.unique_suffix("/robot") == names.unique_suffix("/robot")
+    assert names.unique_suffix("/robot") != names.unique_suffix("/robot/camera")
+    assert len(names.unique_suffix("/robot")) == 32
