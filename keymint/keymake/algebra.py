@@ -1,0 +1,326 @@
+"""What sets of names have to do with one another: match, overlap, cover, intersect.
+
+All answers are exact. :func:`union_covers` determinises lazily and may spend its budget; it then answers False
+("not shown to be covered"), which a caller must be able to take without harm.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Iterable
+from functools import lru_cache
+
+from keymint.keymake.glob import (
+    ANY,
+    MAX_CODE,
+    STAR,
+    Charset,
+    Glob,
+    Star,
+    Token,
+    is_empty,
+    literal,
+    normalise,
+    units,
+)
+
+BUDGET = 20_000
+"""States that a question about covering may visit."""
+
+
+class TooComplexError(Exception):
+    """An intersection has more pieces than a caller can use."""
+
+
+@lru_cache(maxsize=1 << 14)
+def matcher(glob: Glob) -> Callable[[str], bool]:
+    """Return the function that tells whether a glob matches a whole name, in polynomial time."""
+    if (text := literal(glob)) is not None:
+        return text.__eq__
+    match glob:
+        case (Star(),):
+            return lambda _: True
+        case (str(head), Star()):
+            return lambda name: name.startswith(head)
+        case (Star(), str(tail)):
+            return lambda name: name.endswith(tail)
+        case (str(head), Star(), str(tail)):
+            least = len(head) + len(tail)
+            return lambda name: len(name) >= least and name.startswith(head) and name.endswith(tail)
+    expression = re.compile(_regex(glob), re.DOTALL)
+    return lambda name: expression.fullmatch(name) is not None
+
+
+def matches(glob: Glob, name: str) -> bool:
+    """Tell whether a glob matches a whole name."""
+    return matcher(glob)(name)
+
+
+def _regex(glob: Glob) -> str:
+    """Return a regular expression that never backtracks into an earlier ``*``.
+
+    Between two ``*`` stands a text of fixed length, for which the leftmost place is always the best one, so that
+    each such step can be atomic.
+    """
+    steps = [""]
+    for token in glob:
+        if isinstance(token, Star):
+            steps.append("")
+        elif isinstance(token, str):
+            steps[-1] += re.escape(token)
+        elif not token.ranges:
+            steps[-1] += "(?!)"
+        else:
+            steps[-1] += "[" + "".join(rf"\U{low:08x}-\U{high:08x}" for low, high in token.ranges) + "]"
+    if len(steps) == 1:
+        return steps[0]
+    return steps[0] + "".join(f"(?>.*?{step})" for step in steps[1:-1]) + ".*" + steps[-1]
+
+
+def _prefix(glob: Glob) -> str:
+    return glob[0] if glob and isinstance(glob[0], str) else ""
+
+
+def _suffix(glob: Glob) -> str:
+    return glob[-1] if glob and isinstance(glob[-1], str) else ""
+
+
+def disjoint(left: Glob, right: Glob) -> bool:
+    """Tell whether no name is matched by both."""
+    text = literal(left)
+    if text is not None:
+        return not matcher(right)(text)
+    text = literal(right)
+    if text is not None:
+        return not matcher(left)(text)
+    head, head2 = _prefix(left), _prefix(right)
+    if not (head.startswith(head2) or head2.startswith(head)):
+        return True
+    tail, tail2 = _suffix(left), _suffix(right)
+    if not (tail.endswith(tail2) or tail2.endswith(tail)):
+        return True
+    return _disjoint(left, right)
+
+
+@lru_cache(maxsize=1 << 14)
+def _disjoint(left: Glob, right: Glob) -> bool:
+    """Search the product of the two for a pair of ends."""
+    first, second = units(left), units(right)
+    todo = [(0, 0)]
+    seen = {(0, 0)}
+    while todo:
+        at, at2 = todo.pop()
+        if at == len(first) and at2 == len(second):
+            return False
+        token = first[at] if at < len(first) else None
+        token2 = second[at2] if at2 < len(second) else None
+        steps: list[tuple[int, int]] = []
+        if isinstance(token, Star):
+            steps.append((at + 1, at2))
+        if isinstance(token2, Star):
+            steps.append((at, at2 + 1))
+        if token is not None and token2 is not None:
+            if isinstance(token, Star):
+                steps.append((at, at2 + 1))
+            elif isinstance(token2, Star):
+                steps.append((at + 1, at2))
+            elif _meet(token, token2) is not None:
+                steps.append((at + 1, at2 + 1))
+        for step in steps:
+            if step not in seen:
+                seen.add(step)
+                todo.append(step)
+    return True
+
+
+def _meet(token: Token, token2: Token) -> Token | None:
+    """Return the characters that two tokens of one character have in common, or None."""
+    if isinstance(token, str):
+        return token if (token == token2 if isinstance(token2, str) else token in token2) else None  # type: ignore[operator]
+    if isinstance(token2, str):
+        return token2 if token2 in token else None  # type: ignore[operator]
+    both = token.intersection(token2)  # type: ignore[union-attr, arg-type]
+    return both if both.ranges else None
+
+
+def covers(outer: Glob, inner: Glob) -> bool:
+    """Tell whether ``outer`` matches every name that ``inner`` matches."""
+    text = literal(inner)
+    if text is not None:
+        return matcher(outer)(text)
+    if literal(outer) is not None:
+        return is_empty(inner)
+    match outer:
+        case (Star(),):
+            return True
+        case (str(head), Star()) if inner and not is_empty(inner):
+            return _prefix(inner).startswith(head)
+        case (Star(), str(tail)) if inner and not is_empty(inner):
+            return _suffix(inner).endswith(tail)
+    # Beyond its literal prefix a normalised glob goes on with at least two different characters.
+    if not is_empty(inner) and not (
+        _prefix(inner).startswith(_prefix(outer)) and _suffix(inner).endswith(_suffix(outer))
+    ):
+        return False
+    return union_covers((outer,), inner)
+
+
+@lru_cache(maxsize=1 << 14)
+def union_covers(outers: tuple[Glob, ...], inner: Glob, budget: int = BUDGET) -> bool:
+    """Tell whether every name that ``inner`` matches is matched by one of ``outers``.
+
+    Args:
+        outers: globs.
+        inner: a glob.
+        budget: how many states may be visited; when it is spent the answer is False.
+    """
+    if is_empty(inner):
+        return True
+    if (text := literal(inner)) is not None:
+        return any(matcher(outer)(text) for outer in outers)
+    rows = tuple(units(outer) for outer in outers if not disjoint(outer, inner))
+    if not rows:
+        return False
+    goal = units(inner)
+    letters = _letters((*rows, goal))
+    start = frozenset((row, at) for row in range(len(rows)) for at in _closure(rows[row], 0))
+    todo = [(at, start) for at in _closure(goal, 0)]
+    seen = set(todo)
+    while todo:
+        at, state = todo.pop()
+        if at == len(goal):
+            if not any(place == len(rows[row]) for row, place in state):
+                return False
+            continue
+        token = goal[at]
+        loop = isinstance(token, Star)
+        for letter in letters if not isinstance(token, str) else (token,):
+            if not _accepts(token, letter):
+                continue
+            after = frozenset(reached for row, place in state for reached in _step(rows[row], row, place, letter))
+            if not after:
+                return False
+            for place in _closure(goal, at if loop else at + 1):
+                item = (place, after)
+                if item not in seen:
+                    if len(seen) >= budget:
+                        return False
+                    seen.add(item)
+                    todo.append(item)
+    return True
+
+
+def _closure(row: tuple[Token, ...], at: int) -> Iterable[int]:
+    """Return the places that are reached from one without reading a character."""
+    places = [at]
+    while at < len(row) and isinstance(row[at], Star):
+        at += 1
+        places.append(at)
+    return places
+
+
+def _step(row: tuple[Token, ...], number: int, at: int, letter: str) -> Iterable[tuple[int, int]]:
+    if at == len(row) or not _accepts(row[at], letter):
+        return ()
+    after = at if isinstance(row[at], Star) else at + 1
+    return ((number, place) for place in _closure(row, after))
+
+
+def _accepts(token: Token, letter: str) -> bool:
+    if isinstance(token, str):
+        return token == letter
+    return isinstance(token, Star) or letter in token
+
+
+def _letters(rows: Iterable[tuple[Token, ...]]) -> tuple[str, ...]:
+    """Return one character of each class that the tokens tell apart."""
+    edges = {0}
+    for row in rows:
+        for token in row:
+            if isinstance(token, str):
+                edges.update((ord(token), ord(token) + 1))
+            elif isinstance(token, Charset):
+                for low, high in token.ranges:
+                    edges.update((low, high + 1))
+    kinds: dict[tuple[bool, ...], str] = {}
+    tokens = list(dict.fromkeys(token for row in rows for token in row if not isinstance(token, Star)))
+    for edge in sorted(edge for edge in edges if edge <= MAX_CODE):
+        kinds.setdefault(tuple(_accepts(token, chr(edge)) for token in tokens), chr(edge))
+    return tuple(kinds.values())
+
+
+@lru_cache(maxsize=1 << 12)
+def intersection(left: Glob, right: Glob, limit: int = 64) -> tuple[Glob, ...]:
+    """Return globs whose union is the set of names that both match.
+
+    Intersections of such patterns are finite unions of such patterns (level 1/2 of the dot-depth hierarchy is closed
+    under intersection: J.-E. Pin, "Syntactic semigroups", 1997).
+
+    Raises:
+        TooComplexError: there are more than ``limit`` pieces.
+    """
+    if disjoint(left, right):
+        return ()
+    if covers(left, right):
+        return (right,)
+    if covers(right, left):
+        return (left,)
+    memo: dict[tuple[int, int], frozenset[Glob]] = {}
+    first, second = units(left), units(right)
+
+    def pieces(at: int, at2: int) -> frozenset[Glob]:
+        if (at, at2) in memo:
+            return memo[at, at2]
+        token = first[at] if at < len(first) else None
+        token2 = second[at2] if at2 < len(second) else None
+        found: set[Glob] = set()
+        if token is None and token2 is None:
+            found.add(())
+        if isinstance(token, Star) and isinstance(token2, Star):
+            rests = pieces(at + 1, at2) | pieces(at, at2 + 1)
+            found.update(normalise((STAR, *rest)) for rest in rests)
+        elif isinstance(token, Star):
+            found.update(pieces(at + 1, at2))
+            if token2 is not None:
+                found.update(normalise((token2, *rest)) for rest in pieces(at, at2 + 1))
+        elif isinstance(token2, Star):
+            found.update(pieces(at, at2 + 1))
+            if token is not None:
+                found.update(normalise((token, *rest)) for rest in pieces(at + 1, at2))
+        elif token is not None and token2 is not None and (both := _meet(token, token2)) is not None:
+            found.update(normalise((both, *rest)) for rest in pieces(at + 1, at2 + 1))
+        if len(found) > limit:
+            found = set(maximal(found))
+        if len(found) > limit:
+            raise TooComplexError
+        memo[at, at2] = frozenset(found)
+        return memo[at, at2]
+
+    return tuple(maximal(pieces(0, 0)))
+
+
+def maximal(globs: Iterable[Glob]) -> list[Glob]:
+    """Return the globs that no other of them covers, one for each set of equals, in a stable order."""
+    ordered = sorted(dict.fromkeys(globs), key=sort_key)
+    kept: list[Glob] = []
+    for glob in ordered:
+        if not any(covers(other, glob) for other in kept):
+            kept = [other for other in kept if not covers(glob, other)]
+            kept.append(glob)
+    return kept
+
+
+def sort_key(glob: Glob) -> str:
+    """Return a text by which globs are sorted, the same on every run and machine."""
+    if (text := literal(glob)) is not None:
+        return text
+    return "".join(
+        token
+        if isinstance(token, str)
+        else "*"
+        if isinstance(token, Star)
+        else "?"
+        if token == ANY
+        else repr(token.ranges)
+        for token in glob
+    )

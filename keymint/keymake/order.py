@@ -1,0 +1,101 @@
+"""Deny overrides allow, said as a list in which the first match decides.
+
+:func:`arrange` turns two unordered sets of patterns into ``allow free; deny; allow rest`` and leaves out what has no
+effect. :func:`mentioned_first` finds what must be said earlier for readers that let a rule about one direction
+decide for the other, too.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+from keymint.keymake.algebra import covers, disjoint, intersection, matcher, maximal, union_covers
+from keymint.keymake.glob import Glob, literal
+
+
+@dataclass(frozen=True, slots=True)
+class Order:
+    """A decision list: allow ``free``, then deny ``deny``, then allow ``rest``, else deny.
+
+    Attributes:
+        free: patterns that no deny touches; they may stand anywhere.
+        deny: patterns that take something away from ``rest``.
+        rest: patterns with wildcards, each of which a deny touches.
+    """
+
+    free: tuple[Glob, ...]
+    deny: tuple[Glob, ...] = ()
+    rest: tuple[Glob, ...] = ()
+
+
+def arrange(allow: Iterable[Glob], deny: Iterable[Glob]) -> Order:
+    """Return the decision list that permits the names of ``allow`` without those of ``deny``."""
+    literals: list[tuple[str, Glob]] = []
+    wild: list[Glob] = []
+    for glob in allow:
+        text = literal(glob)
+        if text is None:
+            wild.append(glob)
+        else:
+            literals.append((text, glob))
+    if denied := tuple(deny):
+        exact = {text for glob in denied if (text := literal(glob)) is not None}
+        refuse = [matcher(glob) for glob in denied if literal(glob) is None]
+        literals = [
+            (text, glob)
+            for text, glob in literals
+            if text not in exact and not any(refused(text) for refused in refuse)
+        ]
+        wild = [glob for glob in wild if not any(covers(other, glob) for other in denied)]
+    wild = maximal(wild)
+    if wild:
+        denied = tuple(maximal(d for d in denied if not all(disjoint(d, glob) for glob in wild)))
+        accept = [matcher(glob) for glob in wild]
+        literals = [pair for pair in literals if not any(accepted(pair[0]) for accepted in accept)]
+    else:
+        denied = ()
+    rest = tuple(glob for glob in wild if not all(disjoint(glob, other) for other in denied))
+    free = [glob for _, glob in literals] + [glob for glob in wild if glob not in rest]
+    return Order(tuple(free), denied, rest)
+
+
+@dataclass(frozen=True, slots=True)
+class Rescue:
+    """What must be allowed before the denials of the other direction are read.
+
+    Attributes:
+        clean: patterns that no denial of their own direction touches.
+        deny: what is to be denied just before ``dirty`` is allowed; the other direction denies it as well.
+        dirty: patterns that ``deny`` punctures.
+    """
+
+    clean: tuple[Glob, ...] = ()
+    deny: tuple[Glob, ...] = ()
+    dirty: tuple[Glob, ...] = ()
+
+
+def mentioned_first(denies: Iterable[Glob], order: Order) -> Rescue:
+    """Return patterns for every name that ``order`` permits and that ``denies`` match, and for none that it denies.
+
+    Args:
+        denies: patterns that the other direction denies.
+        order: what is permitted in this direction; its ``free`` part is said before anything else anyway.
+
+    Raises:
+        TooComplexError: the patterns would be too many.
+    """
+    found = (piece for deny in denies for glob in order.rest for piece in intersection(glob, deny))
+    clean: list[Glob] = []
+    dirty: list[Glob] = []
+    punctures: list[Glob] = []
+    for piece in maximal(found):
+        if any(covers(glob, piece) for glob in order.free) or union_covers(order.deny, piece):
+            continue
+        touching = [deny for deny in order.deny if not disjoint(deny, piece)]
+        if touching:
+            dirty.append(piece)
+            punctures.extend(part for deny in touching for part in intersection(deny, piece))
+        else:
+            clean.append(piece)
+    return Rescue(tuple(clean), tuple(maximal(punctures)), tuple(dirty))

@@ -1,0 +1,56 @@
+"""Build type for DDS Security: rules to permissions and governance documents, signed, installed and checked."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+from keymint.api import API_VERSION, Artifact, BuildOptions, Built, Credentials, Inspection, Package
+from keymint.errors import Diagnostic
+
+__all__ = ["DdsSecurity", "build_type"]
+
+
+class DdsSecurity:
+    """Implements :class:`keymint.api.BuildType` for DDS Security 1.1 as Cyclone DDS and Fast DDS implement it."""
+
+    API = API_VERSION
+
+    def build(self, package: Package, options: BuildOptions) -> Built:
+        """See :func:`keymint_ros2_dds.build.build`."""
+        from keymint_ros2_dds.build import build  # noqa: PLC0415 - listing plugins must not load XML and cryptography
+
+        return build(package, options)
+
+    def install(
+        self,
+        package: Package,
+        documents: Mapping[str, bytes],
+        credentials: Credentials,
+        layout: str,
+        installed: Mapping[str, bytes],
+    ) -> Mapping[str, Artifact]:
+        """See :func:`keymint_ros2_dds.install.install`."""
+        from keymint_ros2_dds.install import install  # noqa: PLC0415
+
+        return install(package, documents, credentials, layout, installed)
+
+    def shared(self, artifacts: Mapping[str, Mapping[str, Artifact]], layout: str) -> Mapping[str, Artifact]:
+        """See :func:`keymint_ros2_dds.install.shared`."""
+        from keymint_ros2_dds.install import shared  # noqa: PLC0415
+
+        return shared(artifacts, layout)
+
+    def check(self, inspection: Inspection) -> Sequence[Diagnostic]:
+        """See :func:`keymint_ros2_dds.check.check`."""
+        from keymint_ros2_dds.check import check  # noqa: PLC0415
+
+        return check(inspection)
+
+    def check_all(self, inspections: Sequence[Inspection]) -> Sequence[Diagnostic]:
+        """See :func:`keymint_ros2_dds.check_all.check_all`."""
+        from keymint_ros2_dds.check_all import check_all  # noqa: PLC0415
+
+        return check_all(inspections)
+
+
+build_type = DdsSecurity()

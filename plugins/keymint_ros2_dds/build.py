@@ -1,0 +1,85 @@
+"""The build stage: a package in, unsigned documents out."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from functools import lru_cache
+
+from keymint.api import BuildOptions, Built, Package
+from keymint.errors import Diagnostic, KeymintError, Severity
+from keymint.pki import names
+from keymint_ros2_dds import governance, limits, permissions
+from keymint_ros2_dds.document import GOVERNANCE, PERMISSIONS
+
+PERMISSIONS_XML = f"{PERMISSIONS}.xml"
+GOVERNANCE_XML = f"{GOVERNANCE}.xml"
+
+
+def build(package: Package, options: BuildOptions) -> Built:
+    """Return the unsigned permissions and governance documents of a package; a pure function of its arguments.
+
+    Raises:
+        KeymintError: what vendors would not read alike, or what cannot be; all that was found, with ``file:line``.
+    """
+    lenient = options.allow_vendor_specific
+    problems: list[Diagnostic] = []
+    found = [*_check(package), *limits.check_key(package.identity.key, package, allow_vendor_specific=lenient)]
+    documents: dict[str, bytes] = {}
+    notes: tuple[Diagnostic, ...] = ()
+    lowered = None
+    try:
+        compiled = permissions.compile_rules(package.permissions, package.distro, allow_vendor_specific=lenient)
+        lowered, notes = compiled.lowered, compiled.diagnostics
+        documents[PERMISSIONS_XML] = permissions.render(package.permissions, compiled.rules)
+    except KeymintError as error:
+        problems += error.diagnostics
+    try:
+        documents[GOVERNANCE_XML], remarks = governance.build(
+            package.governance, package.subject, allow_vendor_specific=lenient
+        )
+        notes += remarks
+    except KeymintError as error:
+        problems += error.diagnostics
+    problems += [item for item in found if item.severity is Severity.ERROR]
+    if problems:
+        raise KeymintError.of(problems)
+    notes += tuple(found)
+    for name, kind in ((PERMISSIONS_XML, PERMISSIONS), (GOVERNANCE_XML, GOVERNANCE)):
+        about = lowered if kind == PERMISSIONS else None
+        notes += tuple(limits.check_size(limits.signed_size(documents[name]), kind, package, about))
+    return Built(documents, notes)
+
+
+def _check(package: Package) -> Iterator[Diagnostic]:
+    """Yield what does not fit together in a package."""
+    granted = package.permissions
+    if _canonical(granted.subject_name) != _canonical(package.identity.subject_name):
+        yield Diagnostic(
+            "subject-mismatch", Severity.ERROR,
+            f"the permissions are for {granted.subject_name!r}, but the identity is {package.identity.subject_name!r}",
+            granted.origin, "give both the same subject_name", package.subject,
+        )  # fmt: skip
+    if granted.issuer != package.governance.issuer:
+        yield Diagnostic(
+            "issuer-mismatch", Severity.ERROR,
+            f"the permissions are to be signed by {granted.issuer!r}, but the governance by "
+            f"{package.governance.issuer!r}: a participant knows one permissions authority only",
+            granted.origin, "give both the same issuer_name", package.subject,
+        )  # fmt: skip
+    if granted.validity.not_after <= granted.validity.not_before:
+        yield Diagnostic(
+            "validity-empty", Severity.ERROR, "the permissions end before they begin",
+            granted.origin, "put not_after behind not_before", package.subject,
+        )  # fmt: skip
+    for item in governance.uncovered(granted.domains, package.governance):
+        which = f"domain {item.first}" if item.first == item.last else f"domains {item.first} to {item.last}"
+        yield Diagnostic(
+            "domain-uncovered", Severity.ERROR,
+            f"the permissions are for {which}, of which the governance says nothing",
+            granted.origin, "add the domain to a domain rule of the governance", package.subject,
+        )  # fmt: skip
+
+
+@lru_cache(maxsize=4096)
+def _canonical(name: str) -> str:
+    return names.to_text(names.parse(name))

@@ -1,0 +1,88 @@
+"""``keymint check``: what can only be seen by looking at several enclaves together."""
+
+from __future__ import annotations
+
+import re
+from collections import defaultdict
+from collections.abc import Iterator, Sequence
+
+from keymint.api import Inspection
+from keymint.errors import Diagnostic, KeymintError, Origin, Severity
+from keymint.pki import certificates, names
+from keymint_ros2_dds.install import CERTIFICATE
+
+
+def check_all(inspections: Sequence[Inspection]) -> tuple[Diagnostic, ...]:
+    """Return findings that concern several enclaves; every code is stable."""
+    return (*_confusions(inspections), *_one_authority(inspections), *_governances(inspections))
+
+
+def cyclone_takes_for(identity: str, grant: str) -> bool:
+    """Tell whether Cyclone DDS lets an identity use a grant for another subject.
+
+    It splits both names at ``,``, ``/`` and ``|`` and asks only whether every token of the identity also occurs in the
+    grant (``ac_check_subjects_are_equal``, to be read in ``access_control_utils.c``). So ``CN=/robot`` may use the grant
+    of ``CN=/robot/camera``, which every peer gets to see in a handshake.
+
+    Args:
+        identity: subject name of a certificate.
+        grant: subject name of a grant.
+    """
+    return _tokens(identity) <= _tokens(grant)
+
+
+def _tokens(name: str) -> frozenset[str]:
+    return frozenset(token.strip() for token in re.split(r"[,/|]", name) if token.strip())
+
+
+def _confusions(inspections: Sequence[Inspection]) -> Iterator[Diagnostic]:
+    subjects = [(inspection, name, _tokens(name)) for inspection in inspections if (name := _subject(inspection))]
+    holders: dict[str, set[int]] = defaultdict(set)
+    for number, (_, _, tokens) in enumerate(subjects):
+        for token in tokens:
+            holders[token].add(number)
+    for number, (inspection, name, tokens) in enumerate(subjects):
+        for other in sorted(set.intersection(*(holders[token] for token in tokens)) - {number}):
+            granted = subjects[other][0].package.subject
+            yield Diagnostic(
+                "names-confused", Severity.WARNING,
+                f"on Cyclone DDS the identity {name!r} can use the permissions of {granted}",
+                Origin(f"{inspection.folder}/{CERTIFICATE}"),
+                "give each subject_name an RDN that no other has, e.g. OU={unique}", inspection.package.subject,
+            )  # fmt: skip
+
+
+def _subject(inspection: Inspection) -> str:
+    try:
+        return names.to_text(certificates.load(inspection.files.get(CERTIFICATE, b"")).subject)
+    except KeymintError:
+        return ""
+
+
+def _one_authority(inspections: Sequence[Inspection]) -> Iterator[Diagnostic]:
+    """Yield one finding for each authority that both issues identities and signs permissions."""
+    said: set[bytes] = set()
+    for inspection in inspections:
+        authority = inspection.permissions_ca
+        if authority and authority == inspection.identity_ca and authority not in said and inspection.layout != "flat":
+            said.add(authority)
+            yield Diagnostic(
+                "authority-shared", Severity.WARNING,
+                f"the authority {inspection.package.permissions.issuer!r} issues identities and signs permissions: with "
+                "older releases of DDS implementations an identity can sign permissions for itself (CVE-2023-24010)",
+                Origin(f"{inspection.folder}/{CERTIFICATE}"),
+                "use two authorities", inspection.package.subject,
+            )  # fmt: skip
+
+
+def _governances(inspections: Sequence[Inspection]) -> Iterator[Diagnostic]:
+    """Yield a finding for enclaves that trust different permissions authorities: Fast DDS lets no two of them meet."""
+    first = inspections[0] if inspections else None
+    for inspection in inspections[1:]:
+        if first and inspection.permissions_ca != first.permissions_ca:
+            yield Diagnostic(
+                "authorities-differ", Severity.WARNING,
+                f"its permissions are signed by {inspection.package.permissions.issuer!r}, those of "
+                f"{first.package.subject} by {first.package.permissions.issuer!r}: Fast DDS lets them not communicate",
+                Origin(inspection.folder), "sign all permissions by one authority", inspection.package.subject,
+            )  # fmt: skip

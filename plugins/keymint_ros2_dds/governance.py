@@ -1,0 +1,185 @@
+"""The governance document: how domains and topics are protected (DDS Security 1.1, 9.4.1.2)."""
+
+from __future__ import annotations
+
+import difflib
+from collections.abc import Iterable, Iterator, Sequence
+from functools import lru_cache
+
+from lxml import etree
+
+from keymint.api import DomainRange, DomainRule, Governance, TopicProtection
+from keymint.errors import Diagnostic, KeymintError, Origin, Severity
+from keymint.keymake import glob
+from keymint.keymake.algebra import covers, union_covers
+from keymint.keymake.composites import PARTS
+from keymint.keymake.glob import EVERYTHING, Glob
+from keymint_ros2_dds import document
+from keymint_ros2_dds.mapping import IMAGES, image
+from keymint_ros2_dds.spelling import InexpressibleError, faithful, spell
+
+KINDS = ("NONE", "SIGN", "ENCRYPT", "SIGN_WITH_ORIGIN_AUTHENTICATION", "ENCRYPT_WITH_ORIGIN_AUTHENTICATION")
+DATA_KINDS = ("NONE", "SIGN", "ENCRYPT")
+
+_PERMISSIONS = {
+    "topic": (("topic", "publish"),),
+    "ros_topic": (("ros_topic", "ros_publish"),),
+    "ros_service": (("ros_service", "ros_call"),),
+    "ros_action": (("ros_action", "ros_request"),),
+    "ros_parameter": (("ros_parameter", "ros_read"), ("ros_parameter", "ros_write")),
+}
+"""One side of each kind: both sides of a ROS entity use the same DDS topics."""
+
+
+def build(governance: Governance, subject: str, *, allow_vendor_specific: bool) -> tuple[bytes, tuple[Diagnostic, ...]]:
+    """Return the governance document, valid against its schema, and what is to be said of it.
+
+    Raises:
+        KeymintError: an unknown kind of protection, or what vendors would not read alike; each with its place.
+    """
+    found = _compile(governance, allow_vendor_specific)
+    problems = tuple(
+        Diagnostic(item.code, item.severity, item.message, item.where, item.help, subject) for item in found[1]
+    )
+    if any(item.severity is Severity.ERROR for item in problems):
+        raise KeymintError.of(problems)
+    return found[0], problems
+
+
+@lru_cache(maxsize=64)
+def _compile(governance: Governance, lenient: bool) -> tuple[bytes, tuple[Diagnostic, ...]]:
+    """Most packages of a workspace have the same governance, so that it is compiled once."""
+    problems = list(_check(governance, lenient))
+    root = document.root(document.GOVERNANCE)
+    rules = document.child(root, "domain_access_rules")
+    for rule in governance.domain_rules:
+        problems += _domain_rule(rules, rule, lenient)
+    if any(item.severity is Severity.ERROR for item in problems):
+        return b"", tuple(problems)
+    return document.render(root, document.GOVERNANCE), tuple(problems)
+
+
+def _check(governance: Governance, lenient: bool) -> Iterator[Diagnostic]:
+    if not governance.domain_rules:
+        yield Diagnostic("governance-empty", Severity.ERROR, "the governance has no domain rule")
+    for rule in governance.domain_rules:
+        yield from document.check_domains(rule.domains, rule.origin, "")
+        for name in ("discovery", "liveliness", "rtps"):
+            yield from _kind(f"{name}_protection_kind", getattr(rule, f"{name}_protection_kind"), KINDS, rule.origin)
+        if rule.allow_unauthenticated_participants and rule.rtps_protection_kind != "NONE":
+            yield Diagnostic(
+                "portability-unauthenticated",
+                Severity.WARNING if lenient else Severity.ERROR,
+                "allow_unauthenticated_participants is true, but rtps_protection_kind is "
+                f"{rule.rtps_protection_kind}: Fast DDS refuses to start",
+                rule.origin,
+                "set rtps_protection_kind to NONE, or do not allow unauthenticated participants",
+            )
+        for topic in rule.topic_rules:
+            yield from _kind("metadata_protection_kind", topic.metadata_protection_kind, KINDS, topic.origin)
+            yield from _kind("data_protection_kind", topic.data_protection_kind, DATA_KINDS, topic.origin)
+            if topic.kind not in _PERMISSIONS:
+                message = f"unknown kind of topic rule {topic.kind!r}"
+                yield Diagnostic(
+                    "governance-kind", Severity.ERROR, message, topic.origin, _hint(topic.kind, _PERMISSIONS)
+                )
+
+
+def _kind(element: str, value: str, known: Sequence[str], where: Origin) -> Iterator[Diagnostic]:
+    if value not in known:
+        message = f"{element} is {value!r}, expected one of {', '.join(known)}"
+        yield Diagnostic("protection-kind", Severity.ERROR, message, where, _hint(value.upper(), known))
+
+
+def _hint(word: str, known: Iterable[str]) -> str:
+    close = difflib.get_close_matches(word, list(known), 1)
+    return f"did you mean {close[0]!r}?" if close else ""
+
+
+def _domain_rule(parent: etree._Element, rule: DomainRule, lenient: bool) -> Iterator[Diagnostic]:
+    element = document.child(parent, "domain_rule")
+    document.domains(element, rule.domains)
+    document.child(element, "allow_unauthenticated_participants", _boolean(rule.allow_unauthenticated_participants))
+    document.child(element, "enable_join_access_control", _boolean(rule.enable_join_access_control))
+    document.child(element, "discovery_protection_kind", rule.discovery_protection_kind)
+    document.child(element, "liveliness_protection_kind", rule.liveliness_protection_kind)
+    document.child(element, "rtps_protection_kind", rule.rtps_protection_kind)
+    topics = document.child(element, "topic_access_rules")
+    said: list[Glob] = []
+    for topic in rule.topic_rules:
+        if topic.kind not in _PERMISSIONS:
+            continue
+        patterns = [pattern for pattern in _patterns(topic) if not union_covers(tuple(said), pattern)]
+        if not patterns:
+            yield Diagnostic(
+                "governance-shadowed", Severity.WARNING,
+                f"the {topic.kind} rule for {topic.expression!r} has no effect: the rules before it match all of it",
+                topic.origin, "put it before the wider rules, or remove it",
+            )  # fmt: skip
+        for pattern in patterns:
+            texts, problem = _spelled(pattern, topic, lenient)
+            if problem:
+                yield problem
+            for text in texts:
+                _topic_rule(topics, text, topic)
+        said += patterns
+    if not union_covers(tuple(said), EVERYTHING):
+        yield Diagnostic(
+            "governance-open-end", Severity.WARNING,
+            "no topic rule matches every topic; a last one is added for '*', with access control and encryption",
+            rule.origin, "end with a rule for '*' that says how all other topics are protected",
+        )  # fmt: skip
+        _topic_rule(topics, "*", _strictest(rule))
+
+
+def _patterns(topic: TopicProtection) -> list[Glob]:
+    """Return the images of an expression, specific ones first."""
+    try:
+        tokens = glob.parse(topic.expression)
+    except glob.GlobError as error:
+        raise KeymintError(str(error), where=topic.origin, code="expression") from None
+    found = [
+        pattern
+        for permission in _PERMISSIONS[topic.kind]
+        for _, part, suffix in PARTS.get(permission, ((*permission, ""),))
+        for mapped in IMAGES[part]
+        for pattern in image(tokens, mapped, suffix)
+        if pattern and not glob.is_empty(pattern)
+    ]
+    return [p for p in dict.fromkeys(found) if not any(q != p and covers(q, p) for q in found)]
+
+
+def _spelled(pattern: Glob, topic: TopicProtection, lenient: bool) -> tuple[tuple[str, ...], Diagnostic | None]:
+    try:
+        return spell(pattern), None
+    except InexpressibleError as error:
+        severity = Severity.WARNING if lenient else Severity.ERROR
+        message = f"this {topic.kind} rule cannot be said alike for all vendors: {error}"
+        hint = "write the names out, or build with --allow-vendor-specific"
+        return (faithful(pattern),), Diagnostic("portability-expression", severity, message, topic.origin, hint)
+
+
+def _topic_rule(parent: etree._Element, expression: str, topic: TopicProtection) -> None:
+    element = document.child(parent, "topic_rule")
+    document.child(element, "topic_expression", expression)
+    document.child(element, "enable_discovery_protection", _boolean(topic.enable_discovery_protection))
+    document.child(element, "enable_liveliness_protection", _boolean(topic.enable_liveliness_protection))
+    document.child(element, "enable_read_access_control", _boolean(topic.enable_read_access_control))
+    document.child(element, "enable_write_access_control", _boolean(topic.enable_write_access_control))
+    document.child(element, "metadata_protection_kind", topic.metadata_protection_kind)
+    document.child(element, "data_protection_kind", topic.data_protection_kind)
+
+
+def _strictest(rule: DomainRule) -> TopicProtection:
+    """Return how topics that no rule is about are protected: access control and encryption, whatever else is said."""
+    return TopicProtection("topic", "*", True, True, True, True, "ENCRYPT", "ENCRYPT", rule.origin)  # noqa: FBT003
+
+
+def _boolean(value: bool) -> str:
+    return "true" if value else "false"
+
+
+def uncovered(permissions: Sequence[DomainRange], governance: Governance) -> tuple[DomainRange, ...]:
+    """Return the domains of permissions that no domain rule is about."""
+    known = document.merged(item for rule in governance.domain_rules for item in rule.domains)
+    return tuple(item for item in permissions if not any(k.first <= item.first and item.last <= k.last for k in known))

@@ -1,0 +1,132 @@
+"""The install stage: unsigned documents and credentials in, the files of an enclave out."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from functools import lru_cache
+
+from keymint import api
+from keymint.api import Artifact, Credentials, Package
+from keymint.errors import KeymintError, Origin
+from keymint.pki import smime
+from keymint_ros2_dds import document
+from keymint_ros2_dds.build import GOVERNANCE_XML, PERMISSIONS_XML
+from keymint_ros2_dds.document import GOVERNANCE, PERMISSIONS
+
+GOVERNANCE_P7S = f"{GOVERNANCE}.p7s"
+PERMISSIONS_P7S = f"{PERMISSIONS}.p7s"
+CERTIFICATE, KEY = "cert.pem", "key.pem"
+CA, IDENTITY_CA, PERMISSIONS_CA = "ca.cert.pem", "identity_ca.cert.pem", "permissions_ca.cert.pem"
+
+FILES: Mapping[str, tuple[str, ...]] = {
+    "sros2": (IDENTITY_CA, PERMISSIONS_CA, CERTIFICATE, KEY, GOVERNANCE_P7S, PERMISSIONS_P7S, PERMISSIONS_XML),
+    "flat": (CA, CERTIFICATE, KEY, GOVERNANCE_P7S, PERMISSIONS_P7S),
+}
+"""The files of an enclave: sros2's keystore of Foxy and later, and that of Ardent and Bouncy (rmw, ``security.c``)."""
+
+
+def install(
+    package: Package,
+    documents: Mapping[str, bytes],
+    credentials: Credentials,
+    layout: str,
+    installed: Mapping[str, bytes],
+) -> Mapping[str, Artifact]:
+    """Return the files of an enclave by name; see :meth:`keymint.api.BuildType.install`.
+
+    Raises:
+        KeymintError: a document is missing or not valid, or the layout cannot hold these authorities.
+    """
+    if layout not in FILES:
+        raise KeymintError(f"unknown layout {layout!r}", help=f"use {' or '.join(FILES)}", code="layout-unknown")
+    if layout == "flat" and credentials.identity_ca != credentials.permissions_ca:
+        raise KeymintError(
+            f"{package.subject} has one authority for identities and another for permissions, but the layout 'flat' "
+            "has one file for both",
+            where=package.permissions.origin,
+            help="name one authority for both, or use the layout 'sros2'",
+            code="layout-authorities",
+        )
+    files = {
+        IDENTITY_CA: Artifact(credentials.identity_ca),
+        PERMISSIONS_CA: Artifact(credentials.permissions_ca),
+        CA: Artifact(credentials.permissions_ca),
+        CERTIFICATE: Artifact(credentials.certificate),
+        KEY: Artifact(credentials.key, secret=True),
+        PERMISSIONS_XML: Artifact(_document(package, documents, PERMISSIONS)),
+        PERMISSIONS_P7S: Artifact(
+            _signed(_document(package, documents, PERMISSIONS), PERMISSIONS, credentials, installed)
+        ),
+        GOVERNANCE_P7S: Artifact(
+            _signed(_document(package, documents, GOVERNANCE), GOVERNANCE, credentials, installed)
+        ),
+    }
+    return {name: files[name] for name in FILES[layout]}
+
+
+def _document(package: Package, documents: Mapping[str, bytes], kind: str) -> bytes:
+    content = documents.get(f"{kind}.xml")
+    if content is None:
+        raise KeymintError(
+            f"{package.subject} has no {kind}.xml", help=f"run 'keymint build {package.name}'", code="document-missing"
+        )
+    _validate(content, kind, f"{package.name}/{kind}.xml")
+    return content
+
+
+@lru_cache(maxsize=16)
+def _validate(content: bytes, kind: str, name: str) -> None:
+    document.read(content, kind, name)
+
+
+def _signed(content: bytes, kind: str, credentials: Credentials, installed: Mapping[str, bytes]) -> bytes:
+    """Return a signed document: the installed one where it still holds, else a new one."""
+    signer = smime.load_signer(credentials.signer)
+    present = installed.get(f"{kind}.p7s")
+    if present is not None and smime.is_current(present, content, signer.certificate):
+        return present
+    if kind == GOVERNANCE:
+        return _sign_once(content, credentials.signer)
+    return smime.sign(content, signer.certificate, signer.key, Origin(f"{kind}.xml"))
+
+
+@lru_cache(maxsize=16)
+def _sign_once(content: bytes, signer: api.Signer) -> bytes:
+    """Sign a document that many enclaves share."""
+    loaded = smime.load_signer(signer)
+    return smime.sign(content, loaded.certificate, loaded.key, Origin(GOVERNANCE_XML))
+
+
+def shared(artifacts: Mapping[str, Mapping[str, Artifact]], layout: str) -> Mapping[str, Artifact]:
+    """Return what the layout keeps once for all enclaves, by path relative to the install space.
+
+    That is a convenience for people and for tools of sros2: an enclave is complete without. So what the enclaves do
+    not agree on (an authority, the governance) is left out, in place of showing that of one of them as everybody's.
+
+    Args:
+        artifacts: artifacts by subject, then file name; enclaves of other build types are passed over.
+        layout: ``sros2`` or ``flat``; the latter keeps nothing.
+    """
+    enclaves = [files for _, files in sorted(artifacts.items()) if PERMISSIONS_P7S in files]
+    if layout != "sros2" or not enclaves:
+        return {}
+    found: dict[str, Artifact] = {}
+    for name in (IDENTITY_CA, PERMISSIONS_CA):
+        contents = {files[name].content for files in enclaves if name in files}
+        if len(contents) == 1:
+            found[f"public/{name}"] = Artifact(contents.pop())
+    if len(found) == 2 and len({artifact.content for artifact in found.values()}) == 1:  # noqa: PLR2004 - both
+        found[f"public/{CA}"] = found[f"public/{IDENTITY_CA}"]
+    signed = [files[GOVERNANCE_P7S].content for files in enclaves if GOVERNANCE_P7S in files]
+    contents = {_content(one) for one in dict.fromkeys(signed)}
+    if len(contents) == 1 and (content := contents.pop()) is not None:
+        found[f"enclaves/{GOVERNANCE_XML}"] = Artifact(content)
+        found[f"enclaves/{GOVERNANCE_P7S}"] = Artifact(signed[0])
+    return found
+
+
+def _content(signed: bytes) -> bytes | None:
+    try:
+        return smime.signed_content(signed)
+    except KeymintError:
+        return None

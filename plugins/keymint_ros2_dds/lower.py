@@ -1,0 +1,83 @@
+"""From the intermediate representation to DDS: which patterns of topic names each rule is about.
+
+The result says, for each action, what is allowed and what is denied, with the rule that says so. It does not yet
+say in which order: deny overrides allow.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+from keymint.errors import Diagnostic, KeymintError, Severity
+from keymint.ir import Effect, Rule, SubjectRules
+from keymint.keymake import glob
+from keymint.keymake.composites import parts
+from keymint.keymake.glob import Glob
+from keymint_ros2_dds.mapping import IMAGES, Action, image
+
+Partitions = tuple[str, ...]
+"""Partition expressions as a policy has them, sorted; empty: not narrowed."""
+Side = Mapping[tuple[Glob, Partitions], Rule]
+"""Patterns with their partitions, and the rule that first says something of them."""
+
+
+@dataclass(frozen=True, slots=True)
+class Lowered:
+    """The rules of a subject on the level of DDS, by action."""
+
+    allow: Mapping[Action, Side]
+    deny: Mapping[Action, Side]
+    diagnostics: tuple[Diagnostic, ...]
+
+
+def lower(rules: SubjectRules) -> Lowered:
+    """Return what the rules of a subject say of DDS topics.
+
+    Raises:
+        KeymintError: an expression cannot be read; says at which ``file:line``.
+    """
+    sides: dict[Effect, dict[Action, dict[tuple[Glob, Partitions], Rule]]] = {
+        effect: {action: {} for action in Action} for effect in Effect
+    }
+    diagnostics: list[Diagnostic] = []
+    for rule in rules.rules:
+        side = sides[rule.effect]
+        partitions = tuple(sorted(set(rule.partitions)))
+        for expression in rule.expressions:
+            found = False
+            for action, pattern in _images(expression, rule):
+                side[action].setdefault((pattern, partitions), rule)
+                found = True
+            if not found:
+                diagnostics.append(_never(expression, rule, rules.subject))
+    return Lowered(sides[Effect.ALLOW], sides[Effect.DENY], tuple(diagnostics))
+
+
+def _images(expression: str, rule: Rule) -> list[tuple[Action, Glob]]:
+    """Return the DDS patterns of one expression of a rule, for all its permissions."""
+    try:
+        tokens = glob.parse(expression)
+    except glob.GlobError as error:
+        raise KeymintError(str(error), where=rule.origin, code="expression") from None
+    return [
+        (mapped.action, pattern)
+        for permission in rule.permissions
+        for _, part, suffix in parts(rule.kind, permission)
+        for mapped in IMAGES[part]
+        for pattern in image(tokens, mapped, suffix)
+        if pattern and not glob.is_empty(pattern)
+    ]
+
+
+def _never(expression: str, rule: Rule, subject: str) -> Diagnostic:
+    raw = rule.kind == "topic"
+    return Diagnostic(
+        "never-matches",
+        Severity.WARNING,
+        f"the expression {expression!r} of this {rule.effect} {rule.kind} rule matches no name: "
+        + ("no DDS topic has such a name" if raw else "every ROS name begins with '/'"),
+        rule.origin,
+        "remove it" if raw or not expression else f"write {'/' + expression!r}",
+        subject,
+    )

@@ -1,0 +1,215 @@
+"""Partitions: which lists each pattern of topic names may be used in.
+
+A policy speaks of each partition by itself: an endpoint is allowed when each of its partitions is. A permissions
+document holds one list per rule, and on Fast DDS the first rule that names the topic decides alone. So every name
+must meet the one rule that has the union of its lists: patterns are closed under intersection, and the more
+specific come first. What is denied is subtracted here; a deny rule cannot do it (Cyclone DDS takes one without
+partitions to be about the default partition, Fast DDS ignores those it has).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass
+
+from keymint.ir import Effect
+from keymint.keymake import glob as globs
+from keymint.keymake.algebra import (
+    TooComplexError,
+    covers,
+    disjoint,
+    intersection,
+    matcher,
+    sort_key,
+)
+from keymint.keymake.glob import EVERYTHING, Glob, literal
+from keymint_ros2_dds.lower import Partitions
+
+DEFAULT: Partitions = ("",)
+EVERY: Partitions = ("*",)
+MAX_PATTERNS = 128
+
+
+class PartitionError(Exception):
+    """The partitions of a pattern cannot be said alike for all vendors.
+
+    Attributes:
+        pattern: the pattern it is about.
+        reason: one line.
+    """
+
+    def __init__(self, pattern: Glob, reason: str) -> None:
+        self.pattern = pattern
+        self.reason = reason
+        super().__init__(reason)
+
+
+@dataclass(frozen=True, slots=True)
+class Entry:
+    """One step of a decision list: a name that matches is allowed in these partitions, or denied in all."""
+
+    effect: Effect
+    globs: tuple[Glob, ...]
+    partitions: Partitions
+
+
+def uniform(allow: Iterable[tuple[Glob, Partitions]], deny: Iterable[tuple[Glob, Partitions]]) -> Partitions | None:
+    """Return the one list that all allowed patterns share, or None when they differ or a deny splits it.
+
+    An empty result of nothing allowed is the default partition.
+    """
+    lists = {_plain(partitions) for _, partitions in allow}
+    if not lists:
+        return DEFAULT
+    if len(lists) > 1:
+        return None
+    shared = lists.pop()
+    if any(_left(shared, listed) not in {(), shared} for _, listed in deny):
+        return None
+    return shared
+
+
+def touches(shared: Partitions, denied: Partitions) -> bool:
+    """Tell whether a deny of these partitions takes all of a list away."""
+    return not _left(shared, denied)
+
+
+def unsafe(allow: Iterable[tuple[Glob, Partitions]]) -> Iterator[tuple[Glob, str]]:
+    """Yield the patterns whose partitions vendors would not read alike, each with the reason."""
+    for pattern, partitions in allow:
+        for expression in partitions:
+            if expression == "*":
+                continue
+            text = literal(globs.parse(expression))
+            if text is None:
+                yield (
+                    pattern,
+                    (
+                        f"the partition {expression!r} is neither a plain name nor '*', and vendors compare an endpoint's "
+                        "own wildcard with it as text"
+                    ),
+                )
+            elif any(char in "*?[]\\" or not " " <= char <= "~" for char in text) or text != text.strip():
+                yield pattern, f"the partition {expression!r} has characters that vendors read differently"
+
+
+def _plain(partitions: Partitions) -> Partitions:
+    """Return partitions as names, sorted; ``*`` alone when it is among them."""
+    if not partitions:
+        return DEFAULT
+    return EVERY if "*" in partitions else tuple(sorted({literal(globs.parse(p)) or "" for p in partitions}))
+
+
+def _left(allowed: Partitions, denied: Partitions) -> Partitions:
+    """Return what a deny of ``denied`` (empty: every partition) leaves of a list.
+
+    Raises:
+        ValueError: it takes single names out of "every partition".
+    """
+    patterns = [globs.parse(expression) for expression in denied] if denied else [EVERYTHING]
+    if any(covers(pattern, EVERYTHING) for pattern in patterns):
+        return ()
+    if allowed == EVERY:
+        raise ValueError
+    refused = [matcher(pattern) for pattern in patterns]
+    return tuple(name for name in allowed if not any(refuses(name) for refuses in refused))
+
+
+def decision_list(
+    allow: Sequence[tuple[Glob, Partitions]], deny: Sequence[tuple[Glob, Partitions]]
+) -> tuple[Entry, ...]:
+    """Return a decision list for patterns with different lists of partitions.
+
+    Raises:
+        PartitionError: a deny takes names out of ``*``, or the patterns overlap in too many ways.
+    """
+    allow = [(pattern, _plain(listed)) for pattern, listed in allow]
+    patterns = dict.fromkeys(pattern for pattern, _ in (*allow, *deny))
+    literals = sorted(pattern for pattern in patterns if literal(pattern) is not None)
+    wild = _specific_first(_closure([pattern for pattern in patterns if literal(pattern) is None]))
+    steps = [(pattern, _effective(pattern, allow, deny)) for pattern in (*literals, *wild)]
+    denies = [pattern for pattern, listed in steps if not listed]
+    free = [step for step in steps if step[1] and all(disjoint(step[0], other) for other in denies)]
+    later = [step for step in steps if step not in free]
+    return tuple(_entries(_needed([*free, *later])))
+
+
+def _needed(steps: Sequence[tuple[Glob, Partitions]]) -> list[tuple[Glob, Partitions]]:
+    """Leave out the steps without which every name meets the same list."""
+    kept: list[tuple[Glob, Partitions]] = []
+    wild: list[tuple[Glob, Partitions]] = []
+    for step in reversed(steps):
+        pattern, listed = step
+        following = next((other for other in reversed(wild) if not disjoint(other[0], pattern)), (EVERYTHING, ()))
+        if following[1] != listed or not covers(following[0], pattern):
+            kept.append(step)
+            if literal(pattern) is None:
+                wild.append(step)
+    return kept[::-1]
+
+
+def _effective(
+    pattern: Glob, allow: Iterable[tuple[Glob, Partitions]], deny: Iterable[tuple[Glob, Partitions]]
+) -> Partitions:
+    listed = {name for other, names in allow if covers(other, pattern) for name in names}
+    left = EVERY if "*" in listed else tuple(sorted(listed))
+    for other, names in deny:
+        if left and covers(other, pattern):
+            try:
+                left = _left(left, names)
+            except ValueError:
+                raise PartitionError(pattern, "it is allowed in every partition but for some") from None
+    return left
+
+
+def _closure(wild: Sequence[Glob]) -> list[Glob]:
+    """Return the patterns and all their intersections."""
+    found = dict.fromkeys(wild)
+    todo = list(wild)
+    while todo:
+        pattern = todo.pop()
+        for other in list(found):
+            try:
+                pieces = intersection(pattern, other)
+            except TooComplexError:
+                raise PartitionError(pattern, "it overlaps with others in too many ways") from None
+            for piece in pieces:
+                if piece not in found and not any(covers(known, piece) and covers(piece, known) for known in found):
+                    found[piece] = None
+                    todo.append(piece)
+        if len(found) > MAX_PATTERNS:
+            raise PartitionError(pattern, "patterns with different partitions overlap in too many ways")
+    return list(found)
+
+
+def _specific_first(patterns: Iterable[Glob]) -> list[Glob]:
+    """Return patterns so that none stands after one that covers it, the same on every run."""
+    left = sorted(patterns, key=sort_key)
+    ordered: list[Glob] = []
+    while left:
+        ready = [p for p in left if not any(q is not p and covers(p, q) and not covers(q, p) for q in left)]
+        ordered += ready
+        left = [p for p in left if p not in ready]
+    return ordered
+
+
+def _entries(steps: Iterable[tuple[Glob, Partitions]]) -> list[Entry]:
+    """Group steps that may share a rule."""
+    entries: list[Entry] = []
+    for pattern, listed in steps:
+        _append(entries, pattern, listed)
+    return entries
+
+
+def _append(entries: list[Entry], pattern: Glob, listed: Partitions) -> None:
+    """Put a pattern into the last entry that it can join without being read later than an overlapping one."""
+    effect = Effect.ALLOW if listed else Effect.DENY
+    listed = listed or EVERY
+    for at in range(len(entries) - 1, -1, -1):
+        entry = entries[at]
+        if (entry.effect, entry.partitions) == (effect, listed):
+            entries[at] = Entry(effect, (*entry.globs, pattern), listed)
+            return
+        if not all(disjoint(pattern, other) for other in entry.globs):
+            break
+    entries.append(Entry(effect, (pattern,), listed))

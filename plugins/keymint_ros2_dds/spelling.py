@@ -1,0 +1,118 @@
+"""How a glob is written in a permissions document so that every vendor reads the same.
+
+Cyclone DDS matches with a function of its own, Fast DDS with ``fnmatch(FNM_NOESCAPE)``. They agree on literals, ``*``
+and ``?``. They disagree on bracket expressions, since for Cyclone DDS a bracket expression always holds ``]`` as
+well, one that is followed by ``-`` is misread, and neither has escapes. So small sets become alternatives, and the
+complement of a small set is written as a bracket expression that leaves out ``\\``, ``]`` and ``^`` by a range, beside
+alternatives that bring them back. Names are taken to be ASCII, as those of DDS topics are.
+"""
+
+from __future__ import annotations
+
+from functools import lru_cache
+from itertools import pairwise, product
+
+from keymint.keymake.glob import ANY, Charset, Glob, Star, charset, literal
+
+MAX_ALTERNATIVES = 64
+"""How many expressions one glob may become."""
+
+_ASCII = Charset(((0, 127),))
+_TRAP = Charset(((0x5C, 0x5E),))  # \ ] ^
+
+
+class InexpressibleError(Exception):
+    """No spelling is read alike by all vendors; says why, and which vendors differ."""
+
+
+@lru_cache(maxsize=1 << 14)
+def spell(glob: Glob) -> tuple[str, ...]:
+    r"""Return the expressions that together match exactly what a glob matches, on every vendor.
+
+    Raises:
+        InexpressibleError: there are none, e.g. for a name with a literal ``*``.
+    """
+    text = literal(glob)
+    if text is not None:
+        return (_literal(text),)
+    choices = [_choices(token) for token in glob]
+    count = 1
+    for alternatives in choices:
+        count *= len(alternatives)
+        if count > MAX_ALTERNATIVES:
+            raise InexpressibleError(f"a bracket expression stands for more than {MAX_ALTERNATIVES} alternatives")
+    for before, following in pairwise(choices):
+        if any(part.startswith("-") for part in following) and any(part.startswith("[") for part in before):
+            raise InexpressibleError("a bracket expression is followed by '-', which Cyclone DDS misreads")
+    found = tuple("".join(parts) for parts in product(*choices))
+    for expression in found:
+        _check_ends(expression)
+    return found
+
+
+def faithful(glob: Glob) -> str:
+    """Return the expression that the standard's ``fnmatch`` reads exactly, whatever vendors make of it."""
+    return "".join(_faithful(token) for token in glob)
+
+
+def _faithful(token: str | Charset | Star) -> str:
+    if isinstance(token, Star):
+        return "*"
+    if isinstance(token, Charset):
+        if token == ANY:
+            return "?"
+        negated = token.ranges[-1][1] == ANY.ranges[0][1]
+        members = token.complement() if negated else token
+        ends = ((_escaped(chr(low)), _escaped(chr(high))) for low, high in members.ranges)
+        return "[" + "!" * negated + "".join(low if low == high else f"{low}-{high}" for low, high in ends) + "]"
+    return "".join(f"\\{char}" if char in "*?[\\" else char for char in token)
+
+
+def _escaped(char: str) -> str:
+    return char if char.isalnum() else f"\\{char}"
+
+
+def _literal(text: str) -> str:
+    for char in text:
+        if char in "*?[":
+            raise InexpressibleError(
+                f"the name has a literal {char!r}, for which Cyclone DDS and Fast DDS have no common escape"
+            )
+        if not " " <= char <= "~":
+            raise InexpressibleError(f"the name has the character {char!r}, which is not printable ASCII")
+    _check_ends(text)
+    return text
+
+
+def _check_ends(text: str) -> None:
+    if text != text.strip():
+        raise InexpressibleError("the name begins or ends with a blank, which Cyclone DDS trims")
+
+
+def _choices(token: str | Charset | Star) -> list[str]:
+    if isinstance(token, Star):
+        return ["*"]
+    if isinstance(token, str):
+        _literal(f"x{token}x")
+        return [token]
+    if token == ANY:
+        return ["?"]
+    if len(token) <= MAX_ALTERNATIVES:
+        return [_literal(f"x{char}x")[1:-1] for char in token.chars()]
+    excluded = token.complement().intersection(_ASCII)
+    if len(excluded) > MAX_ALTERNATIVES or token.ranges[-1][1] != ANY.ranges[0][1]:
+        raise InexpressibleError(
+            f"a bracket expression holds more than {MAX_ALTERNATIVES} characters, and Cyclone DDS would let ']' match it"
+        )
+    barred = charset((*excluded.ranges, *_TRAP.ranges)).intersection(_ASCII)
+    return [_bracket(barred.complement()), *token.intersection(_TRAP).chars()]
+
+
+def _bracket(token: Charset) -> str:
+    """Return a bracket expression in which every member is a range, so that no character has a second meaning."""
+    negated = token.ranges[-1][1] == ANY.ranges[0][1]
+    members = token.complement() if negated else token
+    outside = members.intersection(_TRAP.complement())
+    trap = members.intersection(_TRAP)
+    ranges = [*trap.ranges, *outside.ranges]
+    return "[" + "!" * negated + "".join(f"{chr(low)}-{chr(high)}" for low, high in ranges) + "]"

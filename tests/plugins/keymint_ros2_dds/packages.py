@@ -1,0 +1,52 @@
+"""Packages to build, as a package type would load them."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from datetime import UTC, datetime
+
+from keymint.api import (
+    CertificateSpec,
+    DomainRange,
+    DomainRule,
+    Governance,
+    KeySpec,
+    Package,
+    Permissions,
+    TopicProtection,
+    Validity,
+)
+from keymint.errors import Origin
+from keymint.ir import Effect, Rule, SubjectRules
+
+ORIGIN = Origin("policy.xml", 7)
+VALIDITY = Validity(datetime(2026, 11, 20, tzinfo=UTC), datetime(2027, 11, 20, tzinfo=UTC))
+DOMAIN = (DomainRange(0, 0),)
+
+
+def rule(effect: str, kind: str, permissions: str, *expressions: str, partitions=(), line: int = 7) -> Rule:
+    origin = Origin("policy.xml", line)
+    return Rule(Effect(effect), kind, tuple(permissions.split()), expressions, tuple(partitions), False, origin)
+
+
+def protection(kind: str = "topic", expression: str = "*", **fields) -> TopicProtection:
+    every = TopicProtection(kind, expression, True, True, True, True, "ENCRYPT", "ENCRYPT", ORIGIN)
+    return replace(every, **fields)
+
+
+def domain_rule(*topics: TopicProtection, **fields) -> DomainRule:
+    usual = DomainRule(DOMAIN, False, True, "ENCRYPT", "ENCRYPT", "SIGN", topics or (protection(),), ORIGIN)
+    return replace(usual, **fields)
+
+
+def package(*rules: Rule, subject: str = "/talker", distro: str = "jazzy", name: str = "", **fields) -> Package:
+    """Return a package; ``fields`` are those of its permissions."""
+    subject_name = name or f"CN={subject},OU=x1"
+    key = KeySpec("ec", "SECP256R1")
+    identity = CertificateSpec(subject_name, VALIDITY, None, "identity_ca", "SHA256", key, (), ORIGIN)
+    usual = Permissions(
+        "permissions_ca", subject, subject_name, VALIDITY, DOMAIN, SubjectRules(subject, rules), ORIGIN
+    )
+    governance = Governance("permissions_ca", (domain_rule(),))
+    permissions = replace(usual, **fields)
+    return Package(subject[1:], subject, "keymint_ros2_dds", distro, identity, permissions, governance)
