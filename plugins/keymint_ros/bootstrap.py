@@ -1,0 +1,146 @@
+"""New profiles and new packages: conservative defaults, written out so that a person sees and can change them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from datetime import timedelta
+from functools import lru_cache
+from pathlib import PurePosixPath
+from typing import TYPE_CHECKING, Any
+
+from comarmor.data import locate
+from keymint.api import Bootstrap
+from keymint.errors import KeymintError
+from keymint_ros import distros
+from keymint_ros.document import did_you_mean
+
+if TYPE_CHECKING:
+    import jinja2
+
+_AUTHORITIES = {"sros2": ("identity_ca", "permissions_ca"), "flat": ("ca", "ca")}
+"""By layout: who issues identities, and who signs permissions. Ardent's layout has one ``ca.cert.pem`` for both."""
+_SUBJECT_NAMES = {"unique": "CN={common_name},OU={unique}", "sros2": "CN={subject}"}
+_MAX_DOMAIN = 230
+"""Cyclone DDS refuses documents with a larger domain id."""
+_AUTHORITY_YEARS = 10
+_PACKAGE_YEARS = 1
+_EXAMPLE = "comarmor.d"
+
+_PROFILE = (
+    "keymint_profile.xml",
+    "authorities.xml",
+    "profile.defaults/authorities.xml",
+    "package.defaults/permissions.xml",
+    "package.defaults/governance.xml",
+    "package.defaults/identities.xml",
+)
+
+
+def bootstrap(request: Bootstrap) -> Mapping[str, bytes]:
+    """Return the files of a new profile: see :meth:`keymint.api.ProfileType.bootstrap`."""
+    distros.check(request.distro)
+    _check_choice("layout", request.layout, _AUTHORITIES)
+    _check_choice("subject format", request.subject_format, _SUBJECT_NAMES)
+    if not 0 <= request.domain <= _MAX_DOMAIN:
+        raise KeymintError(
+            f"the domain {request.domain} is not a DDS domain id from 0 to {_MAX_DOMAIN}",
+            help="take the ROS_DOMAIN_ID of your robots; 0 is usual",
+            code="domain-range",
+        )
+    _check_line("name of the profile", request.name)
+    # A day of slack, for clocks that run behind, and for vendors that read dates without zone as local time.
+    start = request.now.replace(hour=0, minute=0, second=0, microsecond=0) - timedelta(days=1)
+    issuer, signer = _AUTHORITIES[request.layout]
+    values = {
+        "name": request.name,
+        "distro": request.distro,
+        "domain": request.domain,
+        "layout": request.layout,
+        "authorities": tuple(dict.fromkeys((issuer, signer))),
+        "issuer": issuer,
+        "signer": signer,
+        "subject_name": _SUBJECT_NAMES[request.subject_format],
+        "not_before": _date(start),
+        "authority_not_after": _date(start + timedelta(days=365 * _AUTHORITY_YEARS)),
+        "package_not_after": _date(start + timedelta(days=365 * _PACKAGE_YEARS)),
+    }
+    files = {path: _render(f"profile/{path}.j2", **values) for path in _PROFILE}
+    files["policies.xml"] = policies(request.policy or _EXAMPLE)
+    fragments = distros.library(request.distro)
+    files |= {
+        f"{_EXAMPLE}/{path.relative_to(fragments).as_posix()}": path.read_bytes()
+        for path in sorted(fragments.rglob("*.xml"))
+    }
+    if not request.policy:
+        example = "talker_listener.xml"
+        files[f"{_EXAMPLE}/{example}"] = (_templates() / "comarmor.d" / example).read_bytes()
+    return files
+
+
+def policies(path: str) -> bytes:
+    """Return the ``policies.xml`` of a profile with one policy.
+
+    Args:
+        path: of the policy, relative to the profile or absolute.
+
+    Raises:
+        KeymintError: the path cannot be written into an XML document.
+    """
+    _check_line("path of the policy", path)
+    return _render("profile/policies.xml.j2", name=PurePosixPath(path).stem or "policy", path=path)
+
+
+@lru_cache
+def package_manifest(build_type: str) -> bytes:
+    """Return the ``keymint_package.xml`` of new packages that a plugin builds."""
+    return _render("package/keymint_package.xml.j2", build_type=build_type)
+
+
+@lru_cache
+def package_document(name: str) -> bytes:
+    """Return a document of a new package that leaves everything to the defaults, and shows how to override them."""
+    return (_templates() / "package" / name).read_bytes()
+
+
+def _templates() -> Any:
+    return locate("templates") / "keymint_ros"
+
+
+def _render(template: str, **values: object) -> bytes:
+    return _environment().get_template(template).render(values).encode()
+
+
+@lru_cache(maxsize=1)
+def _environment() -> jinja2.Environment:
+    import jinja2  # noqa: PLC0415 - only what writes new files needs it
+
+    return jinja2.Environment(
+        loader=jinja2.FileSystemLoader(_templates()),
+        undefined=jinja2.StrictUndefined,
+        autoescape=True,
+        keep_trailing_newline=True,
+        trim_blocks=True,
+        lstrip_blocks=True,
+    )
+
+
+def _date(date: Any) -> str:
+    return f"{date:%Y-%m-%dT%H:%M:%S}"
+
+
+def _check_choice(what: str, value: str, known: Mapping[str, object]) -> None:
+    if value not in known:
+        raise KeymintError(
+            f"unknown {what} {value!r}",
+            help=did_you_mean(value, known) or f"known are {', '.join(known)}",
+            code=f"{what.replace(' ', '-')}-unknown",
+        )
+
+
+def _check_line(what: str, value: str) -> None:
+    if not value or value != value.strip() or not value.isprintable() or "  " in value:
+        raise KeymintError(
+            f"the {what} {value!r} is not one line of printable text without space around it",
+            help="choose another one",
+            code="text-invalid",
+        )

@@ -1,0 +1,51 @@
+"""The ROS 2 distributions, and the policy fragments that ship for each."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from comarmor.data import locate
+from keymint.errors import KeymintError, Origin
+from keymint_ros.document import did_you_mean
+
+_FAMILIES = {
+    "bouncy": ("bouncy", "crystal", "dashing", "eloquent"),
+    "foxy": ("foxy", "galactic", "humble"),
+    "iron": ("iron", "jazzy", "kilted", "lyrical", "rolling"),
+}
+"""Distributions whose nodes need the same: Foxy brings ``ros_discovery_info``, Iron the type description service."""
+DISTROS = {distro: family for family, distros in _FAMILIES.items() for distro in distros}
+"""The first distribution of the family that each belongs to."""
+DEFAULT = "jazzy"
+
+
+def check(distro: str, where: Origin | None = None) -> str:
+    """Return the name of a known distribution.
+
+    Raises:
+        KeymintError: it is not known, or its names are mapped in a way that is not supported.
+    """
+    if distro in DISTROS:
+        return distro
+    if distro == "ardent":
+        raise KeymintError(
+            "the name mapping of ROS 2 Ardent is not supported yet",
+            where=where,
+            help="take bouncy or a later distro",
+            code="distro-unsupported",
+        )
+    raise KeymintError(
+        f"unknown ROS 2 distro {distro!r}",
+        where=where,
+        help=did_you_mean(distro.lower(), DISTROS) or f"known are {', '.join(DISTROS)}",
+        code="distro-unknown",
+    )
+
+
+def library(distro: str) -> Path:
+    """Return the folder of policy fragments that ship for a distribution; it holds ``common/node.xml``.
+
+    Raises:
+        KeymintError: the distribution is not known.
+    """
+    return locate("templates") / "keymint_ros" / "comarmor.d" / DISTROS[check(distro)]

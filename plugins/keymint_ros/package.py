@@ -1,0 +1,313 @@
+"""Source packages: created from the rules of a subject, and loaded with what their profile says by default."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, TypeVar
+
+from keymint.api import CertificateSpec, Governance, Package, Permissions, Profile
+from keymint.errors import Diagnostic, KeymintError, Origin
+from keymint.ir import SubjectRules
+from keymint_ros import bootstrap, certificate, governance, manifest, permissions, placeholders, validity
+from keymint_ros.document import Reader, confined, did_you_mean, file_in, line, place, text
+from keymint_ros.manifest import MARKER, Manifest, Part
+from keymint_ros.profile import build_type
+
+if TYPE_CHECKING:
+    from lxml import etree
+
+    from keymint.api import DomainRange, Validity
+
+_T = TypeVar("_T")
+
+FORMER = ".2018"
+"""What is appended to the name of a ``permissions.xml`` in the format of 2018 that a new one replaces."""
+
+
+# ---------------------------------------------------------------------------------------------------------------
+# Documents of a package that are no more than a certificate or a few defaults
+# ---------------------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, slots=True)
+class _Identity:
+    name: str
+    certificate: certificate.Written
+
+
+@dataclass(frozen=True, slots=True)
+class _GrantDefaults:
+    line: int
+    issuer: str
+    domains: tuple[DomainRange, ...] | None
+    subject_name: str | None
+    validity: Validity | None
+
+
+def _identity(root: etree._Element) -> _Identity:
+    (element,) = root.iterfind("identities/identity")
+    return _Identity(element.get("name", "").strip(), certificate.read(element, placeholders.SUBJECT))
+
+
+def _grant_defaults(root: etree._Element) -> _GrantDefaults:
+    subject, period = root.find("subject_name"), root.find("validity")
+    return _GrantDefaults(
+        line=line(root),
+        issuer=text(root.find("issuer_name")) or "",
+        domains=governance.domains(root.find("domains")),
+        subject_name=None
+        if subject is None
+        else placeholders.check(text(subject) or "", placeholders.SUBJECT, place(subject)),
+        validity=None if period is None else validity.read(period),
+    )
+
+
+_read_identity = Reader("identities", _identity)
+_read_identity_defaults = Reader("defaults_identities", lambda root: certificate.read(root, placeholders.SUBJECT))
+_read_grant_defaults = Reader("defaults_permissions", _grant_defaults)
+
+
+# ---------------------------------------------------------------------------------------------------------------
+# Create
+# ---------------------------------------------------------------------------------------------------------------
+
+
+def create(profile: Profile, rules: SubjectRules, existing: Mapping[str, bytes], *, force: bool) -> Mapping[str, bytes]:
+    """Return the files to write for a package: see :meth:`keymint.api.PackageType.create`."""
+    name = rules.subject.removeprefix("/")
+    path = "permissions.xml"
+    files: dict[str, bytes] = {}
+    if MARKER in existing:
+        part = manifest.read(existing[MARKER], f"{name}/{MARKER}").permissions
+        path = confined(part.path, Origin(f"{name}/{MARKER}", part.line))
+    else:
+        files = {file: content for file, content in _new(profile).items() if file not in existing}
+    return files | _permissions(profile, rules, path, existing, force=force)
+
+
+def _new(profile: Profile) -> Mapping[str, bytes]:
+    """Return the documents of a new package, but for its permissions."""
+    return {
+        MARKER: bootstrap.package_manifest(build_type(profile)),
+        "governance.xml": bootstrap.package_document("governance.xml"),
+        "identities.xml": bootstrap.package_document("identities.xml"),
+    }
+
+
+def _permissions(
+    profile: Profile, rules: SubjectRules, path: str, existing: Mapping[str, bytes], *, force: bool
+) -> Mapping[str, bytes]:
+    """Return the document of the rules where it is to be written.
+
+    Three states are compared, as dpkg does for configuration files: what the policy said when the document was
+    written, what the document says, and what the policy says now.
+    """
+    base = _base(profile)
+    written = permissions.render(rules, base)
+    current = existing.get(path)
+    if current is None:
+        return {path: written}
+    if current == written:
+        return {}
+    file = f"{rules.subject.removeprefix('/')}/{path}"
+    try:
+        grant = permissions.read(current, file, rules.subject)
+    except KeymintError as error:
+        if error.diagnostics[0].code == permissions.OLD_FORMAT:
+            return {path: written} | ({} if path + FORMER in existing else {path + FORMER: current})
+        if force:
+            return {path: written}
+        raise
+    now = permissions.digest(rules.rules)
+    if grant.edited and grant.current != now and not force:
+        if grant.base == now:
+            return {}
+        raise KeymintError(
+            f"{path} of {rules.subject} was edited by hand, and the policy changed as well",
+            where=Origin(file, grant.line),
+            help="move the edits into the policy, then replace the file with --force",
+            code="hand-edited",
+        )
+    written = permissions.render(rules, base, name=grant.name, overrides=grant.overrides)
+    return {} if written == current else {path: written}
+
+
+def _base(profile: Profile) -> str:
+    """Return the profile space, ending in a slash, as the user would type it; or empty."""
+    folder = "." if profile.library is None else str(profile.library.parent)
+    return "" if folder == "." else f"{folder.rstrip('/')}/"
+
+
+# ---------------------------------------------------------------------------------------------------------------
+# Load
+# ---------------------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, slots=True)
+class _Loader:
+    """Loads one package; each method one part of it.
+
+    Attributes:
+        profile: the profile.
+        name: package name.
+        folder: its folder as the user would type it.
+        base: the profile space, ending in a slash, as the user would type it; or empty.
+        files: its files.
+        manifest: its manifest.
+        values: of the placeholders.
+    """
+
+    profile: Profile
+    name: str
+    folder: str
+    base: str
+    files: Mapping[str, bytes]
+    manifest: Manifest
+    values: Mapping[str, str]
+
+    def own(self, part: Part, create: str = "") -> tuple[str, bytes | None]:
+        """Return the path, for messages, and the content of a part's document, None where there is none."""
+        where = Origin(self.file(MARKER), part.line)
+        path = confined(part.path, where)
+        content = self.files.get(path)
+        if content is None and (part.named or create):
+            raise KeymintError(
+                f"the package has no {part.path}",
+                where=where if part.named else Origin(self.folder),
+                help=create or did_you_mean(path, self.files) or f"create it, or leave its path out of {MARKER}",
+                code="file-missing",
+            )
+        return self.file(path), content
+
+    def defaults(self, part: Part) -> tuple[str, bytes]:
+        """Return the path, for messages, and the content of a part's defaults: the package's own, or the profile's."""
+        where = Origin(self.file(MARKER), part.line)
+        path = confined(part.defaults, where)
+        if path in self.files:
+            return self.file(path), self.files[path]
+        return self.base + path, file_in(self.profile.files, path, where, "package or its profile")
+
+    def file(self, path: str) -> str:
+        """Return the path of a file of the package as the user would type it."""
+        return f"{self.folder}/{path}"
+
+    def identity(self) -> CertificateSpec:
+        """Return the certificate of the subject."""
+        file, content = self.own(self.manifest.identities)
+        defaults_file, defaults_content = self.defaults(self.manifest.identities)
+        defaults = certificate.Source(defaults_file, _read_identity_defaults(defaults_content, defaults_file))
+        own = None
+        if content is not None:
+            said = _read_identity(content, file)
+            own = certificate.Source(file, said.certificate)
+            if said.name and said.name.removeprefix("/") not in {self.name, self.name.rpartition("/")[2]}:
+                raise KeymintError(
+                    f"the identity is named {said.name!r}, but the package {self.name!r}",
+                    where=own.origin,
+                    help="give it the name of the package, or none",
+                    code="name-mismatch",
+                )
+        spec = certificate.complete(own, defaults, self.values)
+        self.known_authority(spec.issuer, certificate.issuer(own, defaults)[1], "issues the certificate")
+        return spec
+
+    def permissions(self) -> Permissions:
+        """Return the grant of the subject."""
+        part, subject = self.manifest.permissions, f"/{self.name}"
+        file, content = self.own(part, create=f"'keymint create {self.name}' creates it from the policy")
+        grant = permissions.read(content or b"", file, subject)
+        defaults_file, defaults_content = self.defaults(part)
+        defaults = _read_grant_defaults(defaults_content, defaults_file)
+        subject_name, period = grant.subject_name or defaults.subject_name, grant.validity or defaults.validity
+        if subject_name is None or period is None:
+            missing = "subject_name" if subject_name is None else "validity"
+            raise KeymintError(
+                f"the grant has no <{missing}>, neither here nor in its defaults",
+                where=Origin(file, grant.line),
+                help=f"add a <{missing}> to {defaults_file}",
+                code="grant-incomplete",
+            )
+        return Permissions(
+            issuer=self.signer(part, defaults.issuer, Origin(defaults_file, defaults.line)),
+            grant_name=grant.name,
+            subject_name=placeholders.expand(subject_name, self.values),
+            validity=period,
+            domains=grant.domains or defaults.domains or governance.STRICT.domains or (),
+            rules=permissions.to_ir(grant, subject, file, self.base),
+            origin=Origin(file, grant.line),
+        )
+
+    def governance(self) -> Governance:
+        """Return the protection of the subject's domains."""
+        part = self.manifest.governance
+        file, content = self.own(part)
+        own = () if content is None else governance.read(content, file)
+        defaults_file, defaults_content = self.defaults(part)
+        defaults = governance.read_defaults(defaults_content, defaults_file)
+        return Governance(
+            issuer=self.signer(part, defaults.issuer or "", Origin(defaults_file, defaults.line)),
+            domain_rules=governance.complete(own, file, defaults, defaults_file),
+        )
+
+    def signer(self, part: Part, default: str, default_origin: Origin) -> str:
+        """Return the authority that signs a document."""
+        if part.issuer:
+            return self.known_authority(part.issuer, Origin(self.file(MARKER), part.line), "signs this")
+        authorities = self.profile.authorities
+        only = authorities[0].name if len(authorities) == 1 else ""
+        return self.known_authority(default or only, default_origin, "signs this")
+
+    def known_authority(self, name: str, where: Origin, job: str) -> str:
+        """Return the name of an authority that the profile has."""
+        known = [authority.name for authority in self.profile.authorities]
+        if name in known:
+            return name
+        raise KeymintError(
+            f"there is no authority {name!r} in the profile"
+            if name
+            else f"no <issuer_name> says which authority {job}",
+            where=where,
+            help=(did_you_mean(name, known) if name else "") or f"the profile's authorities are {', '.join(known)}",
+            code="authority-unknown",
+        )
+
+
+def load(profile: Profile, name: str, folder: str, files: Mapping[str, bytes]) -> Package:
+    """Load a package: see :meth:`keymint.api.PackageType.load`."""
+    file = f"{folder}/{MARKER}"
+    said = manifest.read(file_in(files, MARKER, Origin(folder), "package"), file)
+    manifest.check_name(said, name, file)
+    subject = f"/{name}"
+    loader = _Loader(profile, name, folder, _base(profile), files, said, placeholders.of_subject(subject))
+    diagnostics: list[Diagnostic] = []
+    identity = _attempt(loader.identity, diagnostics)
+    grant = _attempt(loader.permissions, diagnostics)
+    protection = _attempt(loader.governance, diagnostics)
+    if identity is None or grant is None or protection is None:
+        raise KeymintError.of(diagnostics)
+    if grant.issuer != protection.issuer:
+        raise KeymintError(
+            f"permissions are signed by {grant.issuer!r}, governance by {protection.issuer!r}",
+            where=Origin(file, said.governance.line),
+            help="name the same authority for both: a DDS participant verifies both with one certificate",
+            code="signers-differ",
+        )
+    return Package(
+        name=name,
+        subject=subject,
+        build_type=said.build_type,
+        distro=profile.distro,
+        identity=identity,
+        permissions=grant,
+        governance=protection,
+    )
+
+
+def _attempt(part: Callable[[], _T], diagnostics: list[Diagnostic]) -> _T | None:
+    """Return a part of the package, or None after noting why it cannot be had."""
+    try:
+        return part()
+    except KeymintError as error:
+        diagnostics += error.diagnostics
+        return None

@@ -1,0 +1,325 @@
+"""``permissions.xml``: the policy's rules for one subject as a document that a person can read and edit.
+
+It is the intermediate representation in the vocabulary of ComArmor, flat and fully expanded. The root carries a digest
+of the rules as the policy said them, so that an edit by hand is recognised without any other state, in the way that
+dpkg recognises an edited configuration file.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import re
+from collections.abc import Iterable
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import TYPE_CHECKING
+from urllib.parse import quote, unquote
+from xml.sax.saxutils import escape
+
+from lxml import etree
+
+from comarmor.errors import ComArmorError
+from comarmor.expression import parse as parse_expression
+from comarmor.template import strip
+from keymint.errors import KeymintError, Origin
+from keymint.ir import Effect, Rule, SubjectRules
+from keymint_ros import document, placeholders, validity
+from keymint_ros.document import Reader, line, place, text
+from keymint_ros.governance import domains
+
+if TYPE_CHECKING:
+    from keymint.api import DomainRange, Validity
+
+OLD_FORMAT = "permissions-format"
+"""Code of the error that a document of the format of 2018 is."""
+
+_EFFECTS = {effect.value: effect for effect in Effect}
+_PLACEHOLDER = re.compile(r"@?\{\w+\}")
+_OVERRIDES = ("domains", "subject_name", "validity")
+
+
+@dataclass(frozen=True, slots=True)
+class WrittenRule:
+    """A rule of the document: the fields of :class:`keymint.ir.Rule`, its line, and the origin as it is written."""
+
+    effect: Effect
+    kind: str
+    permissions: tuple[str, ...]
+    expressions: tuple[str, ...]
+    partitions: tuple[str, ...]
+    audit: bool
+    line: int
+    origin: str
+
+
+@dataclass(frozen=True, slots=True)
+class Grant:
+    """What the document says.
+
+    Attributes:
+        line: line of the grant.
+        name: the grant's label.
+        domains: None where the defaults apply, as for the next two.
+        subject_name: distinguished name, with placeholders.
+        subject_line: its line.
+        validity: period of the grant.
+        rules: the rules in order.
+        base: digest of the rules that the policy said when the document was written; empty if that is not known.
+        current: digest of the rules as they were read.
+        overrides: the XML of what a person set in place of the defaults.
+    """
+
+    line: int
+    name: str
+    domains: tuple[DomainRange, ...] | None
+    subject_name: str | None
+    subject_line: int
+    validity: Validity | None
+    rules: tuple[WrittenRule, ...]
+    base: str
+    current: str
+    overrides: tuple[str, ...]
+
+    @property
+    def edited(self) -> bool:
+        """Whether the rules are no longer those that the policy said."""
+        return self.base != self.current
+
+
+def digest(rules: Iterable[Rule | WrittenRule]) -> str:
+    """Return ``sha256:…`` of what rules mean: without their order and without where they come from."""
+    lines = sorted(
+        "\x1f".join(
+            (
+                rule.effect,
+                rule.kind,
+                "AUDIT" if rule.audit else "",
+                "\x1e".join(sorted(rule.permissions)),
+                "\x1e".join(sorted(rule.expressions)),
+                "\x1e".join(["", *sorted(rule.partitions)]),
+            )
+        )
+        for rule in rules
+    )
+    return "sha256:" + hashlib.sha256("\n".join(dict.fromkeys(lines)).encode()).hexdigest()
+
+
+# ---------------------------------------------------------------------------------------------------------------
+# Reading
+# ---------------------------------------------------------------------------------------------------------------
+
+
+def is_old(content: bytes, name: str) -> bool:
+    """Tell whether a document is one of 2018, with ``allow_rule`` and ``deny_rule``.
+
+    Raises:
+        KeymintError: it is not well-formed.
+    """
+    root = document.parse(content, name)
+    return root.tag == "package" and "format" not in root.attrib and root.find("permissions/grant") is not None
+
+
+def read(content: bytes, name: str, subject: str) -> Grant:
+    """Return what a ``permissions.xml`` says.
+
+    Args:
+        content: the document.
+        name: its path as the user would type it.
+        subject: the subject it is about, for messages.
+
+    Raises:
+        KeymintError: it is not valid, or in the format of 2018.
+    """
+    try:
+        return _read(content, name)
+    except KeymintError:
+        if not is_old(content, name):
+            raise
+    raise KeymintError(
+        "these permissions are in the format of 2018",
+        where=Origin(name, 2),
+        help=f"'keymint create {subject.removeprefix('/')}' creates them anew from the policy",
+        code=OLD_FORMAT,
+    )
+
+
+def _grant(root: etree._Element) -> Grant:
+    (grant,) = root.iterfind("permissions/grant")
+    own = {part.tag: part for part in grant if part.tag in _OVERRIDES}
+    subject_name, period = own.get("subject_name"), own.get("validity")
+    rules = tuple(_rule(rule) for rule in grant if rule.tag not in _OVERRIDES)
+    base, current = root.get("digest", "").strip(), digest(rules)
+    if base != current:
+        _check_edited(grant)
+    return Grant(
+        line=line(grant),
+        name=grant.get("name", "").strip(),
+        domains=domains(own.get("domains")),
+        subject_name=_subject_name(subject_name),
+        subject_line=line(grant if subject_name is None else subject_name),
+        validity=None if period is None else validity.read(period),
+        rules=rules,
+        base=base,
+        current=current,
+        overrides=tuple(etree.tostring(part, encoding="unicode", with_tail=False) for part in own.values()),
+    )
+
+
+_read = Reader("permissions", _grant)
+
+
+def _rule(element: etree._Element) -> WrittenRule:
+    expressions, partitions, permissions = [], [], []
+    for part in element:
+        if part.tag == "attachment":
+            expressions.append(strip(part.text or ""))
+        elif part.tag == "permissions":
+            permissions += [str(permission.tag) for permission in part]
+        else:
+            partitions += [strip(partition.text or "") for partition in part]
+    return WrittenRule(
+        effect=_EFFECTS[element.get("qualifier", "").strip()],
+        kind=str(element.tag),
+        permissions=tuple(dict.fromkeys(permissions)),
+        expressions=tuple(expressions),
+        partitions=tuple(partitions),
+        audit=element.get("modifier") is not None,
+        line=line(element),
+        origin=element.get("origin", ""),
+    )
+
+
+def _subject_name(element: etree._Element | None) -> str | None:
+    return None if element is None else placeholders.check(text(element) or "", placeholders.SUBJECT, place(element))
+
+
+def _check_edited(grant: etree._Element) -> None:
+    """Check the expressions that a person wrote; those of the policy were checked with it."""
+    for tag in ("attachment", "partition"):
+        for element in grant.iter(tag):
+            expression = strip(element.text or "")
+            if (not expression and tag == "attachment") or _PLACEHOLDER.search(expression):
+                raise KeymintError(
+                    "placeholders and tunables are expanded in this document"
+                    if expression
+                    else "the attachment is empty",
+                    where=place(element),
+                    help="write the whole name or expression, e.g. /robot1/chatter",
+                    code="expression-invalid",
+                )
+            try:
+                parse_expression(expression)
+            except (ComArmorError, ValueError) as error:
+                said = error.diagnostics[0] if isinstance(error, ComArmorError) else None
+                raise KeymintError(
+                    said.message if said else str(error),
+                    where=place(element),
+                    help=(said.help if said else "") or "expressions are those of POSIX fnmatch; '\\' escapes",
+                    code="expression-invalid",
+                ) from None
+
+
+def to_ir(grant: Grant, subject: str, file: str, base: str) -> SubjectRules:
+    """Return the rules of a document.
+
+    Rules that a person edited come from the document itself; others from where the policy says them.
+
+    Args:
+        grant: the document.
+        subject: the subject.
+        file: the document's path as the user would type it.
+        base: folder that origins are relative to.
+    """
+    edited = grant.edited
+    return SubjectRules(
+        subject,
+        tuple(
+            Rule(
+                rule.effect,
+                rule.kind,
+                rule.permissions,
+                rule.expressions,
+                rule.partitions,
+                rule.audit,
+                (not edited and _origin(rule.origin, base)) or Origin(file, rule.line),
+            )
+            for rule in grant.rules
+        ),
+    )
+
+
+@lru_cache(maxsize=4096)
+def _origin(written: str, base: str) -> Origin | None:
+    """Return the origin that ``file:line; file:line`` says, or None when it does not say one."""
+    places = []
+    for item in written.split("; "):
+        path, _, number = item.rpartition(":")
+        if not path or not (number.isascii() and number.isdigit()):
+            return None
+        plain = unquote(path, errors="surrogateescape") if "%" in path else path
+        places.append((plain if plain.startswith("/") else f"{base}{plain}", int(number)))
+    chain = tuple(Origin(*one) for one in places[1:])
+    return Origin(*places[0], chain)
+
+
+# ---------------------------------------------------------------------------------------------------------------
+# Writing
+# ---------------------------------------------------------------------------------------------------------------
+
+_UNSAFE = re.compile(r"[%;\x00-\x1f\x7f-\x9f\u2028\u2029\ud800-\udfff\ufffe\uffff]")
+_SPECIAL = re.compile('[&<>"\r\n\t]')
+_ENTITIES = {'"': "&quot;", "\r": "&#13;", "\n": "&#10;", "\t": "&#9;"}
+
+
+def render(rules: SubjectRules, base: str, *, name: str = "", overrides: Iterable[str] = ()) -> bytes:
+    """Return the document of a subject's rules.
+
+    Args:
+        rules: the rules.
+        base: folder that origins are written relative to, ending in a slash; or empty.
+        name: the grant's label; the subject when it is empty.
+        overrides: XML of ``<domains>``, ``<subject_name>``, ``<validity>`` to keep.
+    """
+    said = "".join(f"      {part}\n" for part in overrides)
+    body = "".join(_rendered(rule, base) for rule in rules.rules)
+    return (
+        '<?xml version="1.0" encoding="UTF-8"?>\n'
+        f"<!-- What the policy lets {rules.subject} do. Edits are kept as long as the policy does not change as well;\n"
+        "     <domains>, <subject_name> and <validity> at the top of the grant override the defaults, and always stay. -->\n"
+        f'<package format="2" digest="{digest(rules.rules)}">\n'
+        "  <permissions>\n"
+        f'    <grant name="{_text(name or rules.subject)}">\n'
+        f"{said}{body}"
+        "    </grant>\n"
+        "  </permissions>\n"
+        "</package>\n"
+    ).encode()
+
+
+def _rendered(rule: Rule, base: str) -> str:
+    audit = ' modifier="AUDIT"' if rule.audit else ""
+    expressions = "".join(f"        <attachment>{_text(one)}</attachment>\n" for one in rule.expressions)
+    partitions = "".join(f"<partition>{_text(one)}</partition>" for one in rule.partitions)
+    narrowed = f"        <partitions>{partitions}</partitions>\n" if partitions else ""
+    permissions = "".join(f"<{one}/>" for one in rule.permissions)
+    return (
+        f'      <{rule.kind} qualifier="{rule.effect}"{audit} origin="{_text(_place(rule.origin, base))}">\n'
+        f"{expressions}{narrowed}"
+        f"        <permissions>{permissions}</permissions>\n"
+        f"      </{rule.kind}>\n"
+    )
+
+
+def _place(origin: Origin, base: str) -> str:
+    """Return an origin as ``file:line``, followed by the places that include the file."""
+    return "; ".join(
+        f"{_UNSAFE.sub(_quoted, one.file.removeprefix(base))}:{one.line}" for one in (origin, *origin.chain)
+    )
+
+
+def _quoted(found: re.Match[str]) -> str:
+    return quote(found.group(), safe="", errors="surrogateescape")
+
+
+def _text(text_: str) -> str:
+    return escape(text_, _ENTITIES) if _SPECIAL.search(text_) else text_

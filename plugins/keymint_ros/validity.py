@@ -1,0 +1,89 @@
+"""Periods of validity: two dates, or a date and an ISO 8601 duration."""
+
+from __future__ import annotations
+
+from datetime import UTC, datetime
+from typing import TYPE_CHECKING
+
+from keymint.api import Validity
+from keymint.errors import KeymintError, Origin
+from keymint_ros.document import place, text
+
+if TYPE_CHECKING:
+    from lxml import etree
+
+_YEARS = range(1950, 10000)
+"""RFC 5280, 4.1.2.5: what UTCTime and GeneralizedTime of a certificate can say."""
+_LONGEST = 64
+"""Characters of a date or a duration."""
+
+
+def read(element: etree._Element) -> Validity:
+    """Return the period that a ``<validity>`` element says.
+
+    Raises:
+        KeymintError: a date does not exist, or the end is not after the start.
+    """
+    start, end = element
+    not_before = _date(start)
+    not_after = _date(end) if end.tag == "not_after" else _later(not_before, end)
+    if not_after <= not_before:
+        raise KeymintError(
+            f"the validity ends at {not_after:%Y-%m-%dT%H:%M:%SZ}, which is not after its start at "
+            f"{not_before:%Y-%m-%dT%H:%M:%SZ}",
+            where=place(end),
+            help="give an end after the start",
+            code="validity-order",
+        )
+    return Validity(not_before, not_after)
+
+
+def _date(element: etree._Element) -> datetime:
+    said = text(element) or ""
+    try:
+        date = datetime.fromisoformat(said) if len(said) <= _LONGEST else None
+        date = date and (date.replace(tzinfo=UTC) if date.tzinfo is None else date.astimezone(UTC))
+    except (ValueError, OverflowError):
+        date = None
+    if date is None or date.year not in _YEARS:
+        raise _wrong_date(said, place(element))
+    return date.replace(microsecond=0)
+
+
+def _later(start: datetime, element: etree._Element) -> datetime:
+    """Return the date that lies a duration after another one."""
+    import isodate  # noqa: PLC0415 - most documents have two dates
+
+    said = text(element) or ""
+    try:
+        if len(said) > _LONGEST:
+            raise ValueError(said)
+        duration = isodate.parse_duration(said)
+    except (ValueError, ArithmeticError):
+        raise KeymintError(
+            f"{said[:_LONGEST]!r} is not an ISO 8601 duration",
+            where=place(element),
+            help="write e.g. P1Y, P90D or PT12H",
+            code="duration-invalid",
+        ) from None
+    try:
+        end: datetime = start + duration
+    except (ValueError, ArithmeticError):
+        end = start.replace(year=_YEARS[0])
+    if end.year not in _YEARS or end < start:
+        raise KeymintError(
+            f"the duration {said!r} from {start:%Y-%m-%d} does not lead to a later date before the year {_YEARS.stop}",
+            where=place(element),
+            help="write a positive duration, e.g. P1Y",
+            code="duration-invalid",
+        )
+    return end.replace(microsecond=0)
+
+
+def _wrong_date(said: str, where: Origin) -> KeymintError:
+    return KeymintError(
+        f"{said[:_LONGEST]!r} is not a date between the years {_YEARS.start} and {_YEARS[-1]}",
+        where=where,
+        help="write e.g. 2026-01-31T00:00:00, which means UTC, or with a zone 2026-01-31T00:00:00+01:00",
+        code="date-invalid",
+    )
