@@ -1,0 +1,16 @@
+#!/usr/bin/env bash
+# Installs the real DDS software that tests/real holds keystores against (Debian or Ubuntu), and what its probes need.
+# Where that is not possible it says why. The tests then skip, visibly, what they lack; with KEYMINT_REQUIRE_VENDORS=1
+# they fail, and so does this.
+set -euo pipefail
+cd "$(dirname "$0")/.."
+
+packages=(
+    libddsc0debian cyclonedds-dev                # Cyclone DDS and its security plugins
+    libfastrtps-dev libfastcdr-dev               # Fast DDS, with security compiled in
+    gcc g++                                      # the probes in tests/real
+    openssl strace                               # what other tests run
+)
+if .ci/apt-install "${packages[@]}"; then exit 0; fi
+echo "setup-vendors: some of ${packages[*]} cannot be installed (see above): tests on real DDS software will skip" >&2
+[ "${KEYMINT_REQUIRE_VENDORS:-}" != 1 ]

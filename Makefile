@@ -1,0 +1,43 @@
+# `make demo` and `make test` do all the set-up they need: a virtual environment, and system packages by apt.
+VENV ?= .venv
+DEMO ?= demo_ws
+BIN = $(VENV)/bin
+WORKERS ?= $(shell nproc)
+
+.PHONY: help setup vendors demo test lint bench lock clean
+
+help:
+	@echo "make demo    provision the talker/listener example and show the keystore"
+	@echo "make test    the whole suite, including the tests on real DDS software"
+	@echo "make lint    ruff, mypy, import-linter"
+	@echo "make bench   the benchmarks"
+	@echo "make lock    resolve requirements.lock anew"
+
+setup:
+	@.ci/setup $(VENV)
+
+vendors:
+	@.ci/setup-vendors.sh
+
+demo: setup
+	@BIN=$(BIN) DEMO=$(DEMO) .ci/demo
+
+test: setup vendors
+	$(BIN)/python -m pytest -n $(WORKERS) --dist loadgroup $(PYTEST_ARGS)
+
+lint: setup
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+	$(BIN)/mypy
+	$(BIN)/lint-imports
+
+bench: setup
+	$(BIN)/python benchmarks/provision.py
+
+lock: setup
+	$(BIN)/python -m pip install --quiet uv
+	$(BIN)/uv pip compile --quiet --universal --python-version 3.11 --generate-hashes --no-header --no-annotate \
+		--no-emit-index-url --extra dev pyproject.toml -o requirements.lock
+
+clean:
+	rm -rf $(VENV) $(DEMO)

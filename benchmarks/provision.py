@@ -1,0 +1,115 @@
+"""What provisioning costs: N enclaves beside the floor of bare ``cryptography`` calls, and a run without changes.
+
+usage: python benchmarks/provision.py [--sizes 10,100,1000] [--repeat 3]
+
+Both work on tmpfs and run one after the other, so that the noise of the machine meets both; the best of the repeats
+counts. Ratios are what to look at; the times are of the machine at hand.
+"""
+
+from __future__ import annotations
+
+import argparse
+import functools
+import shutil
+import statistics
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import floor
+
+KEYMINT = (sys.executable, "-m", "keymint")
+PROFILE = """  <profile name="robot{n}">
+    <attachment>/robot{n}/talker</attachment>
+    <xi:include href="common/node.xml" parse="xml"/>
+    <ros_topic qualifier="ALLOW">
+      <attachment>{{namespace}}chatter*</attachment>
+      <permissions><ros_publish/></permissions>
+    </ros_topic>
+    <ros_topic qualifier="DENY">
+      <attachment>{{namespace}}chatter_private</attachment>
+      <permissions><ros_publish/><ros_subscribe/></permissions>
+    </ros_topic>
+    <ros_service qualifier="ALLOW">
+      <attachment>/fleet/report</attachment>
+      <permissions><ros_call/></permissions>
+    </ros_service>
+  </profile>
+"""
+
+
+def policy(size: int) -> str:
+    """Return a policy that names ``size`` subjects exactly."""
+    profiles = "".join(PROFILE.format(n=n) for n in range(size))
+    return f'<profiles xmlns:xi="http://www.w3.org/2001/XInclude">\n{profiles}</profiles>\n'
+
+
+def timed(function: Callable[[], object]) -> float:
+    """Return the seconds that a call takes."""
+    start = time.perf_counter()
+    function()
+    return time.perf_counter() - start
+
+
+def run(*arguments: str) -> None:
+    """Run the command line; a failure ends the benchmark."""
+    subprocess.run([*KEYMINT, *arguments], check=True, stdout=subprocess.DEVNULL)
+
+
+def measure(size: int, repeat: int, scratch: Path) -> tuple[float, float, float]:
+    """Return the best seconds of the floor, of a first run, and of a run without changes."""
+    best = [float("inf")] * 3
+    for attempt in range(repeat):
+        folder = scratch / f"{size}-{attempt}"
+        folder.mkdir()
+        source = folder / "policy.xml"
+        source.write_text(policy(size))
+        workspace = str(folder / "ws")
+        provision = functools.partial(run, "provision", str(source), "-w", workspace, "-q")
+        first, again = timed(provision), timed(provision)
+        enclave = folder / "ws/install/enclaves/robot0/talker"
+        permissions = (enclave / "permissions.xml").read_bytes()
+        governance = (folder / "ws/build/robot0/talker/governance.xml").read_bytes()
+        names = [f"robot{n}/talker" for n in range(size)]
+        bottom = timed(functools.partial(floor.provision, folder / "floor", names, permissions, governance))
+        best = [min(old, new) for old, new in zip(best, (bottom, first, again), strict=True)]
+        shutil.rmtree(folder)
+    return best[0], best[1], best[2]
+
+
+def median_of(command: list[str], repeat: int = 15) -> float:
+    """Return the median seconds of a command."""
+    return statistics.median(
+        timed(lambda: subprocess.run(command, check=True, stdout=subprocess.DEVNULL)) for _ in range(repeat)
+    )
+
+
+def main() -> None:
+    """Measure and print."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--sizes", default="10,100,1000")
+    parser.add_argument("--repeat", type=int, default=3)
+    options = parser.parse_args()
+    tmpfs = Path("/dev/shm")
+    results = []
+    print(f"{'N':>6} {'floor/N':>10} {'first/N':>10} {'first/floor':>12} {'again/first':>12}")
+    with tempfile.TemporaryDirectory(dir=tmpfs if tmpfs.is_dir() else None) as scratch:
+        for size in map(int, options.sizes.split(",")):
+            bottom, first, again = measure(size, options.repeat, Path(scratch))
+            results.append((size, bottom, first))
+            per = [f"{seconds / size * 1e3:8.2f}ms" for seconds in (bottom, first)]
+            print(f"{size:>6} {per[0]:>10} {per[1]:>10} {first / bottom:>12.2f} {again / first:>12.2f}", flush=True)
+    if len(results) > 1:
+        (small, low_bottom, low), (large, high_bottom, high) = results[-2:]
+        more = large - small
+        cost, bare = (high - low) / more, (high_bottom - low_bottom) / more
+        print(f"each enclave beyond {small}: {cost * 1e3:.2f} ms, floor {bare * 1e3:.2f} ms, ratio {cost / bare:.2f}")
+    start, idle = median_of([*KEYMINT, "--help"]), median_of([sys.executable, "-c", "pass"])
+    print(f"keymint --help: {start * 1e3:.0f} ms, an empty Python: {idle * 1e3:.0f} ms, ratio {start / idle:.1f}")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,3 @@
+"""Keymint: a meta-build tool that mints keys and notarizes access-control documents for robots."""
+
+__version__ = "0.1.0"

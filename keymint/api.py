@@ -1,0 +1,513 @@
+"""What plugins implement, and the data that passes between them and the stages.
+
+A plugin is an object with an attribute ``API = "1.0"`` that is registered under one of the entry-point groups
+below. Plugins are pure: they get bytes and data types, and return bytes and data types. They never write files,
+never read the clock or the environment; reading is confined to what a method's arguments name.
+
+===========================  ======================================================
+group                        protocol
+===========================  ======================================================
+``keymint.profile_types``    :class:`ProfileType`
+``keymint.package_types``    :class:`PackageType`
+``keymint.policy_types``     :class:`PolicyType`
+``keymint.build_types``      :class:`BuildType`
+===========================  ======================================================
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from datetime import datetime
+from pathlib import Path
+from typing import Protocol
+
+from keymint.errors import Diagnostic, Origin
+from keymint.ir import SubjectRules
+
+API_VERSION = "1.0"
+
+# ---------------------------------------------------------------------------------------------------------------
+# Certificates, as a profile or a package asks for them
+# ---------------------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, slots=True)
+class Validity:
+    """A period of validity, in UTC, both ends included (RFC 5280, 4.1.2.5)."""
+
+    not_before: datetime
+    not_after: datetime
+
+
+@dataclass(frozen=True, slots=True)
+class KeySpec:
+    """An asymmetric key to mint.
+
+    Attributes:
+        algorithm: ``"ec"`` or ``"rsa"``.
+        curve: for EC, upper case SEC name, e.g. ``SECP256R1``; else empty.
+        size: for RSA, bits; else 0.
+        password_env: name of the environment variable that holds the password the stored key is encrypted with;
+            empty for a key stored unencrypted (mode 0600).
+    """
+
+    algorithm: str
+    curve: str = ""
+    size: int = 0
+    password_env: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class Extension:
+    """An X.509 v3 extension in the notation of OpenSSL's ``x509v3_config``.
+
+    Attributes:
+        name: short name (``basicConstraints``, ``keyUsage``, ``extendedKeyUsage``, ``subjectAltName``, …).
+        value: e.g. ``CA:TRUE, pathlen:0`` or ``digitalSignature, keyCertSign``.
+        critical: marks the extension critical.
+        origin: where a person wrote it.
+    """
+
+    name: str
+    value: str
+    critical: bool
+    origin: Origin
+
+
+@dataclass(frozen=True, slots=True)
+class CertificateSpec:
+    """A certificate to issue.
+
+    Attributes:
+        subject_name: distinguished name as text (RFC 4514 or OpenSSL's one-line form), placeholders expanded, in
+            certificate order: ``CN=/talker,OU=2f…``.
+        validity: what is asked for; it is clamped to the issuer's when issued.
+        serial: serial number, or None for a random one.
+        issuer: name of the issuing authority; empty for a self-signed certificate.
+        hash_algorithm: ``SHA256``, ``SHA384`` or ``SHA512``.
+        key: the key pair.
+        extensions: extensions beside, or in place of, the defaults of its role (authority or identity).
+        origin: where a person asked for it.
+    """
+
+    subject_name: str
+    validity: Validity
+    serial: int | None
+    issuer: str
+    hash_algorithm: str
+    key: KeySpec
+    extensions: tuple[Extension, ...]
+    origin: Origin
+
+
+@dataclass(frozen=True, slots=True)
+class Authority:
+    """A certificate authority of the workspace: its name in the profile, and its certificate."""
+
+    name: str
+    certificate: CertificateSpec
+
+
+# ---------------------------------------------------------------------------------------------------------------
+# What a package asks of its transport
+# ---------------------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, slots=True, order=True)
+class DomainRange:
+    """DDS domain ids from ``first`` to ``last``, both included."""
+
+    first: int
+    last: int
+
+
+@dataclass(frozen=True, slots=True)
+class TopicProtection:
+    """A rule of a governance document for the topics that match (DDS Security 1.1, 9.4.1.2.5).
+
+    Attributes:
+        kind: ``topic`` for a raw DDS topic expression, or ``ros_topic``, ``ros_service``, ``ros_action``,
+            ``ros_parameter`` for an expression over ROS names.
+        expression: POSIX ``fnmatch`` expression.
+        metadata_protection_kind: NONE, SIGN, ENCRYPT, SIGN_WITH_ORIGIN_AUTHENTICATION, ENCRYPT_WITH_….
+        data_protection_kind: NONE, SIGN or ENCRYPT.
+    """
+
+    kind: str
+    expression: str
+    enable_discovery_protection: bool
+    enable_liveliness_protection: bool
+    enable_read_access_control: bool
+    enable_write_access_control: bool
+    metadata_protection_kind: str
+    data_protection_kind: str
+    origin: Origin
+
+
+@dataclass(frozen=True, slots=True)
+class DomainRule:
+    """A domain rule of a governance document (DDS Security 1.1, 9.4.1.2.4)."""
+
+    domains: tuple[DomainRange, ...]
+    allow_unauthenticated_participants: bool
+    enable_join_access_control: bool
+    discovery_protection_kind: str
+    liveliness_protection_kind: str
+    rtps_protection_kind: str
+    topic_rules: tuple[TopicProtection, ...]
+    origin: Origin
+
+
+@dataclass(frozen=True, slots=True)
+class Governance:
+    """Protection of domains and topics, signed by ``issuer``, an authority's name."""
+
+    issuer: str
+    domain_rules: tuple[DomainRule, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class Permissions:
+    """The grant of a subject: what it may do, where and how long, signed by ``issuer``, an authority's name.
+
+    Attributes:
+        grant_name: the grant's name attribute.
+        subject_name: distinguished name as text; must be that of the identity.
+        domains: domains in which the grant holds.
+    """
+
+    issuer: str
+    grant_name: str
+    subject_name: str
+    validity: Validity
+    domains: tuple[DomainRange, ...]
+    rules: SubjectRules
+    origin: Origin
+
+
+@dataclass(frozen=True, slots=True)
+class Package:
+    """A source package, loaded: everything that a build type needs to know of one subject.
+
+    Attributes:
+        name: package name, e.g. ``robot1/arm/driver`` (its folder under the source space).
+        subject: ``"/" + name``.
+        build_type: name of the plugin that builds it.
+        distro: ROS 2 distribution whose name mapping applies.
+        identity: the certificate of the subject.
+    """
+
+    name: str
+    subject: str
+    build_type: str
+    distro: str
+    identity: CertificateSpec
+    permissions: Permissions
+    governance: Governance
+    diagnostics: tuple[Diagnostic, ...] = ()
+
+
+# ---------------------------------------------------------------------------------------------------------------
+# Profiles
+# ---------------------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, slots=True)
+class PolicySource:
+    """A policy that the profile names: a file or a directory, and where else its includes may be found."""
+
+    name: str
+    path: Path
+    origin: Origin
+
+
+@dataclass(frozen=True, slots=True)
+class Profile:
+    """A workspace profile, loaded.
+
+    Attributes:
+        name: the profile's name.
+        profile_type: the plugin that loaded it.
+        policy_type: the plugin that acquires policy.
+        package_type: the plugin that creates packages.
+        policies: the policies in the order of the profile.
+        library: a folder in which includes are looked up that the including file's own folder lacks.
+        authorities: in the order of the profile; an issuer stands anywhere.
+        layout: ``sros2`` or ``flat``: the layout of the install space.
+        distro: ROS 2 distribution.
+        files: files of the profile by path relative to the profile space (for plugins of the same format).
+    """
+
+    name: str
+    profile_type: str
+    policy_type: str
+    package_type: str
+    policies: tuple[PolicySource, ...]
+    library: Path | None
+    authorities: tuple[Authority, ...]
+    layout: str
+    distro: str
+    files: Mapping[str, bytes] = field(repr=False)
+
+
+@dataclass(frozen=True, slots=True)
+class Bootstrap:
+    """What ``keymint init`` was asked for.
+
+    Attributes:
+        name: name of the new profile.
+        policy: path to write into ``policies.xml``, as text, relative to the profile space or absolute; empty for
+            the example policy that the profile type brings along.
+        distro: ROS 2 distribution.
+        domain: DDS domain id.
+        layout: ``sros2`` or ``flat``.
+        subject_format: ``unique`` (a second RDN that no other subject has) or ``sros2`` (the bare CN).
+        now: the clock, UTC.
+    """
+
+    name: str
+    policy: str
+    distro: str
+    domain: int
+    layout: str
+    subject_format: str
+    now: datetime
+
+
+class ProfileType(Protocol):
+    """Bootstraps and loads the profile space of a workspace."""
+
+    API: str
+
+    def bootstrap(self, request: Bootstrap) -> Mapping[str, bytes]:
+        """Return the files of a new profile by path relative to the profile space.
+
+        Raises:
+            KeymintError: the request names a distro or layout that is not known.
+        """
+
+    def library(self, distro: str) -> Path:
+        """Return the folder of shipped policy fragments of a distro (what ``bootstrap`` copies into the profile)."""
+
+    def recognises(self, files: Mapping[str, bytes]) -> bool:
+        """Tell whether these files of a profile space are of this type."""
+
+    def load(self, root: Path, files: Mapping[str, bytes]) -> Profile:
+        """Load a profile from its files.
+
+        Args:
+            root: the profile space; only to resolve the policy's path and to name places in messages.
+            files: XML files of the profile space by relative path.
+
+        Raises:
+            KeymintError: with ``file:line`` of each defect.
+        """
+
+    def with_policy(self, files: Mapping[str, bytes], policy: str) -> Mapping[str, bytes]:
+        """Return the files that change when the profile is bound to another policy path.
+
+        Raises:
+            KeymintError: the profile's list of policies was edited by hand, so that it is not ours to change.
+        """
+
+
+class PackageType(Protocol):
+    """Creates and loads source packages."""
+
+    API: str
+    MARKER: str
+    """Name of the file that makes a folder a package, e.g. ``keymint_package.xml``."""
+
+    def create(
+        self, profile: Profile, rules: SubjectRules, existing: Mapping[str, bytes], *, force: bool
+    ) -> Mapping[str, bytes]:
+        """Return the files to write for a package, by name relative to its folder.
+
+        Files that exist and belong to the user are left out. The document of the rules is returned when it is
+        missing or its content differs from what the policy says now.
+
+        Raises:
+            KeymintError: the document of the rules was edited by hand, the policy changed as well, and ``force``
+                is not given.
+        """
+
+    def load(self, profile: Profile, name: str, folder: str, files: Mapping[str, bytes]) -> Package:
+        """Load a package from its files; what it leaves out is taken from the profile's defaults.
+
+        Args:
+            profile: the profile of the workspace.
+            name: package name, from its place under the source space.
+            folder: its folder as the user would type it, for messages.
+            files: the package's files by name.
+
+        Raises:
+            KeymintError: with ``file:line`` of each defect.
+        """
+
+
+# ---------------------------------------------------------------------------------------------------------------
+# Policies
+# ---------------------------------------------------------------------------------------------------------------
+
+
+class LoadedPolicy(Protocol):
+    """A policy, loaded once per command."""
+
+    @property
+    def files(self) -> Mapping[Path, bytes]:
+        """Every file that was read, with the SHA-256 of its bytes."""
+
+    def subjects(self) -> tuple[str, ...]:
+        """Return, sorted, the subjects that the policy names exactly."""
+
+    def rules(self, subject: str) -> SubjectRules | None:
+        """Return the rules of a subject, or None when no profile applies to it."""
+
+
+class PolicyType(Protocol):
+    """Acquires policy: sources to IR."""
+
+    API: str
+
+    def load(self, sources: Sequence[PolicySource], library: Path | None) -> LoadedPolicy:
+        """Load policies as one: the union of their profiles.
+
+        Raises:
+            KeymintError: with ``file:line`` of each defect.
+        """
+
+
+# ---------------------------------------------------------------------------------------------------------------
+# Building
+# ---------------------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, slots=True)
+class BuildOptions:
+    """Options of a build. ``allow_vendor_specific`` turns portability errors into warnings."""
+
+    allow_vendor_specific: bool = False
+
+
+@dataclass(frozen=True, slots=True)
+class Built:
+    """Unsigned documents by file name, and what is to be said of them."""
+
+    documents: Mapping[str, bytes]
+    diagnostics: tuple[Diagnostic, ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
+class Signer:
+    """An authority that signs: PEM of its certificate, PEM of its private key, and its password.
+
+    None of the secrets is part of the representation.
+    """
+
+    name: str
+    certificate: bytes
+    key: bytes = field(repr=False)
+    password: bytes | None = field(default=None, repr=False)
+
+
+@dataclass(frozen=True, slots=True)
+class Credentials:
+    """What the enclave of one subject is made of, beside its documents; all PEM.
+
+    Attributes:
+        certificate: the identity certificate.
+        key: its private key.
+        identity_ca: certificate of the authority that issued it, followed by the intermediates up to its root.
+        permissions_ca: certificate of the authority that signs permissions and governance.
+        signer: that authority, able to sign.
+    """
+
+    certificate: bytes
+    key: bytes = field(repr=False)
+    identity_ca: bytes
+    permissions_ca: bytes
+    signer: Signer
+
+
+@dataclass(frozen=True, slots=True)
+class Artifact:
+    """A file to install: its bytes and whether it is secret (mode 0600) or public (0644)."""
+
+    content: bytes = field(repr=False)
+    secret: bool = False
+
+
+@dataclass(frozen=True, slots=True)
+class Inspection:
+    """One installed enclave, as ``keymint check`` sees it.
+
+    Attributes:
+        package: the package as its sources say it now.
+        documents: what the current sources build.
+        files: the enclave's files by name.
+        folder: the enclave's folder as the user would type it.
+        identity_ca: trusted certificate(s) of the identity authority, PEM.
+        permissions_ca: trusted certificate of the permissions authority, PEM.
+        now: the clock, UTC.
+        within_days: report what expires within so many days.
+    """
+
+    package: Package
+    documents: Mapping[str, bytes]
+    files: Mapping[str, bytes] = field(repr=False)
+    folder: str
+    layout: str
+    identity_ca: bytes
+    permissions_ca: bytes
+    now: datetime
+    within_days: float
+
+
+class BuildType(Protocol):
+    """Turns a package into a transport's documents, and those into signed artifacts."""
+
+    API: str
+
+    def build(self, package: Package, options: BuildOptions) -> Built:
+        """Return the unsigned documents of a package; a pure function of its arguments.
+
+        Raises:
+            KeymintError: the policy says what the transport cannot express, with the rule's ``file:line``.
+        """
+
+    def install(
+        self,
+        package: Package,
+        documents: Mapping[str, bytes],
+        credentials: Credentials,
+        layout: str,
+        installed: Mapping[str, bytes],
+    ) -> Mapping[str, Artifact]:
+        """Return the files of the enclave by name, signed.
+
+        Args:
+            package: the package.
+            documents: unsigned documents as they lie in the build space (perhaps edited by hand).
+            credentials: keys and certificates.
+            layout: ``sros2`` or ``flat``.
+            installed: the enclave's files as they are now; a signed file whose content and signer did not change
+                is returned as it is.
+
+        Raises:
+            KeymintError: a document is not valid against its schema.
+        """
+
+    def shared(self, artifacts: Mapping[str, Mapping[str, Artifact]], layout: str) -> Mapping[str, Artifact]:
+        """Return the files that a layout keeps once for all enclaves, by path relative to the install space.
+
+        Args:
+            artifacts: artifacts by subject, then file name.
+            layout: ``sros2`` or ``flat``.
+        """
+
+    def check(self, inspection: Inspection) -> Sequence[Diagnostic]:
+        """Return findings on one installed enclave; every code is stable."""
+
+    def check_all(self, inspections: Sequence[Inspection]) -> Sequence[Diagnostic]:
+        """Return findings that concern several enclaves together, e.g. names that a vendor confuses."""

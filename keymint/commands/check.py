@@ -1,0 +1,59 @@
+"""``keymint check``: holds what is installed against what it should be."""
+
+from __future__ import annotations
+
+import re
+from datetime import timedelta
+
+import click
+
+from keymint.check import check as find
+from keymint.commands.common import Run, complete_package, verb
+from keymint.errors import Severity
+from keymint.plan.inputs import Sources
+from keymint.report import Report, findings_exit
+
+_UNITS = {"h": timedelta(hours=1), "d": timedelta(days=1), "w": timedelta(weeks=1)}
+_MOST_DAYS = 365 * 200
+
+
+def _period(_context: click.Context, _parameter: click.Parameter, value: str) -> timedelta:
+    """Return the length of time that a text such as ``30d``, ``12h`` or ``4w`` stands for."""
+    match = re.fullmatch(r"(\d{1,6})([hdw])", value)
+    period = int(match[1]) * _UNITS[match[2]] if match else None
+    if period is None:
+        raise click.BadParameter(f"{value!r} is not a length of time; write 12h, 30d or 4w")
+    if period.days > _MOST_DAYS:
+        raise click.BadParameter(f"{value!r} is longer than any validity")
+    return period
+
+
+@verb()
+@click.argument("names", nargs=-1, metavar="[NAME]...", shell_complete=complete_package)
+@click.option(
+    "--within",
+    callback=_period,
+    default="0d",
+    metavar="PERIOD",
+    help="Report also what expires within this time: 12h, 30d, 4w.",
+)
+def check(run: Run, names: tuple[str, ...], within: timedelta) -> Report:
+    """Check every installed enclave: certificates, keys, signatures, schemas, dates, modes, drift.
+
+    Ends with 3 when there is any finding. NAME is a package; by default all of them.
+    """
+    workspace = run.workspace()
+    inputs = run.inputs(workspace)
+    chosen = run.names(inputs, names)
+    findings = find(inputs, inputs.profile(), chosen, Sources(run.plugins), within)
+    counted = sum(finding.severity is not Severity.NOTE for finding in findings)
+    plural = "" if len(chosen) == 1 else "s"
+    run.console.line(f"checked {len(chosen)} enclave{plural}: {counted or 'no'} finding{'' if counted == 1 else 's'}")
+    return Report(
+        run.verb,
+        workspace,
+        (),
+        findings,
+        {"checked": [f"/{name}" for name in chosen]},
+        findings_exit(findings),
+    )

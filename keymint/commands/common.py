@@ -1,0 +1,237 @@
+"""What all verbs share: their options, how they find the workspace, how they end."""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, replace
+from datetime import datetime
+from pathlib import Path
+from typing import Any
+
+import click
+
+from keymint.console import Console, Streams
+from keymint.errors import ExitCode, KeymintError
+from keymint.execute import RECORD, execute, open_store
+from keymint.names import package_name
+from keymint.plan.inputs import Inputs
+from keymint.plan.model import Plan
+from keymint.plugins import Plugins
+from keymint.report import Report, as_typed
+from keymint.state import load as load_state
+from keymint.tree import Tree
+from keymint.workspace import SPACES, Workspace, find, packages
+
+
+@dataclass(frozen=True, slots=True)
+class Setting:
+    """What only the command line knows; everything below gets it from here.
+
+    Attributes:
+        now: the clock, UTC.
+        monotonic: returns seconds, for progress.
+        environment: environment variables.
+        cwd: current folder.
+        cores: number of processors.
+        streams: where output goes.
+    """
+
+    now: datetime
+    monotonic: Callable[[], float]
+    environment: Mapping[str, str] = field(repr=False)
+    cwd: Path
+    cores: int
+    streams: Streams
+
+
+class Run:
+    """One verb under way.
+
+    Args:
+        setting: what the command line knows.
+        verb: the verb's name.
+        options: the values of the options that all verbs share.
+    """
+
+    def __init__(self, setting: Setting, verb: str, options: Mapping[str, Any]) -> None:
+        self.setting = setting
+        self.verb = verb
+        self.dry_run: bool = options.get("dry_run", False)
+        self.jobs: int = options["jobs"] or setting.cores
+        self.console = Console(
+            setting.streams,
+            verbosity=-1 if options["quiet"] else options["verbose"],
+            as_json=options["as_json"],
+        )
+        self.plugins = Plugins()
+        self._named: Path | None = options["workspace"]
+        self._spaces: dict[str, Path] = {
+            space: options[f"{space}_space"] for space in SPACES if options[f"{space}_space"] is not None
+        }
+        self._found: Workspace | None = None
+
+    # -- the workspace -------------------------------------------------------------------------------------------
+
+    def workspace(self) -> Workspace:
+        """Return the workspace that is named, or that the current folder lies in.
+
+        Raises:
+            KeymintError: there is none.
+        """
+        if self._found is None:
+            if self._named is None:
+                self._found = find(self.setting.cwd, self._spaces, self.setting.cwd)
+            else:
+                self._found = self.workspace_at(self._named)
+                if not self._found.exists():
+                    # Looking upward from a folder that was named helps whoever names a folder inside of it.
+                    self._found = find(self.setting.cwd / self._named, self._spaces, self.setting.cwd)
+        return self._found
+
+    def workspace_at(self, folder: Path | None) -> Workspace:
+        """Return the workspace at a folder (by default the named or the current one), whether or not it exists."""
+        self._found = Workspace.at(self.setting.cwd / (folder or self._named or "."), self._spaces, self.setting.cwd)
+        return self._found
+
+    def inputs(self, workspace: Workspace) -> Inputs:
+        """Return what stages plan from, as it is now."""
+        tree = Tree()
+        state = load_state(tree.read(workspace.state / RECORD), tree.read(workspace.state / "running"))
+        return Inputs(workspace, tree, state, self.plugins, self.setting.environment, self.setting.now)
+
+    def names(self, inputs: Inputs, given: tuple[str, ...]) -> tuple[str, ...]:
+        """Return the packages that a user named, or all of them.
+
+        Raises:
+            KeymintError: one is not legal, or is not a package of the workspace.
+        """
+        known = packages(inputs.tree, inputs.workspace.src)
+        if not given:
+            return known
+        names = tuple(dict.fromkeys(package_name(name) for name in given))
+        for name in names:
+            if name not in known:
+                import difflib  # noqa: PLC0415 - only for the message
+
+                near = difflib.get_close_matches(name, known, n=1)
+                raise KeymintError(
+                    f"no package {name!r} in {inputs.workspace.shown(inputs.workspace.src)}",
+                    help=f"did you mean {near[0]!r}?" if near else f"'keymint create {name}' makes it",
+                    code="package-unknown",
+                )
+        return names
+
+    # -- doing it ------------------------------------------------------------------------------------------------
+
+    def carry_out(self, workspace: Workspace, make_plan: Callable[[Inputs], Plan]) -> Report:
+        """Plan, carry the plan out under the workspace's lock, and return the report.
+
+        A workspace that does not exist yet is planned before its first byte is written, lock included.
+        """
+        if self.dry_run:
+            plan = make_plan(self.inputs(workspace))
+            return Report(self.verb, workspace, plan.steps, plan.diagnostics, dry_run=True)
+        planned: tuple[Inputs, Plan] | None = None
+        if not workspace.state.is_dir():
+            inputs = self.inputs(workspace)
+            planned = (inputs, make_plan(inputs))
+        store = open_store(workspace)
+        with store.locked(self.console.waiting):
+            store.sweep()
+            if planned is None or workspace.exists() or workspace.state.joinpath(RECORD).exists():
+                inputs = self.inputs(workspace)
+                planned = (inputs, make_plan(inputs))
+            inputs, plan = planned
+            with self.console.progress(len(plan.steps), self.setting.monotonic) as advance:
+                execute(plan, workspace, store, inputs.state, self.jobs, advance)
+        return Report(self.verb, workspace, plan.steps, plan.diagnostics)
+
+
+Verb = Callable[..., Report]
+
+
+def verb(*, writes: bool = False, help: str | None = None) -> Callable[[Verb], click.Command]:  # noqa: A002
+    """Make a click command of a function ``(run, **options) -> Report``: common options, errors, exit codes.
+
+    Args:
+        writes: the verb writes files, so it has ``--dry-run``.
+        help: help text; by default the function's docstring.
+    """
+
+    def decorate(function: Verb) -> click.Command:
+        name = function.__module__.rsplit(".", 1)[-1]
+
+        def command(context: click.Context, /, **options: Any) -> None:
+            common = {key: options.pop(key) for key in list(options) if key in _COMMON or key.endswith("_space")}
+            setting: Setting = context.find_root().obj()
+            run = Run(setting, name, common)
+            context.exit(int(_guarded(run, functools.partial(function, run, **options))))
+
+        functools.update_wrapper(command, function)
+        # Click lists the parameters from the last to the first: the verb's own come before the common ones.
+        own: list[click.Parameter] = list(getattr(function, "__click_params__", []))
+        wrapped: Any = click.pass_context(command)
+        wrapped.__click_params__ = []
+        for option in reversed(_options(writes=writes)):
+            wrapped = option(wrapped)
+        wrapped.__click_params__ += own
+        return click.command(name, help=help)(wrapped)
+
+    return decorate
+
+
+def _guarded(run: Run, function: Callable[[], Report]) -> ExitCode:
+    """Run a verb, show its report or its error, and return the exit code."""
+    try:
+        report = function()
+    except KeymintError as error:
+        report = Report(run.verb, run._found, (), error.diagnostics, exit_code=error.exit_code)  # noqa: SLF001
+    typed = tuple(as_typed(diagnostic, run.setting.cwd) for diagnostic in report.diagnostics)
+    run.console.show(replace(report, diagnostics=typed))
+    return report.exit_code
+
+
+_COMMON = {"workspace", "as_json", "verbose", "quiet", "jobs", "dry_run"}
+
+
+def complete_package(context: click.Context, _parameter: click.Parameter, incomplete: str) -> list[str]:
+    """Complete the name of a package of the workspace, for the shell."""
+    named = context.params.get("workspace")
+    try:
+        workspace = find(Path(named or "."), {}, Path())
+        names = packages(Tree(), workspace.src)
+    except KeymintError:
+        return []
+    slash = "/" if incomplete.startswith("/") else ""
+    return [slash + name for name in names if (slash + name).startswith(incomplete)]
+
+
+def _options(*, writes: bool) -> list[Callable[[Any], Any]]:
+    path = click.Path(path_type=Path)
+    options = [
+        click.option(
+            "-w",
+            "--workspace",
+            type=click.Path(path_type=Path),
+            metavar="DIR",
+            help="The workspace; by default the one that the current folder lies in.",
+        ),
+        click.option("--json", "as_json", is_flag=True, help="One JSON document on standard output (docs/json.md)."),
+        click.option("-v", "--verbose", count=True, help="Show every step, file and note."),
+        click.option("-q", "--quiet", is_flag=True, help="Show errors only."),
+        click.option(
+            "-j",
+            "--jobs",
+            type=click.IntRange(1, 256),
+            metavar="N",
+            help="Write N packages at a time [processors].",
+        ),
+    ]
+    if writes:
+        options.append(click.option("--dry-run", is_flag=True, help="Show what would be done; write nothing."))
+    options += [
+        click.option(f"--{space}-space", type=path, metavar="DIR", help=f"Folder of the {space} space [{space}/].")
+        for space in SPACES
+    ]
+    return options

@@ -1,0 +1,28 @@
+"""``keymint completion``: prints the shell's completion script."""
+
+from __future__ import annotations
+
+import click
+from click.shell_completion import get_completion_class
+
+from keymint.commands.common import Run, verb
+from keymint.report import Report
+
+
+@verb()
+@click.argument("shell", type=click.Choice(["bash", "zsh", "fish"]))
+def completion(run: Run, shell: str) -> Report:
+    """Print the completion script of a SHELL.
+
+    \b
+    bash:  eval "$(keymint completion bash)"      in ~/.bashrc
+    zsh:   eval "$(keymint completion zsh)"       in ~/.zshrc
+    fish:  keymint completion fish > ~/.config/fish/completions/keymint.fish
+    """
+    shell_class = get_completion_class(shell)
+    if shell_class is None:  # click knows all that the choice above lists
+        raise click.UsageError(f"no completion for {shell}")
+    whole = click.get_current_context().find_root().command
+    source = shell_class(whole, {}, "keymint", "_KEYMINT_COMPLETE").source()
+    run.console.line(source)
+    return Report(run.verb, None, result={"shell": shell, "script": source})

@@ -1,0 +1,45 @@
+"""``keymint create``: source packages from the policy."""
+
+from __future__ import annotations
+
+import click
+
+from keymint.commands.common import Run, verb
+from keymint.errors import ExitCode, KeymintError
+from keymint.names import package_name
+from keymint.plan.create import everything, load_policy, plan_create
+from keymint.plan.inputs import Inputs, Sources
+from keymint.plan.model import Plan
+from keymint.report import Report
+
+
+@verb(writes=True)
+@click.argument("names", nargs=-1, metavar="[NAME]...")
+@click.option("--all", "all_subjects", is_flag=True, help="Every subject that the policy names exactly.")
+@click.option("-f", "--force", is_flag=True, help="Replace permissions.xml even where it was edited by hand.")
+def create(run: Run, names: tuple[str, ...], all_subjects: bool, force: bool) -> Report:
+    """Make source packages in src/, one per subject, or bring their permissions.xml up to the policy.
+
+    NAME is a subject: /robot1/talker or robot1/talker. A subject need not be named exactly by the policy: it is
+    enough that a profile applies to it. Your edits of identities.xml and governance.xml are never touched.
+    """
+    if not names and not all_subjects:
+        raise KeymintError(
+            "no subject is named", help="name some, or use --all", code="usage", exit_code=ExitCode.USAGE
+        )
+    workspace = run.workspace()
+    wanted = [package_name(name) for name in names]
+
+    def make_plan(inputs: Inputs) -> Plan:
+        loaded = inputs.profile()
+        policy = load_policy(inputs, loaded)
+        subjects = dict.fromkeys([*wanted, *(everything(inputs, policy) if all_subjects else ())])
+        if not subjects:
+            raise KeymintError(
+                "the policy names no subject exactly",
+                help="name the subjects: keymint create /robot1/talker",
+                code="subjects-none",
+            )
+        return plan_create(inputs, loaded, policy, tuple(subjects), Sources(run.plugins), force=force)
+
+    return run.carry_out(workspace, make_plan)

@@ -1,0 +1,117 @@
+"""``keymint init``: bootstraps a workspace."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import click
+
+from keymint.api import Bootstrap
+from keymint.commands.common import Run, verb
+from keymint.commands.profile_options import PROFILE_OPTIONS, add_options
+from keymint.errors import ExitCode, KeymintError, Origin
+from keymint.plan.authorities import plan_authorities
+from keymint.plan.bootstrap import plan_init, policy_path
+from keymint.plan.inputs import Inputs
+from keymint.plan.model import Action, Plan, Step
+from keymint.report import Report
+from keymint.workspace import Workspace
+
+
+@verb(writes=True)
+@click.argument("folder", metavar="[WORKSPACE]", required=False, type=click.Path(path_type=Path))
+@click.option(
+    "--policy",
+    type=click.Path(path_type=Path),
+    metavar="PATH",
+    help="A ComArmor policy, a file or a folder, to bind the workspace to [the talker/listener example].",
+)
+@add_options(PROFILE_OPTIONS)
+def init(
+    run: Run,
+    folder: Path | None,
+    policy: Path | None,
+    profile_type: str,
+    distro: str | None,
+    domain: int | None,
+    layout: str | None,
+    subject_format: str | None,
+) -> Report:
+    """Make a workspace: a profile with conservative defaults, and its two authorities.
+
+    \b
+    Then write your policy in profile/comarmor.d/ (talker_listener.xml shows how), and run
+        keymint create --all && keymint build && keymint install
+    """
+    workspace = run.workspace_at(folder)
+    asked = {
+        "distro": distro,
+        "layout": layout,
+        "domain": domain,
+        "subject-format": subject_format,
+        "policy": policy,
+    }
+    if workspace.exists():
+        return _again(run, workspace, {key for key, value in asked.items() if value is not None})
+    request = bootstrap_request(run, workspace, policy, distro, domain, layout, subject_format)
+
+    def make_plan(inputs: Inputs) -> Plan:
+        plan = plan_init(inputs, profile_type, request)
+        after = inputs.after(plan)
+        return plan.then(plan_authorities(after, after.profile())[0])
+
+    return run.carry_out(workspace, make_plan)
+
+
+def _again(run: Run, workspace: Workspace, asked: set[str]) -> Report:
+    """Say that a workspace exists; refuse options that it would have to be changed for."""
+    where = workspace.shown(workspace.profile / "keymint_profile.xml")
+    if asked:
+        options = ", ".join(f"--{option}" for option in sorted(asked))
+        raise KeymintError(
+            f"is a workspace already, so {options} cannot take effect",
+            where=Origin(where),
+            help="edit the profile, or name another folder",
+            code="workspace-exists",
+            exit_code=ExitCode.FAILURE,
+        )
+
+    def make_plan(inputs: Inputs) -> Plan:
+        plan = plan_authorities(inputs, inputs.profile())[0]
+        done = Step("init", "", Action.UNCHANGED, (), "workspace profile")
+        return Plan((done, *plan.steps), plan.state, plan.diagnostics)
+
+    return run.carry_out(workspace, make_plan)
+
+
+def bootstrap_request(
+    run: Run,
+    workspace: Workspace,
+    policy: Path | None,
+    distro: str | None,
+    domain: int | None,
+    layout: str | None,
+    subject_format: str | None,
+) -> Bootstrap:
+    """Return what a profile type is asked for.
+
+    Raises:
+        KeymintError: the policy does not exist.
+    """
+    if policy is not None and not (run.setting.cwd / policy).exists():
+        raise KeymintError(
+            "no such file or folder",
+            where=Origin(str(policy)),
+            help="name a ComArmor policy",
+            code="policy-missing",
+        )
+    environment = run.setting.environment
+    return Bootstrap(
+        name=workspace.root.name or "workspace",
+        policy=policy_path(run.setting.cwd / policy, workspace.profile) if policy else "",
+        distro=distro or environment.get("ROS_DISTRO") or "jazzy",
+        domain=domain or 0,
+        layout=layout or "sros2",
+        subject_format=subject_format or "unique",
+        now=run.setting.now,
+    )

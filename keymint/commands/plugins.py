@@ -1,0 +1,33 @@
+"""``keymint plugins``: what is installed, and whether it loads."""
+
+from __future__ import annotations
+
+from dataclasses import asdict
+
+from keymint.commands.common import Run, verb
+from keymint.errors import Diagnostic, ExitCode, KeymintError
+from keymint.report import Report
+
+
+@verb()
+def plugins(run: Run) -> Report:
+    """List the plugins that are found: group, name, version, and where each comes from."""
+    said: list[Diagnostic] = []
+    listed = []
+    for info in run.plugins.infos():
+        usable = True
+        try:
+            run.plugins.load(info.group, info.name)
+        except KeymintError as error:
+            usable = False
+            said += [diagnostic for diagnostic in error.diagnostics if diagnostic not in said]
+        listed.append((info, usable))
+    run.console.table(
+        ["GROUP", "NAME", "VERSION", "DISTRIBUTION", "LOADS", "FROM"],
+        [
+            [info.group, info.name, info.version, info.distribution, "yes" if usable else "no", info.location]
+            for info, usable in listed
+        ],
+    )
+    result = {"plugins": [asdict(info) | {"usable": usable} for info, usable in listed]}
+    return Report(run.verb, None, (), said, result, ExitCode.FAILURE if said else ExitCode.DONE)

@@ -1,0 +1,103 @@
+"""``keymint provision``: all stages in one go."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+
+import click
+
+from keymint.api import BuildOptions
+from keymint.commands.common import Run, verb
+from keymint.commands.init import bootstrap_request
+from keymint.commands.profile_options import PROFILE_OPTIONS, add_options
+from keymint.errors import KeymintError, Origin
+from keymint.plan.authorities import plan_authorities
+from keymint.plan.bootstrap import plan_init, plan_policy, policy_path
+from keymint.plan.build import plan_build
+from keymint.plan.create import everything, load_policy, plan_create
+from keymint.plan.inputs import Inputs, Sources
+from keymint.plan.install import plan_install
+from keymint.plan.model import Plan
+from keymint.report import Report
+
+
+@verb(writes=True)
+@click.argument("policy", type=click.Path(path_type=Path))
+@add_options(PROFILE_OPTIONS)
+@click.option("-f", "--force", is_flag=True, help="Discard edits by hand of permissions.xml and of built documents.")
+@click.option("--prune", is_flag=True, help="Remove installed enclaves that have no source package any more.")
+@click.option("--renew", is_flag=True, help="Mint new private keys; keys are never replaced otherwise.")
+@click.option(
+    "--allow-vendor-specific",
+    is_flag=True,
+    help="Turn into warnings what DDS vendors would decide differently.",
+)
+def provision(
+    run: Run,
+    policy: Path,
+    profile_type: str,
+    distro: str | None,
+    domain: int | None,
+    layout: str | None,
+    subject_format: str | None,
+    force: bool,
+    prune: bool,
+    renew: bool,
+    allow_vendor_specific: bool,
+) -> Report:
+    """From a ComArmor POLICY to a keystore in one go: init, create --all, build and install.
+
+    All of it is planned and validated before the first byte is written. Run it again after every change of the
+    policy: only what the change concerns is built and signed anew, and no key is replaced.
+    """
+    workspace = run.workspace_at(None)
+    asked = {"distro": distro, "domain": domain, "layout": layout, "subject-format": subject_format}
+    request = bootstrap_request(run, workspace, policy, distro, domain, layout, subject_format)
+    if workspace.exists() and any(value is not None for value in asked.values()):
+        _refuse_contradiction(run, asked)
+
+    def make_plan(inputs: Inputs) -> Plan:
+        plan = _profile_plan(inputs, profile_type)
+        after = inputs.after(plan)
+        loaded = after.profile()
+        sources = Sources(run.plugins)
+        acquired = load_policy(after, loaded)
+        names = everything(after, acquired)
+        if not names:
+            raise KeymintError(
+                "the policy names no subject exactly",
+                where=Origin(str(policy)),
+                help="attach a profile to a name without wildcards, or use 'keymint create NAME'",
+                code="subjects-none",
+            )
+        plan = plan.then(plan_create(after, loaded, acquired, names, sources, force=force))
+        options = BuildOptions(allow_vendor_specific=allow_vendor_specific)
+        after = inputs.after(plan)
+        plan = plan.then(plan_build(after, loaded, names, sources, options, force=force, renew=renew))
+        after = inputs.after(plan)
+        minted, authorities = plan_authorities(after, loaded)
+        plan = plan.then(minted)
+        return plan.then(plan_install(inputs.after(plan), loaded, names, sources, authorities, prune=prune))
+
+    def _profile_plan(inputs: Inputs, profile_type: str) -> Plan:
+        if not inputs.workspace.exists():
+            return plan_init(inputs, profile_type, request)
+        return plan_policy(inputs, inputs.profile(), policy_path(run.setting.cwd / policy, inputs.workspace.profile))
+
+    return run.carry_out(workspace, make_plan)
+
+
+def _refuse_contradiction(run: Run, asked: Mapping[str, object]) -> None:
+    """Refuse an option that would have to change a profile that is there; one that it has already is no change."""
+    workspace = run.workspace_at(None)
+    profile = run.inputs(workspace).profile().profile
+    same = {"distro": profile.distro, "layout": profile.layout}
+    for option, value in asked.items():
+        if value is not None and option in same and same[option] != value:
+            raise KeymintError(
+                f"the workspace has {option} {same[option]!r}, not {value!r}",
+                where=Origin(workspace.shown(workspace.profile / "keymint_profile.xml")),
+                help="edit the profile, or name another workspace",
+                code="workspace-exists",
+            )

@@ -1,0 +1,70 @@
+"""``keymint status``: where every package stands."""
+
+from __future__ import annotations
+
+from datetime import datetime
+from typing import Any
+
+from keymint.commands.common import Run, verb
+from keymint.errors import Diagnostic, KeymintError
+from keymint.overview import Row, overview
+from keymint.plan.create import everything, load_policy
+from keymint.plan.inputs import Sources
+from keymint.report import Report
+
+
+@verb()
+def status(run: Run) -> Report:
+    """Show a table of all packages: how far each has come, what is stale, and when it expires."""
+    workspace = run.workspace()
+    inputs = run.inputs(workspace)
+    loaded = inputs.profile()
+    said: list[Diagnostic] = []
+    missing: list[str] = []
+    try:
+        policy = load_policy(inputs, loaded)
+    except KeymintError as error:
+        policy, said = None, list(error.diagnostics)
+    rows = overview(inputs, loaded, policy, Sources(run.plugins))
+    if policy:
+        known = {row.package for row in rows}
+        missing = [name for name in everything(inputs, policy) if name not in known]
+    now = inputs.now
+    cells = [
+        [
+            row.package,
+            row.stage,
+            row.stale or "-",
+            _when(row.certificate_expires, now),
+            _when(row.permissions_expire, now),
+        ]
+        for row in rows
+    ] + [[name, "-", "create", "-", "-"] for name in missing]
+    run.console.table(["PACKAGE", "STAGE", "STALE", "CERTIFICATE", "PERMISSIONS"], cells)
+    for row in rows:
+        if row.problem:
+            run.console.line(f"{row.package}: {row.problem}")
+    if not cells:
+        run.console.line("no packages; run 'keymint create --all'")
+    result = {"packages": [_document(row) for row in rows], "not_created": missing}
+    return Report(run.verb, workspace, (), said, result)
+
+
+def _when(end: datetime | None, now: datetime) -> str:
+    """Return a date and how far off it is."""
+    if end is None:
+        return "-"
+    days = (end - now).days
+    return f"{end:%Y-%m-%d} ({f'expired {-days} d ago' if end < now else f'{days} d'})"
+
+
+def _document(row: Row) -> dict[str, Any]:
+    return {
+        "package": row.package,
+        "subject": f"/{row.package}",
+        "stage": row.stage,
+        "stale": row.stale or None,
+        "certificate_expires": row.certificate_expires.isoformat() if row.certificate_expires else None,
+        "permissions_expire": row.permissions_expire.isoformat() if row.permissions_expire else None,
+        "problem": row.problem or None,
+    }

@@ -1,0 +1,105 @@
+"""What can go wrong, as data: diagnostics, and the one exception that carries them to the user."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from enum import IntEnum, StrEnum
+
+
+class ExitCode(IntEnum):
+    """Exit codes of the command line."""
+
+    DONE = 0
+    FAILURE = 1
+    USAGE = 2
+    FINDINGS = 3
+    INTERRUPTED = 130
+
+
+class Severity(StrEnum):
+    """How much a diagnostic matters: an error stops the work, a warning and a note do not."""
+
+    ERROR = "error"
+    WARNING = "warning"
+    NOTE = "note"
+
+
+@dataclass(frozen=True, slots=True, order=True)
+class Origin:
+    """A place in a file that a person wrote.
+
+    Attributes:
+        file: path as the user would type it; never empty.
+        line: line number from 1, or 0 for the file as a whole.
+        chain: the places that included the file, innermost first.
+    """
+
+    file: str
+    line: int = 0
+    chain: tuple[Origin, ...] = ()
+
+    def __str__(self) -> str:
+        """Return ``file:line``, followed by the chain of includes."""
+        place = f"{self.file}:{self.line}" if self.line else self.file
+        return "".join([place, *(f", included from {outer}" for outer in self.chain)])
+
+
+@dataclass(frozen=True, slots=True)
+class Diagnostic:
+    """One finding, warning or error.
+
+    Attributes:
+        code: stable identifier in kebab-case, e.g. ``portability-deny``.
+        severity: error, warning or note.
+        message: one line: what is wrong and what was expected.
+        where: the place it is about, if there is one.
+        help: one line: how to mend it; may be empty.
+        subject: the subject (enclave) it is about, or empty.
+    """
+
+    code: str
+    severity: Severity
+    message: str
+    where: Origin | None = None
+    help: str = ""
+    subject: str = ""
+
+    def __str__(self) -> str:
+        """Return the diagnostic on one line: ``place: message (help)``."""
+        place = f"{self.where}: " if self.where else ""
+        return f"{place}{self.message}" + (f" ({self.help})" if self.help else "")
+
+
+class KeymintError(Exception):
+    """The work cannot be done; says why as diagnostics, never as a traceback.
+
+    Args:
+        message: one line for the user.
+        where: the place it is about.
+        help: one line: how to mend it.
+        code: stable identifier in kebab-case.
+        exit_code: the exit code that the command line ends with.
+    """
+
+    def __init__(
+        self,
+        message: str,
+        *,
+        where: Origin | None = None,
+        help: str = "",  # noqa: A002 - the field's name for the last part of a message
+        code: str = "error",
+        exit_code: ExitCode = ExitCode.FAILURE,
+    ) -> None:
+        self.diagnostics: tuple[Diagnostic, ...] = (Diagnostic(code, Severity.ERROR, message, where, help),)
+        self.exit_code = exit_code
+        super().__init__(str(self.diagnostics[0]))
+
+    @classmethod
+    def of(cls, diagnostics: Iterable[Diagnostic], exit_code: ExitCode = ExitCode.FAILURE) -> KeymintError:
+        """Return an error that carries several diagnostics (at least one)."""
+        listed = tuple(diagnostics)
+        first = listed[0]
+        error = cls(first.message, where=first.where, help=first.help, code=first.code, exit_code=exit_code)
+        error.diagnostics = listed
+        return error

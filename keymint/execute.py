@@ -1,0 +1,92 @@
+"""Carries a plan out, step by step, and tells what happens as events."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from itertools import groupby
+
+from keymint.plan.model import File, Plan, Step
+from keymint.state import State, dump_mark
+from keymint.store import Store
+from keymint.workspace import Workspace
+
+RECORD = "state.json"
+
+
+def open_store(workspace: Workspace) -> Store:
+    """Return the store of a workspace: its root and its spaces, of which ``private`` is private."""
+    spaces = (workspace.profile, workspace.public, workspace.src, workspace.build, workspace.install)
+    roots = {workspace.root: False, **dict.fromkeys(spaces, False), workspace.private: True}
+    return Store(roots, workspace.state)
+
+
+def execute(
+    plan: Plan, workspace: Workspace, store: Store, before: State, jobs: int, on_step: Callable[[Step], None]
+) -> None:
+    """Carry out a plan.
+
+    Args:
+        plan: what to do.
+        workspace: where.
+        store: the writer.
+        before: the record as it was; written again only when it changes.
+        jobs: threads that write at the same time.
+        on_step: called for every step when it is done.
+
+    Raises:
+        KeymintError: the system refuses a write; every file is whole, and a later run goes on from here.
+    """
+    record = plan.state.dump()
+    if not plan.writes() and record == before.dump() and not store.is_marked():
+        for step in plan.steps:
+            on_step(step)
+        return
+    public = [
+        file.content
+        for step in plan.steps
+        for change in step.changes
+        for file in change.files.values()
+        if not file.secret
+    ]
+    with store.marked(dump_mark(before, public)):
+        for batch in _batches(plan.steps):
+            _carry_out(batch, store, jobs, on_step)
+        store.write(workspace.state, {RECORD: File(record)})
+
+
+def _batches(steps: Sequence[Step]) -> Iterator[Sequence[Step]]:
+    """Yield the steps of one stage after the other: what a stage wrote is there before the next begins."""
+    for _, batch in groupby(steps, key=lambda step: (step.stage, not step.package)):
+        yield tuple(batch)
+
+
+def _carry_out(steps: Sequence[Step], store: Store, jobs: int, on_step: Callable[[Step], None]) -> None:
+    # Packages below one namespace stay in one thread: an outer enclave is made before the ones inside it.
+    ordered = sorted(steps, key=lambda step: step.package)
+    groups = [tuple(group) for _, group in groupby(ordered, key=lambda step: step.package.split("/")[0])]
+    if jobs <= 1 or len(groups) <= 1:
+        for group in groups:
+            _tell(_write(group, store), on_step)
+        return
+    with ThreadPoolExecutor(jobs) as pool:
+        try:
+            for written in pool.map(lambda group: _write(group, store), groups):
+                _tell(written, on_step)
+        except BaseException:
+            pool.shutdown(wait=True, cancel_futures=True)
+            raise
+
+
+def _write(steps: Sequence[Step], store: Store) -> Sequence[Step]:
+    for step in steps:
+        for change in step.changes:
+            store.write(change.folder, change.files, private=change.private)
+            if change.removed:
+                store.remove(change.folder, change.removed)
+    return steps
+
+
+def _tell(steps: Sequence[Step], on_step: Callable[[Step], None]) -> None:
+    for step in steps:
+        on_step(step)

@@ -1,0 +1,1 @@
+"""Plans: what each stage would do to the workspace, computed without touching it."""

@@ -1,0 +1,68 @@
+"""The stage ``init``: a new workspace's profile and authorities, and the policy that it is bound to."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping
+from pathlib import Path, PurePosixPath
+
+from keymint.api import Bootstrap
+from keymint.plan.inputs import Inputs, LoadedProfile
+from keymint.plan.model import Action, File, FolderChange, Plan, Step
+from keymint.workspace import PROFILE_MARKER
+
+STAGE = "init"
+_IGNORED = b"# Secrets, and what Keymint can make anew.\n/private/\n/build/\n/install/\n/.keymint/\n"
+
+
+def plan_init(inputs: Inputs, profile_type: str, request: Bootstrap) -> Plan:
+    """Plan the files of a new workspace; a file that is there already is kept.
+
+    Raises:
+        KeymintError: no such profile type, distro or layout.
+    """
+    root = inputs.workspace.profile
+    files = inputs.plugins.profile_type(profile_type).bootstrap(request)
+    folders: dict[Path, dict[str, File]] = {}
+    for relative, content in sorted(files.items()):
+        path = root / PurePosixPath(relative)
+        if inputs.tree.read(path) is None:
+            folders.setdefault(path.parent, {})[path.name] = File(content)
+    # The marker makes the folder a workspace, so it is the last file to be written.
+    changes = [FolderChange(folder, kept) for folder, kept in folders.items() if folder != root]
+    ordered = dict(sorted(folders.get(root, {}).items(), key=lambda item: item[0] == PROFILE_MARKER))
+    if inputs.tree.read(inputs.workspace.root / ".gitignore") is None:
+        changes.append(FolderChange(inputs.workspace.root, {".gitignore": File(_IGNORED)}))
+    changes.append(FolderChange(root, ordered))
+    return Plan((Step(STAGE, "", Action.CREATED, tuple(changes), "workspace profile"),), inputs.state)
+
+
+def plan_policy(inputs: Inputs, loaded: LoadedProfile, policy: str) -> Plan:
+    """Plan to bind a workspace to another policy, if it is not bound to it already.
+
+    Args:
+        inputs: the workspace.
+        loaded: its profile.
+        policy: path of the policy relative to the profile space.
+
+    Raises:
+        KeymintError: the profile's list of policies was edited by hand.
+    """
+    profile = loaded.profile
+    wanted = (inputs.workspace.profile / policy).resolve()
+    if [source.path.resolve() for source in profile.policies] == [wanted]:
+        return Plan((), inputs.state)
+    files = inputs.plugins.profile_type(profile.profile_type).with_policy(profile.files, policy)
+    step = Step(STAGE, "", Action.UPDATED, _folders(inputs.workspace.profile, files), f"policy {policy}")
+    return Plan((step,), inputs.state)
+
+
+def _folders(root: Path, files: Mapping[str, bytes]) -> tuple[FolderChange, ...]:
+    return tuple(
+        FolderChange((root / name).parent, {PurePosixPath(name).name: File(content)}) for name, content in files.items()
+    )
+
+
+def policy_path(policy: Path, profile: Path) -> str:
+    """Return a policy's path as a profile names it: relative, so that a checkout may lie anywhere."""
+    return os.path.relpath(policy.resolve(), profile.resolve())

@@ -1,0 +1,139 @@
+"""The stage ``build``: from source packages to unsigned documents, and a key for each subject."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+from keymint.api import BuildOptions, Package
+from keymint.errors import Diagnostic, KeymintError, Origin
+from keymint.pki import keys
+from keymint.plan.inputs import Inputs, LoadedProfile, Sources, changed
+from keymint.plan.model import Action, File, FolderChange, Plan, Step
+from keymint.plan.secrets import load_key, password
+from keymint.state import Stamp, digest, digest_files
+
+STAGE = "build"
+
+
+def plan_build(
+    inputs: Inputs,
+    loaded: LoadedProfile,
+    names: Sequence[str],
+    sources: Sources,
+    options: BuildOptions,
+    *,
+    force: bool = False,
+    renew: bool = False,
+) -> Plan:
+    """Plan the unsigned documents of some packages.
+
+    Args:
+        inputs: the workspace.
+        loaded: its profile.
+        names: names of packages that exist.
+        sources: the packages' files.
+        options: options of the build types.
+        force: build anew, also over documents that were edited by hand.
+        renew: replace the private keys of the subjects.
+
+    Raises:
+        KeymintError: the defects of all packages together.
+    """
+    steps: list[Step] = []
+    errors: list[Diagnostic] = []
+    diagnostics: list[Diagnostic] = []
+    stamps: dict[str, Stamp] = {}
+    for name in names:
+        try:
+            step, stamp, said = _plan_package(inputs, loaded, name, sources, options, force=force, renew=renew)
+        except KeymintError as error:
+            errors += error.diagnostics
+            continue
+        steps.append(step)
+        diagnostics += said
+        if stamp:
+            stamps[name] = stamp
+    if errors:
+        raise KeymintError.of(errors)
+    return Plan(tuple(steps), inputs.state.updated(STAGE, stamps), tuple(diagnostics))
+
+
+def is_current(inputs: Inputs, loaded: LoadedProfile, name: str, files: dict[str, bytes]) -> bool:
+    """Tell whether the documents of a package were built from its sources as they are now."""
+    stamp = inputs.state.stamp(STAGE, name)
+    options = (BuildOptions(), BuildOptions(allow_vendor_specific=True))
+    return stamp is not None and any(stamp.inputs == _wanted(inputs, loaded, files, option) for option in options)
+
+
+def _wanted(inputs: Inputs, loaded: LoadedProfile, files: dict[str, bytes], options: BuildOptions) -> str:
+    return digest(wanted_inputs(inputs, loaded, files), repr(options))
+
+
+def wanted_inputs(inputs: Inputs, loaded: LoadedProfile, files: dict[str, bytes]) -> str:
+    """Return the digest of what the documents of a package are built from."""
+    versions = [f"{info.group}/{info.name}/{info.version}" for info in inputs.plugins.infos()]
+    return digest(loaded.digest, digest_files(files), *versions)
+
+
+def _plan_package(
+    inputs: Inputs,
+    loaded: LoadedProfile,
+    name: str,
+    sources: Sources,
+    options: BuildOptions,
+    *,
+    force: bool,
+    renew: bool,
+) -> tuple[Step, Stamp | None, Sequence[Diagnostic]]:
+    folder = inputs.workspace.build / name
+    files = sources.files(inputs, name)
+    wanted = _wanted(inputs, loaded, files, options)
+    stamp = inputs.state.stamp(STAGE, name)
+    key_path = inputs.workspace.identity_key(name)
+    key_content = inputs.tree.read(key_path)
+    if stamp and stamp.inputs == wanted and key_content is not None and not force and not renew:
+        there = {file: inputs.tree.read(folder / file) for file in stamp.outputs}
+        if None not in there.values():
+            edited = [file for file, content in there.items() if digest(content or b"") != stamp.outputs[file]]
+            if not edited:
+                return Step(STAGE, name, Action.UNCHANGED), None, ()
+            return Step(STAGE, name, Action.KEPT, detail=_edited(edited)), None, ()
+    package = sources.load(inputs, loaded, name, files)
+    built = inputs.plugins.build_type(package.build_type).build(package, options)
+    if not force:
+        _refuse_edits(inputs, name, folder, built.documents)
+    changes = changed(inputs.tree, folder, {file: File(content) for file, content in built.documents.items()})
+    minted = () if key_content is not None and not renew else _mint(inputs, package, key_path)
+    if not minted and key_content is not None:
+        shown = Origin(inputs.workspace.shown(key_path))
+        load_key(key_content, package.identity.key, inputs.environment, shown, package.identity.origin)
+    before = stamp is not None or any(inputs.tree.read(folder / file) is not None for file in built.documents)
+    action = (Action.UPDATED if before else Action.CREATED) if changes or minted else Action.UNCHANGED
+    outputs = {file: digest(content) for file, content in built.documents.items()}
+    said = [*package.diagnostics, *built.diagnostics]
+    return Step(STAGE, name, action, (*minted, *changes)), Stamp(wanted, outputs), said
+
+
+def _edited(files: Sequence[str]) -> str:
+    return f"{', '.join(files)} edited by hand; -f builds anew"
+
+
+def _refuse_edits(inputs: Inputs, name: str, folder: Path, documents: Mapping[str, bytes]) -> None:
+    """Refuse to overwrite a document that is neither what was built before nor what is built now."""
+    for file, content in documents.items():
+        there = inputs.tree.read(folder / file)
+        if there is not None and there != content and not inputs.state.wrote(STAGE, name, file, there):
+            raise KeymintError(
+                "was edited by hand, and its sources changed as well",
+                where=Origin(inputs.workspace.shown(folder / file)),
+                help=f"'keymint build -f {name}' discards the edit",
+                code="hand-edited",
+            )
+
+
+def _mint(inputs: Inputs, package: Package, path: Path) -> tuple[FolderChange, ...]:
+    spec = package.identity.key
+    key = keys.generate(spec, package.identity.origin)
+    pem = keys.to_pem(key, password(spec, inputs.environment, package.identity.origin))
+    return (FolderChange(path.parent, {path.name: File(pem, secret=True)}, private=True),)

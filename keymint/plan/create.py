@@ -1,0 +1,159 @@
+"""The stage ``create``: from the policy to source packages."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+
+from keymint.api import LoadedPolicy
+from keymint.errors import Diagnostic, KeymintError, Origin, Severity
+from keymint.ir import SubjectRules
+from keymint.names import package_name, refuse_case_collisions
+from keymint.plan.inputs import Inputs, LoadedProfile, Sources, changed
+from keymint.plan.model import Action, File, Plan, Step
+from keymint.state import Stamp, digest
+from keymint.workspace import packages
+
+STAGE = "create"
+
+
+def load_policy(inputs: Inputs, loaded: LoadedProfile) -> LoadedPolicy:
+    """Load the policy that the profile names; errors as :meth:`keymint.api.PolicyType.load`.
+
+    A library that is only planned yet is read where it will be copied from, and named by its place to be.
+    """
+    profile = loaded.profile
+    policy_type = inputs.plugins.policy_type(profile.policy_type)
+    if profile.library is None or profile.library.is_dir():
+        return policy_type.load(profile.policies, profile.library)
+    shipped = inputs.plugins.profile_type(profile.profile_type).library(profile.distro)
+    return _Relocated(policy_type.load(profile.policies, shipped), shipped, profile.library)
+
+
+class _Relocated:
+    """A policy whose library is read from one folder and named by another."""
+
+    def __init__(self, policy: LoadedPolicy, source: Path, place: Path) -> None:
+        self._policy = policy
+        self._source = source
+        self._place = place
+
+    @property
+    def files(self) -> Mapping[Path, bytes]:
+        """The files, by their place to be."""
+        return {Path(self._moved(str(path))): value for path, value in self._policy.files.items()}
+
+    def subjects(self) -> tuple[str, ...]:
+        """Return the subjects that the policy names exactly."""
+        return self._policy.subjects()
+
+    def rules(self, subject: str) -> SubjectRules | None:
+        """Return the rules of a subject, with their origins' place to be."""
+        found = self._policy.rules(subject)
+        if found is None:
+            return None
+        return SubjectRules(subject, tuple(replace(rule, origin=self._origin(rule.origin)) for rule in found.rules))
+
+    def _origin(self, origin: Origin) -> Origin:
+        return Origin(self._moved(origin.file), origin.line, tuple(map(self._origin, origin.chain)))
+
+    def _moved(self, file: str) -> str:
+        path = Path(file)
+        return str(self._place / path.relative_to(self._source)) if path.is_relative_to(self._source) else file
+
+
+def everything(inputs: Inputs, policy: LoadedPolicy) -> tuple[str, ...]:
+    """Return the packages of every subject that the policy names exactly, and those that are there already.
+
+    A package that is there follows the policy whatever the policy says of it now: permissions that were
+    withdrawn must not live on in its sources.
+    """
+    exact = [package_name(subject) for subject in policy.subjects()]
+    return tuple(sorted({*exact, *packages(inputs.tree, inputs.workspace.src)}))
+
+
+def plan_create(
+    inputs: Inputs,
+    loaded: LoadedProfile,
+    policy: LoadedPolicy,
+    names: Sequence[str],
+    sources: Sources,
+    *,
+    force: bool,
+) -> Plan:
+    """Plan the source packages of some subjects.
+
+    Args:
+        inputs: the workspace.
+        loaded: its profile.
+        policy: its policy.
+        names: package names, legal.
+        sources: the packages' files.
+        force: replace documents of rules that were edited by hand.
+
+    Raises:
+        KeymintError: no profile of the policy applies to a name, names collide, or an edit by hand is in the way;
+            all of them together.
+    """
+    existing = set(packages(inputs.tree, inputs.workspace.src))
+    refuse_case_collisions([*existing, *names])
+    policy_digest = digest(*(part for path, value in sorted(policy.files.items()) for part in (str(path), value)))
+    steps: list[Step] = []
+    diagnostics: list[Diagnostic] = []
+    errors: list[Diagnostic] = []
+    stamps: dict[str, Stamp] = {}
+    package_type = inputs.plugins.package_type(loaded.profile.package_type)
+    for name in names:
+        folder = inputs.workspace.src / name
+        files = sources.files(inputs, name)
+        stamp = inputs.state.stamp(STAGE, name)
+        wanted = digest(policy_digest, loaded.digest)
+        if stamp and stamp.inputs == wanted and _outputs(files) == stamp.outputs and not force:
+            steps.append(Step(STAGE, name, Action.UNCHANGED))
+            continue
+        rules = policy.rules(f"/{name}")
+        if rules is None:
+            finding = _nothing_applies(name, policy, known=name in existing)
+            (diagnostics if name in existing else errors).append(finding)
+            rules = SubjectRules(f"/{name}", ())
+        try:
+            new = package_type.create(loaded.profile, rules, files, force=force)
+        except KeymintError as error:
+            errors += error.diagnostics
+            continue
+        changes = changed(inputs.tree, folder, {file: File(content) for file, content in new.items()})
+        action = (Action.UPDATED if name in existing else Action.CREATED) if changes else Action.UNCHANGED
+        steps.append(Step(STAGE, name, action, changes))
+        stamps[name] = Stamp(wanted, _outputs(files | dict(new)))
+    if errors:
+        raise KeymintError.of(errors)
+    return Plan(tuple(steps), inputs.state.updated(STAGE, stamps), tuple(diagnostics))
+
+
+def _outputs(files: dict[str, bytes]) -> dict[str, str]:
+    return {name: digest(content) for name, content in files.items() if "/" not in name}
+
+
+def _nothing_applies(name: str, policy: LoadedPolicy, *, known: bool) -> Diagnostic:
+    import difflib  # noqa: PLC0415 - only for the message
+
+    near = difflib.get_close_matches(f"/{name}", policy.subjects(), n=1)
+    if known:
+        return Diagnostic(
+            "subject-unnamed",
+            Severity.WARNING,
+            f"no profile of the policy applies to /{name} any more: it is left without permissions",
+            None,
+            f"remove src/{name}, or name it in the policy",
+            f"/{name}",
+        )
+    hint = f"did you mean {near[0]}?" if near else "attach a profile to it"
+    return Diagnostic(
+        "subject-unknown",
+        Severity.ERROR,
+        f"no profile of the policy applies to /{name}",
+        None,
+        hint,
+        f"/{name}",
+    )

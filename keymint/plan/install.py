@@ -1,0 +1,332 @@
+"""The stage ``install``: signs what was built and stages it for deployment."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from keymint.api import Artifact, Credentials, Package
+from keymint.errors import Diagnostic, KeymintError, Origin, Severity
+from keymint.pki import certificates
+from keymint.plan import build
+from keymint.plan.authorities import MintedAuthority
+from keymint.plan.inputs import Inputs, LoadedProfile, Sources, changed
+from keymint.plan.model import Action, File, FolderChange, Plan, Step
+from keymint.plan.secrets import load_key
+from keymint.state import Stamp, digest, digest_files
+from keymint.workspace import packages
+
+STAGE = "install"
+CERTIFICATE = "cert.pem"
+
+
+@dataclass(frozen=True, slots=True)
+class _Enclave:
+    """What planning one enclave gives."""
+
+    step: Step
+    stamp: Stamp | None
+    build_type: str
+    artifacts: Mapping[str, Artifact]
+    diagnostics: Sequence[Diagnostic]
+
+
+def plan_install(
+    inputs: Inputs,
+    loaded: LoadedProfile,
+    names: Sequence[str],
+    sources: Sources,
+    authorities: Mapping[str, MintedAuthority],
+    *,
+    prune: bool,
+) -> Plan:
+    """Plan the enclaves of some packages.
+
+    Args:
+        inputs: the workspace.
+        loaded: its profile.
+        names: names of packages that exist.
+        sources: the packages' files.
+        authorities: what issues and signs.
+        prune: remove installed enclaves that have no source package.
+
+    Raises:
+        KeymintError: the defects of all packages together, e.g. one that was not built.
+    """
+    planned: list[_Enclave] = []
+    errors: list[Diagnostic] = []
+    for name in names:
+        try:
+            planned.append(_plan_enclave(inputs, loaded, name, sources, authorities))
+        except KeymintError as error:
+            errors += error.diagnostics
+    if errors:
+        raise KeymintError.of(errors)
+    steps = [enclave.step for enclave in planned]
+    steps += _shared(inputs, loaded, planned)
+    said = [diagnostic for enclave in planned for diagnostic in enclave.diagnostics]
+    left = orphans(inputs, loaded)
+    if prune:
+        steps += [_prune(inputs, loaded, name) for name in left]
+    else:
+        said += [orphan_finding(name) for name in left]
+    stamps = {enclave.step.package: enclave.stamp for enclave in planned if enclave.stamp}
+    state = inputs.state.updated(STAGE, stamps, removed=left if prune else ())
+    return Plan(tuple(steps), state, tuple(said))
+
+
+def orphans(inputs: Inputs, loaded: LoadedProfile) -> tuple[str, ...]:
+    """Return the installed enclaves that have no source package, sorted."""
+    known = set(packages(inputs.tree, inputs.workspace.src))
+    return tuple(name for name in installed(inputs, loaded) if name not in known)
+
+
+def installed(inputs: Inputs, loaded: LoadedProfile) -> tuple[str, ...]:
+    """Return the names of the installed enclaves, sorted."""
+    found: list[str] = []
+
+    def search(folder: Path, name: str) -> None:
+        entries = inputs.tree.names(folder)
+        if name and any(entry in {"key.pem", CERTIFICATE} for entry, is_folder in entries if not is_folder):
+            found.append(name)
+        for entry, is_folder in entries:
+            if is_folder and not entry.startswith("."):
+                search(folder / entry, f"{name}/{entry}" if name else entry)
+
+    search(inputs.workspace.enclaves(loaded.profile.layout), "")
+    return tuple(sorted(found))
+
+
+def orphan_finding(name: str) -> Diagnostic:
+    """Return the finding on an installed enclave without a source package."""
+    return Diagnostic(
+        "enclave-orphaned",
+        Severity.WARNING,
+        f"the enclave /{name} is installed, but has no source package",
+        None,
+        "'keymint install --prune' removes it",
+        f"/{name}",
+    )
+
+
+def built_documents(inputs: Inputs, name: str) -> dict[str, bytes]:
+    """Return the unsigned documents of a package by file name, empty when it was not built."""
+    folder = inputs.workspace.build / name
+    stamp = inputs.state.stamp(build.STAGE, name)
+    if stamp is None:
+        return inputs.tree.files(folder)
+    found = {file: inputs.tree.read(folder / file) for file in sorted(stamp.outputs)}
+    return {file: content for file, content in found.items() if content is not None}
+
+
+def _plan_enclave(
+    inputs: Inputs,
+    loaded: LoadedProfile,
+    name: str,
+    sources: Sources,
+    authorities: Mapping[str, MintedAuthority],
+) -> _Enclave:
+    workspace = inputs.workspace
+    documents = built_documents(inputs, name)
+    key_path = workspace.identity_key(name)
+    key_pem = inputs.tree.read(key_path)
+    if not documents or key_pem is None:
+        raise KeymintError(
+            f"the package {name} is not built",
+            help=f"run 'keymint build {name}'",
+            code="not-built",
+            where=Origin(workspace.shown(workspace.build / name)),
+        )
+    files = sources.files(inputs, name)
+    folder = workspace.enclaves(loaded.profile.layout) / name
+    chains = {authority: minted.chain for authority, minted in authorities.items()}
+    if is_current(inputs, loaded, name, files, chains):
+        return _Enclave(Step(STAGE, name, Action.UNCHANGED), None, "", {}, ())
+    package = sources.load(inputs, loaded, name, files)
+    there = inputs.tree.files(folder)
+    artifacts, said = _notarize(inputs, loaded, package, documents, authorities, (key_path, key_pem), there)
+    wrong_mode = [file for file in artifacts if not _mode_is_right(folder / file, secret=artifacts[file].secret)]
+    contents = {file: File(artifact.content, secret=artifact.secret) for file, artifact in artifacts.items()}
+    different = {file: item for file, item in contents.items() if there.get(file) != item.content or file in wrong_mode}
+    # The certificate comes last: until then a node that starts in between fails, and lets no one in.
+    ordered = dict(sorted(different.items(), key=lambda item: item[0] == CERTIFICATE))
+    changes = (FolderChange(folder, ordered),) if ordered else ()
+    action = (Action.UPDATED if there else Action.CREATED) if changes else Action.UNCHANGED
+    outputs = {file: digest(item.content) for file, item in contents.items()}
+    secret = tuple(file for file, item in contents.items() if item.secret)
+    wanted = _wanted(inputs, loaded, name, files, chains)
+    edited = _edits(inputs, name, documents)
+    return _Enclave(
+        Step(STAGE, name, action, changes),
+        Stamp(wanted, outputs, secret),
+        package.build_type,
+        artifacts,
+        [*said, *edited],
+    )
+
+
+def _edits(inputs: Inputs, name: str, documents: Mapping[str, bytes]) -> Sequence[Diagnostic]:
+    """Return a warning for each document that is signed although it is not what the sources built."""
+    return [
+        Diagnostic(
+            "hand-edited",
+            Severity.WARNING,
+            "was edited by hand, and is signed as it is",
+            Origin(inputs.workspace.shown(inputs.workspace.build / name / file)),
+            f"'keymint build -f {name}' builds it anew",
+            f"/{name}",
+        )
+        for file, content in documents.items()
+        if not inputs.state.wrote(build.STAGE, name, file, content)
+    ]
+
+
+def _notarize(
+    inputs: Inputs,
+    loaded: LoadedProfile,
+    package: Package,
+    documents: Mapping[str, bytes],
+    authorities: Mapping[str, MintedAuthority],
+    key: tuple[Path, bytes],
+    there: Mapping[str, bytes],
+) -> tuple[Mapping[str, Artifact], Sequence[Diagnostic]]:
+    """Issue the certificate if the one that is there does not do, and have the documents signed."""
+    issuer = authority_of(authorities, package.identity.issuer, package.identity.origin)
+    notary = authority_of(authorities, package.permissions.issuer, package.permissions.origin)
+    if package.governance.issuer != package.permissions.issuer:
+        raise KeymintError(
+            f"governance is signed by {package.governance.issuer!r}, permissions by {package.permissions.issuer!r}, "
+            "but participants verify both with one permissions authority",
+            where=package.permissions.origin,
+            help="give both the same issuer_name",
+            code="authority-mismatch",
+        )
+    path, pem = key
+    shown = Origin(inputs.workspace.shown(path))
+    private = load_key(pem, package.identity.key, inputs.environment, shown, package.identity.origin)
+    public = private.public_key()
+    certificate = there.get(CERTIFICATE)
+    said: Sequence[Diagnostic] = ()
+    if certificate is None or not certificates.certificate_satisfies(
+        certificate, package.identity, public, issuer.issuer.certificate, authority=False
+    ):
+        issued = certificates.issue_identity(package.identity, public, issuer.issuer)
+        certificate, said = issued.pem, issued.diagnostics
+    credentials = Credentials(
+        certificate=certificate,
+        key=pem,
+        identity_ca=issuer.chain,
+        permissions_ca=notary.chain,
+        signer=notary.signer,
+    )
+    build_type = inputs.plugins.build_type(package.build_type)
+    return build_type.install(package, documents, credentials, loaded.profile.layout, there), said
+
+
+def authority_of(authorities: Mapping[str, MintedAuthority], name: str, origin: Origin) -> MintedAuthority:
+    """Return an authority by name.
+
+    Raises:
+        KeymintError: the profile has none of this name.
+    """
+    if name not in authorities:
+        import difflib  # noqa: PLC0415 - only for the message
+
+        near = difflib.get_close_matches(name, authorities, n=1)
+        raise KeymintError(
+            f"no authority {name!r} in the profile, which has {', '.join(sorted(authorities)) or 'none'}",
+            where=origin,
+            help=f"did you mean {near[0]!r}?" if near else "name one in issuer_name",
+            code="authority-unknown",
+        )
+    return authorities[name]
+
+
+def is_current(
+    inputs: Inputs, loaded: LoadedProfile, name: str, files: dict[str, bytes], chains: Mapping[str, bytes]
+) -> bool:
+    """Tell whether an enclave is what installing its package again would give, byte for byte and mode for mode.
+
+    Args:
+        inputs: the workspace.
+        loaded: its profile.
+        name: the package.
+        files: the package's files.
+        chains: certificates of the authorities by name.
+    """
+    stamp = inputs.state.stamp(STAGE, name)
+    folder = inputs.workspace.enclaves(loaded.profile.layout) / name
+    return (
+        stamp is not None
+        and stamp.inputs == _wanted(inputs, loaded, name, files, chains)
+        and _in_place(inputs, folder, stamp)
+    )
+
+
+def _wanted(
+    inputs: Inputs, loaded: LoadedProfile, name: str, files: dict[str, bytes], chains: Mapping[str, bytes]
+) -> str:
+    return digest(
+        build.wanted_inputs(inputs, loaded, files),
+        digest_files(built_documents(inputs, name)),
+        inputs.tree.read(inputs.workspace.identity_key(name)) or b"",
+        digest_files(chains),
+        loaded.profile.layout,
+    )
+
+
+def _in_place(inputs: Inputs, folder: Path, stamp: Stamp) -> bool:
+    for file, value in stamp.outputs.items():
+        content = inputs.tree.read(folder / file)
+        if content is None or digest(content) != value:
+            return False
+        if not _mode_is_right(folder / file, secret=file in stamp.secret):
+            return False
+    return True
+
+
+def _mode_is_right(path: Path, *, secret: bool) -> bool:
+    """Tell whether a file on the disk has its mode; one that is only planned will have it."""
+    try:
+        return (path.lstat().st_mode & 0o777) == (0o600 if secret else 0o644)
+    except OSError:
+        return True
+
+
+def _shared(inputs: Inputs, loaded: LoadedProfile, planned: Sequence[_Enclave]) -> list[Step]:
+    """Plan the files that the layout keeps once for all enclaves, if any enclave changed."""
+    if not any(enclave.artifacts for enclave in planned):
+        return []
+    layout = loaded.profile.layout
+    by_type: dict[str, dict[str, Mapping[str, Artifact]]] = {}
+    new = {enclave.step.package: enclave for enclave in planned if enclave.artifacts}
+    types = {enclave.build_type for enclave in new.values()}
+    for name in sorted({*new, *installed(inputs, loaded)}):
+        if name in new:
+            by_type.setdefault(new[name].build_type, {})[f"/{name}"] = new[name].artifacts
+        elif len(types) == 1:
+            there = inputs.tree.files(inputs.workspace.enclaves(layout) / name)
+            artifacts = {file: Artifact(content, secret=file == "key.pem") for file, content in there.items()}
+            by_type.setdefault(next(iter(types)), {})[f"/{name}"] = artifacts
+    steps = []
+    for build_type, enclaves in sorted(by_type.items()):
+        shared = inputs.plugins.build_type(build_type).shared(enclaves, layout)
+        folders: dict[Path, dict[str, File]] = {}
+        for relative, artifact in shared.items():
+            path = inputs.workspace.install / relative
+            folders.setdefault(path.parent, {})[path.name] = File(artifact.content, secret=artifact.secret)
+        changes = [change for folder, files in folders.items() for change in changed(inputs.tree, folder, files)]
+        if changes:
+            known = any(inputs.tree.read(folder / name) for folder, files in folders.items() for name in files)
+            action = Action.UPDATED if known else Action.CREATED
+            steps.append(Step(STAGE, "", action, tuple(changes), "shared by all enclaves"))
+    return steps
+
+
+def _prune(inputs: Inputs, loaded: LoadedProfile, name: str) -> Step:
+    folder = inputs.workspace.enclaves(loaded.profile.layout) / name
+    files = [entry for entry, is_folder in inputs.tree.names(folder) if not is_folder]
+    # The certificate goes last: what a killed run leaves of an enclave is still seen as one.
+    ordered = tuple(sorted(files, key=lambda entry: entry == CERTIFICATE))
+    return Step(STAGE, name, Action.REMOVED, (FolderChange(folder, {}, ordered),))

@@ -1,0 +1,87 @@
+"""What a stage intends: folders of files to write or to remove, step by step, as data."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from enum import StrEnum
+from pathlib import Path
+
+from keymint.errors import Diagnostic
+from keymint.state import State
+
+
+class Action(StrEnum):
+    """What a step does to its package."""
+
+    CREATED = "created"
+    UPDATED = "updated"
+    UNCHANGED = "unchanged"
+    KEPT = "kept"
+    REMOVED = "removed"
+
+
+@dataclass(frozen=True, slots=True)
+class File:
+    """A file to write: its bytes, and whether it is secret (0600) or public (0644)."""
+
+    content: bytes = field(repr=False)
+    secret: bool = False
+
+
+@dataclass(frozen=True, slots=True)
+class FolderChange:
+    """Files to write into one folder, and names to remove from it.
+
+    Attributes:
+        folder: absolute path.
+        files: files by name; written in this order, so that a reader meets the least harm in between.
+        removed: names of files to remove.
+        private: the folder and the ones created on the way to it are 0700 even when no file is secret.
+    """
+
+    folder: Path
+    files: Mapping[str, File]
+    removed: tuple[str, ...] = ()
+    private: bool = False
+
+
+@dataclass(frozen=True, slots=True)
+class Step:
+    """What one stage does for one package, or for the workspace as a whole (empty name)."""
+
+    stage: str
+    package: str
+    action: Action
+    changes: tuple[FolderChange, ...] = ()
+    detail: str = ""
+
+    def writes(self) -> bool:
+        """Tell whether anything is written."""
+        return any(change.files or change.removed for change in self.changes)
+
+
+@dataclass(frozen=True, slots=True)
+class Plan:
+    """All steps of a run, what is to be said, and the record to keep when all is done."""
+
+    steps: tuple[Step, ...]
+    state: State
+    diagnostics: tuple[Diagnostic, ...] = ()
+
+    def then(self, other: Plan) -> Plan:
+        """Return this plan followed by one that was made on top of it."""
+        return Plan(self.steps + other.steps, other.state, self.diagnostics + other.diagnostics)
+
+    def overlay(self) -> list[tuple[Path, bytes | None]]:
+        """Return the planned content by path, for the stages that plan on top of this one."""
+        changed: list[tuple[Path, bytes | None]] = []
+        for step in self.steps:
+            for change in step.changes:
+                changed += [(change.folder / name, file.content) for name, file in change.files.items()]
+                changed += [(change.folder / name, None) for name in change.removed]
+        return changed
+
+    def writes(self) -> bool:
+        """Tell whether anything is written."""
+        return any(step.writes() for step in self.steps)

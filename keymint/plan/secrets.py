@@ -1,0 +1,56 @@
+"""Private keys as they are stored: their passwords, and whether they are of the kind that is asked for."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+from keymint.api import KeySpec
+from keymint.errors import KeymintError, Origin
+from keymint.pki import keys
+
+
+def password(spec: KeySpec, environment: Mapping[str, str], origin: Origin) -> bytes | None:
+    """Return the password of a key, or None for a key that is stored unencrypted.
+
+    Raises:
+        KeymintError: the variable is not set, or empty.
+    """
+    if not spec.password_env:
+        return None
+    value = environment.get(spec.password_env, "")
+    if not value:
+        raise KeymintError(
+            f"the environment variable {spec.password_env}, which holds the key's password, is not set",
+            where=origin,
+            help=f"export {spec.password_env}=…",
+            code="password-missing",
+        )
+    return value.encode()
+
+
+def load_key(
+    pem: bytes, spec: KeySpec, environment: Mapping[str, str], shown: Origin, asked: Origin
+) -> keys.PrivateKey:
+    """Load a stored private key.
+
+    Args:
+        pem: the file's bytes.
+        spec: what is asked for.
+        environment: environment variables, for the password.
+        shown: the file, for messages.
+        asked: the place that asks for the key.
+
+    Raises:
+        KeymintError: the file is damaged, the password is wrong or missing, or the key is of another kind than is
+            asked for: keys are only replaced on request.
+    """
+    key = keys.from_pem(pem, password(spec, environment, asked), shown)
+    if not keys.fits(key, spec):
+        kind = f"an EC key on {spec.curve}" if spec.algorithm == "ec" else f"an RSA key of {spec.size} bits"
+        raise KeymintError(
+            f"is not {kind}, which {asked} asks for",
+            where=shown,
+            help="remove an authority's key, or use 'keymint build --renew' for a subject's, to have a new one minted",
+            code="key-kind",
+        )
+    return key

@@ -1,0 +1,160 @@
+"""Finds plugins by their entry points, checks their version, and fails loudly.
+
+The only module that touches :mod:`importlib.metadata`.
+"""
+
+from __future__ import annotations
+
+import difflib
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from importlib.metadata import EntryPoint, PackageNotFoundError, entry_points
+from typing import Any, cast
+
+from keymint.api import API_VERSION, BuildType, PackageType, PolicyType, ProfileType
+from keymint.errors import KeymintError, Origin
+
+GROUPS: Mapping[str, str] = {
+    "keymint.profile_types": "bootstraps and loads a workspace profile",
+    "keymint.package_types": "creates and loads a source package",
+    "keymint.policy_types": "acquires policy: sources to the intermediate representation",
+    "keymint.build_types": "builds, signs and checks a transport's documents",
+}
+
+
+@dataclass(frozen=True, slots=True)
+class PluginInfo:
+    """What is known of a plugin without loading it.
+
+    Attributes:
+        group: entry-point group.
+        name: name within the group.
+        target: ``module:attribute`` that it loads.
+        distribution: the installed distribution that registers it.
+        version: that distribution's version.
+        location: where that distribution is installed.
+    """
+
+    group: str
+    name: str
+    target: str
+    distribution: str
+    version: str
+    location: str
+
+
+def _info(entry: EntryPoint) -> PluginInfo:
+    distribution = entry.dist
+    if distribution is None:
+        return PluginInfo(entry.group, entry.name, entry.value, "", "", "")
+    try:
+        name, version = distribution.name, distribution.version
+    except (PackageNotFoundError, KeyError):  # damaged metadata must not hide the plugin
+        name, version = "", ""
+    return PluginInfo(entry.group, entry.name, entry.value, name, version, str(distribution.locate_file("")))
+
+
+class Plugins:
+    """The plugins that are installed; each is loaded when it is first asked for.
+
+    Args:
+        entries: the entry points to use; by default those of the environment.
+    """
+
+    def __init__(self, entries: Iterable[EntryPoint] | None = None) -> None:
+        self._entries: dict[str, dict[str, list[EntryPoint]]] = {}
+        self._loaded: dict[tuple[str, str], object] = {}
+        found = [e for group in GROUPS for e in entry_points(group=group)] if entries is None else entries
+        for entry in found:
+            versions = self._entries.setdefault(entry.group, {}).setdefault(entry.name, [])
+            # The same distribution seen twice on sys.path is one plugin, two distributions are two.
+            if all(_info(entry).distribution != _info(other).distribution for other in versions):
+                versions.append(entry)
+
+    def infos(self) -> tuple[PluginInfo, ...]:
+        """Return what is installed, sorted by group and name, doubles included."""
+        return tuple(
+            _info(entry)
+            for group in GROUPS
+            for name in sorted(self._entries.get(group, {}))
+            for entry in self._entries[group][name]
+        )
+
+    def version(self, group: str, name: str) -> str:
+        """Return the version of the distribution that brings a plugin, or an empty text."""
+        entries = self._entries.get(group, {}).get(name, [])
+        return _info(entries[0]).version if entries else ""
+
+    def profile_type(self, name: str, where: Origin | None = None) -> ProfileType:
+        """Return the profile type of this name; see :meth:`load`."""
+        return cast("ProfileType", self.load("keymint.profile_types", name, where))
+
+    def profile_types(self) -> Mapping[str, ProfileType]:
+        """Return all profile types by name; see :meth:`load`."""
+        return {name: self.profile_type(name) for name in sorted(self._entries.get("keymint.profile_types", {}))}
+
+    def package_type(self, name: str, where: Origin | None = None) -> PackageType:
+        """Return the package type of this name; see :meth:`load`."""
+        return cast("PackageType", self.load("keymint.package_types", name, where))
+
+    def policy_type(self, name: str, where: Origin | None = None) -> PolicyType:
+        """Return the policy type of this name; see :meth:`load`."""
+        return cast("PolicyType", self.load("keymint.policy_types", name, where))
+
+    def build_type(self, name: str, where: Origin | None = None) -> BuildType:
+        """Return the build type of this name; see :meth:`load`."""
+        return cast("BuildType", self.load("keymint.build_types", name, where))
+
+    def load(self, group: str, name: str, where: Origin | None = None) -> Any:
+        """Return a plugin object.
+
+        Args:
+            group: a key of :data:`GROUPS`.
+            name: the plugin's name.
+            where: who asks for it, for the message.
+
+        Raises:
+            KeymintError: there is none of this name, two distributions bring it, it fails to load, or it was
+                made for another major version of the plugin interface.
+        """
+        key = (group, name)
+        if key not in self._loaded:
+            self._loaded[key] = self._load(group, name, where)
+        return self._loaded[key]
+
+    def _load(self, group: str, name: str, where: Origin | None) -> object:
+        known = self._entries.get(group, {})
+        kind = group.removeprefix("keymint.").removesuffix("s").replace("_", " ")
+        if name not in known:
+            near = difflib.get_close_matches(name, known, n=1)
+            hint = f"did you mean {near[0]!r}?" if near else "'keymint plugins' lists what is installed"
+            raise KeymintError(f"no {kind} {name!r} is installed", where=where, help=hint, code="plugin-unknown")
+        entries = known[name]
+        if len(entries) > 1:
+            brought_by = " and ".join(sorted(_info(entry).distribution for entry in entries))
+            raise KeymintError(
+                f"the {kind} {name!r} is brought by {brought_by}",
+                where=where,
+                help="uninstall all but one",
+                code="plugin-doubled",
+            )
+        entry = entries[0]
+        try:
+            plugin: object = entry.load()
+        except Exception as error:
+            raise KeymintError(
+                f"the {kind} {name!r} ({entry.value}) fails to load: {type(error).__name__}: {error}",
+                where=where,
+                help=f"reinstall {_info(entry).distribution or 'its distribution'}",
+                code="plugin-broken",
+            ) from error
+        version = getattr(plugin, "API", None)
+        if not isinstance(version, str) or version.split(".")[0] != API_VERSION.split(".")[0]:
+            raise KeymintError(
+                f"the {kind} {name!r} ({entry.value}) speaks version {version!r} of the plugin interface, "
+                f"this keymint speaks {API_VERSION!r}",
+                where=where,
+                help=f"install a version of {_info(entry).distribution or 'it'} made for this keymint",
+                code="plugin-version",
+            )
+        return plugin

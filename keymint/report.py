@@ -1,0 +1,106 @@
+"""The outcome of a verb, and its one documented shape for machines (``docs/json.md``)."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+from keymint.errors import Diagnostic, ExitCode, Origin, Severity
+from keymint.plan.model import Step
+from keymint.workspace import Workspace, shown
+
+FORMAT = "keymint-report"
+VERSION = 1
+
+
+@dataclass(frozen=True, slots=True)
+class Report:
+    """What a verb did.
+
+    Attributes:
+        verb: its name.
+        workspace: the workspace, or None for a verb that needs none or found none.
+        steps: what was done, or would be.
+        diagnostics: warnings, findings and errors.
+        result: what else the verb has to say; its shape is the verb's.
+        exit_code: what the process ends with.
+        dry_run: nothing was written.
+    """
+
+    verb: str
+    workspace: Workspace | None = None
+    steps: Sequence[Step] = ()
+    diagnostics: Sequence[Diagnostic] = ()
+    result: Mapping[str, Any] = field(default_factory=dict)
+    exit_code: ExitCode = ExitCode.DONE
+    dry_run: bool = False
+
+
+def as_typed(diagnostic: Diagnostic, folder: Path) -> Diagnostic:
+    """Return a diagnostic with the paths in it as a user who stands in a folder would type them."""
+    prefix = f"{folder}/"
+
+    def place(origin: Origin) -> Origin:
+        file = shown(Path(origin.file), folder) if origin.file.startswith("/") else origin.file
+        return Origin(file, origin.line, tuple(map(place, origin.chain)))
+
+    return replace(
+        diagnostic,
+        where=place(diagnostic.where) if diagnostic.where else None,
+        message=diagnostic.message.replace(prefix, ""),
+        help=diagnostic.help.replace(prefix, ""),
+    )
+
+
+def findings_exit(diagnostics: Sequence[Diagnostic]) -> ExitCode:
+    """Return the exit code of a verb that looks for findings: notes are none."""
+    found = any(diagnostic.severity is not Severity.NOTE for diagnostic in diagnostics)
+    return ExitCode.FINDINGS if found else ExitCode.DONE
+
+
+def as_document(report: Report) -> dict[str, Any]:
+    """Return a report as what JSON can hold."""
+    workspace = report.workspace
+    return {
+        "format": FORMAT,
+        "version": VERSION,
+        "verb": report.verb,
+        "workspace": str(workspace.root) if workspace else None,
+        "dry_run": report.dry_run,
+        "exit_code": int(report.exit_code),
+        "summary": dict(sorted(Counter(str(step.action) for step in report.steps).items())),
+        "steps": [_step(step, workspace) for step in report.steps],
+        "diagnostics": [_diagnostic(diagnostic) for diagnostic in report.diagnostics],
+        "result": dict(report.result),
+    }
+
+
+def _step(step: Step, workspace: Workspace | None) -> dict[str, Any]:
+    def typed(folder: Path, name: str) -> str:
+        return workspace.shown(folder / name) if workspace else str(folder / name)
+
+    return {
+        "stage": step.stage,
+        "package": step.package,
+        "action": str(step.action),
+        "written": [typed(change.folder, name) for change in step.changes for name in change.files],
+        "removed": [typed(change.folder, name) for change in step.changes for name in change.removed],
+        "detail": step.detail,
+    }
+
+
+def _diagnostic(diagnostic: Diagnostic) -> dict[str, Any]:
+    where = diagnostic.where
+    return {
+        "code": diagnostic.code,
+        "severity": str(diagnostic.severity),
+        "message": diagnostic.message,
+        "file": where.file if where else None,
+        "line": where.line or None if where else None,
+        "included_from": [{"file": outer.file, "line": outer.line} for outer in (where.chain if where else ())],
+        "help": diagnostic.help,
+        "subject": diagnostic.subject,
+    }

@@ -1,0 +1,119 @@
+"""Stamps: which inputs led to which outputs, so that a stage knows what it has done.
+
+The record only saves work and recognises edits by hand: when it is lost, every stage computes its result anew and
+compares it with what is there.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field
+
+VERSION = 1
+
+
+def digest(*parts: bytes | str) -> str:
+    """Return the SHA-256, in hex, of several parts, each with its length so that none runs into the next."""
+    sha = hashlib.sha256()
+    for part in parts:
+        data = part.encode() if isinstance(part, str) else part
+        sha.update(len(data).to_bytes(8, "big"))
+        sha.update(data)
+    return sha.hexdigest()
+
+
+def digest_files(files: Mapping[str, bytes]) -> str:
+    """Return one digest over files by name."""
+    return digest(*(part for name in sorted(files) for part in (name, files[name])))
+
+
+@dataclass(frozen=True, slots=True)
+class Stamp:
+    """A stage's result for one package.
+
+    Attributes:
+        inputs: digest over everything the stage read.
+        outputs: digest of each file it wrote, by path relative to the package's folder in the stage's space.
+        secret: which of them are secret.
+    """
+
+    inputs: str
+    outputs: Mapping[str, str]
+    secret: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
+class State:
+    """All stamps of a workspace, by ``stage`` and package name.
+
+    Attributes:
+        stamps: the record of the last run that ended.
+        interrupted: digests of the files that a killed run was about to write: they are ours, not edits by hand.
+    """
+
+    stamps: Mapping[str, Mapping[str, Stamp]] = field(default_factory=dict)
+    interrupted: frozenset[str] = frozenset()
+
+    def wrote(self, stage: str, package: str, file: str, content: bytes) -> bool:
+        """Tell whether a file has the content that Keymint gave it."""
+        stamp = self.stamp(stage, package)
+        value = digest(content)
+        return value in self.interrupted or (stamp is not None and stamp.outputs.get(file) == value)
+
+    def stamp(self, stage: str, package: str) -> Stamp | None:
+        """Return the stamp of a package, or None."""
+        return self.stamps.get(stage, {}).get(package)
+
+    def updated(self, stage: str, stamps: Mapping[str, Stamp], removed: Iterable[str] = ()) -> State:
+        """Return the state with stamps of one stage added or replaced, and some removed."""
+        gone = set(removed)
+        merged = {name: stamp for name, stamp in self.stamps.get(stage, {}).items() if name not in gone}
+        return State({**self.stamps, stage: {**merged, **stamps}}, self.interrupted)
+
+    def dump(self) -> bytes:
+        """Return the record as bytes; equal states give equal bytes."""
+        document = {
+            "version": VERSION,
+            "stamps": {
+                stage: {
+                    name: [stamp.inputs, dict(sorted(stamp.outputs.items())), sorted(stamp.secret)]
+                    for name, stamp in sorted(stamps.items())
+                }
+                for stage, stamps in sorted(self.stamps.items())
+            },
+        }
+        return (json.dumps(document, separators=(",", ":"), sort_keys=True) + "\n").encode()
+
+
+def dump_mark(state: State, contents: Iterable[bytes]) -> bytes:
+    """Return the mark of a run that is about to write these public files."""
+    return "\n".join(sorted(state.interrupted | {digest(content) for content in contents})).encode()
+
+
+def load(content: bytes | None, mark: bytes | None = None) -> State:
+    """Return a record from bytes; one that is missing, damaged or of another version is empty.
+
+    Args:
+        content: what :meth:`State.dump` gave.
+        mark: what :func:`dump_mark` gave, if the run that wrote it was killed.
+    """
+    interrupted = frozenset((mark or b"").decode(errors="replace").split())
+    return State(_stamps(content), interrupted)
+
+
+def _stamps(content: bytes | None) -> dict[str, dict[str, Stamp]]:
+    try:
+        document = json.loads(content or b"")
+        if document["version"] != VERSION:
+            return {}
+        return {
+            str(stage): {
+                str(name): Stamp(str(inputs), {str(k): str(v) for k, v in outputs.items()}, tuple(map(str, secret)))
+                for name, (inputs, outputs, secret) in stamps.items()
+            }
+            for stage, stamps in document["stamps"].items()
+        }
+    except (ValueError, KeyError, TypeError, AttributeError, RecursionError):
+        return {}

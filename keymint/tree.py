@@ -1,0 +1,144 @@
+"""A read-only view of the workspace's files: what lies on the disk, overlaid by what is planned.
+
+Stages plan against this view, so that one run can plan all of them before its first byte is written.
+"""
+
+from __future__ import annotations
+
+import errno
+import os
+import stat
+from collections.abc import Iterable, Mapping
+from pathlib import Path
+
+from keymint.errors import KeymintError, Origin
+
+MAX_FILE = 16 * 1024 * 1024
+"""Bytes of a file that is read; nothing that Keymint reads or writes comes near."""
+
+
+def read_file(path: Path) -> bytes | None:
+    """Return the bytes of a regular file, or None when there is none.
+
+    Raises:
+        KeymintError: the path is a symbolic link or no regular file, is too large, or cannot be read.
+    """
+    try:
+        descriptor = os.open(path, os.O_RDONLY | os.O_NOFOLLOW | os.O_CLOEXEC | os.O_NONBLOCK)
+    except (FileNotFoundError, NotADirectoryError):
+        return None
+    except OSError as error:
+        if error.errno == errno.ELOOP:
+            raise KeymintError(
+                "is a symbolic link, which is refused here",
+                where=Origin(str(path)),
+                help="replace it by the file itself",
+                code="symlink-refused",
+            ) from error
+        raise unreadable(path, error) from error
+    try:
+        status = os.fstat(descriptor)
+        if not stat.S_ISREG(status.st_mode):
+            raise KeymintError("is not a regular file", where=Origin(str(path)), code="file-kind")
+        if status.st_size > MAX_FILE:
+            raise KeymintError(
+                f"has {status.st_size} bytes, {MAX_FILE} are the most",
+                where=Origin(str(path)),
+                code="file-size",
+            )
+        chunks = []
+        while chunk := os.read(descriptor, status.st_size + 1):
+            chunks.append(chunk)
+        return b"".join(chunks)
+    except OSError as error:
+        raise unreadable(path, error) from error
+    finally:
+        os.close(descriptor)
+
+
+def unreadable(path: Path, error: OSError) -> KeymintError:
+    """Return the error for a file that the system does not let us read."""
+    return KeymintError(
+        f"cannot be read: {os.strerror(error.errno or 0)}",
+        where=Origin(str(path)),
+        help="check its owner and mode",
+        code="file-unreadable",
+    )
+
+
+class Tree:
+    """Files by absolute path.
+
+    Args:
+        overlay: planned content by absolute path, which hides the disk; None for a file that will be gone.
+    """
+
+    def __init__(self, overlay: Mapping[Path, bytes | None] | None = None) -> None:
+        self._overlay: dict[Path, bytes | None] = dict(overlay or {})
+        self._folders: dict[Path, set[str]] = {}
+        for path, content in self._overlay.items():
+            if content is not None:
+                self._add_folders(path)
+
+    def _add_folders(self, path: Path) -> None:
+        while path.parent != path:
+            names = self._folders.setdefault(path.parent, set())
+            if path.name in names:
+                return
+            names.add(path.name)
+            path = path.parent
+
+    def overlaid(self, changes: Iterable[tuple[Path, bytes | None]]) -> Tree:
+        """Return this view with more planned changes."""
+        return Tree({**self._overlay, **dict(changes)})
+
+    def read(self, path: Path) -> bytes | None:
+        """Return a file's bytes, or None when there is none; errors as :func:`read_file`."""
+        if path in self._overlay:
+            return self._overlay[path]
+        return read_file(path)
+
+    def names(self, folder: Path) -> list[tuple[str, bool]]:
+        """Return the entries of a folder, sorted, each with whether it is a folder (a link is none).
+
+        Raises:
+            KeymintError: the folder cannot be read.
+        """
+        found: dict[str, bool] = {}
+        try:
+            with os.scandir(folder) as entries:
+                for entry in entries:
+                    found[entry.name] = entry.is_dir(follow_symlinks=False)
+        except (FileNotFoundError, NotADirectoryError):
+            pass
+        except OSError as error:
+            raise unreadable(folder, error) from error
+        for name in self._folders.get(folder, ()):
+            found[name] = (folder / name) in self._folders
+        return sorted(
+            (name, is_folder) for name, is_folder in found.items() if self._overlay.get(folder / name, b"") is not None
+        )
+
+    def files(self, folder: Path, *, suffix: str = "") -> dict[str, bytes]:
+        """Return the files directly in a folder whose names end with ``suffix``, by name."""
+        found = {}
+        for name, is_folder in self.names(folder):
+            if not is_folder and name.endswith(suffix):
+                content = self.read(folder / name)
+                if content is not None:
+                    found[name] = content
+        return found
+
+    def files_below(self, folder: Path, *, suffix: str = "", depth: int = 8) -> dict[str, bytes]:
+        """Return the files in a folder and its sub-folders by relative path, ``depth`` levels deep."""
+        found: dict[str, bytes] = {}
+        for name, is_folder in self.names(folder):
+            if is_folder:
+                if depth > 1 and not name.startswith("."):
+                    below = self.files_below(folder / name, suffix=suffix, depth=depth - 1)
+                    found |= {f"{name}/{inner}": content for inner, content in below.items()}
+            elif name.endswith(suffix):
+                content = self.read(folder / name)
+                if content is not None:
+                    found[name] = content
+        return found

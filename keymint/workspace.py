@@ -1,0 +1,159 @@
+"""A workspace: its root, its spaces, and the packages in its source space."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+from keymint.errors import ExitCode, KeymintError
+from keymint.names import package_name
+from keymint.tree import Tree
+
+PROFILE_MARKER = "keymint_profile.xml"
+PACKAGE_MARKER = "keymint_package.xml"
+IGNORE_MARKER = "KEYMINT_IGNORE"
+SPACES = ("profile", "private", "public", "src", "build", "install")
+
+
+@dataclass(frozen=True, slots=True)
+class Workspace:
+    """Absolute paths of a workspace and its spaces.
+
+    Attributes:
+        root: the folder that the spaces lie in, unless an option puts one elsewhere.
+        profile: authorities, defaults and policy, written by people.
+        private: private keys; mode 0700.
+        public: certificates of the authorities.
+        src: source packages, one per subject.
+        build: unsigned documents.
+        install: what is deployed.
+        shown_from: folder that paths in messages are relative to.
+    """
+
+    root: Path
+    profile: Path
+    private: Path
+    public: Path
+    src: Path
+    build: Path
+    install: Path
+    shown_from: Path
+
+    @classmethod
+    def at(cls, root: Path, spaces: Mapping[str, Path], shown_from: Path) -> Workspace:
+        """Return the workspace at a root.
+
+        Args:
+            root: the root; need not exist.
+            spaces: paths of spaces that are not at their usual place, absolute or relative to the root.
+            shown_from: folder that paths in messages are relative to.
+
+        Raises:
+            KeymintError: two spaces are one folder, or one lies in another.
+        """
+        root = root.resolve()
+        paths = {space: (root / spaces[space]).resolve() if space in spaces else root / space for space in SPACES}
+        for one, path in paths.items():
+            for other, outer in paths.items():
+                if one != other and path.is_relative_to(outer):
+                    raise KeymintError(
+                        f"the {one} space {path} lies in the {other} space {outer}",
+                        help="give each space a folder of its own",
+                        code="space-overlap",
+                        exit_code=ExitCode.USAGE,
+                    )
+        return cls(root=root, shown_from=shown_from, **paths)
+
+    @property
+    def state(self) -> Path:
+        """The folder of Keymint's own records."""
+        return self.root / ".keymint"
+
+    def exists(self) -> bool:
+        """Tell whether there is a profile."""
+        return (self.profile / PROFILE_MARKER).is_file()
+
+    def shown(self, path: Path) -> str:
+        """Return a path as the user would type it."""
+        return shown(path, self.shown_from)
+
+    def authority_key(self, name: str) -> Path:
+        """Return where the private key of an authority lies."""
+        return self.private / f"{name}.key.pem"
+
+    def authority_certificate(self, name: str) -> Path:
+        """Return where the certificate of an authority lies."""
+        return self.public / f"{name}.cert.pem"
+
+    def identity_key(self, package: str) -> Path:
+        """Return where the private key of a package's subject lies."""
+        return self.private / "identities" / package / "key.pem"
+
+    def enclaves(self, layout: str) -> Path:
+        """Return the folder below which a layout keeps its enclaves."""
+        return self.install / "enclaves" if layout == "sros2" else self.install
+
+
+def shown(path: Path, start: Path) -> str:
+    """Return a path relative to a folder if it lies below it or near, else as it is."""
+    if path.is_relative_to(start):
+        return str(path.relative_to(start))
+    relative = os.path.relpath(path, start)
+    return relative if relative.count("..") <= 2 else str(path)  # noqa: PLR2004 - beyond, nobody counts the dots
+
+
+def find(start: Path, spaces: Mapping[str, Path], shown_from: Path) -> Workspace:
+    """Return the workspace that a folder lies in, looking upward as git does.
+
+    Raises:
+        KeymintError: there is none.
+    """
+    for folder in (start.resolve(), *start.resolve().parents):
+        workspace = Workspace.at(folder, spaces, shown_from)
+        if workspace.exists():
+            return workspace
+    raise KeymintError(
+        f"{shown(start.resolve(), shown_from)} is in no workspace: there is no profile/{PROFILE_MARKER} here or above",
+        help="run 'keymint init', or name the workspace with -w",
+        code="workspace-missing",
+    )
+
+
+def packages(tree: Tree, src: Path) -> tuple[str, ...]:
+    """Return the names of the source packages, sorted.
+
+    A folder with a file ``KEYMINT_IGNORE`` is not searched, nor are hidden folders and links.
+
+    Raises:
+        KeymintError: the folder of a package is not a legal name.
+    """
+    return tuple(sorted(_packages(tree, src, "")))
+
+
+def _packages(tree: Tree, folder: Path, name: str) -> Iterator[str]:
+    entries = dict(tree.names(folder))
+    if IGNORE_MARKER in entries:
+        return
+    if name and entries.get(PACKAGE_MARKER) is False:
+        yield package_name(name)
+    for entry, is_folder in entries.items():
+        if is_folder and not entry.startswith(".") and not entry.endswith(".defaults"):
+            yield from _packages(tree, folder / entry, f"{name}/{entry}" if name else entry)
+
+
+def package_files(tree: Tree, folder: Path) -> dict[str, bytes]:
+    """Return the XML files of a package's folder, those of its ``package.defaults`` included."""
+    files = tree.files(folder, suffix=".xml")
+    defaults = tree.files(folder / "package.defaults", suffix=".xml")
+    return files | {f"package.defaults/{name}": content for name, content in defaults.items()}
+
+
+def profile_files(tree: Tree, profile: Path) -> dict[str, bytes]:
+    """Return the XML files of a profile space by relative path, without those of the policy."""
+    return {
+        name: content
+        for name, content in tree.files_below(profile, suffix=".xml", depth=2).items()
+        if "/" not in name or name.split("/")[0].endswith(".defaults")
+    }

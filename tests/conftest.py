@@ -1,0 +1,91 @@
+"""What all tests share: the command line, run in this process."""
+
+from __future__ import annotations
+
+import contextlib
+import io
+import json
+import os
+import sys
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from keymint import cli
+
+CHECKOUT = Path(__file__).resolve().parent.parent
+NOW = 1_800_000_000
+"""2027-01-15T08:00:00Z, the clock of the tests, as ``SOURCE_DATE_EPOCH``."""
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """How a run of the command line ended."""
+
+    code: int
+    out: str
+    err: str
+
+    @property
+    def document(self) -> dict[str, Any]:
+        """What ``--json`` printed."""
+        return json.loads(self.out)
+
+    def codes(self) -> list[str]:
+        """The codes of the diagnostics that ``--json`` printed."""
+        return [diagnostic["code"] for diagnostic in self.document["diagnostics"]]
+
+
+@pytest.fixture(autouse=True)
+def plain_environment(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Fix the clock, and keep the machine's ROS out."""
+    monkeypatch.setenv("SOURCE_DATE_EPOCH", str(NOW))
+    for name in ("ROS_DISTRO", "KEYMINT_TRACEBACK"):
+        monkeypatch.delenv(name, raising=False)
+
+
+@pytest.fixture
+def keymint(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[..., Outcome]:
+    """Run the command line in ``tmp_path``, or in another folder."""
+
+    def run(*arguments: object, cwd: Path | None = None, env: Mapping[str, str] | None = None) -> Outcome:
+        out, err = io.StringIO(), io.StringIO()
+        with monkeypatch.context() as patch:
+            patch.chdir(cwd or tmp_path)
+            patch.setenv("KEYMINT_TRACEBACK", "1")
+            for name, value in (env or {}).items():
+                patch.setenv(name, value)
+            umask = os.umask(0o022)
+            try:
+                with contextlib.redirect_stdout(out), contextlib.redirect_stderr(err):
+                    code = cli.main([str(argument) for argument in arguments])
+            finally:
+                os.umask(umask)
+        sys.stdout.flush()
+        return Outcome(code, out.getvalue(), err.getvalue())
+
+    return run
+
+
+@pytest.fixture
+def reference() -> Path:
+    """Data from the field, which lies beside the checkout on some machines only."""
+    folder = CHECKOUT.parent / "shared" / "reference"
+    if not folder.is_dir():
+        pytest.skip("no ../shared/reference beside this checkout")
+    return folder
+
+
+def snapshot(folder: Path) -> dict[str, tuple[int, int, bytes]]:
+    """Return mode, time of change and content of every file and folder below a folder."""
+    return {
+        str(path.relative_to(folder)): (
+            path.lstat().st_mode,
+            path.lstat().st_mtime_ns,
+            path.read_bytes() if path.is_file() else b"",
+        )
+        for path in sorted(folder.rglob("*"))
+    }

@@ -1,0 +1,95 @@
+"""Which names become packages and paths, and which are refused."""
+
+from __future__ import annotations
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from keymint.errors import KeymintError
+from keymint.names import MAX_NAME, MAX_SEGMENT, package_name, refuse_case_collisions
+
+SEGMENTS = st.from_regex(r"[A-Za-z_][A-Za-z0-9_]{0,30}", fullmatch=True)
+NAMES = st.lists(SEGMENTS, min_size=1, max_size=6).map("/".join)
+
+
+@given(NAMES)
+def test_a_legal_name_is_itself_with_or_without_its_slash(name: str) -> None:
+    assert package_name(name) == name
+    assert package_name(f"/{name}") == name
+    assert package_name(f"/{name}/") == name
+
+
+@given(st.text(max_size=60))
+def test_whatever_is_accepted_is_a_relative_path_without_a_step_upward(text: str) -> None:
+    try:
+        name = package_name(text)
+    except KeymintError as error:
+        assert error.diagnostics[0].code == "name-illegal"
+        assert len(str(error).splitlines()) == 1
+        return
+    assert name.isascii()
+    assert all(part and part not in {".", ".."} and "\0" not in part for part in name.split("/"))
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "",
+        "/",
+        "//",
+        "//etc",
+        "..",
+        "/..",
+        "../etc/passwd",
+        "a/../b",
+        "a//b",
+        ".",
+        "a/./b",
+        "a\0b",
+        "a\nb",
+        "a\n",
+        "a b",
+        "1a",
+        "a/1",
+        "a-b",
+        "~a",
+        "a.xml",
+        "*",
+        "ä",
+        "\u0430",  # a Cyrillic letter that looks like a Latin one
+        "\udc80",
+        "a" * (MAX_SEGMENT + 1),
+        "/".join(["abc"] * (MAX_NAME // 4 + 1)),
+    ],
+)
+def test_what_is_no_name_is_refused(text: str) -> None:
+    with pytest.raises(KeymintError) as caught:
+        package_name(text)
+    assert caught.value.diagnostics[0].code == "name-illegal"
+
+
+def test_the_longest_names_are_legal() -> None:
+    assert package_name("a" * MAX_SEGMENT)
+    longest = "/".join(["a" * 199] * 5)
+    assert len(longest) == MAX_NAME - 1
+    assert package_name("/" + longest) == longest
+
+
+def test_a_message_does_not_repeat_an_endless_name() -> None:
+    with pytest.raises(KeymintError) as caught:
+        package_name("x" * 1_000_000)
+    assert len(str(caught.value)) < 200
+
+
+@pytest.mark.parametrize("names", [["arm", "Arm"], ["robot/arm", "ROBOT/leg"], ["a/b/c", "a/B"], ["a", "A/b"]])
+def test_names_that_differ_by_case_only_are_refused(names: list[str]) -> None:
+    with pytest.raises(KeymintError) as caught:
+        refuse_case_collisions(names)
+    assert caught.value.diagnostics[0].code == "name-collision"
+
+
+@given(st.lists(NAMES.map(str.lower), max_size=8))
+def test_names_of_one_case_never_collide(names: list[str]) -> None:
+    refuse_case_collisions(names)
+    refuse_case_collisions(names + names)

@@ -1,0 +1,102 @@
+"""The read-only view: what lies on the disk, overlaid by what is planned."""
+
+from __future__ import annotations
+
+import os
+import socket
+from pathlib import Path
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from keymint import tree as module
+from keymint.errors import KeymintError
+from keymint.tree import Tree, read_file
+
+
+def code_of(path: Path) -> str:
+    with pytest.raises(KeymintError) as caught:
+        read_file(path)
+    assert str(caught.value).startswith(str(path))
+    return caught.value.diagnostics[0].code
+
+
+def test_reads_what_is_there_and_none_where_nothing_is(tmp_path: Path) -> None:
+    (tmp_path / "file").write_bytes(b"content")
+    assert read_file(tmp_path / "file") == b"content"
+    assert read_file(tmp_path / "other") is None
+    assert read_file(tmp_path / "file" / "below") is None
+
+
+@pytest.mark.parametrize("target", ["file", "missing"])
+def test_a_symbolic_link_is_refused_dangling_or_not(tmp_path: Path, target: str) -> None:
+    (tmp_path / "file").write_bytes(b"content")
+    (tmp_path / "link").symlink_to(target)
+    assert code_of(tmp_path / "link") == "symlink-refused"
+
+
+def test_what_is_no_regular_file_is_refused_without_waiting(tmp_path: Path) -> None:
+    os.mkfifo(tmp_path / "fifo")  # opening it for reading would wait for a writer
+    (tmp_path / "folder").mkdir()
+    assert code_of(tmp_path / "fifo") == "file-kind"
+    assert code_of(tmp_path / "folder") == "file-kind"
+    with socket.socket(socket.AF_UNIX) as server:
+        server.bind(str(tmp_path / "socket"))
+        assert code_of(tmp_path / "socket") == "file-unreadable"
+
+
+def test_an_endless_file_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(module, "MAX_FILE", 100)
+    (tmp_path / "file").write_bytes(b"x" * 101)
+    assert code_of(tmp_path / "file") == "file-size"
+
+
+def test_the_overlay_hides_the_disk(tmp_path: Path) -> None:
+    (tmp_path / "kept").write_bytes(b"old")
+    (tmp_path / "changed").write_bytes(b"old")
+    (tmp_path / "gone").write_bytes(b"old")
+    planned = {tmp_path / "changed": b"new", tmp_path / "gone": None, tmp_path / "a" / "b" / "made": b"new"}
+    tree = Tree(planned)
+    assert tree.names(tmp_path) == [("a", True), ("changed", False), ("kept", False)]
+    assert tree.names(tmp_path / "a") == [("b", True)]
+    assert tree.files(tmp_path) == {"kept": b"old", "changed": b"new"}
+    assert tree.files_below(tmp_path) == {"kept": b"old", "changed": b"new", "a/b/made": b"new"}
+    assert tree.read(tmp_path / "gone") is None
+    assert (tmp_path / "changed").read_bytes() == b"old"
+
+
+def test_a_later_overlay_hides_an_earlier_one(tmp_path: Path) -> None:
+    first = Tree().overlaid([(tmp_path / "file", b"one"), (tmp_path / "other", b"one")])
+    second = first.overlaid([(tmp_path / "file", None)])
+    assert second.files(tmp_path) == {"other": b"one"}
+    assert first.files(tmp_path) == {"file": b"one", "other": b"one"}
+
+
+def test_a_link_to_a_folder_is_not_entered(tmp_path: Path) -> None:
+    (tmp_path / "real").mkdir()
+    (tmp_path / "real" / "file").write_bytes(b"content")
+    (tmp_path / "loop").symlink_to(tmp_path)
+    assert ("loop", False) in Tree().names(tmp_path)
+    with pytest.raises(KeymintError):
+        Tree().files_below(tmp_path)  # the link is neither followed nor passed over in silence
+
+
+def test_files_below_ends_at_its_depth_and_leaves_out_hidden_folders(tmp_path: Path) -> None:
+    for path in ("a.xml", "one/b.xml", "one/two/c.xml", ".git/d.xml", "e.txt"):
+        (tmp_path / path).parent.mkdir(parents=True, exist_ok=True)
+        (tmp_path / path).write_bytes(b"")
+    assert set(Tree().files_below(tmp_path, suffix=".xml", depth=2)) == {"a.xml", "one/b.xml"}
+
+
+PATHS = st.lists(st.sampled_from("abc"), min_size=1, max_size=3).map("/".join)
+
+
+@given(st.dictionaries(PATHS, st.one_of(st.none(), st.binary(max_size=4)), max_size=8))
+def test_the_overlay_alone_is_read_as_a_disk_with_its_files_would_be(planned: dict[str, bytes | None]) -> None:
+    root = Path("/nonexistent/overlay")
+    files = {path: content for path, content in planned.items() if content is not None}
+    if any(other.startswith(f"{path}/") for path in planned for other in planned):
+        return  # a path cannot be a file and a folder
+    tree = Tree({root / path: content for path, content in planned.items()})
+    assert tree.files_below(root) == files

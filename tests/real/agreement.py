@@ -1,0 +1,128 @@
+"""Holds what a policy says against what the vendors' code decides on the documents that are compiled from it.
+
+The names of ROS 2 on DDS are said here once more, in the simplest way, and not taken from the compiler.
+"""
+
+from __future__ import annotations
+
+from contextlib import contextmanager
+from dataclasses import dataclass
+from datetime import UTC, datetime, timedelta
+from typing import TYPE_CHECKING
+
+from keymint_ros2_comarmor import policy_type
+from keymint_ros2_dds import build_type
+
+from keymint.api import (
+    BuildOptions,
+    CertificateSpec,
+    DomainRange,
+    DomainRule,
+    Governance,
+    KeySpec,
+    Package,
+    Permissions,
+    PolicySource,
+    TopicProtection,
+    Validity,
+)
+from keymint.errors import Origin
+
+from .cyclone_access_control import AccessControl
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Sequence
+    from pathlib import Path
+
+    from .cyclone_access_control import Direction
+    from .handmade import Authorities
+
+_HERE = Origin("test")
+_SERVICE_PARTS = {
+    "ros_request": ("/_action/send_goal", "/_action/cancel_goal", "/_action/get_result"),
+    "ros_read": ("/describe_parameters", "/get_parameters", "/get_parameter_types", "/list_parameters"),
+    "ros_write": ("/set_parameters", "/set_parameters_atomically"),
+}
+_SERVICE_PARTS["ros_operate"] = _SERVICE_PARTS["ros_request"]
+_TOPIC_PARTS = ("/_action/feedback", "/_action/status")
+
+REQUESTS: tuple[tuple[str, str], ...] = (
+    ("ros_topic", "ros_publish"),
+    ("ros_topic", "ros_subscribe"),
+    ("ros_service", "ros_call"),
+    ("ros_service", "ros_execute"),
+    ("ros_action", "ros_request"),
+    ("ros_action", "ros_operate"),
+    ("ros_parameter", "ros_read"),
+    ("ros_parameter", "ros_write"),
+)
+"""Every kind and permission on ROS names that an endpoint of a node needs."""
+
+
+@dataclass(frozen=True, slots=True)
+class Operation:
+    """An endpoint on a DDS topic."""
+
+    direction: Direction
+    topic: str
+
+
+def operations(permission: str, name: str) -> tuple[Operation, ...]:
+    """Return the endpoints that a node with the permission on the name needs (Bouncy and later)."""
+    match permission:
+        case "publish" | "subscribe" as direction:
+            return (Operation(direction, name),)
+        case "ros_publish":
+            return (Operation("publish", f"rt{name}"),)
+        case "ros_subscribe":
+            return (Operation("subscribe", f"rt{name}"),)
+        case "ros_call":
+            return Operation("publish", f"rq{name}Request"), Operation("subscribe", f"rr{name}Reply")
+        case "ros_execute":
+            return Operation("subscribe", f"rq{name}Request"), Operation("publish", f"rr{name}Reply")
+    service = "ros_execute" if permission == "ros_operate" else "ros_call"
+    topic = {"ros_request": "ros_subscribe", "ros_operate": "ros_publish"}.get(permission)
+    parts = [(service, name + suffix) for suffix in _SERVICE_PARTS[permission]]
+    parts += [(topic, name + suffix) for suffix in _TOPIC_PARTS if topic]
+    return tuple(operation for part in parts for operation in operations(*part))
+
+
+def compiled(policy: Path, subject: str) -> tuple[str, str]:
+    """Compile what a policy says of a subject; return its unsigned permissions and governance.
+
+    Raises:
+        KeymintError: the policy says what not all vendors would understand alike.
+    """
+    rules = policy_type.load([PolicySource("policy", policy, _HERE)], None).rules(subject)
+    assert rules is not None
+    now = datetime.now(UTC).replace(microsecond=0)
+    validity = Validity(now - timedelta(days=2), now + timedelta(days=10))
+    name, domains = f"CN={subject}", (DomainRange(0, 0),)
+    identity = CertificateSpec(name, validity, None, "identity", "SHA256", KeySpec("ec", "SECP256R1"), (), _HERE)
+    permissions = Permissions("permissions", subject, name, validity, domains, rules, _HERE)
+    everything = TopicProtection("topic", "*", True, True, True, True, "ENCRYPT", "ENCRYPT", _HERE)
+    domain_rule = DomainRule(domains, False, True, "ENCRYPT", "ENCRYPT", "SIGN", (everything,), _HERE)
+    governance = Governance("permissions", (domain_rule,))
+    package = Package(subject[1:], subject, "keymint_ros2_dds", "humble", identity, permissions, governance)
+    documents = build_type.build(package, BuildOptions()).documents
+    return documents["permissions.xml"].decode(), documents["governance.xml"].decode()
+
+
+@contextmanager
+def access(authorities: Authorities, subject: str, documents: tuple[str, str]) -> Iterator[AccessControl]:
+    """Sign the documents and give them to the access-control plugin of Cyclone DDS."""
+    permissions, governance = documents
+    with AccessControl(
+        certificate=authorities.certificate_of(subject),
+        permissions_ca=authorities.permissions.pem,
+        governance=authorities.permissions.sign(governance),
+        permissions=authorities.permissions.sign(permissions),
+    ) as opened:
+        assert opened.valid, opened.reason
+        yield opened
+
+
+def allowed(opened: AccessControl, permission: str, name: str, partitions: Sequence[str] = ()) -> bool:
+    """Tell whether the plugin allows every endpoint that the permission on the name needs."""
+    needed = operations(permission, name)
+    return all(opened.allows(each.direction, each.topic, partitions) for each in needed)

@@ -1,0 +1,91 @@
+"""Fixtures for tests on real DDS software; where a vendor is missing they skip, and say what to install.
+
+With ``KEYMINT_REQUIRE_VENDORS=1`` in the environment (as in CI) a missing vendor is a failure.
+"""
+
+from __future__ import annotations
+
+import os
+from typing import TYPE_CHECKING, NoReturn
+
+import pytest
+
+from . import probes
+from .handmade import Authorities
+from .participants import CycloneDDS, FastDDS, System, Vendor
+from .provisioning import provision
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator
+    from pathlib import Path
+
+
+def _missing(error: probes.MissingVendorError) -> NoReturn:
+    if os.environ.get("KEYMINT_REQUIRE_VENDORS") == "1":
+        pytest.fail(f"KEYMINT_REQUIRE_VENDORS=1, but {error}", pytrace=False)
+    pytest.skip(str(error))
+
+
+@pytest.fixture(scope="session")
+def probe_cache(pytestconfig: pytest.Config, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Return the folder that keeps the built probes from run to run."""
+    cache = getattr(pytestconfig, "cache", None)
+    return cache.mkdir("probes") if cache else tmp_path_factory.mktemp("probes")
+
+
+@pytest.fixture(scope="session")
+def cyclone_plugins() -> None:
+    """Require the security plugins of Cyclone DDS."""
+    try:
+        probes.require_cyclone_plugins()
+    except probes.MissingVendorError as error:
+        _missing(error)
+
+
+@pytest.fixture(scope="session")
+def cyclonedds(cyclone_plugins: None, probe_cache: Path) -> Vendor:
+    """Return Cyclone DDS."""
+    try:
+        return CycloneDDS(probes.CYCLONEDDS.build(probe_cache))
+    except probes.MissingVendorError as error:
+        _missing(error)
+
+
+@pytest.fixture(scope="session")
+def fastdds(probe_cache: Path) -> Vendor:
+    """Return Fast DDS."""
+    try:
+        return FastDDS(probes.FASTDDS.build(probe_cache))
+    except probes.MissingVendorError as error:
+        _missing(error)
+
+
+@pytest.fixture(
+    params=[
+        pytest.param("cyclonedds", marks=pytest.mark.cyclonedds),
+        pytest.param("fastdds", marks=pytest.mark.fastdds),
+    ]
+)
+def vendor(request: pytest.FixtureRequest) -> Vendor:
+    """Return each vendor in turn."""
+    found: Vendor = request.getfixturevalue(request.param)
+    return found
+
+
+@pytest.fixture
+def system(vendor: Vendor) -> Iterator[System]:
+    """Return an empty system of a vendor, whose participants end with the test."""
+    with System(vendor) as opened:
+        yield opened
+
+
+@pytest.fixture(scope="session")
+def authorities() -> Authorities:
+    """Return two authorities for enclaves made by hand."""
+    return Authorities.new()
+
+
+@pytest.fixture(scope="session")
+def provisioned(tmp_path_factory: pytest.TempPathFactory) -> Callable[[str], Path]:
+    """Return a function that provisions a policy, and returns the install space; every call is a new system."""
+    return lambda policy: provision(policy, tmp_path_factory.mktemp("system"))

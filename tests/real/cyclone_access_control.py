@@ -1,0 +1,283 @@
+"""Drives the access-control plugin of Cyclone DDS 0.10 alone: no participant, no network, no handshake.
+
+The shared object is the one that a participant loads. It exports ``init_access_control``, which fills a table of
+functions (``dds_security_access_control`` in ``dds/security/dds_security_api_access_control.h``), and
+``ac_fnmatch``, its matcher of expressions. Of the domain that a plugin belongs to it only reads the queue of timed
+events, which it does not touch before it is enabled, so a zeroed structure stands for the domain. Of the
+authentication plugin it only asks that there is one: the subject is read from the certificate itself.
+
+A plugin instance keeps one set of local rights for its life, hence one instance for each :class:`AccessControl`.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import functools
+import weakref
+from ctypes import POINTER, Structure, byref, c_char_p, c_int, c_int32, c_int64, c_ubyte, c_uint32, c_void_p
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal, Self
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable
+
+Direction = Literal["publish", "subscribe"]
+Document = Path | bytes | str
+"""A file, the content itself, or a URI (``file:`` or ``data:,``) as the property of a participant has it."""
+
+_SONAMES = ("libddsc.so.0debian", "libddsc.so.0", "libddsc.so")
+_FOLDERS = ("/usr/lib/*/libddsc*", "/usr/lib/*", "/usr/lib", "/usr/local/lib", "/opt/ros/*/lib", "/opt/ros/*/lib/*")
+_ROOM_FOR_DOMAIN = 1 << 16
+"""Bytes for a zeroed ``struct ddsi_domaingv``; the real one has about two thousand."""
+
+
+class _String(Structure):
+    _fields_ = (("maximum", c_uint32), ("length", c_uint32), ("buffer", POINTER(c_char_p)))
+
+
+class _Property(Structure):
+    _fields_ = (("name", c_char_p), ("value", c_char_p), ("propagate", c_ubyte))
+
+
+class _PropertySeq(Structure):
+    _fields_ = (("maximum", c_uint32), ("length", c_uint32), ("buffer", POINTER(_Property)))
+
+
+class _EmptySeq(Structure):
+    _fields_ = (("maximum", c_uint32), ("length", c_uint32), ("buffer", c_void_p))
+
+
+class _Qos(Structure):
+    _fields_ = (("properties", _PropertySeq), ("binary_properties", _EmptySeq), ("data_tags", _EmptySeq))
+
+
+class _Exception(Structure):
+    _fields_ = (("message", c_void_p), ("code", c_int32), ("minor_code", c_int32))
+
+
+_VALIDATE_LOCAL_PERMISSIONS = ctypes.CFUNCTYPE(
+    c_int64, c_void_p, c_void_p, c_int64, c_int32, POINTER(_Qos), POINTER(_Exception)
+)
+_CHECK_CREATE_PARTICIPANT = ctypes.CFUNCTYPE(c_ubyte, c_void_p, c_int64, c_int32, POINTER(_Qos), POINTER(_Exception))
+_CHECK_CREATE_ENDPOINT = ctypes.CFUNCTYPE(
+    c_ubyte,
+    c_void_p,
+    c_int64,
+    c_int32,
+    c_char_p,
+    POINTER(_Qos),
+    POINTER(_String),
+    POINTER(_EmptySeq),
+    POINTER(_Exception),
+)
+_CHECK_CREATE_TOPIC = ctypes.CFUNCTYPE(
+    c_ubyte, c_void_p, c_int64, c_int32, c_char_p, POINTER(_Qos), POINTER(_Exception)
+)
+
+
+class _Plugin(Structure):
+    """The head of ``struct dds_security_access_control``: as much of the table as is called."""
+
+    _fields_ = (
+        ("gv", c_void_p),
+        ("validate_local_permissions", _VALIDATE_LOCAL_PERMISSIONS),
+        ("validate_remote_permissions", c_void_p),
+        ("check_create_participant", _CHECK_CREATE_PARTICIPANT),
+        ("check_create_datawriter", _CHECK_CREATE_ENDPOINT),
+        ("check_create_datareader", _CHECK_CREATE_ENDPOINT),
+        ("check_create_topic", _CHECK_CREATE_TOPIC),
+    )
+
+
+@dataclass(frozen=True, slots=True)
+class Library:
+    """The plugin's shared object and the library that it stands on, loaded, and a domain for its instances."""
+
+    core: ctypes.CDLL
+    plugin: ctypes.CDLL
+    domain: Any
+
+    @property
+    def folder(self) -> Path:
+        """The folder of the security plugins, which Debian keeps off the loader's path."""
+        return Path(self.plugin._name).parent
+
+
+@functools.cache
+def library() -> Library:
+    """Return the plugin's shared object.
+
+    Raises:
+        OSError: Cyclone DDS, or its access-control plugin, is not installed.
+    """
+    core = _load_first(_SONAMES)
+    found = [file for folder in _FOLDERS for file in sorted(Path("/").glob(f"{folder[1:]}/libdds_security_ac.so"))]
+    plugin = _load_first([*map(str, found), "libdds_security_ac.so"])
+    core.ddsrt_free.argtypes = [c_void_p]
+    core.ddsrt_free.restype = None
+    plugin.init_access_control.argtypes = [c_char_p, POINTER(POINTER(_Plugin)), c_void_p]
+    plugin.init_access_control.restype = c_int
+    plugin.finalize_access_control.argtypes = [POINTER(_Plugin)]
+    plugin.finalize_access_control.restype = c_int
+    plugin.ac_fnmatch.argtypes = [c_char_p, c_char_p]
+    plugin.ac_fnmatch.restype = ctypes.c_bool
+    return Library(core, plugin, ctypes.create_string_buffer(_ROOM_FOR_DOMAIN))
+
+
+def _load_first(names: Iterable[str]) -> ctypes.CDLL:
+    failure = OSError("no name to load")
+    for name in names:
+        try:
+            return ctypes.CDLL(name, mode=ctypes.RTLD_GLOBAL)
+        except OSError as error:
+            failure = error
+    raise failure
+
+
+def ac_fnmatch(expression: str, name: str) -> bool:
+    """Tell whether Cyclone DDS holds that the expression matches the name (a topic's or a partition's)."""
+    return bool(library().plugin.ac_fnmatch(expression.encode(), name.encode()))
+
+
+class AccessControl:
+    """What Cyclone DDS lets one enclave do in a domain, by the local checks of its access-control plugin.
+
+    Use it as a context manager, or :meth:`close` it: then the plugin instance and all that it read are freed.
+
+    Args:
+        certificate: identity certificate, PEM.
+        permissions_ca: certificate of the permissions authority, PEM.
+        governance: signed governance document (S/MIME).
+        permissions: signed permissions document (S/MIME).
+        domain: DDS domain id.
+
+    Attributes:
+        reason: why the last question was answered with no, in the words of the plugin.
+    """
+
+    def __init__(
+        self,
+        *,
+        certificate: Document,
+        permissions_ca: Document,
+        governance: Document,
+        permissions: Document,
+        domain: int = 0,
+    ) -> None:
+        self._library = library()
+        self._domain = domain
+        self._exception = _Exception()
+        self._qos = _qos(
+            {
+                b"dds.sec.auth.identity_certificate": _uri(certificate),
+                b"dds.sec.access.permissions_ca": _uri(permissions_ca),
+                b"dds.sec.access.governance": _uri(governance),
+                b"dds.sec.access.permissions": _uri(permissions),
+            }
+        )
+        self.reason = ""
+        self._plugin = POINTER(_Plugin)()
+        if self._library.plugin.init_access_control(None, byref(self._plugin), byref(self._library.domain)):
+            raise OSError("Cyclone DDS cannot initialise its access-control plugin")
+        self._finalizer = weakref.finalize(self, self._library.plugin.finalize_access_control, self._plugin)
+        table = self._plugin.contents
+        self._check_participant = table.check_create_participant
+        self._check_topic = table.check_create_topic
+        self._check_endpoint = {
+            "publish": table.check_create_datawriter,
+            "subscribe": table.check_create_datareader,
+        }
+        self._references = (byref(self._qos), byref(_EmptySeq()), byref(self._exception))
+        any_authentication_plugin, any_identity = self._plugin, 1
+        self._handle: int = table.validate_local_permissions(
+            self._plugin, any_authentication_plugin, any_identity, domain, self._qos, self._exception
+        )
+        self._noted(self._handle != 0)
+
+    @classmethod
+    def of_enclave(cls, folder: Path, domain: int = 0) -> Self:
+        """Open an enclave as sros2 lays it out: ``cert.pem``, ``permissions_ca.cert.pem``, ``*.p7s``."""
+        return cls(
+            certificate=folder / "cert.pem",
+            permissions_ca=folder / "permissions_ca.cert.pem",
+            governance=folder / "governance.p7s",
+            permissions=folder / "permissions.p7s",
+            domain=domain,
+        )
+
+    @property
+    def valid(self) -> bool:
+        """Whether the plugin accepted the documents: signatures, syntax, subject and period of validity."""
+        return self._handle != 0
+
+    def joins(self) -> bool:
+        """Tell whether the enclave may create a participant."""
+        if not self._handle:
+            return False
+        qos, _, exception = self._references
+        return self._noted(self._check_participant(self._plugin, self._handle, self._domain, qos, exception))
+
+    def allows_topic(self, topic: str) -> bool:
+        """Tell whether the enclave may create the topic: the check before that of any writer or reader."""
+        if not self._handle:
+            return False
+        qos, _, exception = self._references
+        return self._noted(self._check_topic(self._plugin, self._handle, self._domain, topic.encode(), qos, exception))
+
+    def allows_endpoint(self, direction: Direction, topic: str, partitions: Iterable[str] = ()) -> bool:
+        """Tell whether the enclave may create a writer (``publish``) or a reader (``subscribe``) of the topic."""
+        if not self._handle:
+            return False
+        qos, tags, exception = self._references
+        names = [partition.encode() for partition in partitions]
+        buffer = (c_char_p * len(names))(*names)
+        partition_qos = _String(len(names), len(names), buffer)
+        check = self._check_endpoint[direction]
+        return self._noted(
+            check(
+                self._plugin,
+                self._handle,
+                self._domain,
+                topic.encode(),
+                qos,
+                byref(partition_qos),
+                tags,
+                exception,
+            )
+        )
+
+    def allows(self, direction: Direction, topic: str, partitions: Iterable[str] = ()) -> bool:
+        """Tell whether a participant of the enclave gets a writer or a reader: topic check, then endpoint check."""
+        return self.allows_topic(topic) and self.allows_endpoint(direction, topic, partitions)
+
+    def close(self) -> None:
+        """Free the plugin instance; every later question is answered with no."""
+        self._handle = 0
+        self._finalizer()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def _noted(self, answer: object) -> bool:
+        """Keep and free the plugin's message, which it allocates anew for every refusal."""
+        message = self._exception.message
+        if message:
+            self.reason = ctypes.string_at(message).decode(errors="replace")
+            self._library.core.ddsrt_free(message)
+            self._exception.message = None
+        return bool(answer)
+
+
+def _uri(document: Document) -> bytes:
+    if isinstance(document, bytes):
+        return b"data:," + document
+    return f"file:{document.resolve()}".encode() if isinstance(document, Path) else document.encode()
+
+
+def _qos(properties: dict[bytes, bytes]) -> _Qos:
+    listed = (_Property * len(properties))(*(_Property(name, value, 0) for name, value in properties.items()))
+    return _Qos(_PropertySeq(len(listed), len(listed), listed))

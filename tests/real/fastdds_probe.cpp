@@ -1,0 +1,394 @@
+// A secure participant of Fast DDS 2.9 that is told on stdin what to do, one line for each command, and answers on
+// stdout with one line. The protocol is described in participants.py, which starts it.
+
+#include <chrono>
+#include <cstdint>
+#include <iostream>
+#include <map>
+#include <memory>
+#include <mutex>
+#include <sstream>
+#include <string>
+#include <thread>
+#include <vector>
+
+#include <fastcdr/Cdr.h>
+#include <fastcdr/FastBuffer.h>
+#include <fastdds/dds/domain/DomainParticipant.hpp>
+#include <fastdds/dds/domain/DomainParticipantFactory.hpp>
+#include <fastdds/dds/domain/DomainParticipantListener.hpp>
+#include <fastdds/dds/log/Log.hpp>
+#include <fastdds/dds/publisher/DataWriter.hpp>
+#include <fastdds/dds/publisher/Publisher.hpp>
+#include <fastdds/dds/subscriber/DataReader.hpp>
+#include <fastdds/dds/subscriber/SampleInfo.hpp>
+#include <fastdds/dds/subscriber/Subscriber.hpp>
+#include <fastdds/dds/topic/Topic.hpp>
+#include <fastdds/dds/topic/TopicDataType.hpp>
+#include <fastdds/dds/topic/TypeSupport.hpp>
+#include <fastdds/rtps/transport/UDPv4TransportDescriptor.h>
+#include <fastrtps/utils/IPLocator.h>
+
+namespace fast = eprosima::fastdds::dds;
+namespace rtps = eprosima::fastrtps::rtps;
+using Words = std::vector<std::string>;
+
+namespace {
+
+constexpr char TYPE_NAME[] = "std_msgs::msg::dds_::String_";
+constexpr uint32_t MAX_SERIALIZED = 4096;
+constexpr int PARTICIPANTS = 4;  // peers that each participant looks for
+constexpr auto STEP = std::chrono::milliseconds(2);
+
+// What Fast DDS complained of since they were last taken.
+class Complaints
+{
+public:
+    void add(std::string text)
+    {
+        for (char& letter : text)
+            letter = letter == '\n' || letter == '\r' ? ' ' : letter;
+        std::lock_guard<std::mutex> guard(lock_);
+        if (text_.size() < ENOUGH)
+            text_ += (text_.empty() ? "" : "; ") + text;
+    }
+
+    std::string take()
+    {
+        fast::Log::Flush();
+        std::lock_guard<std::mutex> guard(lock_);
+        std::string text;
+        std::swap(text, text_);
+        return text;
+    }
+
+private:
+    static constexpr size_t ENOUGH = 2000;
+    std::mutex lock_;
+    std::string text_;
+};
+
+Complaints complaints;
+
+class Consumer : public fast::LogConsumer
+{
+public:
+    void Consume(const fast::Log::Entry& entry) override
+    {
+        if (entry.kind == fast::Log::Kind::Error)
+            complaints.add(entry.message);
+    }
+};
+
+class Listener : public fast::DomainParticipantListener
+{
+public:
+    void onParticipantAuthentication(fast::DomainParticipant*, rtps::ParticipantAuthenticationInfo&& info) override
+    {
+        if (info.status == rtps::ParticipantAuthenticationInfo::UNAUTHORIZED_PARTICIPANT)
+            complaints.add("remote participant is not authorized");
+    }
+};
+
+class StringType : public fast::TopicDataType
+{
+public:
+    StringType()
+    {
+        setName(TYPE_NAME);
+        m_typeSize = MAX_SERIALIZED;
+        m_isGetKeyDefined = false;
+    }
+
+    bool serialize(void* data, rtps::SerializedPayload_t* payload) override
+    {
+        eprosima::fastcdr::FastBuffer buffer(reinterpret_cast<char*>(payload->data), payload->max_size);
+        eprosima::fastcdr::Cdr cdr(
+                buffer, eprosima::fastcdr::Cdr::DEFAULT_ENDIAN, eprosima::fastcdr::Cdr::DDS_CDR);
+        payload->encapsulation = cdr.endianness() == eprosima::fastcdr::Cdr::BIG_ENDIANNESS ? CDR_BE : CDR_LE;
+        cdr.serialize_encapsulation();
+        cdr << *static_cast<std::string*>(data);
+        payload->length = static_cast<uint32_t>(cdr.getSerializedDataLength());
+        return true;
+    }
+
+    bool deserialize(rtps::SerializedPayload_t* payload, void* data) override
+    {
+        eprosima::fastcdr::FastBuffer buffer(reinterpret_cast<char*>(payload->data), payload->length);
+        eprosima::fastcdr::Cdr cdr(
+                buffer, eprosima::fastcdr::Cdr::DEFAULT_ENDIAN, eprosima::fastcdr::Cdr::DDS_CDR);
+        cdr.read_encapsulation();
+        cdr >> *static_cast<std::string*>(data);
+        return true;
+    }
+
+    std::function<uint32_t()> getSerializedSizeProvider(void*) override
+    {
+        return []() { return MAX_SERIALIZED; };
+    }
+
+    void* createData() override
+    {
+        return new std::string();
+    }
+
+    void deleteData(void* data) override
+    {
+        delete static_cast<std::string*>(data);
+    }
+
+    bool getKey(void*, rtps::InstanceHandle_t*, bool) override
+    {
+        return false;
+    }
+};
+
+struct Edge
+{
+    fast::Topic* topic = nullptr;
+    fast::Publisher* publisher = nullptr;
+    fast::Subscriber* subscriber = nullptr;
+    fast::DataWriter* writer = nullptr;
+    fast::DataReader* reader = nullptr;
+
+    int matched() const
+    {
+        if (writer != nullptr)
+        {
+            fast::PublicationMatchedStatus status;
+            writer->get_publication_matched_status(status);
+            return status.current_count;
+        }
+        fast::SubscriptionMatchedStatus status;
+        reader->get_subscription_matched_status(status);
+        return status.current_count;
+    }
+};
+
+class Probe
+{
+public:
+    ~Probe()
+    {
+        if (participant_ != nullptr)
+        {
+            participant_->delete_contained_entities();
+            fast::DomainParticipantFactory::get_instance()->delete_participant(participant_);
+        }
+    }
+
+    std::string obey(const Words& words)
+    {
+        const std::string& command = words[0];
+        if (command == "OPEN" && words.size() == 5)
+            return open(std::stoul(words[1]), words[2], std::stoi(words[3]), std::stoi(words[4]));
+        if (participant_ == nullptr)
+            return "ERROR no participant";
+        if (command == "EDGE" && words.size() >= 4)
+            return keep_edge(words);
+        if (command == "TRY" && words.size() >= 3)
+            return try_edge(words);
+        const auto found = words.size() > 2 ? edges_.find(words[1]) : edges_.end();
+        if (found == edges_.end())
+            return "ERROR malformed command";
+        if (command == "AWAIT")
+            return await_match(found->second, std::stoi(words[2]));
+        if (command == "WRITE")
+            return write(found->second, words[2]);
+        if (command == "READ")
+            return read(found->second, std::stoi(words[2]));
+        return "ERROR malformed command";
+    }
+
+private:
+    // Ports are the harness's choice, so that systems of different tests never meet: two for each participant.
+    std::string open(uint32_t domain, const std::string& folder, int first_port, int index)
+    {
+        fast::DomainParticipantQos qos;
+        auto transport = std::make_shared<eprosima::fastdds::rtps::UDPv4TransportDescriptor>();
+        transport->interfaceWhiteList.push_back("127.0.0.1");
+        qos.transport().use_builtin_transports = false;
+        qos.transport().user_transports.push_back(transport);
+        auto& builtin = qos.wire_protocol().builtin;
+        builtin.discovery_config.initial_announcements.count = 20;
+        builtin.discovery_config.initial_announcements.period = {0, 100000000};
+        builtin.metatrafficUnicastLocatorList.push_back(loopback(first_port + 2 * index));
+        qos.wire_protocol().default_unicast_locator_list.push_back(loopback(first_port + 2 * index + 1));
+        for (int other = 0; other < PARTICIPANTS; ++other)
+            if (other != index)
+                builtin.initialPeersList.push_back(loopback(first_port + 2 * other));
+
+        const std::string file = "file://" + folder + "/";
+        set(qos, "dds.sec.auth.plugin", "builtin.PKI-DH");
+        set(qos, "dds.sec.auth.builtin.PKI-DH.identity_ca", file + "identity_ca.cert.pem");
+        set(qos, "dds.sec.auth.builtin.PKI-DH.identity_certificate", file + "cert.pem");
+        set(qos, "dds.sec.auth.builtin.PKI-DH.private_key", file + "key.pem");
+        set(qos, "dds.sec.crypto.plugin", "builtin.AES-GCM-GMAC");
+        set(qos, "dds.sec.access.plugin", "builtin.Access-Permissions");
+        set(qos, "dds.sec.access.builtin.Access-Permissions.permissions_ca", file + "permissions_ca.cert.pem");
+        set(qos, "dds.sec.access.builtin.Access-Permissions.governance", file + "governance.p7s");
+        set(qos, "dds.sec.access.builtin.Access-Permissions.permissions", file + "permissions.p7s");
+
+        participant_ = fast::DomainParticipantFactory::get_instance()->create_participant(
+                domain, qos, &listener_, fast::StatusMask::none());
+        if (participant_ == nullptr)
+            return "REFUSED " + complaints.take();
+        type_.register_type(participant_);
+        return "OPENED";
+    }
+
+    static rtps::Locator_t loopback(int port)
+    {
+        rtps::Locator_t locator;
+        rtps::IPLocator::setIPv4(locator, "127.0.0.1");
+        locator.port = static_cast<uint32_t>(port);
+        return locator;
+    }
+
+    static void set(fast::DomainParticipantQos& qos, const std::string& name, const std::string& value)
+    {
+        qos.properties().properties().emplace_back(name, value);
+    }
+
+    // The words end with direction, topic and partitions; first is where they begin.
+    bool create(Edge& edge, const Words& words, size_t first)
+    {
+        edge.topic = static_cast<fast::Topic*>(participant_->lookup_topicdescription(words[first + 1]));
+        if (edge.topic == nullptr)
+            edge.topic = participant_->create_topic(words[first + 1], TYPE_NAME, fast::TOPIC_QOS_DEFAULT);
+        if (edge.topic == nullptr)
+            return false;
+        fast::PartitionQosPolicy partitions;
+        for (size_t i = first + 2; i < words.size(); ++i)
+            partitions.push_back(words[i].c_str());
+        if (words[first] == "publish")
+        {
+            fast::PublisherQos group;
+            group.partition(partitions);
+            fast::DataWriterQos qos;
+            qos.reliability().kind = fast::RELIABLE_RELIABILITY_QOS;
+            qos.durability().kind = fast::TRANSIENT_LOCAL_DURABILITY_QOS;
+            qos.history().kind = fast::KEEP_ALL_HISTORY_QOS;
+            edge.publisher = participant_->create_publisher(group);
+            edge.writer = edge.publisher->create_datawriter(edge.topic, qos);
+        }
+        else
+        {
+            fast::SubscriberQos group;
+            group.partition(partitions);
+            fast::DataReaderQos qos;
+            qos.reliability().kind = fast::RELIABLE_RELIABILITY_QOS;
+            qos.durability().kind = fast::TRANSIENT_LOCAL_DURABILITY_QOS;
+            qos.history().kind = fast::KEEP_ALL_HISTORY_QOS;
+            edge.subscriber = participant_->create_subscriber(group);
+            edge.reader = edge.subscriber->create_datareader(edge.topic, qos);
+        }
+        return edge.writer != nullptr || edge.reader != nullptr;
+    }
+
+    void discard(const Edge& edge)
+    {
+        if (edge.writer != nullptr)
+            edge.publisher->delete_datawriter(edge.writer);
+        if (edge.reader != nullptr)
+            edge.subscriber->delete_datareader(edge.reader);
+        if (edge.publisher != nullptr)
+            participant_->delete_publisher(edge.publisher);
+        if (edge.subscriber != nullptr)
+            participant_->delete_subscriber(edge.subscriber);
+        if (edge.topic != nullptr)
+            participant_->delete_topic(edge.topic);  // stays while another edge uses it
+    }
+
+    std::string keep_edge(const Words& words)
+    {
+        Edge edge;
+        if (create(edge, words, 2))
+        {
+            edges_[words[1]] = edge;
+            return "ALLOWED";
+        }
+        discard(edge);
+        return "DENIED " + complaints.take();
+    }
+
+    std::string try_edge(const Words& words)
+    {
+        Edge edge;
+        const bool allowed = create(edge, words, 1);
+        discard(edge);
+        return allowed ? "ALLOWED" : "DENIED " + complaints.take();
+    }
+
+    static std::string await_match(const Edge& edge, int milliseconds)
+    {
+        const auto end = std::chrono::steady_clock::now() + std::chrono::milliseconds(milliseconds);
+        do
+        {
+            if (const int count = edge.matched())
+                return "MATCHED " + std::to_string(count);
+            const std::string complaint = complaints.take();
+            if (!complaint.empty())
+                return "REJECTED " + complaint;
+            std::this_thread::sleep_for(STEP);
+        }
+        while (std::chrono::steady_clock::now() < end);
+        return "TIMEOUT";
+    }
+
+    static std::string write(const Edge& edge, std::string text)
+    {
+        return edge.writer != nullptr && edge.writer->write(&text) ? "WRITTEN" : "ERROR " + complaints.take();
+    }
+
+    static std::string read(const Edge& edge, int milliseconds)
+    {
+        const auto end = std::chrono::steady_clock::now() + std::chrono::milliseconds(milliseconds);
+        do
+        {
+            std::string text;
+            fast::SampleInfo info;
+            if (edge.reader != nullptr && edge.reader->take_next_sample(&text, &info) == ReturnCode_t::RETCODE_OK &&
+                    info.valid_data)
+                return "SAMPLE " + text;
+            std::this_thread::sleep_for(STEP);
+        }
+        while (std::chrono::steady_clock::now() < end);
+        return "TIMEOUT";
+    }
+
+    Listener listener_;
+    fast::TypeSupport type_{new StringType()};
+    fast::DomainParticipant* participant_ = nullptr;
+    std::map<std::string, Edge> edges_;
+};
+
+Words split(const std::string& line)
+{
+    Words words;
+    std::string::size_type begin = 0;
+    for (auto end = line.find('\t'); end != std::string::npos; end = line.find('\t', begin))
+    {
+        words.push_back(line.substr(begin, end - begin));
+        begin = end + 1;
+    }
+    words.push_back(line.substr(begin));
+    return words;
+}
+
+}  // namespace
+
+int main()
+{
+    fast::Log::ClearConsumers();
+    fast::Log::RegisterConsumer(std::unique_ptr<fast::LogConsumer>(new Consumer()));
+    fast::Log::SetVerbosity(fast::Log::Kind::Error);
+    {
+        Probe probe;
+        std::string line;
+        while (std::getline(std::cin, line) && line != "CLOSE")
+            std::cout << probe.obey(split(line)) << std::endl;
+    }
+    std::cout << "CLOSED" << std::endl;
+    return 0;
+}

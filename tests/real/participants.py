@@ -1,0 +1,302 @@
+"""Secure participants of a real vendor on loopback, each in a process of its own.
+
+A participant is a probe (:mod:`probes`) that is told line by line what to do. The words of a line are separated by
+tabs, and every line is answered by one:
+
+=================================================  ==================================================
+``OPEN domain enclave …``                          ``OPENED``, or ``REFUSED reason``
+``EDGE name publish|subscribe topic partition…``   ``ALLOWED``, or ``DENIED reason``; the edge stays
+``TRY publish|subscribe topic partition…``         the same, and the edge is deleted at once
+``AWAIT name milliseconds``                        ``MATCHED count``, ``REJECTED reason`` or ``TIMEOUT``
+``WRITE name text``                                ``WRITTEN``
+``READ name milliseconds``                         ``SAMPLE text`` or ``TIMEOUT``
+``CLOSE``                                          ``CLOSED``, and the process ends
+=================================================  ==================================================
+"""
+
+from __future__ import annotations
+
+import os
+import random
+import select
+import socket
+import subprocess
+import tempfile
+import time
+from contextlib import ExitStack
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Literal, Protocol, Self
+
+from . import cyclone_access_control
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Mapping
+    from pathlib import Path
+
+Direction = Literal["publish", "subscribe"]
+
+GRACE_SECONDS = 30.0
+"""How much longer than a command allows its answer may take on a busy machine before the probe counts as hung."""
+
+_PORTS = 40
+"""Ports of a system: the first ten are not for participants, each of which then has two (RTPS 2.2, 9.6.1.1)."""
+_FIRST_PARTICIPANT = 10
+
+
+class RefusedError(Exception):
+    """The vendor refuses to create the participant."""
+
+
+class DeniedError(Exception):
+    """The vendor denies the writer or reader."""
+
+
+class ProbeError(Exception):
+    """The probe hangs, has died, or does not understand: a defect of the test, not a decision of the vendor."""
+
+
+class Vendor(Protocol):
+    """What differs between the vendors in how a participant is started."""
+
+    @property
+    def program(self) -> Path:
+        """The vendor's probe, built."""
+
+    def start(self, first_port: int, index: int) -> tuple[Mapping[str, str], tuple[str, ...]]:
+        """Return environment variables of the process, and the vendor's own words at the end of ``OPEN``.
+
+        Args:
+            first_port: first of the ports that belong to the system.
+            index: the participant's number in the system, from 0.
+        """
+
+
+@dataclass(frozen=True, slots=True)
+class CycloneDDS:
+    """Participants of Cyclone DDS; the transport is configured as for any application, by ``CYCLONEDDS_URI``."""
+
+    program: Path
+
+    def start(self, first_port: int, index: int) -> tuple[Mapping[str, str], tuple[str, ...]]:
+        """Return the configuration (unicast, loopback and ports of this system only) and the plugins' folder."""
+        configuration = (
+            "<CycloneDDS><Domain Id='any'><General><Interfaces>"
+            "<NetworkInterface address='127.0.0.1' multicast='false'/></Interfaces>"
+            "<AllowMulticast>false</AllowMulticast></General><Discovery><Peers><Peer Address='127.0.0.1'/></Peers>"
+            f"<ParticipantIndex>{index}</ParticipantIndex><MaxAutoParticipantIndex>9</MaxAutoParticipantIndex>"
+            f"<Ports><Base>{first_port}</Base><DomainGain>0</DomainGain></Ports></Discovery></Domain></CycloneDDS>"
+        )
+        return {"CYCLONEDDS_URI": configuration}, (str(cyclone_access_control.library().folder),)
+
+
+@dataclass(frozen=True, slots=True)
+class FastDDS:
+    """Participants of Fast DDS; the transport is configured by the probe.
+
+    The process's time zone is UTC, because Fast DDS reads the dates of permissions as local time.
+    """
+
+    program: Path
+
+    def start(self, first_port: int, index: int) -> tuple[Mapping[str, str], tuple[str, ...]]:
+        """Return the time zone, and the first port of participants with this one's place after it."""
+        return {"TZ": "UTC"}, (str(first_port + _FIRST_PARTICIPANT), str(index))
+
+
+class System:
+    """Participants that can see each other, and no others; all are gone when the context ends."""
+
+    def __init__(self, vendor: Vendor) -> None:
+        self._vendor = vendor
+        self._stack = ExitStack()
+        self._opened = 0
+        self._first_port = 0
+
+    def __enter__(self) -> Self:
+        self._first_port = self._stack.enter_context(_Ports()).first
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._stack.close()
+
+    def open(self, enclave: Path, domain: int = 0) -> Participant:
+        """Start a process with a participant that has its identity and permissions from the enclave's folder.
+
+        Raises:
+            RefusedError: the vendor refuses; the process is gone.
+        """
+        index, self._opened = self._opened, self._opened + 1
+        environment, words = self._vendor.start(self._first_port, index)
+        process = _Process(self._vendor.program, environment)
+        self._stack.callback(process.reap)
+        answer, reason = process.ask("OPEN", str(domain), str(enclave.resolve()), *words)
+        if answer != "OPENED":
+            process.reap()
+            raise RefusedError(reason)
+        return Participant(process)
+
+
+class Participant:
+    """A participant in a process of its own."""
+
+    def __init__(self, process: _Process) -> None:
+        self._process = process
+        self._edges = 0
+
+    def edge(self, direction: Direction, topic: str, partitions: Iterable[str] = ()) -> Edge:
+        """Create a writer or a reader.
+
+        Raises:
+            DeniedError: the vendor denies it.
+        """
+        name, self._edges = f"edge{self._edges}", self._edges + 1
+        answer, reason = self._process.ask("EDGE", name, direction, topic, *partitions)
+        if answer != "ALLOWED":
+            raise DeniedError(reason)
+        return Edge(self._process, name)
+
+    def allows(self, direction: Direction, topic: str, partitions: Iterable[str] = ()) -> bool:
+        """Tell whether the vendor lets the participant have a writer or reader; it is not kept."""
+        return self._process.ask("TRY", direction, topic, *partitions)[0] == "ALLOWED"
+
+    def close(self) -> None:
+        """Delete the participant and end its process in good order."""
+        self._process.close()
+
+
+class Edge:
+    """A writer or reader of a participant."""
+
+    def __init__(self, process: _Process, name: str) -> None:
+        self._process = process
+        self._name = name
+
+    def await_match(self, seconds: float = 20.0) -> tuple[bool, str]:
+        """Wait for a peer: ``(True, "")`` once matched; ``(False, reason)`` as soon as the vendor rejects one."""
+        answer, rest = self._process.ask("AWAIT", self._name, str(round(seconds * 1000)), seconds=seconds)
+        return (True, "") if answer == "MATCHED" else (False, rest)
+
+    def write(self, text: str) -> None:
+        """Publish a sample."""
+        answer, reason = self._process.ask("WRITE", self._name, text)
+        if answer != "WRITTEN":
+            raise ProbeError(reason)
+
+    def read(self, seconds: float = 20.0) -> str | None:
+        """Return the next sample, or None when none comes in time."""
+        answer, text = self._process.ask("READ", self._name, str(round(seconds * 1000)), seconds=seconds)
+        return text if answer == "SAMPLE" else None
+
+
+class _Process:
+    """A probe's process; it never outlives :meth:`reap`."""
+
+    def __init__(self, program: Path, environment: Mapping[str, str]) -> None:
+        self._errors = tempfile.TemporaryFile()  # noqa: SIM115 - lives as long as the process
+        self._process = subprocess.Popen(
+            [program],
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            stderr=self._errors,
+            env={**os.environ, **environment},
+        )
+        self._pending = b""
+
+    def ask(self, *words: str, seconds: float = 0.0) -> tuple[str, str]:
+        """Send a command; return the first word of its answer, and the rest."""
+        line = "\t".join(words)
+        if "\n" in line or line.count("\t") != len(words) - 1:
+            raise ProbeError(f"words with a tab or a newline cannot be sent: {words}")
+        assert self._process.stdin is not None
+        try:
+            self._process.stdin.write(line.encode() + b"\n")
+            self._process.stdin.flush()
+        except BrokenPipeError:
+            raise self._died(line) from None
+        answer, _, rest = self._line(line, time.monotonic() + seconds + GRACE_SECONDS).partition(" ")
+        if answer == "ERROR":
+            raise ProbeError(f"{line!r} was answered with {rest!r}")
+        return answer, rest
+
+    def _line(self, command: str, deadline: float) -> str:
+        assert self._process.stdout is not None
+        while b"\n" not in self._pending:
+            left = deadline - time.monotonic()
+            if left <= 0 or not select.select([self._process.stdout], [], [], left)[0]:
+                self.reap()
+                raise ProbeError(f"the probe did not answer {command!r} in time")
+            chunk = os.read(self._process.stdout.fileno(), 65536)
+            if not chunk:
+                raise self._died(command)
+            self._pending += chunk
+        line, self._pending = self._pending.split(b"\n", 1)
+        return line.decode(errors="replace")
+
+    def _died(self, command: str) -> ProbeError:
+        code = self._process.wait(timeout=GRACE_SECONDS)
+        self._errors.seek(0)
+        said = self._errors.read().decode(errors="replace").strip()
+        return ProbeError(f"the probe died at {command!r} with exit code {code}: {said}")
+
+    def close(self) -> None:
+        """Ask the process to end, and wait for it."""
+        answer, _ = self.ask("CLOSE")
+        code = self._process.wait(timeout=GRACE_SECONDS)
+        if answer != "CLOSED" or code:
+            raise ProbeError(f"the probe ended with {answer} and exit code {code}")
+        self.reap()
+
+    def reap(self) -> None:
+        """End the process whatever it does, and free what it held; may be called again."""
+        self._process.kill()
+        self._process.wait()
+        for stream in (self._process.stdin, self._process.stdout, self._errors):
+            assert stream is not None
+            try:
+                stream.close()
+            except BrokenPipeError:
+                continue
+
+
+class _Ports:
+    """A block of UDP ports on loopback that no other system has, also not one of another test process.
+
+    The ports are below the range that the kernel gives out by itself. One that no participant uses is held while
+    the system lives; who holds it, owns the block.
+    """
+
+    _GUARD = 5
+    _RANGE = range(20_000, 32_000, _PORTS)
+
+    def __init__(self) -> None:
+        self.first, self._guard = self._claim()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._guard.close()
+
+    def _claim(self) -> tuple[int, socket.socket]:
+        for first in random.sample(self._RANGE, len(self._RANGE)):
+            guard = _bound(first + self._GUARD)
+            if guard is None:
+                continue
+            others = [_bound(first + offset) for offset in range(_PORTS) if offset != self._GUARD]
+            for other in others:
+                if other is not None:
+                    other.close()
+            if None not in others:
+                return first, guard
+            guard.close()
+        raise ProbeError("no free block of UDP ports on loopback")
+
+
+def _bound(port: int) -> socket.socket | None:
+    bound = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+    try:
+        bound.bind(("127.0.0.1", port))
+    except OSError:
+        bound.close()
+        return None
+    return bound
