@@ -47,4 +47,6 @@ def load_all(paths: Iterable[str | Path], *, library: str | Path | None = None) 
     if found:
         raise ComArmorError.of(found)
     files = {file: digest for policy in policies for file, digest in policy.files.items()}
-    return Policy(tuple(p for policy in policies for p in policy.profiles), MappingProxyType(files))
+    seen = {path: fingerprint for policy in policies for path, fingerprint in policy.seen.items()}
+    profiles = tuple(profile for policy in policies for profile in policy.profiles)
+    return Policy(profiles, MappingProxyType(files), MappingProxyType(seen))

@@ -247,7 +247,7 @@ def parse(sources: Sources) -> Policy:
     profiles = tuple(profile for document in sources.roots for profile in parser.root(document))
     if parser.found:
         raise ComArmorError.of(parser.found)
-    return Policy(profiles, sources.files)
+    return Policy(profiles, sources.files, sources.seen)
 
 
 def _unique(expressions: list[Expression]) -> tuple[Expression, ...]:

@@ -62,10 +62,13 @@ class Policy:
     Attributes:
         profiles: the outermost profiles, in the order of the files.
         files: every file that was read, by its resolved path, with the SHA-256 of its bytes.
+        seen: every path that was looked at, also those that were not there, with their fingerprints
+            (:func:`comarmor.source.fingerprint`): as long as these are the same, so is the policy.
     """
 
     profiles: tuple[Profile, ...]
     files: Mapping[Path, bytes] = field(default_factory=dict)
+    seen: Mapping[Path, bytes] = field(default_factory=dict)
     _level: _Level = field(init=False, repr=False)
     _remembered: dict[str, tuple[Rule, ...]] = field(init=False, repr=False, default_factory=dict)
 

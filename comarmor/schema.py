@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 from functools import lru_cache
 from typing import Any
 
@@ -13,29 +12,18 @@ from lxml import etree
 from comarmor.data import locate
 from comarmor.errors import ComArmorError, Diagnostic, Location, Severity, did_you_mean, quoted
 from comarmor.reader import line, parse
+from comarmor.xsd import Vocabulary
 
-_XS = "{http://www.w3.org/2001/XMLSchema}"
 _PREFIXES = {"http://www.w3.org/2001/XInclude": "xi:", "http://www.w3.org/XML/1998/namespace": "xml:"}
 _MOST = 50
 """So many defects of one file are reported; a person mends the first ones first."""
 
 
-@dataclass(frozen=True, slots=True)
-class _Schema:
-    """A compiled XSD, with the names that it knows, for hints."""
-
-    compiled: etree.XMLSchema
-    roots: tuple[str, ...]
-    attributes: tuple[str, ...]
-
-
 @lru_cache
-def _load(name: str) -> _Schema:
+def _load(name: str) -> tuple[etree.XMLSchema, Vocabulary]:
+    """Return an XSD, compiled, and the names that it knows."""
     path = locate("schemas") / name
-    document = parse(path.read_bytes(), str(path))
-    attributes = {str(item.get("name")) for item in document.iter(f"{_XS}attribute") if item.get("name")}
-    roots = tuple(str(item.get("name")) for item in document.iterchildren(f"{_XS}element"))
-    return _Schema(etree.XMLSchema(file=str(path)), roots, tuple(sorted(attributes)))
+    return etree.XMLSchema(file=str(path)), Vocabulary.of(parse(path.read_bytes(), str(path)))
 
 
 def validate(root: etree._Element, schema: str, file: str, chain: tuple[Location, ...] = ()) -> None:
@@ -50,15 +38,15 @@ def validate(root: etree._Element, schema: str, file: str, chain: tuple[Location
     Raises:
         ComArmorError: the document is not valid; every defect with ``file:line``, what was expected, and a hint.
     """
-    loaded = _load(schema)
-    if loaded.compiled.validate(root):
+    compiled, vocabulary = _load(schema)
+    if compiled.validate(root):
         return
     found: dict[Diagnostic, None] = {}
-    log: Any = loaded.compiled.error_log
+    log: Any = compiled.error_log
     for entry in log:
         element = _element(root, entry.path)
         where = Location(file, entry.line if element is None else line(element), chain)
-        message, hint = _explain(entry.message, loaded)
+        message, hint = _explain(entry.message, vocabulary, element)
         found[Diagnostic("schema", Severity.ERROR, message, where, hint)] = None
         if len(found) == _MOST:
             break
@@ -78,48 +66,55 @@ def _element(root: etree._Element, path: str | None) -> etree._Element | None:
 _NAME = re.compile(r"\{([^}]*)\}([^\s',)]+)")
 
 
-def _unexpected(found: re.Match[str], _schema: _Schema) -> tuple[str, str]:
-    expected = found[2].split(", ") if found[2] else []
-    wanted = f"expected {_one_of(expected)}" if expected else "nothing more is expected"
+def _unexpected(found: re.Match[str], vocabulary: Vocabulary, element: etree._Element | None) -> tuple[str, str]:
+    expected: Sequence[str] = found[2].split(", ") if found[2] else ()
+    parent = None if element is None else element.getparent()
+    if parent is not None and not expected:  # libxml2 does not say where the element could also end
+        expected = vocabulary.allowed_in(parent)
+        if found[1] in expected:
+            return f"<{found[1]}> is not expected here", "it stands in another place, or more often than it may"
+    wanted = f"expected {_one_of(expected)}" if expected else "expected nothing more"
     return f"<{found[1]}> is not expected here, {wanted}", did_you_mean(found[1], expected)
 
 
-def _missing(found: re.Match[str], _schema: _Schema) -> tuple[str, str]:
+def _missing(found: re.Match[str], _v: Vocabulary, _e: etree._Element | None) -> tuple[str, str]:
     return f"<{found[1]}> is not complete, expected {_one_of(found[2].split(', '))}", ""
 
 
-def _root(found: re.Match[str], schema: _Schema) -> tuple[str, str]:
-    wanted = _one_of(schema.roots)
-    return f"<{found[1]}> is not expected as the root, expected {wanted}", did_you_mean(found[1], schema.roots)
+def _root(found: re.Match[str], vocabulary: Vocabulary, _e: etree._Element | None) -> tuple[str, str]:
+    roots = tuple(vocabulary.elements)
+    return f"<{found[1]}> is not expected as the root, expected {_one_of(roots)}", did_you_mean(found[1], roots)
 
 
-def _attribute(found: re.Match[str], schema: _Schema) -> tuple[str, str]:
-    return f"<{found[1]}> has the unknown attribute '{found[2]}'", did_you_mean(found[2], schema.attributes)
+def _attribute(found: re.Match[str], vocabulary: Vocabulary, _e: etree._Element | None) -> tuple[str, str]:
+    return f"<{found[1]}> has the unknown attribute '{found[2]}'", did_you_mean(found[2], vocabulary.attributes)
 
 
-def _required(found: re.Match[str], _schema: _Schema) -> tuple[str, str]:
+def _required(found: re.Match[str], _v: Vocabulary, _e: etree._Element | None) -> tuple[str, str]:
     return f"<{found[1]}> lacks its attribute '{found[2]}'", ""
 
 
-def _enumeration(found: re.Match[str], _schema: _Schema) -> tuple[str, str]:
+def _enumeration(found: re.Match[str], _v: Vocabulary, _e: etree._Element | None) -> tuple[str, str]:
     values = [value.strip("'") for value in found[4].split(", ")]
     near = did_you_mean(found[3], values) or did_you_mean(found[3].upper(), values)
     return f"{_holder(found)} is {quoted(found[3])}, expected {' or '.join(values)}", near
 
 
-def _simple(found: re.Match[str], _schema: _Schema) -> tuple[str, str]:
+def _simple(found: re.Match[str], _v: Vocabulary, _e: etree._Element | None) -> tuple[str, str]:
     return f"<{found[1]}> can only hold text, not elements", ""
 
 
-def _text(found: re.Match[str], _schema: _Schema) -> tuple[str, str]:
+def _text(found: re.Match[str], _v: Vocabulary, _e: etree._Element | None) -> tuple[str, str]:
     return f"<{found[1]}> cannot hold text", "remove the text, or put it into a comment"
 
 
-def _value(found: re.Match[str], _schema: _Schema) -> tuple[str, str]:
+def _value(found: re.Match[str], _v: Vocabulary, _e: etree._Element | None) -> tuple[str, str]:
     return f"{_holder(found)} is {quoted(found[3])}, which is not {found[4]}", ""
 
 
-_EXPLANATIONS: tuple[tuple[re.Pattern[str], Callable[[re.Match[str], _Schema], tuple[str, str]]], ...] = tuple(
+_Explanation = Callable[[re.Match[str], Vocabulary, Any], tuple[str, str]]
+
+_EXPLANATIONS: tuple[tuple[re.Pattern[str], _Explanation], ...] = tuple(
     (re.compile(pattern, re.DOTALL), explanation)
     for pattern, explanation in (
         (r"Element '(.+?)': This element is not expected\.(?: Expected is (?:one of )?\( (.+) \)\.)?", _unexpected),
@@ -142,12 +137,12 @@ _EXPLANATIONS: tuple[tuple[re.Pattern[str], Callable[[re.Match[str], _Schema], t
 """What libxml2 says, as patterns, and how it is said here. Groups: element, attribute, value, what was expected."""
 
 
-def _explain(message: str, schema: _Schema) -> tuple[str, str]:
+def _explain(message: str, vocabulary: Vocabulary, element: etree._Element | None) -> tuple[str, str]:
     """Return a message of libxml2 as message and help of ours; one that is not known stays as it is."""
     message = _NAME.sub(lambda name: _PREFIXES.get(name[1], f"{{{name[1]}}}") + name[2], message)
     for pattern, explanation in _EXPLANATIONS:
         if found := pattern.match(message):
-            return explanation(found, schema)
+            return explanation(found, vocabulary, element)
     return " ".join(message.split()), ""
 
 

@@ -12,7 +12,7 @@ import hashlib
 import os
 import posixpath
 import stat
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from types import MappingProxyType
@@ -50,10 +50,17 @@ class Document:
 
 @dataclass(frozen=True, slots=True)
 class Sources:
-    """A policy as it was read: its root documents in order, and the SHA-256 of every file by its resolved path."""
+    """A policy as it was read.
+
+    Attributes:
+        roots: its root documents, in order.
+        files: the SHA-256 of every file by its resolved path.
+        seen: the :func:`fingerprint` of every path that was looked at, also of those that were not there.
+    """
 
     roots: tuple[Document, ...]
     files: Mapping[Path, bytes]
+    seen: Mapping[Path, bytes]
 
 
 @dataclass(frozen=True, slots=True)
@@ -65,7 +72,7 @@ class _Folder:
 
     def name(self, relative: str) -> str:
         """Return the path of a file in this folder as the user would type it."""
-        return _printable(posixpath.join(self.shown, relative))
+        return _printable(relative if self.shown == "." else posixpath.join(self.shown, relative))
 
 
 def load_tree(path: Path, library: Path | None = None, *, limits: Limits = LIMITS) -> Sources:
@@ -83,11 +90,7 @@ def load_tree(path: Path, library: Path | None = None, *, limits: Limits = LIMIT
     try:
         if path.is_dir():
             folder = _Folder(path.resolve(strict=True), str(path))
-            roots = sorted(
-                name
-                for name in os.listdir(path)
-                if name.endswith(".xml") and not name.startswith(".") and not (path / name).is_dir()
-            )
+            roots = _roots(path)
         else:
             real = path.resolve(strict=True)
             folder = _Folder(real.parent, str(real.parent if path.is_symlink() else path.parent))
@@ -102,7 +105,37 @@ def load_tree(path: Path, library: Path | None = None, *, limits: Limits = LIMIT
             code="policy-empty",
         )
     reader = _Reader(folder, _library(library), limits)
-    return Sources(tuple(reader.root(name) for name in roots), MappingProxyType(reader.files))
+    if path.is_dir():
+        reader.seen[Path(folder.shown)] = _names_fingerprint(roots)
+    documents = tuple(reader.root(name) for name in roots)
+    return Sources(documents, MappingProxyType(reader.files), MappingProxyType(reader.seen))
+
+
+def fingerprint(path: Path) -> bytes:
+    """Return what tells whether a path that a policy was read from is still what it was.
+
+    The SHA-256 of a file's bytes, or of the names of a directory's root files; empty for a path that is not there, or
+    that cannot be read.
+    """
+    try:
+        if path.is_dir():
+            return _names_fingerprint(_roots(path))
+        return hashlib.sha256(path.read_bytes()).digest()
+    except OSError:
+        return b""
+
+
+def _roots(folder: Path) -> list[str]:
+    """Return the names of the files that are a directory's roots, sorted."""
+    return sorted(
+        name
+        for name in (entry.name for entry in folder.iterdir())
+        if name.endswith(".xml") and not name.startswith(".") and not (folder / name).is_dir()
+    )
+
+
+def _names_fingerprint(names: Sequence[str]) -> bytes:
+    return hashlib.sha256("/".join(names).encode(errors="surrogateescape")).digest()
 
 
 def _library(library: Path | None) -> _Folder | None:
@@ -120,6 +153,7 @@ class _Reader:
         library: the library's folder.
         limits: bounds.
         files: digests of what was read.
+        seen: fingerprints of the paths that were looked at.
         done: documents by resolved path, complete with everything they include.
         open: resolved paths of the files that are being read, outermost first.
         total: bytes read.
@@ -129,6 +163,7 @@ class _Reader:
     library: _Folder | None
     limits: Limits
     files: dict[Path, bytes] = field(default_factory=dict)
+    seen: dict[Path, bytes] = field(default_factory=dict)
     done: dict[Path, Document] = field(default_factory=dict)
     open: list[Path] = field(default_factory=list)
     total: int = 0
@@ -154,6 +189,8 @@ class _Reader:
             chain: the places that include it, innermost first.
         """
         real = _confined(folder, relative, where)
+        if real in self.files:
+            self.seen[Path(folder.shown, relative)] = self.files[real]
         if real in self.open:
             raise ComArmorError(
                 f"{quoted(folder.name(relative), 200)} includes itself",
@@ -165,6 +202,7 @@ class _Reader:
             return self.done[real]
         name = folder.name(relative)
         content = self.read(folder, real, where)
+        self.seen[Path(folder.shown, relative)] = self.files[real]
         try:
             root = parse(content, name, limits=self.limits)
         except ComArmorError as error:
@@ -197,6 +235,8 @@ class _Reader:
         target = posixpath.normpath(posixpath.join(posixpath.dirname(relative), href))
         chain = (Location(where.file, where.line), *where.chain)
         found = _exists(folder, target, where)
+        if not found:
+            self.seen[Path(folder.shown, target)] = b""
         if not found and self.library is not None:
             from_root = posixpath.normpath(href)
             if _exists(self.library, from_root, where):
@@ -349,7 +389,7 @@ def _nearest(folder: _Folder, relative: str) -> str:
     """Return a hint at a file beside the missing one that has nearly its name."""
     beside = folder.real / posixpath.dirname(relative)
     try:
-        names = os.listdir(beside)
+        names = [entry.name for entry in beside.iterdir()]
     except OSError:
         return ""
     return did_you_mean(posixpath.basename(relative), names)

@@ -40,6 +40,7 @@ MOST_VALUES = 10_000
 MOST_CHARACTERS = 4096
 """Longest expression."""
 
+_PLAIN = re.compile(r"[^*?\[\\{}@\s]+")
 _REFERENCE = re.compile(r"@\{([^{}]*)\}")
 _BRACES = re.compile(r"\{[^{}]*\}?|\}")
 _BARE_BRACE = re.compile(r"(?<!\\)(?:\\\\)*[{}]")
@@ -65,7 +66,10 @@ def parse(text: str) -> tuple[Piece | Reference, ...]:
     pieces: list[Piece | Reference] = []
     at = 0
     while at < len(text):
-        if reference := _REFERENCE.match(text, at):
+        if plain := _PLAIN.match(text, at):
+            _add(pieces, plain[0])
+            at = plain.end()
+        elif reference := _REFERENCE.match(text, at):
             pieces.append(Reference(reference[1]))
             at = reference.end()
         elif text[at] in "{}":
@@ -87,13 +91,17 @@ def parse(text: str) -> tuple[Piece | Reference, ...]:
                     help="write \\{ or \\} for a brace, or \\[ if the '[' stands for itself",
                     code="brace",
                 )
-            canonical = unparse((token,))
-            if pieces and type(pieces[-1]) is str:
-                pieces[-1] += canonical
-            else:
-                pieces.append(canonical)
+            _add(pieces, unparse((token,)))
             at = end
     return tuple(pieces)
+
+
+def _add(pieces: list[Piece | Reference], text: str) -> None:
+    """Add text to pieces; text beside text is one piece."""
+    if pieces and type(pieces[-1]) is str:
+        pieces[-1] += text
+    else:
+        pieces.append(text)
 
 
 def expand(pieces: Iterable[Piece | Reference], values: Callable[[str], Sequence[Value]]) -> Iterator[Value]:

@@ -355,8 +355,11 @@ class LoadedPolicy(Protocol):
     """A policy, loaded once per command."""
 
     @property
-    def files(self) -> Mapping[Path, bytes]:
-        """Every file that was read, with the SHA-256 of its bytes."""
+    def seen(self) -> Mapping[Path, bytes]:
+        """Every path that was looked at, also those that were not there, with its fingerprint.
+
+        As long as :meth:`PolicyType.fingerprint` gives the same for all of them, so is the policy.
+        """
 
     def subjects(self) -> tuple[str, ...]:
         """Return, sorted, the subjects that the policy names exactly."""
@@ -376,6 +379,9 @@ class PolicyType(Protocol):
         Raises:
             KeymintError: with ``file:line`` of each defect.
         """
+
+    def fingerprint(self, path: Path) -> bytes:
+        """Return what tells whether a path is still what it was when a policy was loaded from it."""
 
 
 # ---------------------------------------------------------------------------------------------------------------

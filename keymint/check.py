@@ -248,7 +248,7 @@ def _shared(inputs: Inputs, loaded: LoadedProfile) -> Iterator[Diagnostic]:
         for folder in enclaves
         if str(folder.relative_to(workspace.enclaves(layout))) in known
     }
-    for info in inputs.plugins.infos():
+    for info in inputs.plugins.infos:
         if info.group == "keymint.build_types" and artifacts:
             shared = inputs.plugins.build_type(info.name).shared(artifacts, layout)
             expected |= {path: artifact.content for path, artifact in shared.items()}

@@ -6,6 +6,7 @@ import importlib
 import os
 import sys
 import time
+import warnings
 from collections.abc import Callable, Mapping
 from datetime import UTC, datetime
 from pathlib import Path
@@ -81,6 +82,8 @@ def main(arguments: list[str] | None = None) -> int:
     """Run the command line and return its exit code."""
     os.umask(0o022)  # secrets are 0600 and public files 0644, whatever the user's umask
     given = sys.argv[1:] if arguments is None else arguments
+    if not sys.warnoptions:  # a library's advice to its programmers is no message to a user
+        warnings.simplefilter("ignore")
     try:
         result: Any = cli.main(given, prog_name="keymint", standalone_mode=False, obj=_setting)
     except click.exceptions.Exit as end:

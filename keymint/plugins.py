@@ -6,6 +6,7 @@ The only module that touches :mod:`importlib.metadata`.
 from __future__ import annotations
 
 import difflib
+import functools
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from importlib.metadata import EntryPoint, PackageNotFoundError, entry_points
@@ -71,8 +72,9 @@ class Plugins:
             if all(_info(entry).distribution != _info(other).distribution for other in versions):
                 versions.append(entry)
 
+    @functools.cached_property
     def infos(self) -> tuple[PluginInfo, ...]:
-        """Return what is installed, sorted by group and name, doubles included."""
+        """What is installed, sorted by group and name, doubles included."""
         return tuple(
             _info(entry)
             for group in GROUPS
@@ -80,10 +82,10 @@ class Plugins:
             for entry in self._entries[group][name]
         )
 
-    def version(self, group: str, name: str) -> str:
-        """Return the version of the distribution that brings a plugin, or an empty text."""
-        entries = self._entries.get(group, {}).get(name, [])
-        return _info(entries[0]).version if entries else ""
+    @functools.cached_property
+    def versions(self) -> str:
+        """The versions of all plugins as one text: what they made may have to be made anew when it changes."""
+        return "\n".join(f"{info.group}/{info.name}/{info.distribution}/{info.version}" for info in self.infos)
 
     def profile_type(self, name: str, where: Origin | None = None) -> ProfileType:
         """Return the profile type of this name; see :meth:`load`."""

@@ -7,7 +7,7 @@ import click
 from keymint.commands.common import Run, verb
 from keymint.errors import ExitCode, KeymintError
 from keymint.names import package_name
-from keymint.plan.create import everything, load_policy, plan_create
+from keymint.plan.create import everything, recall_policy, plan_create
 from keymint.plan.inputs import Inputs, Sources
 from keymint.plan.model import Plan
 from keymint.report import Report
@@ -32,7 +32,7 @@ def create(run: Run, names: tuple[str, ...], all_subjects: bool, force: bool) ->
 
     def make_plan(inputs: Inputs) -> Plan:
         loaded = inputs.profile()
-        policy = load_policy(inputs, loaded)
+        policy = recall_policy(inputs, loaded)
         subjects = dict.fromkeys([*wanted, *(everything(inputs, policy) if all_subjects else ())])
         if not subjects:
             raise KeymintError(

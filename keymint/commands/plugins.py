@@ -14,7 +14,7 @@ def plugins(run: Run) -> Report:
     """List the plugins that are found: group, name, version, and where each comes from."""
     said: list[Diagnostic] = []
     listed = []
-    for info in run.plugins.infos():
+    for info in run.plugins.infos:
         usable = True
         try:
             run.plugins.load(info.group, info.name)

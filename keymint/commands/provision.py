@@ -15,7 +15,7 @@ from keymint.errors import KeymintError, Origin
 from keymint.plan.authorities import plan_authorities
 from keymint.plan.bootstrap import plan_init, plan_policy, policy_path
 from keymint.plan.build import plan_build
-from keymint.plan.create import everything, load_policy, plan_create
+from keymint.plan.create import everything, recall_policy, plan_create
 from keymint.plan.inputs import Inputs, Sources
 from keymint.plan.install import plan_install
 from keymint.plan.model import Plan
@@ -62,7 +62,7 @@ def provision(
         after = inputs.after(plan)
         loaded = after.profile()
         sources = Sources(run.plugins)
-        acquired = load_policy(after, loaded)
+        acquired = recall_policy(after, loaded)
         names = everything(after, acquired)
         if not names:
             raise KeymintError(

@@ -7,11 +7,12 @@ All answers are exact. :func:`union_covers` determinises lazily and may spend it
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Iterator
 from functools import lru_cache
 
 from keymint.keymake.glob import (
     ANY,
+    EVERYTHING,
     MAX_CODE,
     STAR,
     Charset,
@@ -105,32 +106,35 @@ def disjoint(left: Glob, right: Glob) -> bool:
 @lru_cache(maxsize=1 << 14)
 def _disjoint(left: Glob, right: Glob) -> bool:
     """Search the product of the two for a pair of ends."""
-    first, second = units(left), units(right)
+    if is_empty(left) or is_empty(right):
+        return True
+    first, second = (*units(left), None), (*units(right), None)
     todo = [(0, 0)]
     seen = {(0, 0)}
     while todo:
         at, at2 = todo.pop()
-        if at == len(first) and at2 == len(second):
+        if first[at] is None and second[at2] is None:
             return False
-        token = first[at] if at < len(first) else None
-        token2 = second[at2] if at2 < len(second) else None
-        steps: list[tuple[int, int]] = []
-        if isinstance(token, Star):
-            steps.append((at + 1, at2))
-        if isinstance(token2, Star):
-            steps.append((at, at2 + 1))
-        if token is not None and token2 is not None:
-            if isinstance(token, Star):
-                steps.append((at, at2 + 1))
-            elif isinstance(token2, Star):
-                steps.append((at + 1, at2))
-            elif _meet(token, token2) is not None:
-                steps.append((at + 1, at2 + 1))
-        for step in steps:
-            if step not in seen:
-                seen.add(step)
-                todo.append(step)
+        for step in _common_steps(first[at], second[at2]):
+            place = (at + step[0], at2 + step[1])
+            if place not in seen:
+                seen.add(place)
+                todo.append(place)
     return True
+
+
+def _common_steps(token: Token | None, token2: Token | None) -> Iterator[tuple[int, int]]:
+    """Yield how far two patterns can go on by the same character, or by none; None is the end of a pattern."""
+    if isinstance(token, Star):
+        yield 1, 0
+        if token2 is not None:
+            yield 0, 1
+    elif isinstance(token2, Star):
+        yield 0, 1
+        if token is not None:
+            yield 1, 0
+    elif token is not None and token2 is not None and _meet(token, token2) is not None:
+        yield 1, 1
 
 
 def _meet(token: Token, token2: Token) -> Token | None:
@@ -148,21 +152,15 @@ def covers(outer: Glob, inner: Glob) -> bool:
     text = literal(inner)
     if text is not None:
         return matcher(outer)(text)
-    if literal(outer) is not None:
-        return is_empty(inner)
-    match outer:
-        case (Star(),):
-            return True
-        case (str(head), Star()) if inner and not is_empty(inner):
-            return _prefix(inner).startswith(head)
-        case (Star(), str(tail)) if inner and not is_empty(inner):
-            return _suffix(inner).endswith(tail)
-    # Beyond its literal prefix a normalised glob goes on with at least two different characters.
-    if not is_empty(inner) and not (
-        _prefix(inner).startswith(_prefix(outer)) and _suffix(inner).endswith(_suffix(outer))
-    ):
+    if outer == EVERYTHING or is_empty(inner):
+        return True
+    # Beyond its literal prefix (or before its suffix) a normalised glob has at least two different characters.
+    if not (_prefix(inner).startswith(_prefix(outer)) and _suffix(inner).endswith(_suffix(outer))):
         return False
-    return union_covers((outer,), inner)
+    match outer:
+        case (str(), Star()) | (Star(), str()):
+            return True
+    return literal(outer) is None and union_covers((outer,), inner)
 
 
 @lru_cache(maxsize=1 << 14)
@@ -179,9 +177,11 @@ def union_covers(outers: tuple[Glob, ...], inner: Glob, budget: int = BUDGET) ->
     if (text := literal(inner)) is not None:
         return any(matcher(outer)(text) for outer in outers)
     rows = tuple(units(outer) for outer in outers if not disjoint(outer, inner))
-    if not rows:
-        return False
-    goal = units(inner)
+    return bool(rows) and _included(units(inner), rows, budget)
+
+
+def _included(goal: tuple[Token, ...], rows: tuple[tuple[Token, ...], ...], budget: int) -> bool:
+    """Walk through the goal, and beside it through the subsets of places that the rows can be at."""
     letters = _letters((*rows, goal))
     start = frozenset((row, at) for row in range(len(rows)) for at in _closure(rows[row], 0))
     todo = [(at, start) for at in _closure(goal, 0)]
@@ -192,25 +192,22 @@ def union_covers(outers: tuple[Glob, ...], inner: Glob, budget: int = BUDGET) ->
             if not any(place == len(rows[row]) for row, place in state):
                 return False
             continue
-        token = goal[at]
-        loop = isinstance(token, Star)
-        for letter in letters if not isinstance(token, str) else (token,):
-            if not _accepts(token, letter):
+        following = _closure(goal, at if isinstance(goal[at], Star) else at + 1)
+        for letter in letters:
+            if not _accepts(goal[at], letter):
                 continue
-            after = frozenset(reached for row, place in state for reached in _step(rows[row], row, place, letter))
+            after = frozenset(place for row, here in state for place in _step(rows[row], row, here, letter))
             if not after:
                 return False
-            for place in _closure(goal, at if loop else at + 1):
-                item = (place, after)
-                if item not in seen:
-                    if len(seen) >= budget:
-                        return False
-                    seen.add(item)
-                    todo.append(item)
+            new = {(place, after) for place in following} - seen
+            if len(seen) + len(new) > budget:
+                return False
+            seen |= new
+            todo += new
     return True
 
 
-def _closure(row: tuple[Token, ...], at: int) -> Iterable[int]:
+def _closure(row: tuple[Token, ...], at: int) -> list[int]:
     """Return the places that are reached from one without reading a character."""
     places = [at]
     while at < len(row) and isinstance(row[at], Star):
@@ -265,38 +262,32 @@ def intersection(left: Glob, right: Glob, limit: int = 64) -> tuple[Glob, ...]:
         return (right,)
     if covers(right, left):
         return (left,)
-    memo: dict[tuple[int, int], frozenset[Glob]] = {}
-    first, second = units(left), units(right)
+    first, second = (*units(left), None), (*units(right), None)
+    pieces: dict[tuple[int, int], set[Glob]] = {}
+    for at in reversed(range(len(first))):
+        for at2 in reversed(range(len(second))):
+            token, token2 = first[at], second[at2]
+            found: set[Glob] = {()} if token is None and token2 is None else set()
+            for step in _common_steps(token, token2):
+                # By a step that both make, or that one makes under the other's star, a token is read.
+                read = _read(token, token2, step)
+                found.update(normalise((*read, *rest)) for rest in pieces[at + step[0], at2 + step[1]])
+            pieces[at, at2] = found if len(found) <= limit else set(maximal(found))
+            if len(pieces[at, at2]) > limit:
+                raise TooComplexError
+    return tuple(maximal(pieces[0, 0]))
 
-    def pieces(at: int, at2: int) -> frozenset[Glob]:
-        if (at, at2) in memo:
-            return memo[at, at2]
-        token = first[at] if at < len(first) else None
-        token2 = second[at2] if at2 < len(second) else None
-        found: set[Glob] = set()
-        if token is None and token2 is None:
-            found.add(())
-        if isinstance(token, Star) and isinstance(token2, Star):
-            rests = pieces(at + 1, at2) | pieces(at, at2 + 1)
-            found.update(normalise((STAR, *rest)) for rest in rests)
-        elif isinstance(token, Star):
-            found.update(pieces(at + 1, at2))
-            if token2 is not None:
-                found.update(normalise((token2, *rest)) for rest in pieces(at, at2 + 1))
-        elif isinstance(token2, Star):
-            found.update(pieces(at, at2 + 1))
-            if token is not None:
-                found.update(normalise((token, *rest)) for rest in pieces(at + 1, at2))
-        elif token is not None and token2 is not None and (both := _meet(token, token2)) is not None:
-            found.update(normalise((both, *rest)) for rest in pieces(at + 1, at2 + 1))
-        if len(found) > limit:
-            found = set(maximal(found))
-        if len(found) > limit:
-            raise TooComplexError
-        memo[at, at2] = frozenset(found)
-        return memo[at, at2]
 
-    return tuple(maximal(pieces(0, 0)))
+def _read(token: Token | None, token2: Token | None, step: tuple[int, int]) -> tuple[Token, ...]:
+    """Return what two patterns read together in a step of :func:`_common_steps`."""
+    if isinstance(token, Star) and isinstance(token2, Star):
+        return (STAR,)
+    if isinstance(token, Star):
+        return (token2,) if step == (0, 1) and token2 is not None else ()
+    if isinstance(token2, Star):
+        return (token,) if step == (1, 0) and token is not None else ()
+    both = _meet(token, token2) if token is not None and token2 is not None else None
+    return () if both is None else (both,)
 
 
 def maximal(globs: Iterable[Glob]) -> list[Glob]:
@@ -311,16 +302,16 @@ def maximal(globs: Iterable[Glob]) -> list[Glob]:
 
 
 def sort_key(glob: Glob) -> str:
-    """Return a text by which globs are sorted, the same on every run and machine."""
+    """Return a text by which globs are sorted, the same on every run and machine; NUL marks what is not literal."""
     if (text := literal(glob)) is not None:
         return text
     return "".join(
         token
         if isinstance(token, str)
-        else "*"
+        else "\0*"
         if isinstance(token, Star)
-        else "?"
+        else "\0?"
         if token == ANY
-        else repr(token.ranges)
+        else f"\0{token.ranges}"
         for token in glob
     )

@@ -33,7 +33,7 @@ def arrange(allow: Iterable[Glob], deny: Iterable[Glob]) -> Order:
     """Return the decision list that permits the names of ``allow`` without those of ``deny``."""
     literals: list[tuple[str, Glob]] = []
     wild: list[Glob] = []
-    for glob in allow:
+    for glob in dict.fromkeys(allow):
         text = literal(glob)
         if text is None:
             wild.append(glob)

@@ -12,7 +12,19 @@ from cryptography.x509.oid import ExtendedKeyUsageOID
 
 from keymint.api import CertificateSpec
 from keymint.errors import Diagnostic, KeymintError, Origin, Severity
-from keymint.pki import extensions, forms, keys, names
+from keymint.pki import der, extensions, forms, keys, names
+
+_UNREADABLE = (
+    ValueError,
+    TypeError,
+    KeyError,
+    UnsupportedAlgorithm,
+    x509.InvalidVersion,
+    x509.DuplicateExtension,
+    x509.UnsupportedGeneralNameType,
+    UserWarning,  # where warnings are errors: a serial number of 0, a country of three letters
+)
+"""What the library raises on a damaged certificate."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -52,7 +64,7 @@ def load_bundle(pem: bytes, where: Origin | None = None) -> tuple[x509.Certifica
     """
     try:
         return _parsed(pem)
-    except (ValueError, UnsupportedAlgorithm, x509.DuplicateExtension):
+    except _UNREADABLE:
         raise KeymintError(
             "not a certificate in PEM, or a damaged one",
             where=where,
@@ -69,6 +81,9 @@ def _parsed(pem: bytes) -> tuple[x509.Certificate, ...]:
         # The library parses lazily: what is damaged is to be found here.
         _ = certificate.extensions, certificate.subject, certificate.issuer, certificate.public_key()
         _ = certificate.not_valid_before_utc, certificate.not_valid_after_utc, certificate.signature_hash_algorithm
+        signature = der.elements(der.single(certificate.public_bytes(serialization.Encoding.DER), der.SEQUENCE))[-1][1]
+        if not signature.startswith(b"\0"):
+            raise ValueError("unused bits of a signature, that no signature covers")
     return found
 
 

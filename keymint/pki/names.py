@@ -264,7 +264,7 @@ def _attribute(kind: str, value: str, name: str, where: Origin | None) -> x509.N
         raise KeymintError(
             f"{name[:120]!r} is not a subject name: {short} {problem}",
             where=where,
-            help="CN={common_name},OU={unique} shortens it and keeps it unique" if too_long else _EXAMPLE,
+            help="OU={unique},CN={common_name} shortens it and keeps it unique" if too_long else _EXAMPLE,
             code="name-invalid",
         )
     return x509.NameAttribute(oid, value)

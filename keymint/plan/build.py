@@ -72,8 +72,7 @@ def _wanted(inputs: Inputs, loaded: LoadedProfile, files: dict[str, bytes], opti
 
 def wanted_inputs(inputs: Inputs, loaded: LoadedProfile, files: dict[str, bytes]) -> str:
     """Return the digest of what the documents of a package are built from."""
-    versions = [f"{info.group}/{info.name}/{info.version}" for info in inputs.plugins.infos()]
-    return digest(loaded.digest, digest_files(files), *versions)
+    return digest(loaded.digest, digest_files(files), inputs.plugins.versions)
 
 
 def _plan_package(

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+import functools
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -10,12 +11,14 @@ from keymint.api import LoadedPolicy
 from keymint.errors import Diagnostic, KeymintError, Origin, Severity
 from keymint.ir import SubjectRules
 from keymint.names import package_name, refuse_case_collisions
-from keymint.plan.inputs import Inputs, LoadedProfile, Sources, changed
+from keymint.plan.inputs import Inputs, LoadedProfile, Sources, changed, placed
 from keymint.plan.model import Action, File, Plan, Step
-from keymint.state import Stamp, digest
+from keymint.state import Stamp, State, digest
 from keymint.workspace import packages
 
 STAGE = "create"
+POLICY = "policy"
+"""Where the record has what the policy was read from."""
 
 
 def load_policy(inputs: Inputs, loaded: LoadedProfile) -> LoadedPolicy:
@@ -31,6 +34,43 @@ def load_policy(inputs: Inputs, loaded: LoadedProfile) -> LoadedPolicy:
     return _Relocated(policy_type.load(profile.policies, shipped), shipped, profile.library)
 
 
+def recall_policy(inputs: Inputs, loaded: LoadedProfile) -> LoadedPolicy:
+    """Return the policy as :func:`load_policy` does, or as the record has it when nothing of it changed.
+
+    Loading a large policy costs more than all else that a run without changes does. What the record has is which
+    subjects the policy names; rules are loaded when they are asked for.
+    """
+    recorded = inputs.state.stamp(POLICY, "seen")
+    subjects = inputs.state.stamp(POLICY, "subjects")
+    fingerprint = inputs.plugins.policy_type(loaded.profile.policy_type).fingerprint
+    if (
+        recorded is None
+        or subjects is None
+        or recorded.inputs != loaded.digest
+        or any(fingerprint(Path(path)).hex() != value for path, value in recorded.outputs.items())
+    ):
+        return load_policy(inputs, loaded)
+    seen = {Path(path): bytes.fromhex(value) for path, value in recorded.outputs.items()}
+    return _Recalled(seen, tuple(sorted(subjects.outputs)), functools.partial(load_policy, inputs, loaded))
+
+
+class _Recalled:
+    """A policy of which the record knows what it was read from and whom it names."""
+
+    def __init__(self, seen: Mapping[Path, bytes], subjects: tuple[str, ...], load: Callable[[], LoadedPolicy]) -> None:
+        self.seen = seen
+        self._subjects = subjects
+        self._load = functools.cache(load)
+
+    def subjects(self) -> tuple[str, ...]:
+        """Return the subjects that the policy names exactly."""
+        return self._subjects
+
+    def rules(self, subject: str) -> SubjectRules | None:
+        """Return the rules of a subject; loads the policy."""
+        return self._load().rules(subject)
+
+
 class _Relocated:
     """A policy whose library is read from one folder and named by another."""
 
@@ -40,9 +80,9 @@ class _Relocated:
         self._place = place
 
     @property
-    def files(self) -> Mapping[Path, bytes]:
-        """The files, by their place to be."""
-        return {Path(self._moved(str(path))): value for path, value in self._policy.files.items()}
+    def seen(self) -> Mapping[Path, bytes]:
+        """What was looked at, by its place to be."""
+        return {Path(self._moved(str(path))): value for path, value in self._policy.seen.items()}
 
     def subjects(self) -> tuple[str, ...]:
         """Return the subjects that the policy names exactly."""
@@ -55,6 +95,7 @@ class _Relocated:
             return None
         return SubjectRules(subject, tuple(replace(rule, origin=self._origin(rule.origin)) for rule in found.rules))
 
+    @functools.cache  # noqa: B019 - lives as long as the run
     def _origin(self, origin: Origin) -> Origin:
         return Origin(self._moved(origin.file), origin.line, tuple(map(self._origin, origin.chain)))
 
@@ -98,7 +139,7 @@ def plan_create(
     """
     existing = set(packages(inputs.tree, inputs.workspace.src))
     refuse_case_collisions([*existing, *names])
-    policy_digest = digest(*(part for path, value in sorted(policy.files.items()) for part in (str(path), value)))
+    policy_digest = digest(*(part for path, value in sorted(policy.seen.items()) for part in (str(path), value)))
     steps: list[Step] = []
     diagnostics: list[Diagnostic] = []
     errors: list[Diagnostic] = []
@@ -120,15 +161,25 @@ def plan_create(
         try:
             new = package_type.create(loaded.profile, rules, files, force=force)
         except KeymintError as error:
-            errors += error.diagnostics
+            errors += [placed(diagnostic, inputs.workspace.src) for diagnostic in error.diagnostics]
             continue
-        changes = changed(inputs.tree, folder, {file: File(content) for file, content in new.items()})
+        # The marker goes last: until then a later run sees no package, and makes what is missing of one.
+        ordered = sorted(new.items(), key=lambda item: item[0] == package_type.MARKER)
+        changes = changed(inputs.tree, folder, {file: File(content) for file, content in ordered})
         action = (Action.UPDATED if name in existing else Action.CREATED) if changes else Action.UNCHANGED
         steps.append(Step(STAGE, name, action, changes))
         stamps[name] = Stamp(wanted, _outputs(files | dict(new)))
     if errors:
         raise KeymintError.of(errors)
-    return Plan(tuple(steps), inputs.state.updated(STAGE, stamps), tuple(diagnostics))
+    return Plan(tuple(steps), _recorded(inputs, loaded, policy).updated(STAGE, stamps), tuple(diagnostics))
+
+
+def _recorded(inputs: Inputs, loaded: LoadedProfile, policy: LoadedPolicy) -> State:
+    """Return the record with what the policy was read from, and whom it names."""
+    seen = Stamp(loaded.digest, {str(path): value.hex() for path, value in policy.seen.items()})
+    return inputs.state.updated(
+        POLICY, {"seen": seen, "subjects": Stamp(loaded.digest, dict.fromkeys(policy.subjects(), ""))}
+    )
 
 
 def _outputs(files: dict[str, bytes]) -> dict[str, str]:

@@ -9,7 +9,7 @@ from pathlib import Path
 
 from keymint import __version__
 from keymint.api import Package, Profile
-from keymint.errors import KeymintError, Origin
+from keymint.errors import Diagnostic, KeymintError, Origin
 from keymint.plan.model import File, FolderChange, Plan
 from keymint.plugins import Plugins
 from keymint.state import State, digest, digest_files
@@ -56,11 +56,10 @@ class Inputs:
                 help="run 'keymint init'",
                 code="workspace-missing",
             )
-        for name, plugin in self.plugins.profile_types().items():
+        for plugin in self.plugins.profile_types().values():
             if plugin.recognises(files):
-                loaded = plugin.load(root, files)
-                versions = [self.plugins.version("keymint.profile_types", name), __version__]
-                return LoadedProfile(loaded, digest(digest_files(files), *versions))
+                seen = digest(digest_files(files), self.plugins.versions, __version__)
+                return LoadedProfile(plugin.load(root, files), seen)
         raise KeymintError(
             "no installed profile type knows this profile",
             where=Origin(self.workspace.shown(root / PROFILE_MARKER)),
@@ -106,3 +105,11 @@ def changed(tree: Tree, folder: Path, files: Mapping[str, File], *, private: boo
     """Return the change that gives a folder these files: only what differs from what is there."""
     different = {name: file for name, file in files.items() if tree.read(folder / name) != file.content}
     return (FolderChange(folder, different, private=private),) if different else ()
+
+
+def placed(diagnostic: Diagnostic, space: Path) -> Diagnostic:
+    """Return a diagnostic whose place, which a plugin knows by package and file only, lies in a space."""
+    where = diagnostic.where
+    if where is None or where.file.startswith("/"):
+        return diagnostic
+    return replace(diagnostic, where=replace(where, file=str(space / where.file)))

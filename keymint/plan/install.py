@@ -11,7 +11,7 @@ from keymint.errors import Diagnostic, KeymintError, Origin, Severity
 from keymint.pki import certificates
 from keymint.plan import build
 from keymint.plan.authorities import MintedAuthority
-from keymint.plan.inputs import Inputs, LoadedProfile, Sources, changed
+from keymint.plan.inputs import Inputs, LoadedProfile, Sources, changed, placed
 from keymint.plan.model import Action, File, FolderChange, Plan, Step
 from keymint.plan.secrets import load_key
 from keymint.state import Stamp, digest, digest_files
@@ -221,7 +221,12 @@ def _notarize(
         signer=notary.signer,
     )
     build_type = inputs.plugins.build_type(package.build_type)
-    return build_type.install(package, documents, credentials, loaded.profile.layout, there), said
+    try:
+        return build_type.install(package, documents, credentials, loaded.profile.layout, there), said
+    except KeymintError as error:
+        raise KeymintError.of(
+            [placed(diagnostic, inputs.workspace.build) for diagnostic in error.diagnostics]
+        ) from error
 
 
 def authority_of(authorities: Mapping[str, MintedAuthority], name: str, origin: Origin) -> MintedAuthority:

@@ -7,7 +7,7 @@ from pathlib import Path
 
 from keymint.api import API_VERSION, Bootstrap, Package, Profile
 from keymint.ir import SubjectRules
-from keymint_ros import bootstrap, distros, package, profile
+from keymint_ros import bootstrap, create, distros, package, profile
 from keymint_ros.manifest import MARKER
 
 
@@ -70,7 +70,7 @@ class RosPackageType:
             KeymintError: the document of the rules was edited by hand (code ``hand-edited``), the policy changed as
                 well, and ``force`` is not given.
         """
-        return package.create(profile, rules, existing, force=force)
+        return create.create(profile, rules, existing, force=force)
 
     def load(self, profile: Profile, name: str, folder: str, files: Mapping[str, bytes]) -> Package:
         """Load a package from its files; what it leaves out is taken from the profile's defaults.

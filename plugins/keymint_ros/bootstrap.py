@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from datetime import timedelta
+from datetime import datetime, timedelta
 from functools import lru_cache
-from pathlib import PurePosixPath
-from typing import TYPE_CHECKING, Any
+from pathlib import Path, PurePosixPath
+from typing import TYPE_CHECKING
 
 from comarmor.data import locate
 from keymint.api import Bootstrap
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 _AUTHORITIES = {"sros2": ("identity_ca", "permissions_ca"), "flat": ("ca", "ca")}
 """By layout: who issues identities, and who signs permissions. Ardent's layout has one ``ca.cert.pem`` for both."""
-_SUBJECT_NAMES = {"unique": "CN={common_name},OU={unique}", "sros2": "CN={subject}"}
+_SUBJECT_NAMES = {"unique": "OU={unique},CN={common_name}", "sros2": "CN={subject}"}
 _MAX_DOMAIN = 230
 """Cyclone DDS refuses documents with a larger domain id."""
 _AUTHORITY_YEARS = 10
@@ -102,7 +102,7 @@ def package_document(name: str) -> bytes:
     return (_templates() / "package" / name).read_bytes()
 
 
-def _templates() -> Any:
+def _templates() -> Path:
     return locate("templates") / "keymint_ros"
 
 
@@ -124,7 +124,7 @@ def _environment() -> jinja2.Environment:
     )
 
 
-def _date(date: Any) -> str:
+def _date(date: datetime) -> str:
     return f"{date:%Y-%m-%dT%H:%M:%S}"
 
 

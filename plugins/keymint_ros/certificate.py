@@ -179,7 +179,7 @@ def _key(element: etree._Element) -> KeySpec:
             if encrypted
             else "a <password_env> is given, but the key is not to be encrypted",
             where=place(element if encryption is None else encryption),
-            help="name the environment variable that will hold the password, e.g. <password_env>CA_PASSWORD</password_env>"
+            help="name the environment variable that will hold the password, e.g. CA_PASSWORD"
             if encrypted
             else "write <encryption_algorithm>BestAvailableEncryption</encryption_algorithm>, or empty <password_env>",
             code="key-password",

@@ -16,12 +16,13 @@ from typing import Generic, TypeVar
 
 from lxml import etree
 
-from comarmor import schema, source
-from comarmor.errors import ComArmorError
+from comarmor import errors, schema, source
+from comarmor.data import locate
 from keymint.errors import Diagnostic, KeymintError, Origin, Severity
 
 _T = TypeVar("_T")
 
+_XS = "{http://www.w3.org/2001/XMLSchema}"
 _NAMELESS = "<document>"
 _REMEMBERED = 256
 """Documents of one kind to remember: all that packages share, and few that only one of them has."""
@@ -71,22 +72,37 @@ def parse(content: bytes, name: str, schema_name: str = "") -> etree._Element:
         root = source.parse(content, name)
         if schema_name:
             schema.validate(root, schema_name, name)
-    except ComArmorError as error:
-        raise KeymintError.of(_translated(error)) from None
+    except errors.ComArmorError as error:
+        raise KeymintError.of(_translated(found, schema_name) for found in error.diagnostics) from None
     return root
 
 
-def _translated(error: ComArmorError) -> list[Diagnostic]:
-    return [
-        Diagnostic(
-            found.code,
-            Severity.ERROR,
-            found.message,
-            Origin(found.where.file, found.where.line) if found.where else None,
-            found.help,
-        )
-        for found in error.diagnostics
-    ]
+_UNEXPECTED = re.compile(r"<(\w+)> is not expected here")
+
+
+def _translated(found: errors.Diagnostic, schema_name: str) -> Diagnostic:
+    """Return a diagnostic of comarmor as one of keymint, with a hint where an element is only misspelled.
+
+    For elements that may stand in any order, libxml2 does not say which ones it expected.
+    """
+    where = Origin(found.where.file, found.where.line) if found.where else None
+    message, help_ = found.message, found.help
+    unexpected = _UNEXPECTED.match(message)
+    if unexpected and not help_ and unexpected[1] not in (known := _elements(schema_name)):
+        help_ = did_you_mean(unexpected[1], known)
+        message = unexpected[0] if help_ else message
+    return Diagnostic(found.code, Severity.ERROR, message, where, help_)
+
+
+@lru_cache
+def _elements(schema_name: str) -> frozenset[str]:
+    """Return the names of all elements that a schema, or one that it includes, declares."""
+    path = locate("schemas") / schema_name
+    document = source.parse(path.read_bytes(), str(path))
+    names = {str(item.get("name")) for item in document.iter(f"{_XS}element")}
+    for item in document.iter(f"{_XS}include"):
+        names |= _elements(f"{posixpath.dirname(schema_name)}/{item.get('schemaLocation')}")
+    return frozenset(names)
 
 
 def _named(diagnostic: Diagnostic, name: str) -> Diagnostic:
@@ -101,7 +117,8 @@ def place(element: etree._Element) -> Origin:
 
 def line(element: etree._Element) -> int:
     """Return the line of an element, from 1."""
-    return int(element.sourceline or 0)
+    counted: int | None = element.sourceline  # type: ignore[assignment] # lxml-stubs say it is an ellipsis
+    return counted or 0
 
 
 def text(element: etree._Element | None) -> str | None:

@@ -20,7 +20,7 @@ class Part:
     """A part of a package.
 
     Attributes:
-        line: line of its element, 0 when the manifest does not mention it.
+        line: line of its element, or of the root when the manifest does not mention it.
         path: of its document, relative to the package.
         named: the manifest gives the path.
         defaults: path of its defaults, relative to the package or else to the profile.
@@ -67,7 +67,7 @@ def _manifest(root: etree._Element) -> Manifest:
 def _part(root: etree._Element, group: str, item: str, usual: str) -> Part:
     element = root.find(group)
     if element is None:
-        return Part(0, usual, named=False, defaults=f"package.defaults/{usual}", issuer="")
+        return Part(line(root), usual, named=False, defaults=f"package.defaults/{usual}", issuer="")
     path = text(element.find(f"{item}/{item}_path"))
     return Part(
         line=line(element),

@@ -1,4 +1,4 @@
-"""Source packages: created from the rules of a subject, and loaded with what their profile says by default."""
+"""Source packages: loaded, with what their profile says by default."""
 
 from __future__ import annotations
 
@@ -8,11 +8,10 @@ from typing import TYPE_CHECKING, TypeVar
 
 from keymint.api import CertificateSpec, Governance, Package, Permissions, Profile
 from keymint.errors import Diagnostic, KeymintError, Origin
-from keymint.ir import SubjectRules
-from keymint_ros import bootstrap, certificate, governance, manifest, permissions, placeholders, validity
+from keymint_ros import certificate, governance, manifest, permissions, placeholders, validity
 from keymint_ros.document import Reader, confined, did_you_mean, file_in, line, place, text
 from keymint_ros.manifest import MARKER, Manifest, Part
-from keymint_ros.profile import build_type
+from keymint_ros.profile import base_of
 
 if TYPE_CHECKING:
     from lxml import etree
@@ -20,14 +19,6 @@ if TYPE_CHECKING:
     from keymint.api import DomainRange, Validity
 
 _T = TypeVar("_T")
-
-FORMER = ".2018"
-"""What is appended to the name of a ``permissions.xml`` in the format of 2018 that a new one replaces."""
-
-
-# ---------------------------------------------------------------------------------------------------------------
-# Documents of a package that are no more than a certificate or a few defaults
-# ---------------------------------------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True, slots=True)
@@ -66,82 +57,6 @@ def _grant_defaults(root: etree._Element) -> _GrantDefaults:
 _read_identity = Reader("identities", _identity)
 _read_identity_defaults = Reader("defaults_identities", lambda root: certificate.read(root, placeholders.SUBJECT))
 _read_grant_defaults = Reader("defaults_permissions", _grant_defaults)
-
-
-# ---------------------------------------------------------------------------------------------------------------
-# Create
-# ---------------------------------------------------------------------------------------------------------------
-
-
-def create(profile: Profile, rules: SubjectRules, existing: Mapping[str, bytes], *, force: bool) -> Mapping[str, bytes]:
-    """Return the files to write for a package: see :meth:`keymint.api.PackageType.create`."""
-    name = rules.subject.removeprefix("/")
-    path = "permissions.xml"
-    files: dict[str, bytes] = {}
-    if MARKER in existing:
-        part = manifest.read(existing[MARKER], f"{name}/{MARKER}").permissions
-        path = confined(part.path, Origin(f"{name}/{MARKER}", part.line))
-    else:
-        files = {file: content for file, content in _new(profile).items() if file not in existing}
-    return files | _permissions(profile, rules, path, existing, force=force)
-
-
-def _new(profile: Profile) -> Mapping[str, bytes]:
-    """Return the documents of a new package, but for its permissions."""
-    return {
-        MARKER: bootstrap.package_manifest(build_type(profile)),
-        "governance.xml": bootstrap.package_document("governance.xml"),
-        "identities.xml": bootstrap.package_document("identities.xml"),
-    }
-
-
-def _permissions(
-    profile: Profile, rules: SubjectRules, path: str, existing: Mapping[str, bytes], *, force: bool
-) -> Mapping[str, bytes]:
-    """Return the document of the rules where it is to be written.
-
-    Three states are compared, as dpkg does for configuration files: what the policy said when the document was
-    written, what the document says, and what the policy says now.
-    """
-    base = _base(profile)
-    written = permissions.render(rules, base)
-    current = existing.get(path)
-    if current is None:
-        return {path: written}
-    if current == written:
-        return {}
-    file = f"{rules.subject.removeprefix('/')}/{path}"
-    try:
-        grant = permissions.read(current, file, rules.subject)
-    except KeymintError as error:
-        if error.diagnostics[0].code == permissions.OLD_FORMAT:
-            return {path: written} | ({} if path + FORMER in existing else {path + FORMER: current})
-        if force:
-            return {path: written}
-        raise
-    now = permissions.digest(rules.rules)
-    if grant.edited and grant.current != now and not force:
-        if grant.base == now:
-            return {}
-        raise KeymintError(
-            f"{path} of {rules.subject} was edited by hand, and the policy changed as well",
-            where=Origin(file, grant.line),
-            help="move the edits into the policy, then replace the file with --force",
-            code="hand-edited",
-        )
-    written = permissions.render(rules, base, name=grant.name, overrides=grant.overrides)
-    return {} if written == current else {path: written}
-
-
-def _base(profile: Profile) -> str:
-    """Return the profile space, ending in a slash, as the user would type it; or empty."""
-    folder = "." if profile.library is None else str(profile.library.parent)
-    return "" if folder == "." else f"{folder.rstrip('/')}/"
-
-
-# ---------------------------------------------------------------------------------------------------------------
-# Load
-# ---------------------------------------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True, slots=True)
@@ -279,7 +194,7 @@ def load(profile: Profile, name: str, folder: str, files: Mapping[str, bytes]) -
     said = manifest.read(file_in(files, MARKER, Origin(folder), "package"), file)
     manifest.check_name(said, name, file)
     subject = f"/{name}"
-    loader = _Loader(profile, name, folder, _base(profile), files, said, placeholders.of_subject(subject))
+    loader = _Loader(profile, name, folder, base_of(profile), files, said, placeholders.of_subject(subject))
     diagnostics: list[Diagnostic] = []
     identity = _attempt(loader.identity, diagnostics)
     grant = _attempt(loader.permissions, diagnostics)

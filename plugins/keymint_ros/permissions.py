@@ -8,13 +8,13 @@ dpkg recognises an edited configuration file.
 from __future__ import annotations
 
 import hashlib
+import posixpath
 import re
 from collections.abc import Iterable
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import TYPE_CHECKING
-from urllib.parse import quote, unquote
-from xml.sax.saxutils import escape
+from urllib.parse import unquote
 
 from lxml import etree
 
@@ -104,19 +104,17 @@ def digest(rules: Iterable[Rule | WrittenRule]) -> str:
     return "sha256:" + hashlib.sha256("\n".join(dict.fromkeys(lines)).encode()).hexdigest()
 
 
-# ---------------------------------------------------------------------------------------------------------------
-# Reading
-# ---------------------------------------------------------------------------------------------------------------
-
-
-def is_old(content: bytes, name: str) -> bool:
-    """Tell whether a document is one of 2018, with ``allow_rule`` and ``deny_rule``.
+def _old(content: bytes, name: str) -> Origin | None:
+    """Return where the grant of a document of 2018 is, with ``allow_rule`` and ``deny_rule``; None for any other one.
 
     Raises:
         KeymintError: it is not well-formed.
     """
     root = document.parse(content, name)
-    return root.tag == "package" and "format" not in root.attrib and root.find("permissions/grant") is not None
+    for tag in ("allow_rule", "deny_rule", "default"):
+        if (found := root.find(f"permissions/grant/{tag}")) is not None and "format" not in root.attrib:
+            return Origin(name, line(found))
+    return None
 
 
 def read(content: bytes, name: str, subject: str) -> Grant:
@@ -133,11 +131,12 @@ def read(content: bytes, name: str, subject: str) -> Grant:
     try:
         return _read(content, name)
     except KeymintError:
-        if not is_old(content, name):
+        old = _old(content, name)
+        if old is None:
             raise
     raise KeymintError(
         "these permissions are in the format of 2018",
-        where=Origin(name, 2),
+        where=old,
         help=f"'keymint create {subject.removeprefix('/')}' creates them anew from the policy",
         code=OLD_FORMAT,
     )
@@ -219,6 +218,26 @@ def _check_edited(grant: etree._Element) -> None:
                 ) from None
 
 
+def says(grant: Grant, rules: SubjectRules) -> bool:
+    """Tell whether a document has exactly these rules in this order, as far as a reader sees.
+
+    The folders of their origins do not count: they depend on where the tool is called.
+    """
+    if grant.edited or len(grant.rules) != len(rules.rules):
+        return False
+    return all(
+        (one.effect, one.kind, one.permissions, one.expressions, one.partitions, one.audit)
+        == (other.effect, other.kind, other.permissions, other.expressions, other.partitions, other.audit)
+        and _spots(_origin(one.origin, "")) == _spots(other.origin)
+        for one, other in zip(grant.rules, rules.rules, strict=True)
+    )
+
+
+def _spots(origin: Origin | None) -> list[tuple[str, int]]:
+    """Return names of files, without their folders, and lines."""
+    return [] if origin is None else [(posixpath.basename(one.file), one.line) for one in (origin, *origin.chain)]
+
+
 def to_ir(grant: Grant, subject: str, file: str, base: str) -> SubjectRules:
     """Return the rules of a document.
 
@@ -257,69 +276,6 @@ def _origin(written: str, base: str) -> Origin | None:
         if not path or not (number.isascii() and number.isdigit()):
             return None
         plain = unquote(path, errors="surrogateescape") if "%" in path else path
-        places.append((plain if plain.startswith("/") else f"{base}{plain}", int(number)))
+        places.append((plain if plain.startswith("/") else posixpath.normpath(base + plain), int(number)))
     chain = tuple(Origin(*one) for one in places[1:])
     return Origin(*places[0], chain)
-
-
-# ---------------------------------------------------------------------------------------------------------------
-# Writing
-# ---------------------------------------------------------------------------------------------------------------
-
-_UNSAFE = re.compile(r"[%;\x00-\x1f\x7f-\x9f\u2028\u2029\ud800-\udfff\ufffe\uffff]")
-_SPECIAL = re.compile('[&<>"\r\n\t]')
-_ENTITIES = {'"': "&quot;", "\r": "&#13;", "\n": "&#10;", "\t": "&#9;"}
-
-
-def render(rules: SubjectRules, base: str, *, name: str = "", overrides: Iterable[str] = ()) -> bytes:
-    """Return the document of a subject's rules.
-
-    Args:
-        rules: the rules.
-        base: folder that origins are written relative to, ending in a slash; or empty.
-        name: the grant's label; the subject when it is empty.
-        overrides: XML of ``<domains>``, ``<subject_name>``, ``<validity>`` to keep.
-    """
-    said = "".join(f"      {part}\n" for part in overrides)
-    body = "".join(_rendered(rule, base) for rule in rules.rules)
-    return (
-        '<?xml version="1.0" encoding="UTF-8"?>\n'
-        f"<!-- What the policy lets {rules.subject} do. Edits are kept as long as the policy does not change as well;\n"
-        "     <domains>, <subject_name> and <validity> at the top of the grant override the defaults, and always stay. -->\n"
-        f'<package format="2" digest="{digest(rules.rules)}">\n'
-        "  <permissions>\n"
-        f'    <grant name="{_text(name or rules.subject)}">\n'
-        f"{said}{body}"
-        "    </grant>\n"
-        "  </permissions>\n"
-        "</package>\n"
-    ).encode()
-
-
-def _rendered(rule: Rule, base: str) -> str:
-    audit = ' modifier="AUDIT"' if rule.audit else ""
-    expressions = "".join(f"        <attachment>{_text(one)}</attachment>\n" for one in rule.expressions)
-    partitions = "".join(f"<partition>{_text(one)}</partition>" for one in rule.partitions)
-    narrowed = f"        <partitions>{partitions}</partitions>\n" if partitions else ""
-    permissions = "".join(f"<{one}/>" for one in rule.permissions)
-    return (
-        f'      <{rule.kind} qualifier="{rule.effect}"{audit} origin="{_text(_place(rule.origin, base))}">\n'
-        f"{expressions}{narrowed}"
-        f"        <permissions>{permissions}</permissions>\n"
-        f"      </{rule.kind}>\n"
-    )
-
-
-def _place(origin: Origin, base: str) -> str:
-    """Return an origin as ``file:line``, followed by the places that include the file."""
-    return "; ".join(
-        f"{_UNSAFE.sub(_quoted, one.file.removeprefix(base))}:{one.line}" for one in (origin, *origin.chain)
-    )
-
-
-def _quoted(found: re.Match[str]) -> str:
-    return quote(found.group(), safe="", errors="surrogateescape")
-
-
-def _text(text_: str) -> str:
-    return escape(text_, _ENTITIES) if _SPECIAL.search(text_) else text_

@@ -76,7 +76,7 @@ def _manifest(root: etree._Element) -> _Manifest:
         policies=tuple(
             _path(item.find("policy_path"), item, "policies.xml") for item in root.iterfind("policies/policy")
         ),
-        policy_type=said.get("policy_type") or root.find("policies").get("format") or _POLICY_TYPE,
+        policy_type=said.get("policy_type") or _POLICY_TYPE,
         package_type=said.get("package_type") or NAME,
         build_type=said.get("build_type") or BUILD_TYPE,
         layout=said.get("layout") or "sros2",
@@ -123,6 +123,12 @@ def build_type(profile: Profile) -> str:
     """Return the build type that packages of a profile are created with."""
     content = profile.files.get(MANIFEST)
     return BUILD_TYPE if content is None else _read_manifest(content, MANIFEST).build_type
+
+
+def base_of(profile: Profile) -> str:
+    """Return the profile space, ending in a slash, as the user would type it; or empty."""
+    folder = "." if profile.library is None else str(profile.library.parent)
+    return "" if folder == "." else f"{folder.rstrip('/')}/"
 
 
 def load(root: Path, files: Mapping[str, bytes]) -> Profile:
@@ -194,14 +200,14 @@ def _check_hierarchy(authorities: Mapping[str, Authority], issuers: Mapping[str,
 def _load_policies(
     root: Path, files: Mapping[str, bytes], manifest: str, paths: Sequence[_Path]
 ) -> tuple[PolicySource, ...]:
-    found = []
+    found: list[PolicySource] = []
     for path in paths:
         content = file_in(files, path.path, Origin(manifest, path.line), "profile")
         file = str(root / path.path)
-        for policy in _read_policies(content, file):
-            found.append(
-                PolicySource(policy.name, Path(os.path.normpath(root / policy.path)), Origin(file, policy.line))
-            )
+        found += (
+            PolicySource(policy.name, Path(os.path.normpath(root / policy.path)), Origin(file, policy.line))
+            for policy in _read_policies(content, file)
+        )
     return tuple(found)
 
 

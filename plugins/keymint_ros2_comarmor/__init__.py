@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import comarmor
+import comarmor.source
 from keymint.api import PolicySource
 from keymint.errors import Diagnostic, KeymintError, Origin, Severity
 from keymint.ir import Effect, Rule, SubjectRules
@@ -42,9 +43,9 @@ class _LoadedPolicy:
     policy: comarmor.Policy
 
     @property
-    def files(self) -> Mapping[Path, bytes]:
-        """Every file that was read, with the SHA-256 of its bytes."""
-        return self.policy.files
+    def seen(self) -> Mapping[Path, bytes]:
+        """Every path that was looked at, with its fingerprint."""
+        return self.policy.seen
 
     def subjects(self) -> tuple[str, ...]:
         """Return, sorted, the subjects that the policy names exactly."""
@@ -84,6 +85,10 @@ class ComArmorPolicyType:
             return _LoadedPolicy(comarmor.load_all([source.path for source in sources], library=library))
         except comarmor.ComArmorError as error:
             raise KeymintError.of(map(_diagnostic, error.diagnostics)) from error
+
+    def fingerprint(self, path: Path) -> bytes:
+        """Return what tells whether a path is still what it was when a policy was loaded."""
+        return comarmor.source.fingerprint(path)
 
 
 policy_type = ComArmorPolicyType()

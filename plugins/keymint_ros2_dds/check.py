@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Generator, Iterator
 from datetime import UTC, datetime, timedelta
 
+from cryptography import x509
 from lxml import etree
 
 from keymint.api import DomainRange, Inspection
@@ -98,7 +99,7 @@ class _Enclave:
         if key is not None:
             yield from self._key(key, certificate)
 
-    def _key(self, pem: bytes, certificate: certificates.x509.Certificate) -> Iterator[Diagnostic]:
+    def _key(self, pem: bytes, certificate: x509.Certificate) -> Iterator[Diagnostic]:
         where = self._where(KEY)
         encrypted = bool(self._seen.package.identity.key.password_env)
         if not keys.is_canonical(pem):
@@ -146,7 +147,7 @@ class _Enclave:
         except KeymintError:
             return None
 
-    def _signed(self, kind: str) -> Iterator[Diagnostic]:  # type: ignore[misc]
+    def _signed(self, kind: str) -> Generator[Diagnostic, None, etree._Element | None]:
         """Judge a signed document; the generator's value is its root, or None where it cannot be trusted."""
         name = f"{kind}.p7s"
         signed = self._files.get(name)

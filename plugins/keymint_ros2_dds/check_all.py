@@ -21,8 +21,8 @@ def cyclone_takes_for(identity: str, grant: str) -> bool:
     """Tell whether Cyclone DDS lets an identity use a grant for another subject.
 
     It splits both names at ``,``, ``/`` and ``|`` and asks only whether every token of the identity also occurs in the
-    grant (``ac_check_subjects_are_equal``, to be read in ``access_control_utils.c``). So ``CN=/robot`` may use the grant
-    of ``CN=/robot/camera``, which every peer gets to see in a handshake.
+    grant (``ac_check_subjects_are_equal`` in its ``access_control_utils.c``). So ``CN=/robot`` may use the grant of
+    ``CN=/robot/camera``, which every peer gets to see in a handshake.
 
     Args:
         identity: subject name of a certificate.
@@ -68,7 +68,7 @@ def _one_authority(inspections: Sequence[Inspection]) -> Iterator[Diagnostic]:
             said.add(authority)
             yield Diagnostic(
                 "authority-shared", Severity.WARNING,
-                f"the authority {inspection.package.permissions.issuer!r} issues identities and signs permissions: with "
+                f"the authority {inspection.package.permissions.issuer!r} issues identities and signs permissions: on "
                 "older releases of DDS implementations an identity can sign permissions for itself (CVE-2023-24010)",
                 Origin(f"{inspection.folder}/{CERTIFICATE}"),
                 "use two authorities", inspection.package.subject,

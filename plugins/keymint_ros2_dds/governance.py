@@ -172,7 +172,7 @@ def _topic_rule(parent: etree._Element, expression: str, topic: TopicProtection)
 
 def _strictest(rule: DomainRule) -> TopicProtection:
     """Return how topics that no rule is about are protected: access control and encryption, whatever else is said."""
-    return TopicProtection("topic", "*", True, True, True, True, "ENCRYPT", "ENCRYPT", rule.origin)  # noqa: FBT003
+    return TopicProtection("topic", "*", True, True, True, True, "ENCRYPT", "ENCRYPT", rule.origin)
 
 
 def _boolean(value: bool) -> str:

@@ -118,8 +118,8 @@ def shared(artifacts: Mapping[str, Mapping[str, Artifact]], layout: str) -> Mapp
     if len(found) == 2 and len({artifact.content for artifact in found.values()}) == 1:  # noqa: PLR2004 - both
         found[f"public/{CA}"] = found[f"public/{IDENTITY_CA}"]
     signed = [files[GOVERNANCE_P7S].content for files in enclaves if GOVERNANCE_P7S in files]
-    contents = {_content(one) for one in dict.fromkeys(signed)}
-    if len(contents) == 1 and (content := contents.pop()) is not None:
+    documents = {_content(one) for one in dict.fromkeys(signed)}
+    if len(documents) == 1 and (content := documents.pop()) is not None:
         found[f"enclaves/{GOVERNANCE_XML}"] = Artifact(content)
         found[f"enclaves/{GOVERNANCE_P7S}"] = Artifact(signed[0])
     return found

@@ -44,6 +44,8 @@ def lower(rules: SubjectRules) -> Lowered:
     for rule in rules.rules:
         side = sides[rule.effect]
         partitions = tuple(sorted(set(rule.partitions)))
+        for expression in partitions:
+            _parse(expression, rule)
         for expression in rule.expressions:
             found = False
             for action, pattern in _images(expression, rule):
@@ -56,10 +58,7 @@ def lower(rules: SubjectRules) -> Lowered:
 
 def _images(expression: str, rule: Rule) -> list[tuple[Action, Glob]]:
     """Return the DDS patterns of one expression of a rule, for all its permissions."""
-    try:
-        tokens = glob.parse(expression)
-    except glob.GlobError as error:
-        raise KeymintError(str(error), where=rule.origin, code="expression") from None
+    tokens = _parse(expression, rule)
     return [
         (mapped.action, pattern)
         for permission in rule.permissions
@@ -68,6 +67,13 @@ def _images(expression: str, rule: Rule) -> list[tuple[Action, Glob]]:
         for pattern in image(tokens, mapped, suffix)
         if pattern and not glob.is_empty(pattern)
     ]
+
+
+def _parse(expression: str, rule: Rule) -> Glob:
+    try:
+        return glob.parse(expression)
+    except glob.GlobError as error:
+        raise KeymintError(str(error), where=rule.origin, code="expression") from None
 
 
 def _never(expression: str, rule: Rule, subject: str) -> Diagnostic:

@@ -82,13 +82,10 @@ def unsafe(allow: Iterable[tuple[Glob, Partitions]]) -> Iterator[tuple[Glob, str
                 continue
             text = literal(globs.parse(expression))
             if text is None:
-                yield (
-                    pattern,
-                    (
-                        f"the partition {expression!r} is neither a plain name nor '*', and vendors compare an endpoint's "
-                        "own wildcard with it as text"
-                    ),
+                reason = (
+                    "is neither a plain name nor '*', and vendors compare an endpoint's own wildcard with it as text"
                 )
+                yield pattern, f"the partition {expression!r} {reason}"
             elif any(char in "*?[]\\" or not " " <= char <= "~" for char in text) or text != text.strip():
                 yield pattern, f"the partition {expression!r} has characters that vendors read differently"
 

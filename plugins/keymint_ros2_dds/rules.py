@@ -18,17 +18,17 @@ Three habits of vendors shape it:
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, field
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
 
 from keymint.ir import Effect
 from keymint.keymake.algebra import TooComplexError, disjoint, intersection, union_covers
 from keymint.keymake.glob import Glob
-from keymint.keymake.order import Order, Rescue, arrange, mentioned_first
-from keymint_ros2_dds import partitions as lists
+from keymint.keymake.order import Rescue, mentioned_first
 from keymint_ros2_dds.lower import Lowered, Partitions
 from keymint_ros2_dds.mapping import Action
-from keymint_ros2_dds.partitions import DEFAULT, Entry
+from keymint_ros2_dds.partitions import DEFAULT, EVERY, Entry
+from keymint_ros2_dds.plans import Plan, denial_of, plans
 
 
 @dataclass(frozen=True, slots=True)
@@ -49,33 +49,8 @@ class OrderError(Exception):
         super().__init__(reason)
 
 
-@dataclass(slots=True)
-class _Plan:
-    """A decision list for one action: a simple one, or one with several lists of partitions."""
-
-    order: Order | None
-    partitions: Partitions = DEFAULT
-    entries: tuple[Entry, ...] = field(default=())
-
-    @property
-    def front(self) -> list[Entry]:
-        if self.order:
-            free = self.order.free
-            return [Entry(Effect.ALLOW, free, self.partitions)] if free else []
-        end = next((i for i, entry in enumerate(self.entries) if entry.effect is Effect.DENY), len(self.entries))
-        return list(self.entries[:end])
-
-    @property
-    def back(self) -> list[Entry]:
-        if self.order:
-            if not self.order.rest:
-                return []
-            every = DEFAULT if self.partitions == DEFAULT else lists.EVERY
-            return [
-                Entry(Effect.DENY, self.order.deny, every),
-                Entry(Effect.ALLOW, self.order.rest, self.partitions),
-            ]
-        return list(self.entries[len(self.front) :])
+_Tagged = tuple[Action, Entry]
+_Sides = Mapping[Action, Sequence[Plan]]
 
 
 def blocks(lowered: Lowered) -> tuple[Block, ...]:
@@ -85,85 +60,38 @@ def blocks(lowered: Lowered) -> tuple[Block, ...]:
         OrderError: Cyclone DDS and the standard would read every order differently.
         PartitionError: partitions cannot be said alike for all vendors.
     """
-    publish, subscribe, relay = (_plan(tuple(lowered.allow[action]), tuple(lowered.deny[action])) for action in Action)
-    found = [*_both(publish, subscribe), *_merged((), _tagged(relay, Action.RELAY))]
+    sides = {action: plans(tuple(lowered.allow[action]), tuple(lowered.deny[action])) for action in Action}
+    relay = sides.pop(Action.RELAY)
+    relays = [(Action.RELAY, entry) for part in ("front", "back") for plan in relay for entry in getattr(plan, part)]
+    found = [*_both(sides), *_merged(relays)]
     if found and found[0].effect is Effect.DENY:
         found.insert(0, Block(Effect.ALLOW, DEFAULT, {}))
     return tuple(found)
 
 
-def _plan(allow: tuple[tuple[Glob, Partitions], ...], deny: tuple[tuple[Glob, Partitions], ...]) -> _Plan:
-    try:
-        shared = lists.uniform(allow, deny)
-    except ValueError:
-        shared = None
-    if shared is None:
-        return _Plan(None, entries=lists.decision_list(allow, deny))
-    denied = [pattern for pattern, listed in deny if lists.touches(shared, listed)]
-    return _Plan(arrange([pattern for pattern, _ in allow], denied), shared)
-
-
-_Tagged = tuple[Action, Entry]
-
-
-def _tagged(plan: _Plan, action: Action) -> list[_Tagged]:
-    return [(action, entry) for entry in (*plan.front, *plan.back)]
-
-
-def _both(publish: _Plan, subscribe: _Plan) -> list[Block]:
+def _both(sides: _Sides) -> list[Block]:
     """Return the rules for both directions, in the shortest of the orders in which every vendor reads them alike."""
-    sides = {Action.PUBLISH: publish, Action.SUBSCRIBE: subscribe}
-    front = [(action, entry) for action, plan in sides.items() for entry in plan.front]
-    if not publish.back and not subscribe.back:
-        return _merged((), front)
-    if publish.order and subscribe.order:
-        return _rescued(sides, publish.order, subscribe.order)
-    for first, second in ((Action.PUBLISH, Action.SUBSCRIBE), (Action.SUBSCRIBE, Action.PUBLISH)):
-        clash = _clash(sides[first], sides[second])
-        if clash is None:
-            back = [(action, entry) for action in (first, second) for entry in sides[action].back]
-            return [*_merged((), front), *_merged((), back)]
-    raise OrderError(
-        clash or (),
-        "it is denied in one direction, allowed in the other, and narrowed to partitions: Cyclone DDS up to 0.10 lets "
-        "the denial decide for both directions",
-    )
-
-
-def _clash(first: _Plan, second: _Plan) -> Glob | None:
-    """Return a pattern that the first list denies before the second one allows it, or None."""
-    said: list[Glob] = [glob for entry in (*first.front, *second.front) for glob in entry.globs]
-    for entry in first.back:
-        if entry.effect is Effect.ALLOW:
-            said.extend(entry.globs)
+    front = _tagged(sides, "front")
+    if not _tagged(sides, "back"):
+        return _merged(front)
+    publish, subscribe = Action.PUBLISH, Action.SUBSCRIBE
+    attempts: list[tuple[tuple[Action, ...], tuple[Action, ...]]]
+    attempts = [((publish, subscribe), (subscribe,)), ((subscribe, publish), (publish,))]
+    if all(plan.order for plan in (*sides[publish], *sides[subscribe])):
+        attempts.insert(0, ((), (publish, subscribe)))
+    candidates: list[list[Block]] = []
+    refused: OrderError | None = None
+    for order, rescued in attempts:
+        try:
+            rescue = [item for action in rescued for item in _rescues(action, sides)]
+        except OrderError as error:
+            refused = error
             continue
-        known = list(said)
-        for other in second.back:
-            if other.effect is Effect.ALLOW:
-                for deny in entry.globs:
-                    for allow in other.globs:
-                        try:
-                            pieces = intersection(deny, allow)
-                        except TooComplexError:
-                            return deny
-                        if any(not union_covers(tuple(known), piece) for piece in pieces):
-                            return deny
-            else:
-                known.extend(other.globs)
-    return None
-
-
-def _rescued(sides: Mapping[Action, _Plan], publish: Order, subscribe: Order) -> list[Block]:
-    try:
-        for_subscribe = mentioned_first(publish.deny, subscribe)
-        for_publish = mentioned_first(subscribe.deny, publish)
-    except TooComplexError:
-        pattern = (publish.deny or subscribe.deny)[0]
-        raise OrderError(pattern, "it overlaps what the other direction allows in too many ways") from None
-    pub, sub = Action.PUBLISH, Action.SUBSCRIBE
-    candidates = [_ordered(sides, (pub, sub), {sub: for_subscribe}), _ordered(sides, (sub, pub), {pub: for_publish})]
-    if not for_subscribe.dirty and not for_publish.dirty:
-        candidates.insert(0, _together(sides, {sub: for_subscribe, pub: for_publish}))
+        if order or not any(each.dirty for _, _, each in rescue):
+            back = _in_turn(sides, order) if order else _together(sides)
+            candidates.append([*_first(front, rescue), *back])
+    if not candidates and refused:
+        raise refused
     return min(candidates, key=_cost)
 
 
@@ -172,42 +100,85 @@ def _cost(found: Iterable[Block]) -> int:
     return sum(2 + sum(map(len, block.topics.values())) for block in found)
 
 
-def _front(sides: Mapping[Action, _Plan], rescues: Mapping[Action, Rescue]) -> list[Block]:
-    front = [(action, entry) for action, plan in sides.items() for entry in plan.front]
-    front += [
-        (action, Entry(Effect.ALLOW, rescue.clean, sides[action].partitions))
-        for action, rescue in rescues.items()
-        if rescue.clean
-    ]
-    found = _merged((), front)
-    for action, rescue in rescues.items():
-        if rescue.dirty:
-            deny = DEFAULT if sides[action].partitions == DEFAULT else lists.EVERY
-            found.append(Block(Effect.DENY, deny, {action: rescue.deny}))
-            found.append(Block(Effect.ALLOW, sides[action].partitions, {action: rescue.dirty}))
+def _tagged(sides: _Sides, part: str) -> list[_Tagged]:
+    return [(action, entry) for action, listed in sides.items() for plan in listed for entry in getattr(plan, part)]
+
+
+def _rescues(action: Action, sides: _Sides) -> list[tuple[Action, Plan, Rescue]]:
+    """Return what one direction must allow before the other one's denials are read.
+
+    Raises:
+        OrderError: that cannot be said.
+    """
+    other = Action.SUBSCRIBE if action is Action.PUBLISH else Action.PUBLISH
+    denies = [glob for plan in sides[other] for glob in plan.denies]
+    said = [glob for _, entry in _tagged(sides, "front") for glob in entry.globs]
+    found: list[tuple[Action, Plan, Rescue]] = []
+    for plan in sides[action]:
+        try:
+            if plan.order:
+                found.append((action, plan, mentioned_first(denies, plan.order)))
+            elif clash := _clash(denies, plan, said):
+                reason = (
+                    "it is denied in one direction, allowed in the other, and narrowed to several lists of partitions: "
+                    "Cyclone DDS up to 0.10 lets the denial decide for both directions"
+                )
+                raise OrderError(clash, reason)
+        except TooComplexError:
+            raise OrderError(denies[0], "it overlaps what the other direction allows in too many ways") from None
     return found
 
 
-def _ordered(
-    sides: Mapping[Action, _Plan], order: tuple[Action, Action], rescues: Mapping[Action, Rescue]
-) -> list[Block]:
+def _clash(denies: Iterable[Glob], plan: Plan, said: Iterable[Glob]) -> Glob | None:
+    """Return a denied pattern that a detailed list allows names of which nothing was said yet, or None."""
+    known = list(said)
+    for entry in plan.back:
+        if entry.effect is Effect.DENY:
+            known.extend(entry.globs)
+            continue
+        for deny in denies:
+            pieces = (piece for allow in entry.globs for piece in intersection(deny, allow))
+            if any(not union_covers(tuple(known), piece) for piece in pieces):
+                return deny
+    return None
+
+
+def _first(front: Iterable[_Tagged], rescues: Iterable[tuple[Action, Plan, Rescue]]) -> list[Block]:
+    """Return the rules for what no denial touches, and for what must be allowed before the others' denials."""
+    rescues = [item for item in rescues if item[2].clean or item[2].dirty]
+    clean = [(action, Entry(Effect.ALLOW, each.clean, plan.partitions)) for action, plan, each in rescues if each.clean]
+    found = _merged([*front, *clean])
+    for action, plan, each in rescues:
+        if each.dirty:
+            found.append(Block(Effect.DENY, denial_of(plan.partitions), {action: each.deny}))
+            found.append(Block(Effect.ALLOW, plan.partitions, {action: each.dirty}))
+    return found
+
+
+def _in_turn(sides: _Sides, order: Sequence[Action]) -> list[Block]:
     """Return the rules of one direction, then those of the other."""
-    back = [
-        Block(entry.effect, entry.partitions, {action: entry.globs}) for action in order for entry in sides[action].back
-    ]
-    return [*_front(sides, rescues), *back]
+    return [block for action in order for block in _merged(_denials_first({action: sides[action]}))]
 
 
-def _together(sides: Mapping[Action, _Plan], rescues: Mapping[Action, Rescue]) -> list[Block]:
+def _together(sides: _Sides) -> list[Block]:
     """Return rules that deny, and then allow, in both directions at once."""
-    back = [(action, entry) for action, plan in sides.items() for entry in plan.back]
-    back.sort(key=lambda pair: pair[1].effect is Effect.ALLOW)
-    return [*_front(sides, rescues), *_merged((), back)]
+    return _merged(_denials_first(sides))
 
 
-def _merged(before: Iterable[Block], entries: Iterable[_Tagged]) -> list[Block]:
+def _denials_first(sides: _Sides) -> list[_Tagged]:
+    """Return the later steps of all plans: of the simple ones the denials first, then the detailed ones."""
+    simple = [
+        (action, entry) for action, listed in sides.items() for plan in listed if plan.order for entry in plan.back
+    ]
+    detailed = [
+        (action, entry) for action, listed in sides.items() for plan in listed if not plan.order for entry in plan.back
+    ]
+    return [*sorted(simple, key=lambda pair: pair[1].effect is Effect.ALLOW), *detailed]
+
+
+def _merged(entries: Iterable[_Tagged]) -> list[Block]:
     """Turn entries into rules; neighbours with the same effect and partitions share one."""
-    found = list(before)
+    found: list[Block] = []
     for action, entry in entries:
         at = _joinable(found, action, entry)
         if at is None:
@@ -240,11 +211,11 @@ def standard_blocks(lowered: Lowered) -> tuple[Block, ...]:
     found: list[Block] = []
     for effect, sides in ((Effect.DENY, lowered.deny), (Effect.ALLOW, lowered.allow)):
         entries = [
-            (action, Entry(effect, (pattern,), listed or (lists.EVERY if effect is Effect.DENY else DEFAULT)))
+            (action, Entry(effect, (pattern,), listed or (EVERY if effect is Effect.DENY else DEFAULT)))
             for action in Action
             for pattern, listed in sides[action]
         ]
-        found += _merged((), sorted(entries, key=lambda pair: pair[1].partitions))
+        found += _merged(sorted(entries, key=lambda pair: pair[1].partitions))
     if not any(lowered.allow.values()):
         return ()
     return (Block(Effect.ALLOW, DEFAULT, {}), *found) if found[0].effect is Effect.DENY else tuple(found)

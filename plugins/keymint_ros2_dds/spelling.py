@@ -102,7 +102,7 @@ def _choices(token: str | Charset | Star) -> list[str]:
     excluded = token.complement().intersection(_ASCII)
     if len(excluded) > MAX_ALTERNATIVES or token.ranges[-1][1] != ANY.ranges[0][1]:
         raise InexpressibleError(
-            f"a bracket expression holds more than {MAX_ALTERNATIVES} characters, and Cyclone DDS would let ']' match it"
+            f"a bracket expression holds more than {MAX_ALTERNATIVES} characters, and on Cyclone DDS ']' matches it too"
         )
     barred = charset((*excluded.ranges, *_TRAP.ranges)).intersection(_ASCII)
     return [_bracket(barred.complement()), *token.intersection(_TRAP).chars()]

@@ -19,12 +19,14 @@ FILES = {
     <xi:include href="common/node.xml" parse="xml"/>
     <topic qualifier="DENY"><attachment>rt/*[!a]</attachment><permissions><publish/></permissions>
       <partitions><partition>p*</partition></partitions></topic>
-    <ros_action qualifier="ALLOW"><attachment>{namespace}do</attachment><permissions><ros_request/></permissions></ros_action>
+    <ros_action qualifier="ALLOW"><attachment>{namespace}do</attachment>
+      <permissions><ros_request/></permissions></ros_action>
   </profile>
 </profiles>
 """,
     "common/node.xml": b"""<profile name="node"><attachment>*</attachment>
-  <ros_service qualifier="ALLOW"><attachment>{namespace}{name}/\\[x</attachment><permissions><ros_call/></permissions></ros_service>
+  <ros_service qualifier="ALLOW"><attachment>{namespace}{name}/\\[x</attachment>
+    <permissions><ros_call/></permissions></ros_service>
 </profile>
 """,
 }
@@ -67,12 +69,12 @@ def outcome(root: Path) -> str:
     try:
         policy = comarmor.load(root)
     except comarmor.ComArmorError as error:
-        assert error.diagnostics
-        for found in error.diagnostics:
-            assert found.where is not None
-            assert found.message
-            assert "\n" not in str(found)
-            str(found).encode()
+        defects = error.diagnostics
+    else:
+        defects = ()
+    if defects:
+        assert all(found.where and found.message for found in defects)
+        assert all("\n" not in str(found).encode().decode() for found in defects)
         return "refused"
     for subject in (*policy.subjects(), "/r1/talker"):
         for kind, permissions in comarmor.PERMISSIONS.items():
@@ -83,15 +85,17 @@ def outcome(root: Path) -> str:
 
 def mutated_bytes(chance: random.Random, content: bytes) -> bytes:
     changed = bytearray(content)
-    for _ in range(chance.randint(1, 3)):
+    for _ in range(chance.randint(1, 2)):
         at = chance.randrange(len(changed) + 1)
-        match chance.randrange(4):
+        match chance.randrange(8):
             case 0:
                 changed[at : at + chance.randint(1, 20)] = b""
             case 1:
                 changed[at:at] = chance.choice(BYTES)
             case 2:
                 changed[at : at + 1] = bytes([chance.randrange(256)])
+            case 3 | 4 | 5 | 6:
+                changed[at : at + 1] = bytes([chance.choice(b"abcdez/*?@! ")])
             case _:
                 start = chance.randrange(len(changed) + 1)
                 changed[at:at] = changed[start : start + chance.randint(1, 80)]
@@ -130,4 +134,4 @@ def test_mutated_policies(tmp_path, mutate) -> None:
         for name, content in FILES.items():
             (tmp_path / name).write_bytes(mutate(chance, content) if name == broken else content)
         counts[outcome(tmp_path)] += 1
-    assert min(counts.values()) > 20  # both ways are really taken
+    assert min(counts.values()) > 10  # both ways are really taken

@@ -300,6 +300,13 @@ def test_tunables_cannot_explode(refused) -> None:
             "<x> is not expected",
             "",
         ),
+        (
+            profile(allow("/x").replace("</perm", "<ros_publsh/></perm")),
+            1,
+            "or <ros_relay>",
+            "did you mean ros_publish?",
+        ),
+        (profile(allow("/x"), "<attachment>/y</attachment>"), 1, "<attachment> is not expected here", "another place"),
         ("<policy/>", 1, "<policy> is not expected as the root, expected <profiles> or <profile>", ""),
         ('<profile\nname="p"/>', 1, "<profile> is not complete", ""),
         (

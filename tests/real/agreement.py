@@ -29,13 +29,17 @@ from keymint.api import (
 from keymint.errors import Origin
 
 from .cyclone_access_control import AccessControl
+from .participants import RefusedError, System
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
     from pathlib import Path
 
+    import comarmor
+
     from .cyclone_access_control import Direction
     from .handmade import Authorities
+    from .participants import Participant, Vendor
 
 _HERE = Origin("test")
 _SERVICE_PARTS = {
@@ -59,7 +63,7 @@ REQUESTS: tuple[tuple[str, str], ...] = (
 """Every kind and permission on ROS names that an endpoint of a node needs."""
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, order=True)
 class Operation:
     """An endpoint on a DDS topic."""
 
@@ -85,6 +89,26 @@ def operations(permission: str, name: str) -> tuple[Operation, ...]:
     parts = [(service, name + suffix) for suffix in _SERVICE_PARTS[permission]]
     parts += [(topic, name + suffix) for suffix in _TOPIC_PARTS if topic]
     return tuple(operation for part in parts for operation in operations(*part))
+
+
+def meanings(operation: Operation) -> tuple[tuple[str, str, str], ...]:
+    """Return the ways in which a policy can speak of an endpoint: kind, permission and name of each."""
+    direction, topic = operation.direction, operation.topic
+    found = [("topic", str(direction), topic)]
+    if topic.startswith("rt/"):
+        found.append(("ros_topic", f"ros_{direction}", topic.removeprefix("rt")))
+    for prefix, suffix, of_client in (("rq", "Request", "publish"), ("rr", "Reply", "subscribe")):
+        if topic.startswith(f"{prefix}/") and topic.endswith(suffix):
+            permission = "ros_call" if direction == of_client else "ros_execute"
+            found.append(("ros_service", permission, topic.removeprefix(prefix).removesuffix(suffix)))
+    return tuple(found)
+
+
+def said_of(policy: comarmor.Policy, subject: str, operation: Operation, partitions: Sequence[str] = ()) -> bool:
+    """Tell what the policy says of an endpoint: raw and ROS rules both count there, deny first."""
+    decisions = [policy.decide(subject, *each, partitions) for each in meanings(operation)]
+    denied = any(not decision.allowed and decision.rules for decision in decisions)
+    return not denied and any(decision.allowed for decision in decisions)
 
 
 def compiled(policy: Path, subject: str) -> tuple[str, str]:
@@ -120,6 +144,22 @@ def access(authorities: Authorities, subject: str, documents: tuple[str, str]) -
     ) as opened:
         assert opened.valid, opened.reason
         yield opened
+
+
+@contextmanager
+def participant(
+    vendor: Vendor, authorities: Authorities, folder: Path, subject: str, documents: tuple[str, str]
+) -> Iterator[Participant | None]:
+    """Sign the documents and give them to a participant of a vendor; yield None if it is refused."""
+    permissions, governance = documents
+    enclave = authorities.enclave(folder, name=subject, permissions=permissions, governance=governance)
+    with System(vendor) as system:
+        try:
+            opened = system.open(enclave)
+        except RefusedError:
+            yield None
+        else:
+            yield opened
 
 
 def allowed(opened: AccessControl, permission: str, name: str, partitions: Sequence[str] = ()) -> bool:

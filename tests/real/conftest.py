@@ -20,7 +20,8 @@ if TYPE_CHECKING:
     from pathlib import Path
 
 
-def _missing(error: probes.MissingVendorError) -> NoReturn:
+def missing(error: probes.MissingVendorError) -> NoReturn:
+    """Skip the test or, where vendors are required, fail it."""
     if os.environ.get("KEYMINT_REQUIRE_VENDORS") == "1":
         pytest.fail(f"KEYMINT_REQUIRE_VENDORS=1, but {error}", pytrace=False)
     pytest.skip(str(error))
@@ -39,7 +40,7 @@ def cyclone_plugins() -> None:
     try:
         probes.require_cyclone_plugins()
     except probes.MissingVendorError as error:
-        _missing(error)
+        missing(error)
 
 
 @pytest.fixture(scope="session")
@@ -48,7 +49,7 @@ def cyclonedds(cyclone_plugins: None, probe_cache: Path) -> Vendor:
     try:
         return CycloneDDS(probes.CYCLONEDDS.build(probe_cache))
     except probes.MissingVendorError as error:
-        _missing(error)
+        missing(error)
 
 
 @pytest.fixture(scope="session")
@@ -57,7 +58,7 @@ def fastdds(probe_cache: Path) -> Vendor:
     try:
         return FastDDS(probes.FASTDDS.build(probe_cache))
     except probes.MissingVendorError as error:
-        _missing(error)
+        missing(error)
 
 
 @pytest.fixture(
@@ -86,6 +87,6 @@ def authorities() -> Authorities:
 
 
 @pytest.fixture(scope="session")
-def provisioned(tmp_path_factory: pytest.TempPathFactory) -> Callable[[str], Path]:
+def provisioned(tmp_path_factory: pytest.TempPathFactory) -> Callable[[str | Path], Path]:
     """Return a function that provisions a policy, and returns the install space; every call is a new system."""
     return lambda policy: provision(policy, tmp_path_factory.mktemp("system"))

@@ -25,7 +25,7 @@ class Authority:
     """A self-signed P-256 authority."""
 
     certificate: x509.Certificate
-    key: ec.EllipticCurvePrivateKey
+    key: ec.EllipticCurvePrivateKey = field(repr=False)
 
     @classmethod
     def new(cls, name: str) -> Authority:
@@ -72,7 +72,7 @@ class Authorities:
 
     identity: Authority
     permissions: Authority
-    issued: dict[str, bytes] = field(default_factory=dict)
+    issued: dict[str, bytes] = field(default_factory=dict, repr=False)
 
     @classmethod
     def new(cls) -> Authorities:
@@ -89,12 +89,13 @@ class Authorities:
     def enclave(
         self,
         folder: Path,
-        rules: str,
+        rules: str = "",
         *,
         name: str = "/talker",
         subject: str = "",
         rdns: Sequence[tuple[x509.ObjectIdentifier, str]] = (),
         governance: str = "",
+        permissions: str = "",
     ) -> Path:
         """Write a complete enclave and return its folder.
 
@@ -105,6 +106,7 @@ class Authorities:
             subject: subject name of the grant, if it is not ``CN=`` and the name.
             rdns: the identity's subject, if it is not the common name alone.
             governance: the governance document, if it is not the default one.
+            permissions: the permissions document, if it is not one with those rules.
         """
         certificate, key = self.identity.issue(rdns or [(x509.NameOID.COMMON_NAME, name)])
         folder.mkdir(parents=True, exist_ok=True)
@@ -114,7 +116,9 @@ class Authorities:
             "cert.pem": certificate.public_bytes(serialization.Encoding.PEM),
             "key.pem": key,
             "governance.p7s": self.permissions.sign(governance or governance_document()),
-            "permissions.p7s": self.permissions.sign(permissions_document(subject or f"CN={name}", rules)),
+            "permissions.p7s": self.permissions.sign(
+                permissions or permissions_document(subject or f"CN={name}", rules)
+            ),
         }
         for file, content in contents.items():
             (folder / file).write_bytes(content)

@@ -51,6 +51,14 @@ class DeniedError(Exception):
     """The vendor denies the writer or reader."""
 
 
+class NotMatchedError(Exception):
+    """No peer matches in time."""
+
+
+class MatchedError(Exception):
+    """A peer matches, where none should."""
+
+
 class ProbeError(Exception):
     """The probe hangs, has died, or does not understand: a defect of the test, not a decision of the vendor."""
 
@@ -110,10 +118,10 @@ class System:
         self._vendor = vendor
         self._stack = ExitStack()
         self._opened = 0
-        self._first_port = 0
+        self.first_port = 0
 
     def __enter__(self) -> Self:
-        self._first_port = self._stack.enter_context(_Ports()).first
+        self.first_port = self._stack.enter_context(_Ports()).first
         return self
 
     def __exit__(self, *_: object) -> None:
@@ -126,7 +134,7 @@ class System:
             RefusedError: the vendor refuses; the process is gone.
         """
         index, self._opened = self._opened, self._opened + 1
-        environment, words = self._vendor.start(self._first_port, index)
+        environment, words = self._vendor.start(self.first_port, index)
         process = _Process(self._vendor.program, environment)
         self._stack.callback(process.reap)
         answer, reason = process.ask("OPEN", str(domain), str(enclave.resolve()), *words)
@@ -171,10 +179,33 @@ class Edge:
         self._process = process
         self._name = name
 
-    def await_match(self, seconds: float = 20.0) -> tuple[bool, str]:
-        """Wait for a peer: ``(True, "")`` once matched; ``(False, reason)`` as soon as the vendor rejects one."""
-        answer, rest = self._process.ask("AWAIT", self._name, str(round(seconds * 1000)), seconds=seconds)
-        return (True, "") if answer == "MATCHED" else (False, rest)
+    def await_match(self, seconds: float = 20.0) -> None:
+        """Wait until a peer matches; what the vendor complains of meanwhile does not end the wait.
+
+        Raises:
+            NotMatchedError: none matches in time; says what the vendor complained of.
+        """
+        deadline, complaints = time.monotonic() + seconds, []
+        while (left := deadline - time.monotonic()) > 0:
+            answer, rest = self._await(left)
+            if answer == "MATCHED":
+                return
+            complaints.append(rest)
+        raise NotMatchedError("; ".join(filter(None, complaints)) or "no complaint")
+
+    def await_rejection(self, seconds: float) -> str | None:
+        """Wait until the vendor rejects a peer; return why, or None if nothing happens in time.
+
+        Raises:
+            MatchedError: a peer matches.
+        """
+        answer, rest = self._await(seconds)
+        if answer == "MATCHED":
+            raise MatchedError
+        return rest or None
+
+    def _await(self, seconds: float) -> tuple[str, str]:
+        return self._process.ask("AWAIT", self._name, str(round(seconds * 1000)), seconds=seconds)
 
     def write(self, text: str) -> None:
         """Publish a sample."""

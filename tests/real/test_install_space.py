@@ -74,7 +74,7 @@ def copied(install: Path, tmp_path: Path) -> Callable[[str], Path]:
 def test_talker_and_listener_exchange_samples(install: Path, system: System) -> None:
     reader = system.open(enclave(install, "/listener")).edge("subscribe", "rt/chatter")
     writer = system.open(enclave(install, "/talker")).edge("publish", "rt/chatter")
-    assert writer.await_match() == (True, "")
+    writer.await_match()
     for text in ("hello", "world"):
         writer.write(text)
     assert [reader.read(), reader.read()] == ["hello", "world"]
@@ -89,7 +89,7 @@ def test_client_and_server_exchange_request_and_reply(install: Path, system: Sys
     )
     for at_client, at_server, topic in ends:
         edges = {at_client: client.edge(at_client, topic), at_server: server.edge(at_server, topic)}
-        assert edges["publish"].await_match() == (True, "")
+        edges["publish"].await_match()
         edges["publish"].write(topic)
         assert edges["subscribe"].read() == topic
 
@@ -186,9 +186,6 @@ def rejected(*edges: Edge) -> bool:
     """Wait until the vendor says at either end that it rejects the other; no end may match meanwhile."""
     deadline = time.monotonic() + 30
     while time.monotonic() < deadline:
-        for edge in edges:
-            matched, reason = edge.await_match(seconds=0.05)
-            assert not matched
-            if reason:
-                return True
+        if any([edge.await_rejection(seconds=0.05) for edge in edges]):
+            return True
     return False

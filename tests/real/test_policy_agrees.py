@@ -4,156 +4,141 @@ from __future__ import annotations
 
 from itertools import product
 from typing import TYPE_CHECKING
-from xml.sax.saxutils import escape
 
 import pytest
-from hypothesis import HealthCheck, event, given, reject, settings
+from hypothesis import HealthCheck, event, example, given, reject, settings
 from hypothesis import strategies as st
 
 import comarmor
 from keymint.errors import KeymintError
 
-from .agreement import REQUESTS, access, allowed, compiled, operations
+from .agreement import REQUESTS, access, allowed, compiled, operations, participant, said_of
 from .participants import System, Vendor
+from .policies import (
+    ENDPOINTS,
+    NAMES,
+    PARTITIONS,
+    RAW_ENDPOINTS,
+    meeting_rules,
+    partitioned_rules,
+    policy,
+    rule,
+    separate_rules,
+)
 from .provisioning import enclave
 from .test_install_space import POLICY
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
+    from collections.abc import Callable
     from pathlib import Path
 
     from .handmade import Authorities
 
-SUBJECTS = ("/b", "/r/a")
-NAMES = ("/x", "/xy", "/x/y", "/y", "/y/x", "/r/x", "/r/a", "/r/a/x", "/b", "/z")
-RAW_NAMES = ("raw", "rawx", "raw/x", "raw/x/y")
-PARTITIONS: tuple[Sequence[str], ...] = ((), ("",), ("p",), ("p", "q"), ("p", ""))
-
-EXPRESSIONS = (
-    *NAMES,
-    *("*", "/*", "/x*", "/x/*", "*/x", "/?", "/x?", "/[xy]", "/[!x]", "/r/*", "*y", "/*/x"),
-    *("{namespace}x", "{namespace}{name}", "{namespace}*", "/{name}"),
-)
-RAW_EXPRESSIONS = (*RAW_NAMES, "raw*", "raw/*", "raw?x", "raw/x*")
-KINDS: dict[str, tuple[str, ...]] = {}
-for _kind, _permission in REQUESTS:
-    KINDS[_kind] = (*KINDS.get(_kind, ()), _permission)
-
-
-def rule(effect: str, kind: str, permissions: Sequence[str], expressions: Sequence[str], extra: str = "") -> str:
-    attachments = "".join(f"<attachment>{escape(expression)}</attachment>" for expression in expressions)
-    held = "".join(f"<{permission}/>" for permission in permissions)
-    return (
-        f'<{kind} qualifier="{effect}"><attachments>{attachments}</attachments>{extra}'
-        f"<permissions>{held}</permissions></{kind}>"
-    )
-
-
-def profile(subject: str, rules: Sequence[str]) -> str:
-    return f'<profile name="test"><attachment>{subject}</attachment>{"".join(rules)}</profile>'
-
-
-effects = st.sampled_from(["ALLOW", "ALLOW", "DENY"])
-some_expressions = st.lists(st.sampled_from(EXPRESSIONS), min_size=1, max_size=3, unique=True)
-ros_rules = st.sampled_from(sorted(KINDS)).flatmap(
-    lambda kind: st.builds(
-        rule,
-        effects,
-        st.just(kind),
-        st.lists(st.sampled_from(KINDS[kind]), min_size=1, max_size=2, unique=True),
-        some_expressions,
-    )
-)
-topic_rules = st.builds(
-    rule,
-    effects,
-    st.just("topic"),
-    st.lists(st.sampled_from(["publish", "subscribe"]), min_size=1, max_size=2, unique=True),
-    st.lists(st.sampled_from(RAW_EXPRESSIONS), min_size=1, max_size=2, unique=True),
-)
-rules_of_a_subject = st.lists(st.one_of(ros_rules, ros_rules, topic_rules), max_size=5)
-
-
-@pytest.mark.cyclonedds
-@pytest.mark.usefixtures("cyclone_plugins")
-@settings(
-    max_examples=200, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture, HealthCheck.too_slow]
-)
-@given(rules=rules_of_a_subject, subject=st.sampled_from(SUBJECTS))
-def test_any_policy(authorities: Authorities, tmp_path: Path, rules: list[str], subject: str) -> None:
-    path = tmp_path / "policy.xml"
-    path.write_text(f"<profiles>{profile(subject, rules)}</profiles>")
-    disagreements = compared(authorities, path, subject)
-    assert disagreements == []
-
-
-partition_lists = st.sampled_from(
-    ["", *(f"<partitions>{listed}</partitions>" for listed in ("<partition>p</partition>", "<partition/>"))]
-)
-partitioned_rules = st.lists(
-    st.builds(
-        rule,
-        effects,
-        st.just("topic"),
-        st.lists(st.sampled_from(["publish", "subscribe"]), min_size=1, max_size=2, unique=True),
-        st.lists(st.sampled_from([*RAW_NAMES, "raw/*"]), min_size=1, max_size=2, unique=True),
-        partition_lists,
-    ),
-    max_size=4,
+thorough = settings(
+    max_examples=100,
+    deadline=None,
+    suppress_health_check=[HealthCheck.function_scoped_fixture, HealthCheck.too_slow],
 )
 
 
-@pytest.mark.cyclonedds
-@pytest.mark.usefixtures("cyclone_plugins")
-@settings(
-    max_examples=100, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture, HealthCheck.too_slow]
-)
-@given(rules=partitioned_rules)
-def test_any_policy_on_partitions(authorities: Authorities, tmp_path: Path, rules: list[str]) -> None:
-    path = tmp_path / "policy.xml"
-    path.write_text(f"<profiles>{profile('/b', rules)}</profiles>")
-    assert compared(authorities, path, "/b") == []
+def written(folder: Path, subject: str, rules: list[str]) -> Path:
+    path = folder / "policy.xml"
+    path.write_text(policy(subject, rules))
+    return path
 
 
-def compared(authorities: Authorities, path: Path, subject: str) -> list[tuple[object, ...]]:
-    """Return every question that policy and plugin answer differently, unless the policy is not portable."""
-    policy = comarmor.load(path)
+def portable(path: Path, subject: str) -> tuple[str, str]:
+    """Compile a policy; one that not all vendors would understand alike is not an example."""
     try:
-        documents = compiled(path, subject)
+        return compiled(path, subject)
     except KeymintError as error:
         if any(not item.code.startswith("portability-") for item in error.diagnostics):
             raise
         event("not portable")
         reject()
-    questions = [(*request, name, ()) for request, name in product(REQUESTS, NAMES)]
-    raw = product(("publish", "subscribe"), RAW_NAMES, PARTITIONS)
-    asked: list[tuple[str, str, str, Sequence[str]]] = [
-        *questions,
-        *(("topic", permission, name, partitions) for permission, name, partitions in raw),
+
+
+@pytest.mark.cyclonedds
+@pytest.mark.usefixtures("cyclone_plugins")
+@thorough
+@given(rules=separate_rules, subject=st.sampled_from(["/b", "/r/a"]))
+def test_any_policy(authorities: Authorities, tmp_path: Path, rules: list[str], subject: str) -> None:
+    path = written(tmp_path, subject, rules)
+    loaded = comarmor.load(path)
+    with access(authorities, subject, portable(path, subject)) as opened:
+        assert [
+            (permission, name)
+            for (kind, permission), name in product(REQUESTS, NAMES)
+            for said in [loaded.decide(subject, kind, permission, name).allowed]
+            if allowed(opened, permission, name) is not said
+        ] == []
+
+
+@pytest.mark.cyclonedds
+@pytest.mark.usefixtures("cyclone_plugins")
+@thorough
+@given(rules=meeting_rules)
+def test_any_policy_whose_raw_and_ros_rules_meet(authorities: Authorities, tmp_path: Path, rules: list[str]) -> None:
+    path = written(tmp_path, "/b", rules)
+    loaded = comarmor.load(path)
+    with access(authorities, "/b", portable(path, "/b")) as opened:
+        assert [
+            each for each in ENDPOINTS if opened.allows(each.direction, each.topic) is not said_of(loaded, "/b", each)
+        ] == []
+
+
+@pytest.mark.cyclonedds
+@pytest.mark.usefixtures("cyclone_plugins")
+@thorough
+@example(
+    rules=[
+        rule("ALLOW", "topic", ["publish"], ["raw", "raw/x"]),
+        rule("ALLOW", "topic", ["publish"], ["raw", "raw/*"], ["p"]),
+        rule("DENY", "topic", ["publish"], ["raw/x"], ["p"]),
     ]
-    with access(authorities, subject, documents) as opened:
-        return [
-            (kind, permission, name, partitions, said, done)
-            for kind, permission, name, partitions in asked
-            for said in [policy.decide(subject, kind, permission, name, partitions).allowed]
-            for done in [allowed(opened, permission, name, partitions)]
-            if said != done
-        ]
+)
+@given(rules=partitioned_rules)
+def test_any_policy_on_partitions(authorities: Authorities, tmp_path: Path, rules: list[str]) -> None:
+    path = written(tmp_path, "/b", rules)
+    loaded = comarmor.load(path)
+    with access(authorities, "/b", portable(path, "/b")) as opened:
+        assert [
+            (each, partitions)
+            for each, partitions in product(RAW_ENDPOINTS, PARTITIONS)
+            for said in [loaded.decide("/b", "topic", each.direction, each.topic, partitions).allowed]
+            if opened.allows(each.direction, each.topic, partitions) is not said
+        ] == []
 
 
-def test_a_provisioned_keystore(provisioned: Callable[[str], Path], vendor: Vendor, tmp_path: Path) -> None:
+@pytest.mark.fastdds
+@settings(parent=thorough, max_examples=25)
+@given(rules=st.one_of(separate_rules, meeting_rules, partitioned_rules))
+def test_any_policy_on_fast_dds(authorities: Authorities, fastdds: Vendor, tmp_path: Path, rules: list[str]) -> None:
+    path = written(tmp_path, "/b", rules)
+    loaded = comarmor.load(path)
+    asked = [*product(ENDPOINTS, [()]), *product(RAW_ENDPOINTS, PARTITIONS)]
+    with participant(fastdds, authorities, tmp_path, "/b", portable(path, "/b")) as opened:
+        assert [
+            (each, partitions)
+            for each, partitions in asked
+            for done in [opened is not None and opened.allows(each.direction, each.topic, partitions)]
+            if done is not said_of(loaded, "/b", each, partitions)
+        ] == []
+
+
+def test_a_provisioned_keystore(provisioned: Callable[[str | Path], Path], vendor: Vendor, tmp_path: Path) -> None:
     """The whole way: policy, command, install space, and a real participant for every subject."""
     install = provisioned(POLICY)
     path = tmp_path / "policy.xml"
     path.write_text(POLICY)
-    policy = comarmor.load(path)
+    loaded = comarmor.load(path)
     names = ("/chatter", "/log/public", "/log/private", "/log", "/add_two_ints", "/below", "/elsewhere")
-    for subject in policy.subjects():
+    for subject in loaded.subjects():
         with System(vendor) as system:
-            participant = system.open(enclave(install, subject))
+            opened = system.open(enclave(install, subject))
             for (kind, permission), name in product(REQUESTS, names):
                 needed = operations(permission, name)
-                done = all(participant.allows(each.direction, each.topic) for each in needed)
-                said = policy.decide(subject, kind, permission, name).allowed
+                done = all(opened.allows(each.direction, each.topic) for each in needed)
+                said = loaded.decide(subject, kind, permission, name).allowed
                 assert done is said, (subject, permission, name)
-            participant.close()
+            opened.close()

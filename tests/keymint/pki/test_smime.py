@@ -80,7 +80,7 @@ def test_every_changed_byte_is_found(spec, authority: certificates.Issuer) -> No
     for signer in (authority, by_rsa):
         signed = _sign(signer)
         for position in range(len(signed)):
-            for mask in (0x01, 0x20, 0x80, random.Random(position).randrange(1, 256)):
+            for mask in (0x01, random.Random(position).randrange(2, 256)):
                 damaged = bytearray(signed)
                 damaged[position] ^= mask
                 with pytest.raises(KeymintError):

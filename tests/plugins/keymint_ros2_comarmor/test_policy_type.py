@@ -53,7 +53,8 @@ def test_rules_are_expanded_and_have_their_origin(folder) -> None:
     assert rule.partitions == ("p",)
     assert rule.audit
     assert rule.origin == Origin(f"{folder}/common/node.xml", 1, (Origin(f"{folder}/policy.xml", 4),))
-    assert {path.name for path in loaded.files} == {"policy.xml", "node.xml"}
+    assert {"policy.xml", "node.xml"} <= {path.name for path in loaded.seen}
+    assert all(policy_type.fingerprint(path) == seen for path, seen in loaded.seen.items())
 
 
 def test_paths_are_named_as_they_were_given(folder, monkeypatch) -> None:

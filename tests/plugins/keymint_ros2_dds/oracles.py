@@ -78,8 +78,7 @@ def policy(rules: SubjectRules, action: str, topic: str, partitions: tuple[str, 
             ):
                 return False
         return any(
-            rule.effect is Effect.ALLOW
-            and any(expression.matches(p, partition) for p in rule.partitions or ("",))
+            rule.effect is Effect.ALLOW and any(expression.matches(p, partition) for p in rule.partitions or ("",))
             for rule in concerned
         )
 
@@ -106,14 +105,18 @@ def _each_rule(document: bytes):
                 _Criteria(
                     str(item.tag),
                     tuple(topic.text for topic in item.find("topics")),
-                    None
-                    if item.find("partitions") is None
-                    else tuple(p.text or "" for p in item.find("partitions")),
+                    None if item.find("partitions") is None else tuple(p.text or "" for p in item.find("partitions")),
                 )
                 for item in rule
                 if item.tag != "domains"
             ]
             yield rule.tag == "allow_rule", criteria
+
+
+def _ranges(members: str):
+    """Yield the ranges of a bracket expression in which every member is one, as Keymint writes them."""
+    assert members[1::3] == "-" * (len(members) // 3), members
+    return zip(members[0::3], members[2::3], strict=True)
 
 
 @lru_cache(maxsize=4096)
@@ -127,8 +130,8 @@ def _compiled(pattern: str, cyclone: bool) -> re.Pattern[str]:
             end = pattern.index("]", at + 1)
             body = pattern[at + 1 : end]
             negated = body.startswith("!")
-            members = body[negated:].replace("\\", "\\\\").replace("^", "\\^").replace("[", "\\[")
-            out += f"[{'^' * negated}{members}{chr(92) + ']' if cyclone else ''}]"
+            ranges = "".join(f"\\x{ord(low):02x}-\\x{ord(high):02x}" for low, high in _ranges(body[negated:]))
+            out += f"[{'^' * negated}{ranges}{chr(92) + ']' if cyclone else ''}]"
             at = end + 1
             continue
         out += ".*" if char == "*" else "." if char == "?" else re.escape(char)
@@ -136,7 +139,7 @@ def _compiled(pattern: str, cyclone: bool) -> re.Pattern[str]:
     return re.compile(out, re.DOTALL)
 
 
-def _any(patterns, text: str, *, cyclone: bool = False) -> bool:
+def matches_any(patterns, text: str, *, cyclone: bool = False) -> bool:
     return any(_compiled(pattern, cyclone).fullmatch(text) for pattern in patterns)
 
 
@@ -145,12 +148,12 @@ def omg(document: bytes, action: str, topic: str, partitions: tuple[str, ...] = 
     asked = partitions or ("",)
     for allowed, criteria in _rules(document):
         for item in criteria:
-            if item.action != action or not _any(item.topics, topic):
+            if item.action != action or not matches_any(item.topics, topic):
                 continue
             if allowed:
-                if all(_any(item.partitions or ("",), each) for each in asked):
+                if all(matches_any(item.partitions or ("",), each) for each in asked):
                     return True
-            elif item.partitions is None or any(_any(item.partitions, each) for each in asked):
+            elif item.partitions is None or any(matches_any(item.partitions, each) for each in asked):
                 return False
     return False
 
@@ -162,17 +165,17 @@ def cyclone(document: bytes, action: str, topic: str, partitions: tuple[str, ...
         allowed
         for allowed, criteria in rules
         for item in criteria
-        if item.action != "relay" and _any(item.topics, topic, cyclone=True)
+        if item.action != "relay" and matches_any(item.topics, topic, cyclone=True)
     )
     if not next(named, False):
         return False
     asked = partitions or ("",)
     for allowed, criteria in rules:
         for item in criteria:
-            if item.action != action or not _any(item.topics, topic, cyclone=True):
+            if item.action != action or not matches_any(item.topics, topic, cyclone=True):
                 continue
             listed = item.partitions or ("",)
-            hits = [_any(listed, each, cyclone=True) for each in asked]
+            hits = [matches_any(listed, each, cyclone=True) for each in asked]
             if (all if allowed else any)(hits):
                 return allowed
     return False
@@ -182,8 +185,8 @@ def fastdds(document: bytes, action: str, topic: str, partitions: tuple[str, ...
     """2.9: the first rule that names the topic decides; its partitions are those of all its criteria together."""
     for allowed, criteria in _rules(document):
         same = [item for item in criteria if item.action == action]
-        if not any(_any(item.topics, topic) for item in same):
+        if not any(matches_any(item.topics, topic) for item in same):
             continue
         listed = [each for item in same for each in item.partitions or ("",)]
-        return allowed and all(_any(listed, each) for each in partitions or ("",))
+        return allowed and all(matches_any(listed, each) for each in partitions or ("",))
     return False

@@ -1,0 +1,86 @@
+"""Source packages: created from the rules of a subject."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+from keymint.api import Profile
+from keymint.errors import KeymintError, Origin
+from keymint.ir import SubjectRules
+from keymint_ros import bootstrap, manifest, permissions, render
+from keymint_ros.document import confined
+from keymint_ros.manifest import MARKER
+from keymint_ros.permissions import Grant
+from keymint_ros.profile import base_of, build_type
+
+FORMER = ".2018"
+"""What is appended to the name of a ``permissions.xml`` in the format of 2018 that a new one replaces."""
+
+
+def create(profile: Profile, rules: SubjectRules, existing: Mapping[str, bytes], *, force: bool) -> Mapping[str, bytes]:
+    """Return the files to write for a package: see :meth:`keymint.api.PackageType.create`."""
+    name = rules.subject.removeprefix("/")
+    path = "permissions.xml"
+    files: dict[str, bytes] = {}
+    if MARKER in existing:
+        part = manifest.read(existing[MARKER], f"{name}/{MARKER}").permissions
+        path = confined(part.path, Origin(f"{name}/{MARKER}", part.line))
+    else:
+        files = {file: content for file, content in _new(profile).items() if file not in existing}
+    return {**files, **_permissions(profile, rules, path, existing, force=force)}
+
+
+def _new(profile: Profile) -> Mapping[str, bytes]:
+    """Return the documents of a new package, but for its permissions."""
+    return {
+        MARKER: bootstrap.package_manifest(build_type(profile)),
+        "governance.xml": bootstrap.package_document("governance.xml"),
+        "identities.xml": bootstrap.package_document("identities.xml"),
+    }
+
+
+def _permissions(
+    profile: Profile, rules: SubjectRules, path: str, existing: Mapping[str, bytes], *, force: bool
+) -> Mapping[str, bytes]:
+    """Return the document of the rules where it is to be written.
+
+    Three states are compared, as dpkg does for configuration files: what the policy said when the document was
+    written, what the document says, and what the policy says now.
+    """
+    base = base_of(profile)
+    written = render.render(rules, base)
+    current = existing.get(path)
+    if current is None:
+        return {path: written}
+    if current == written:
+        return {}
+    file = f"{rules.subject.removeprefix('/')}/{path}"
+    try:
+        grant = permissions.read(current, file, rules.subject)
+    except KeymintError as error:
+        old = error.diagnostics[0].code == permissions.OLD_FORMAT
+        if not old and not force:
+            raise
+        former = {path + FORMER: current} if old and path + FORMER not in existing else {}
+        return {**former, path: written}  # in this order, so that a killed run loses nothing
+    if permissions.says(grant, rules) or (not force and _keeps_edit(grant, permissions.digest(rules.rules), file)):
+        return {}
+    return {path: render.render(rules, base, name=grant.name, overrides=grant.overrides)}
+
+
+def _keeps_edit(grant: Grant, now: str, file: str) -> bool:
+    """Tell whether a document was edited by hand and stays, since the policy says (digest ``now``) what it said.
+
+    Raises:
+        KeymintError: it was edited, and the policy says something else than before and than the edit.
+    """
+    if not grant.edited or grant.current == now:
+        return False
+    if grant.base == now:
+        return True
+    raise KeymintError(
+        "these permissions were edited by hand, and the policy changed as well",
+        where=Origin(file, grant.line),
+        help="move the edits into the policy, then replace the file with --force",
+        code="hand-edited",
+    )

@@ -1,0 +1,161 @@
+"""A plan is carried out in order, marked while it runs, and recorded when it is done."""
+
+from __future__ import annotations
+
+import threading
+from pathlib import Path
+
+import pytest
+
+from keymint.errors import KeymintError
+from keymint.execute import RECORD, execute, open_store
+from keymint.plan.model import Action, File, FolderChange, Plan, Step
+from keymint.state import Stamp, State, digest, load
+from keymint.store import Store
+from keymint.workspace import Workspace
+
+
+@pytest.fixture
+def workspace(tmp_path: Path) -> Workspace:
+    return Workspace.at(tmp_path / "ws", {}, tmp_path)
+
+
+def step(workspace: Workspace, package: str, stage: str = "build", *, content: bytes = b"x") -> Step:
+    change = FolderChange(workspace.build / package, {"document.xml": File(content)})
+    return Step(stage, package, Action.CREATED, (change,))
+
+
+def stamped(*packages: str) -> State:
+    return State().updated("build", {name: Stamp("in", {"document.xml": "out"}) for name in packages})
+
+
+def run(plan: Plan, workspace: Workspace, *, before: State | None = None, jobs: int = 1) -> list[str]:
+    done: list[str] = []
+    execute(
+        plan,
+        workspace,
+        open_store(workspace),
+        before or State(),
+        jobs,
+        lambda finished: done.append(f"{finished.stage} {finished.package}"),
+    )
+    return done
+
+
+def everything(workspace: Workspace) -> dict[str, int]:
+    files = (path for path in workspace.root.rglob("*") if path.is_file())
+    return {str(path.relative_to(workspace.root)): path.stat().st_mtime_ns for path in files}
+
+
+@pytest.mark.parametrize("jobs", [1, 2, 8])
+def test_all_steps_are_carried_out_and_told_and_recorded(workspace: Workspace, jobs: int) -> None:
+    names = ["a", "a/b", "b", "b/c/d", "e"]
+    plan = Plan(tuple(step(workspace, name) for name in names), stamped(*names))
+    assert run(plan, workspace, jobs=jobs) == [f"build {name}" for name in names]
+    for name in names:
+        assert (workspace.build / name / "document.xml").read_bytes() == b"x"
+    assert load((workspace.state / RECORD).read_bytes()) == plan.state
+    assert not (workspace.state / "running").exists()
+
+
+def test_a_plan_without_changes_writes_not_one_file(workspace: Workspace) -> None:
+    plan = Plan((step(workspace, "a"),), stamped("a"))
+    run(plan, workspace)
+    before = everything(workspace)
+    again = Plan((Step("build", "a", Action.UNCHANGED),), plan.state)
+    assert run(again, workspace, before=plan.state) == ["build a"]
+    assert everything(workspace) == before
+
+
+def test_a_changed_record_alone_is_written(workspace: Workspace) -> None:
+    run(Plan((), stamped("a")), workspace)
+    assert load((workspace.state / RECORD).read_bytes()) == stamped("a")
+
+
+def test_a_stage_ends_before_the_next_begins(workspace: Workspace, monkeypatch: pytest.MonkeyPatch) -> None:
+    order: list[str] = []
+    lock = threading.Lock()
+    write = Store.write
+
+    def watched(self: Store, folder: Path, files: dict[str, File], *, private: bool = False) -> None:
+        write(self, folder, files, private=private)
+        with lock:
+            order.extend(files)
+
+    monkeypatch.setattr(Store, "write", watched)
+    steps = [
+        Step(stage, f"p{number}", Action.CREATED, (FolderChange(workspace.build / f"p{number}", {stage: File(b"")}),))
+        for stage in ("first", "second", "third")
+        for number in range(10)
+    ]
+    run(Plan(tuple(steps), State()), workspace, jobs=8)
+    written = [name for name in order if name in {"first", "second", "third"}]
+    assert written == sorted(written)
+    assert len(written) == 30
+
+
+def test_an_outer_package_is_made_before_the_ones_inside_whatever_order_they_were_named_in(
+    workspace: Workspace, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    order: list[str] = []
+    write = Store.write
+
+    def watched(self: Store, folder: Path, files: dict[str, File], *, private: bool = False) -> None:
+        order.append(folder.name)
+        write(self, folder, files, private=private)
+
+    monkeypatch.setattr(Store, "write", watched)
+    steps = tuple(step(workspace, name) for name in ("x/y/z", "b", "x/y", "a", "x"))
+    run(Plan(steps, State()), workspace, jobs=4)
+    assert order.index("x") < order.index("y") < order.index("z")
+
+
+@pytest.mark.parametrize("jobs", [1, 4])
+def test_a_step_that_fails_ends_the_run_with_its_mark_and_without_its_record(workspace: Workspace, jobs: int) -> None:
+    names = ["a", "b", "c"]
+    workspace.build.mkdir(parents=True)
+    (workspace.build / "b").write_bytes(b"in the way")
+    plan = Plan(tuple(step(workspace, name) for name in names), stamped(*names))
+    with pytest.raises(KeymintError):
+        run(plan, workspace, jobs=jobs)
+    assert not (workspace.state / RECORD).exists()
+    interrupted = load(None, (workspace.state / "running").read_bytes())
+    # What it wrote, and what it did not come to write, is ours and no edit by hand.
+    assert interrupted.wrote("build", "a", "document.xml", b"x")
+    assert not interrupted.wrote("build", "a", "document.xml", b"edited")
+
+    (workspace.build / "b").unlink()
+    run(plan, workspace, before=interrupted, jobs=jobs)
+    assert load((workspace.state / RECORD).read_bytes()) == stamped(*names)
+    assert not (workspace.state / "running").exists()
+
+
+def test_the_mark_of_a_run_that_wrote_only_secrets_is_taken_back_by_the_next(workspace: Workspace) -> None:
+    open_store(workspace).marked(b"").__enter__()
+    run(Plan((), State()), workspace)
+    assert not (workspace.state / "running").exists()
+
+
+def test_the_mark_holds_no_digest_of_a_secret(workspace: Workspace, monkeypatch: pytest.MonkeyPatch) -> None:
+    marks: list[bytes] = []
+    marked = Store.marked
+    monkeypatch.setattr(Store, "marked", lambda self, content: marks.append(content) or marked(self, content))
+    change = FolderChange(workspace.private, {"key.pem": File(b"secret", secret=True), "cert.pem": File(b"public")})
+    run(Plan((Step("authorities", "ca", Action.CREATED, (change,)),), State()), workspace)
+    assert marks == [digest(b"public").encode()]
+
+
+def test_files_and_folders_are_removed(workspace: Workspace) -> None:
+    run(Plan((step(workspace, "a/b"), step(workspace, "c")), State()), workspace)
+    gone = FolderChange(workspace.build / "a" / "b", {}, ("document.xml",))
+    run(Plan((Step("build", "a/b", Action.REMOVED, (gone,)),), State()), workspace)
+    assert sorted(path.name for path in workspace.build.iterdir()) == ["c"]
+
+
+def test_private_is_private_in_the_store_of_a_workspace(workspace: Workspace) -> None:
+    change = FolderChange(workspace.private / "identities" / "a", {"file": File(b"")})
+    run(Plan((Step("build", "a", Action.CREATED, (change,)),), State()), workspace)
+    folder = workspace.private / "identities" / "a"
+    for path in (folder, folder.parent, workspace.private):
+        assert path.stat().st_mode & 0o777 == 0o700
+    assert workspace.root.stat().st_mode & 0o777 == 0o755

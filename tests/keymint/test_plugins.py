@@ -1,0 +1,144 @@
+"""Plugins are found by their entry points, and whatever is wrong with one is said by its name."""
+
+from __future__ import annotations
+
+import sys
+from importlib.metadata import Distribution, EntryPoint
+from pathlib import Path
+from types import ModuleType
+
+import pytest
+
+from keymint.api import API_VERSION
+from keymint.errors import KeymintError, Origin
+from keymint.plugins import GROUPS, Plugins
+
+GROUP = "keymint.build_types"
+
+
+class Plugin:
+    def __init__(self, version: object) -> None:
+        self.API = version
+
+
+def distribution(folder: Path, name: str, plugins: dict[str, str], *, group: str = GROUP) -> list[EntryPoint]:
+    """Write the metadata of an installed distribution, and return its entry points."""
+    info = folder / f"{name}-1.2.dist-info"
+    info.mkdir(parents=True)
+    (info / "METADATA").write_text(f"Metadata-Version: 2.1\nName: {name}\nVersion: 1.2\n")
+    lines = [f"[{group}]", *(f"{plugin} = {target}" for plugin, target in plugins.items())]
+    (info / "entry_points.txt").write_text("\n".join(lines))
+    return list(Distribution.at(info).entry_points)
+
+
+@pytest.fixture(autouse=True)
+def module(monkeypatch: pytest.MonkeyPatch) -> ModuleType:
+    made = ModuleType("plugins_of_this_test")
+    made.good = Plugin(API_VERSION)
+    made.newer = Plugin(API_VERSION.split(".", maxsplit=1)[0] + ".99")
+    made.future = Plugin(f"{int(API_VERSION.split('.', maxsplit=1)[0]) + 1}.0")
+    made.silent = object()
+    made.number = Plugin(1.0)
+    monkeypatch.setitem(sys.modules, made.__name__, made)
+    return made
+
+
+def refused(plugins: Plugins, name: str, where: Origin | None = None) -> tuple[str, str]:
+    with pytest.raises(KeymintError) as caught:
+        plugins.build_type(name, where)
+    assert len(str(caught.value).splitlines()) == 1
+    return caught.value.diagnostics[0].code, str(caught.value)
+
+
+def test_a_plugin_is_found_and_loaded_once(tmp_path: Path, module: ModuleType) -> None:
+    plugins = Plugins(distribution(tmp_path, "dist", {"mine": f"{module.__name__}:good"}))
+    assert plugins.build_type("mine") is module.good
+    assert plugins.build_type("mine") is plugins.load(GROUP, "mine")
+    [info] = plugins.infos
+    assert (info.group, info.name, info.distribution, info.version) == (GROUP, "mine", "dist", "1.2")
+    assert info.location == str(tmp_path)
+
+
+def test_a_newer_minor_version_of_the_interface_is_fine(tmp_path: Path, module: ModuleType) -> None:
+    plugins = Plugins(distribution(tmp_path, "dist", {"mine": f"{module.__name__}:newer"}))
+    assert plugins.build_type("mine") is module.newer
+
+
+@pytest.mark.parametrize("attribute", ["future", "silent", "number"])
+def test_another_major_version_or_none_is_refused(tmp_path: Path, module: ModuleType, attribute: str) -> None:
+    plugins = Plugins(distribution(tmp_path, "dist", {"mine": f"{module.__name__}:{attribute}"}))
+    code, message = refused(plugins, "mine")
+    assert code == "plugin-version"
+    assert "'mine'" in message
+    assert API_VERSION in message
+    assert "dist" in message
+
+
+def test_an_unknown_name_is_refused_with_the_nearest_one(tmp_path: Path, module: ModuleType) -> None:
+    plugins = Plugins(distribution(tmp_path, "dist", {"keymint_ros2_dds": f"{module.__name__}:good"}))
+    code, message = refused(plugins, "keymint_ros_dds", Origin("src/a/keymint_package.xml", 7))
+    assert code == "plugin-unknown"
+    assert message.startswith("src/a/keymint_package.xml:7: no build type 'keymint_ros_dds' is installed")
+    assert "did you mean 'keymint_ros2_dds'?" in message
+    assert "keymint plugins" in refused(plugins, "something else")[1]
+
+
+def test_a_name_is_looked_up_in_its_own_group_only(tmp_path: Path, module: ModuleType) -> None:
+    target = f"{module.__name__}:good"
+    plugins = Plugins(distribution(tmp_path, "dist", {"mine": target}, group="keymint.policy_types"))
+    assert plugins.policy_type("mine") is module.good
+    assert refused(plugins, "mine")[0] == "plugin-unknown"
+
+
+def test_a_name_that_two_distributions_bring_is_refused(tmp_path: Path, module: ModuleType) -> None:
+    target = f"{module.__name__}:good"
+    one = distribution(tmp_path / "1", "dist-one", {"mine": target, "fine": target})
+    two = distribution(tmp_path / "2", "dist-two", {"mine": target})
+    plugins = Plugins([*one, *two])
+    code, message = refused(plugins, "mine")
+    assert code == "plugin-doubled"
+    assert "dist-one and dist-two" in message
+    assert plugins.build_type("fine") is module.good
+    assert [info.distribution for info in plugins.infos] == ["dist-one", "dist-one", "dist-two"]
+
+
+def test_one_distribution_that_is_seen_twice_is_no_double(tmp_path: Path, module: ModuleType) -> None:
+    target = f"{module.__name__}:good"
+    one = distribution(tmp_path / "1", "dist", {"mine": target})
+    again = distribution(tmp_path / "2", "dist", {"mine": target})
+    assert Plugins([*one, *again]).build_type("mine") is module.good
+
+
+@pytest.mark.parametrize("target", ["no_such_module_anywhere:x", "plugins_of_this_test:missing", "exits_on_import:x"])
+def test_a_plugin_that_fails_to_load_is_named(tmp_path: Path, target: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / "exits_on_import.py").write_text("raise RuntimeError('not on this machine')\n")
+    monkeypatch.syspath_prepend(str(tmp_path))
+    plugins = Plugins(distribution(tmp_path, "dist", {"mine": target}))
+    code, message = refused(plugins, "mine")
+    assert code == "plugin-broken"
+    assert f"'mine' ({target})" in message
+    assert "reinstall dist" in message
+
+
+def test_an_entry_point_without_a_distribution_is_loaded_too(module: ModuleType) -> None:
+    plugins = Plugins([EntryPoint("mine", f"{module.__name__}:good", GROUP)])
+    assert plugins.build_type("mine") is module.good
+    assert plugins.infos[0].distribution == ""
+
+
+def test_damaged_metadata_does_not_hide_a_plugin(tmp_path: Path, module: ModuleType) -> None:
+    entries = distribution(tmp_path, "dist", {"mine": f"{module.__name__}:good"})
+    (tmp_path / "dist-1.2.dist-info" / "METADATA").unlink()
+    plugins = Plugins(entries)
+    assert plugins.build_type("mine") is module.good
+    assert plugins.infos[0].name == "mine"
+
+
+def test_the_shipped_plugins_are_found_in_the_environment() -> None:
+    plugins = Plugins()
+    found = {(info.group, info.name) for info in plugins.infos if info.distribution == "keymint-tools"}
+    if not found:
+        pytest.skip("keymint-tools is not installed in this environment")
+    assert {group for group, _ in found} == set(GROUPS)
+    for group, name in found:
+        assert plugins.load(group, name).API == API_VERSION

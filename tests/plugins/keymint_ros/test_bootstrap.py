@@ -1,0 +1,177 @@
+"""New profiles: complete, loadable, conservative."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from datetime import UTC, datetime, timedelta
+from pathlib import Path
+
+import pytest
+from keymint_ros import package_type, profile_type
+
+import comarmor
+from keymint.api import DomainRange, KeySpec
+from keymint.errors import KeymintError
+from keymint.pki import names
+
+from .workspaces import NOW, REQUEST, ROOT, RULES, Workspace, read_folder, write_folder
+
+DISTROS = ("bouncy", "crystal", "dashing", "eloquent", "foxy", "galactic", "humble")
+DISTROS += ("iron", "jazzy", "kilted", "lyrical", "rolling")
+
+
+@pytest.mark.parametrize("distro", DISTROS)
+def test_the_example_policy_of_every_distro_loads(distro: str, tmp_path: Path) -> None:
+    files = profile_type.bootstrap(replace(REQUEST, distro=distro))
+    write_folder(tmp_path, files)
+    profile = profile_type.load(tmp_path, files)
+    assert (profile.distro, profile.profile_type, profile.policy_type) == (
+        distro,
+        "keymint_ros",
+        "keymint_ros2_comarmor",
+    )
+    (source,) = profile.policies
+    policy = comarmor.load(source.path, library=profile.library)
+    assert policy.subjects() == ("/listener", "/talker")
+
+    def allowed(kind: str, permission: str, name: str) -> bool:
+        return policy.decide("/talker", kind, permission, name).allowed
+
+    assert allowed("ros_topic", "ros_publish", "/chatter")
+    assert not allowed("ros_topic", "ros_subscribe", "/chatter")
+    for service in ("describe_parameters", "get_parameters", "set_parameters_atomically"):
+        assert allowed("ros_service", "ros_execute", f"/talker/{service}")
+        assert not allowed("ros_service", "ros_call", f"/talker/{service}")
+        assert not allowed("ros_service", "ros_execute", f"/listener/{service}")
+    assert allowed("ros_topic", "ros_publish", "/rosout")
+    assert allowed("ros_topic", "ros_subscribe", "/clock")
+    assert not allowed("ros_topic", "ros_publish", "/clock")
+    assert allowed("topic", "publish", "ros_discovery_info") == (distro not in DISTROS[:4])
+    assert allowed("ros_service", "ros_execute", "/talker/get_type_description") == (distro in DISTROS[7:])
+
+
+@pytest.mark.parametrize("distro", ["eloquent", "humble", "rolling"])
+def test_a_lifecycle_node_may_do_what_a_node_may_and_serve_its_states(distro: str, tmp_path: Path) -> None:
+    policy_file = tmp_path / "policy.xml"
+    policy_file.write_text(
+        '<profile name="x" xmlns:xi="http://www.w3.org/2001/XInclude"><attachment>/a/x</attachment>'
+        '<xi:include href="common/lifecycle_node.xml" parse="xml"/></profile>'
+    )
+    policy = comarmor.load(policy_file, library=profile_type.library(distro))
+    assert policy.decide("/a/x", "ros_service", "ros_execute", "/a/x/change_state").allowed
+    assert policy.decide("/a/x", "ros_topic", "ros_publish", "/a/x/transition_event").allowed
+    assert policy.decide("/a/x", "ros_topic", "ros_publish", "/rosout").allowed
+    assert not policy.decide("/a/x", "ros_service", "ros_execute", "/a/y/change_state").allowed
+
+
+def test_the_library_is_what_a_profile_gets() -> None:
+    library = read_folder(profile_type.library("jazzy"))
+    files = profile_type.bootstrap(replace(REQUEST, policy="../fleet.xml"))
+    assert {path: files[f"comarmor.d/{path}"] for path in library} == library
+    assert "common/node.xml" in library
+    assert [path for path in files if path.startswith("comarmor.d/") and path.count("/") == 1] == []
+
+
+def test_families_of_distros_differ_only_where_their_nodes_do() -> None:
+    bouncy, foxy, iron = (read_folder(profile_type.library(distro)) for distro in ("bouncy", "foxy", "iron"))
+    for smaller, larger in ((bouncy, foxy), (foxy, iron)):
+        assert set(smaller) < set(larger)
+        assert {path for path in smaller if smaller[path] != larger[path]} == {"common/node.xml"}
+
+
+def test_two_authorities_one_for_each_job() -> None:
+    workspace = Workspace.new()
+    profile, package = workspace.load_profile(), workspace.load()
+    assert [authority.name for authority in profile.authorities] == ["identity_ca", "permissions_ca"]
+    assert {authority.certificate.issuer for authority in profile.authorities} == {""}
+    assert {authority.certificate.key for authority in profile.authorities} == {KeySpec("ec", "SECP256R1")}
+    assert package.identity.issuer == "identity_ca"
+    assert (package.permissions.issuer, package.governance.issuer) == ("permissions_ca", "permissions_ca")
+
+
+def test_the_flat_layout_has_one_authority_for_both_jobs() -> None:
+    workspace = Workspace.new(replace(REQUEST, layout="flat"))
+    profile, package = workspace.load_profile(), workspace.load()
+    assert profile.layout == "flat"
+    assert [authority.name for authority in profile.authorities] == ["ca"]
+    assert {package.identity.issuer, package.permissions.issuer, package.governance.issuer} == {"ca"}
+
+
+def test_validity_begins_at_least_a_day_ago_and_is_written_out() -> None:
+    workspace = Workspace.new()
+    authority, package = workspace.load_profile().authorities[0].certificate.validity, workspace.load()
+    assert authority.not_before == datetime(2026, 11, 20, tzinfo=UTC)
+    assert NOW - authority.not_before >= timedelta(days=1)
+    assert authority.not_after - authority.not_before == timedelta(days=3650)
+    assert package.identity.validity == package.permissions.validity
+    assert package.identity.validity.not_after - NOW > timedelta(days=362)
+
+
+@pytest.mark.parametrize(
+    ("subject_format", "expected"),
+    [("unique", f"OU={names.unique_suffix('/robot1/talker')},CN=/robot1/talker"), ("sros2", "CN=/robot1/talker")],
+)
+def test_subject_formats(subject_format: str, expected: str) -> None:
+    package = Workspace.new(replace(REQUEST, subject_format=subject_format)).load()
+    assert (package.identity.subject_name, package.permissions.subject_name) == (expected, expected)
+
+
+def test_a_long_name_keeps_its_subject_unique() -> None:
+    name = "/".join(["robot"] * 14)
+    workspace = Workspace.new()
+    rules = replace(RULES, subject=f"/{name}")
+    files = package_type.create(workspace.load_profile(), rules, {}, force=False)
+    package = replace(workspace, package=files, name=name).load()
+    assert names.parse(package.identity.subject_name)
+    assert names.unique_suffix(f"/{name}") in package.identity.subject_name
+
+
+def test_governance_is_conservative_and_of_the_domain() -> None:
+    (rule,) = Workspace.new(replace(REQUEST, domain=42)).load().governance.domain_rules
+    assert rule.domains == (DomainRange(42, 42),)
+    assert (rule.allow_unauthenticated_participants, rule.enable_join_access_control) == (False, True)
+    assert (rule.discovery_protection_kind, rule.liveliness_protection_kind, rule.rtps_protection_kind) == (
+        "ENCRYPT",
+        "ENCRYPT",
+        "SIGN",
+    )
+    (topic,) = rule.topic_rules
+    assert (topic.kind, topic.expression) == ("topic", "*")
+    assert topic.enable_read_access_control
+    assert topic.enable_write_access_control
+
+
+def test_the_files_are_a_function_of_the_day() -> None:
+    later = replace(REQUEST, now=NOW + timedelta(hours=5))
+    assert profile_type.bootstrap(later) == profile_type.bootstrap(REQUEST)
+
+
+def test_names_are_escaped() -> None:
+    files = profile_type.bootstrap(replace(REQUEST, name="R&D <1>", policy="../a & b/{c}.xml"))
+    profile = profile_type.load(ROOT, files)
+    assert profile.name == "R&D <1>"
+    assert profile.policies[0].path == Path("/ws/a & b/{c}.xml")
+
+
+@pytest.mark.parametrize(
+    ("changes", "code", "hint"),
+    [
+        ({"distro": "ardent"}, "distro-unsupported", "bouncy"),
+        ({"distro": "Jazy"}, "distro-unknown", "did you mean jazzy?"),
+        ({"distro": "x"}, "distro-unknown", "known are bouncy"),
+        ({"layout": "sros"}, "layout-unknown", "did you mean sros2?"),
+        ({"subject_format": "uniqe"}, "subject-format-unknown", "did you mean unique?"),
+        ({"domain": 231}, "domain-range", "ROS_DOMAIN_ID"),
+        ({"domain": -1}, "domain-range", "ROS_DOMAIN_ID"),
+        ({"policy": "a\nb"}, "text-invalid", "choose"),
+        ({"policy": "a\0b"}, "text-invalid", "choose"),
+        ({"name": ""}, "text-invalid", "choose"),
+    ],
+)
+def test_refused(changes: dict[str, object], code: str, hint: str) -> None:
+    with pytest.raises(KeymintError) as error:
+        profile_type.bootstrap(replace(REQUEST, **changes))
+    (found,) = error.value.diagnostics
+    assert found.code == code
+    assert hint in found.help
+    assert "\n" not in str(found)

@@ -1,0 +1,162 @@
+"""Creating packages: a document that nobody edited follows the policy, one that somebody edited is theirs."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import pytest
+from keymint_ros import package_type, profile_type
+
+from keymint.errors import KeymintError
+
+from .workspaces import RULES, Workspace, rules
+
+OLD = b"""<?xml version="1.0" encoding="utf-8"?>
+<package>
+    <permissions>
+        <grant name="talker">
+            <allow_rule>
+                <ros_publish><ros_topics><ros_topic>/chatter</ros_topic></ros_topics></ros_publish>
+            </allow_rule>
+            <default>DENY</default>
+        </grant>
+    </permissions>
+</package>
+"""
+
+
+@pytest.fixture
+def workspace() -> Workspace:
+    return Workspace.new()
+
+
+@pytest.fixture
+def edited(workspace: Workspace) -> Workspace:
+    return workspace.edit("permissions.xml", "/robot1/chatter", "/robot1/mine")
+
+
+def test_a_new_package_has_four_documents(workspace: Workspace) -> None:
+    files = package_type.create(workspace.load_profile(), RULES, {}, force=False)
+    assert sorted(files) == ["governance.xml", "identities.xml", "keymint_package.xml", "permissions.xml"]
+
+
+def test_documents_that_exist_are_left_alone(workspace: Workspace) -> None:
+    profile = workspace.load_profile()
+    assert "identities.xml" not in package_type.create(profile, RULES, {"identities.xml": b"mine"}, force=True)
+    others = dict.fromkeys(("governance.xml", "identities.xml"), b"broken")
+    existing = {**others, "keymint_package.xml": workspace.package["keymint_package.xml"]}
+    assert list(package_type.create(profile, RULES, existing, force=True)) == ["permissions.xml"]
+
+
+def test_the_build_type_is_that_of_the_profile(workspace: Workspace) -> None:
+    other = workspace.edit("profile/keymint_profile.xml", "<export>", "<export><build_type>mine</build_type>")
+    files = package_type.create(other.load_profile(), RULES, {}, force=False)
+    assert replace(other, package=files).load().build_type == "mine"
+
+
+def test_nothing_is_written_when_nothing_changed(workspace: Workspace) -> None:
+    assert workspace.create(RULES) == {}
+    assert workspace.create(RULES, force=True) == {}
+
+
+def test_a_place_that_moved_is_written_but_not_one_that_is_only_spelled_differently(workspace: Workspace) -> None:
+    moved = replace(RULES.rules[0].origin, line=4)
+    assert workspace.create(replace(RULES, rules=(replace(RULES.rules[0], origin=moved), RULES.rules[1])))
+    spelled = tuple(
+        replace(rule, origin=replace(rule.origin, file=rule.origin.file.replace("/ws/", "../ws/")))
+        for rule in RULES.rules
+    )
+    assert workspace.create(replace(RULES, rules=spelled)) == {}
+
+
+def test_an_edit_is_kept_while_the_policy_stays(edited: Workspace) -> None:
+    assert edited.create(RULES) == {}
+
+
+def test_an_edit_and_a_change_of_the_policy_is_a_conflict(edited: Workspace) -> None:
+    with pytest.raises(KeymintError) as error:
+        edited.create(rules("/other"))
+    (found,) = error.value.diagnostics
+    assert found.code == "hand-edited"
+    assert "--force" in found.help
+    assert str(found.where) == "robot1/talker/permissions.xml:6"
+
+
+@pytest.mark.parametrize("said", [RULES, rules("/other")])
+def test_force_replaces_an_edit(edited: Workspace, said: object) -> None:
+    files = edited.create(said, force=True)
+    loaded = replace(edited, package={**edited.package, **files}).load().permissions.rules
+    assert loaded == said
+
+
+def test_an_edit_that_the_policy_caught_up_with_is_no_edit_any_more(workspace: Workspace) -> None:
+    edited = workspace.edit("permissions.xml", "/robot1/chatter", "/robot1/mine")
+    said = replace(RULES, rules=(replace(RULES.rules[0], expressions=("/robot1/mine",)), RULES.rules[1]))
+    settled = replace(edited, package={**edited.package, **edited.create(said)})
+    assert settled.load().permissions.rules == said
+    assert replace(settled, package={**settled.package, **settled.create(rules("/x"))}).load()
+
+
+def test_a_document_without_its_digest_counts_as_edited(workspace: Workspace) -> None:
+    bare = workspace.edit("permissions.xml", "digest=", "x=")
+    bare = replace(bare, package={**bare.package, "permissions.xml": _without_digest(workspace)})
+    with pytest.raises(KeymintError, match="edited by hand"):
+        bare.create(rules("/other"))
+    assert b"digest=" in bare.create(RULES)["permissions.xml"]
+
+
+def _without_digest(workspace: Workspace) -> bytes:
+    before, _, after = workspace.package["permissions.xml"].partition(b' digest="')
+    return before + after.partition(b'"')[2]
+
+
+def test_overrides_of_the_grant_survive_a_change_of_the_policy(workspace: Workspace) -> None:
+    tuned = workspace.edit(
+        "permissions.xml",
+        '<grant name="/robot1/talker">',
+        '<grant name="mine"><domains><id>7</id></domains>\n<subject_name>CN=a&amp;b</subject_name>',
+    )
+    assert tuned.create(RULES) == {}
+    files = tuned.create(rules("/other"))
+    grant = replace(tuned, package={**tuned.package, **files}).load().permissions
+    assert (grant.grant_name, grant.domains[0].first, grant.subject_name) == ("mine", 7, "CN=a&b")
+    assert grant.rules == rules("/other")
+
+
+def test_permissions_of_2018_are_replaced_and_kept(workspace: Workspace) -> None:
+    old = replace(workspace, package={**workspace.package, "permissions.xml": OLD})
+    files = old.create(RULES)
+    assert files["permissions.xml.2018"] == OLD
+    assert files["permissions.xml"] == workspace.package["permissions.xml"]
+    again = replace(old, package={**old.package, "permissions.xml.2018": b"first"})
+    assert "permissions.xml.2018" not in again.create(RULES)
+
+
+def test_permissions_of_2018_are_not_loaded(workspace: Workspace) -> None:
+    old = replace(workspace, package={**workspace.package, "permissions.xml": OLD})
+    with pytest.raises(KeymintError) as error:
+        old.load()
+    (found,) = error.value.diagnostics
+    assert found.code == "permissions-format"
+    assert "keymint create robot1/talker" in found.help
+
+
+def test_a_broken_document_is_replaced_only_by_force(workspace: Workspace) -> None:
+    broken = replace(workspace, package={**workspace.package, "permissions.xml": b"<package"})
+    with pytest.raises(KeymintError):
+        broken.create(RULES)
+    assert broken.create(RULES, force=True) == {"permissions.xml": workspace.package["permissions.xml"]}
+
+
+def test_the_document_lies_where_the_manifest_says(workspace: Workspace) -> None:
+    manifest = (
+        "<permissions><permission><permission_path>my/rules.xml</permission_path></permission></permissions><export>"
+    )
+    moved = workspace.edit("keymint_package.xml", "<export>", manifest)
+    files = moved.create(RULES)
+    assert list(files) == ["my/rules.xml"]
+    assert replace(moved, package={**moved.package, **files}).load().permissions.rules == RULES
+
+
+def test_the_plugins_have_the_current_api() -> None:
+    assert (profile_type.API, package_type.API, package_type.MARKER) == ("1.0", "1.0", "keymint_package.xml")

@@ -1,0 +1,133 @@
+"""``permissions.xml`` says what the intermediate representation says, and what a person makes of it."""
+
+from __future__ import annotations
+
+import re
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from keymint_ros import package_type
+
+from keymint.errors import KeymintError, Origin
+from keymint.ir import PERMISSIONS, Effect, Rule, SubjectRules
+
+from .workspaces import RULES, Workspace, rules
+
+# What an XML document can hold, and no white space around it, which no expression of a policy has.
+_CHARACTERS = st.characters(codec="utf-8", exclude_categories=["Cc", "Cs", "Cn"], include_characters="\t\n\r")
+_TEXT = st.text(_CHARACTERS, min_size=1, max_size=12).filter(lambda text: text == text.strip(" \t\r\n"))
+_EXPRESSIONS = _TEXT.filter(lambda text: not text.endswith("\\"))
+_FILES = st.text(st.characters(codec="utf-8", exclude_characters="\0/"), min_size=1, max_size=8).filter(
+    lambda name: name not in {".", ".."}
+)
+_FOLDERS = st.sampled_from(["/ws/profile/comarmor.d/", "/ws/profile/", "/other/"])
+_PLACES = st.builds(lambda folder, file, line: Origin(folder + file, line), _FOLDERS, _FILES, st.integers(0, 10**6))
+_ORIGINS = st.builds(
+    lambda place, chain: Origin(place.file, place.line, tuple(chain)), _PLACES, st.lists(_PLACES, max_size=2)
+)
+
+
+@st.composite
+def _rules(draw: st.DrawFn) -> Rule:
+    kind = draw(st.sampled_from(sorted(PERMISSIONS)))
+    return Rule(
+        effect=draw(st.sampled_from(Effect)),
+        kind=kind,
+        permissions=tuple(draw(st.lists(st.sampled_from(PERMISSIONS[kind]), min_size=1, unique=True))),
+        expressions=tuple(draw(st.lists(_EXPRESSIONS, min_size=1, max_size=3))),
+        partitions=tuple(draw(st.lists(_EXPRESSIONS | st.just(""), max_size=2))) if kind == "topic" else (),
+        audit=draw(st.booleans()),
+        origin=draw(_ORIGINS),
+    )
+
+
+_SUBJECTS = st.lists(_rules(), max_size=4).map(lambda found: SubjectRules("/robot1/talker", tuple(found)))
+_WORKSPACE = Workspace.new()
+
+
+@given(_SUBJECTS)
+def test_what_is_created_is_loaded_unchanged(said: SubjectRules) -> None:
+    profile = _WORKSPACE.load_profile()
+    files = package_type.create(profile, said, {}, force=False)
+    assert package_type.load(profile, "robot1/talker", "src", files).permissions.rules == said
+    assert package_type.create(profile, said, files, force=False) == {}
+
+
+@given(_SUBJECTS, _SUBJECTS)
+def test_an_unedited_document_follows_the_policy(before: SubjectRules, after: SubjectRules) -> None:
+    profile = _WORKSPACE.load_profile()
+    files = package_type.create(profile, before, {}, force=False)
+    changed = {**files, **package_type.create(profile, after, files, force=False)}
+    loaded = package_type.load(profile, "robot1/talker", "src", changed).permissions.rules
+    assert [(rule.effect, rule.kind, rule.expressions) for rule in loaded.rules] == [
+        (rule.effect, rule.kind, rule.expressions) for rule in after.rules
+    ]
+    assert package_type.create(profile, after, changed, force=False) == {}
+
+
+def test_the_digest_depends_neither_on_order_nor_on_origins() -> None:
+    def digest(said: SubjectRules) -> str:
+        content = package_type.create(_WORKSPACE.load_profile(), said, {}, force=False)["permissions.xml"]
+        found = re.search(r'digest="(.*?)"', content.decode())
+        assert found
+        return found.group(1)
+
+    assert digest(SubjectRules(RULES.subject, RULES.rules[::-1])) == digest(RULES)
+    assert digest(rules("/a", line=7)) == digest(rules("/a", line=8))
+    assert digest(rules("/a")) != digest(rules("/b"))
+
+
+def test_rules_of_an_edited_document_come_from_that_document() -> None:
+    before = _WORKSPACE.load().permissions.rules.rules
+    assert [rule.origin for rule in before] == [rule.origin for rule in RULES.rules]
+    edited = _WORKSPACE.edit("permissions.xml", "/robot1/chatter", "/robot1/other")
+    after = edited.load().permissions.rules.rules
+    assert after[0].expressions == ("/robot1/other",)
+    assert [str(rule.origin) for rule in after] == [
+        "src/robot1/talker/permissions.xml:7",
+        "src/robot1/talker/permissions.xml:11",
+    ]
+
+
+def test_a_grant_overrides_the_defaults() -> None:
+    edited = _WORKSPACE.edit(
+        "permissions.xml",
+        '<grant name="/robot1/talker">',
+        """<grant name="mine">
+             <domains><id>3</id><id_range><min>5</min><max>7</max></id_range></domains>
+             <subject_name>CN={name}</subject_name>
+             <validity><not_before>2026-01-01T00:00:00</not_before><duration>P1M</duration></validity>""",
+    )
+    grant = edited.load().permissions
+    assert grant.grant_name == "mine"
+    assert [(domain.first, domain.last) for domain in grant.domains] == [(3, 3), (5, 7)]
+    assert grant.subject_name == "CN=robot1/talker"
+    assert grant.validity.not_after.isoformat() == "2026-02-01T00:00:00+00:00"
+    assert [rule.origin for rule in grant.rules.rules] == [rule.origin for rule in RULES.rules]
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "message"),
+    [
+        ("/robot1/chatter<", "<", "attachment is empty"),
+        ("/robot1/chatter<", "{namespace}chatter<", "expanded in this document"),
+        ("/robot1/chatter<", "@{ROBOT}/chatter<", "expanded in this document"),
+        ("/robot1/chatter<", "/robot1/chatter\\<", "\\"),
+        ("<attachment>/robot1/chatter</attachment>", "", "attachment"),
+        ("<ros_publish/>", "<ros_publsh/>", "ros_publish"),
+        ('qualifier="ALLOW"', 'qualifier="ALOW"', "ALLOW"),
+        ("format=", "formt=", "formt"),
+        ("</grant>", '</grant><grant name="b"/>', "grant"),
+        ("<partitions>", "<partitons>", "partitons"),
+    ],
+)
+def test_a_defect_is_named_with_its_line(old: str, new: str, message: str) -> None:
+    with pytest.raises(KeymintError) as error:
+        _WORKSPACE.edit("permissions.xml", old, new).load()
+    found = error.value.diagnostics[0]
+    assert found.where
+    assert found.where.file == "src/robot1/talker/permissions.xml"
+    assert found.where.line > 3
+    assert message in f"{found}"
+    assert "\n" not in str(found)

@@ -1,0 +1,71 @@
+"""Enclaves made of real certificates, and inspections of them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from datetime import UTC, datetime, timedelta
+from functools import cache
+
+from keymint_ros2_dds import build_type
+
+from keymint.api import BuildOptions, CertificateSpec, Credentials, Inspection, KeySpec, Package, Signer, Validity
+from keymint.pki import certificates, keys
+
+from .packages import ORIGIN, VALIDITY
+
+NOW = datetime(2027, 1, 1, tzinfo=UTC)
+EC = KeySpec("ec", "SECP256R1")
+_LONG = Validity(VALIDITY.not_before - timedelta(days=2), VALIDITY.not_after + timedelta(days=3650))
+
+
+@dataclass(frozen=True)
+class Ca:
+    name: str
+    key: keys.PrivateKey
+    certificate: certificates.x509.Certificate
+
+    @property
+    def pem(self) -> bytes:
+        return certificates.to_pem(self.certificate)
+
+    @property
+    def signer(self) -> Signer:
+        return Signer(self.name, self.pem, keys.to_pem(self.key))
+
+
+@cache
+def authority(name: str) -> Ca:
+    key = keys.generate(EC)
+    spec = CertificateSpec(f"CN={name}", _LONG, None, "", "SHA256", EC, (), ORIGIN)
+    return Ca(name, key, certificates.issue_authority(spec, key, None).certificate)
+
+
+def credentials(package: Package, identity: str = "identity_ca", permissions: str = "permissions_ca") -> Credentials:
+    key = keys.generate(EC)
+    issuer, signer = authority(identity), authority(permissions)
+    issued = certificates.issue_identity(
+        package.identity, key.public_key(), certificates.Issuer(issuer.certificate, issuer.key)
+    )
+    return Credentials(issued.pem, keys.to_pem(key), issuer.pem, signer.pem, signer.signer)
+
+
+def installed(package: Package, layout: str = "sros2", **authorities: str) -> dict[str, bytes]:
+    """Return the files of an enclave by name."""
+    documents = build_type.build(package, BuildOptions()).documents
+    artifacts = build_type.install(package, documents, credentials(package, **authorities), layout, {})
+    return {name: artifact.content for name, artifact in artifacts.items()}
+
+
+def inspection(package: Package, files: dict[str, bytes], **fields) -> Inspection:
+    usual = Inspection(
+        package,
+        build_type.build(package, BuildOptions()).documents,
+        files,
+        f"install/enclaves/{package.name}",
+        "sros2",
+        authority("identity_ca").pem,
+        authority("permissions_ca").pem,
+        NOW,
+        30,
+    )
+    return replace(usual, **fields)

@@ -1,0 +1,180 @@
+"""Findings on installed enclaves."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from datetime import UTC, datetime, timedelta
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from keymint_ros2_dds import build_type
+from keymint_ros2_dds.check_all import cyclone_takes_for
+
+from keymint.api import DomainRange, KeySpec
+from keymint.errors import Severity
+from keymint.pki import smime
+
+from .enclaves import NOW, authority, inspection, installed
+from .packages import VALIDITY, package, rule
+
+CHATTER = rule("ALLOW", "ros_topic", "ros_publish", "/chatter")
+TALKER = package(CHATTER)
+
+
+@pytest.fixture(scope="module")
+def files():
+    return installed(TALKER)
+
+
+def codes(files, loaded=TALKER, **fields):
+    return sorted(found.code for found in build_type.check(inspection(loaded, files, **fields)))
+
+
+def signed(content: bytes, name: str = "permissions_ca") -> bytes:
+    signer = authority(name)
+    return smime.sign(content, signer.certificate, signer.key)
+
+
+def edited(files, old: bytes, new: bytes):
+    """Return an enclave whose permissions were edited and signed again."""
+    content = files["permissions.xml"].replace(old, new)
+    assert content != files["permissions.xml"]
+    return {**files, "permissions.xml": content, "permissions.p7s": signed(content)}
+
+
+def test_what_was_just_installed_is_clean(files):
+    assert build_type.check(inspection(TALKER, files)) == ()
+    assert build_type.check_all([inspection(TALKER, files)]) == ()
+
+
+@pytest.mark.parametrize(
+    "name",
+    ["identity_ca.cert.pem", "permissions_ca.cert.pem", "cert.pem", "key.pem", "governance.p7s", "permissions.p7s",
+     "permissions.xml"],
+)  # fmt: skip
+def test_any_flipped_bit_is_found(files, name):
+    @settings(max_examples=60, deadline=None)
+    @given(at=st.integers(0, len(files[name]) - 1), bit=st.integers(0, 7))
+    def law(at, bit):
+        content = bytearray(files[name])
+        content[at] ^= 1 << bit
+        found = build_type.check(inspection(TALKER, {**files, name: bytes(content)}))
+        assert any(each.severity is Severity.ERROR and each.where for each in found)
+        assert not any(b"PRIVATE" in str(each).encode() for each in found)
+
+    law()
+
+
+def test_missing_and_unexpected_files(files):
+    without = {name: content for name, content in files.items() if name != "governance.p7s"}
+    assert codes(without) == ["file-missing"]
+    assert codes({**files, "notes.txt": b""}) == ["file-unexpected"]
+    assert codes({}).count("file-missing") == 7
+
+
+def test_a_key_of_another_certificate(files):
+    assert codes({**files, "key.pem": installed(TALKER)["key.pem"]}) == ["key-mismatch"]
+
+
+def test_an_identity_of_another_authority(files):
+    other = installed(TALKER, identity="stranger_ca")
+    found = codes(other)
+    assert "authority-differs" in found
+    assert any(code.startswith("chain-") for code in found)
+
+
+def test_permissions_signed_by_another_authority(files):
+    assert codes({**files, "permissions.p7s": signed(files["permissions.xml"], "stranger_ca")}) == ["smime-signer"]
+
+
+def test_a_certificate_of_another_subject(files):
+    other = installed(package(CHATTER, subject="/other"))
+    found = codes({**files, "cert.pem": other["cert.pem"], "key.pem": other["key.pem"]})
+    assert found == ["certificate-subject", "grant-subject"]
+
+
+def test_drift(files):
+    assert codes(files, package(CHATTER, rule("ALLOW", "ros_topic", "ros_publish", "/new"))) == ["drift"]
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "code"),
+    [
+        (b"CN=/talker,OU=x1", b"CN=/other,OU=x1", "grant-subject"),
+        (b"<default>DENY", b"<default>ALLOW", "grant-default"),
+        (b"2027-11-20T00:00:00", b"2026-12-20T00:00:00", "grant-expired"),
+        (b"2026-11-20T00:00:00", b"2027-02-20T00:00:00", "grant-not-yet-valid"),
+        (b"2027-11-20T00:00:00", b"2027-01-20T00:00:00", "grant-expires"),
+        (b"2026-11-20T00:00:00", b"2026-12-31T12:00:00", "grant-slack"),
+        (b"<id>0</id>", b"<id>0</id><id_range><min>4</min><max>5</max></id_range>", "domain-uncovered"),
+        (b"<validity>", b"<surprise/><validity>", "schema"),
+    ],
+)
+def test_documents_that_were_edited_and_signed_again(files, old, new, code):
+    found = codes(edited(files, old, new))
+    assert code in found
+    assert "drift" in found
+
+
+def test_permissions_xml_that_is_not_what_is_signed(files):
+    assert codes({**files, "permissions.xml": files["permissions.xml"] + b"\n"}) == ["document-differs"]
+
+
+def test_expiry_of_the_certificate(files):
+    late = VALIDITY.not_after - timedelta(days=10)
+    assert codes(files, now=late) == ["certificate-expires", "grant-expires"]
+    assert codes(files, now=late, within_days=5) == []
+    over = codes(files, now=VALIDITY.not_after + timedelta(days=1))
+    assert over == ["certificate-expired", "grant-expired"]
+    early = codes(files, now=VALIDITY.not_before - timedelta(hours=1))
+    assert early == ["certificate-not-yet-valid", "grant-not-yet-valid"]
+    assert codes(files, now=VALIDITY.not_before + timedelta(hours=1)) == ["grant-slack"]
+
+
+def test_sizes_are_judged_on_the_signed_files():
+    many = package(rule("ALLOW", "ros_topic", "ros_publish", *(f"/robot/topic_number_{n}" for n in range(900))))
+    assert codes(installed(many), many) == ["size-permissions"]
+
+
+def test_an_encrypted_key_is_judged_by_its_frame(files):
+    locked = replace(TALKER.identity, key=KeySpec("ec", "SECP256R1", password_env="PASSWORD"))
+    assert codes(files, replace(TALKER, identity=locked)) == []
+
+
+@pytest.mark.parametrize(
+    ("identity", "grant", "taken"),
+    [
+        ("CN=/robot", "CN=/robot/camera", True),
+        ("CN=/", "CN=/robot/camera", True),
+        ("CN=/a/b", "CN=/b/a", True),
+        ("CN=/robot/camera", "CN=/robot", False),
+        ("CN=/robot,OU=x1", "CN=/robot/camera,OU=x2", False),
+        ("CN=/robot,OU=x1", "OU=x1,CN=/robot", True),
+    ],
+)
+def test_what_cyclone_dds_takes_for_what(identity, grant, taken):
+    assert cyclone_takes_for(identity, grant) is taken
+
+
+def seen(subject, name="", **authorities):
+    loaded = package(CHATTER, subject=subject, name=name)
+    return inspection(loaded, installed(loaded, **authorities))
+
+
+def test_names_that_a_vendor_confuses():
+    found = build_type.check_all([seen("/robot", "CN=/robot"), seen("/robot/camera", "CN=/robot/camera")])
+    assert [(each.code, each.subject) for each in found] == [("names-confused", "/robot")]
+    assert build_type.check_all([seen("/robot", "OU=a,CN=/robot"), seen("/robot/arm", "OU=b,CN=/robot/arm")]) == ()
+
+
+def test_authorities_of_several_enclaves():
+    ca = authority("ca").pem
+    shared = replace(seen("/a", identity="ca", permissions="ca"), identity_ca=ca, permissions_ca=ca)
+    assert [each.code for each in build_type.check_all([shared, shared])] == [
+        "authority-shared",
+        *["names-confused"] * 0,
+    ]
+    assert "authorities-differ" in [each.code for each in build_type.check_all([seen("/b", "CN=/b,OU=1"), shared])]
+    assert NOW == datetime(2027, 1, 1, tzinfo=UTC)
+    assert DomainRange(0, 0).first == 0

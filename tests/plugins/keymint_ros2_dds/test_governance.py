@@ -1,0 +1,128 @@
+"""The governance document."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import pytest
+from keymint_ros2_dds import build_type
+from lxml import etree
+
+from keymint.api import BuildOptions, DomainRange
+from keymint.errors import KeymintError
+
+from .packages import domain_rule, package, protection, rule
+
+STRICT, LENIENT = BuildOptions(), BuildOptions(allow_vendor_specific=True)
+
+
+def build(*topics, options=STRICT, **fields):
+    loaded = package(rule("ALLOW", "ros_topic", "ros_publish", "/chatter"))
+    governance = replace(loaded.governance, domain_rules=(domain_rule(*topics, **fields),))
+    return build_type.build(replace(loaded, governance=governance), options)
+
+
+def expressions(built):
+    root = etree.fromstring(built.documents["governance.xml"])
+    return [item.text for item in root.iter("topic_expression")]
+
+
+def codes(*topics, **fields):
+    with pytest.raises(KeymintError) as caught:
+        build(*topics, **fields)
+    return [item.code for item in caught.value.diagnostics]
+
+
+def test_every_element_of_the_standard_in_its_order():
+    root = etree.fromstring(build(protection(data_protection_kind="NONE")).documents["governance.xml"])
+    domain = root.find("domain_access_rules/domain_rule")
+    assert [(item.tag, item.text) for item in domain][1:-1] == [
+        ("allow_unauthenticated_participants", "false"),
+        ("enable_join_access_control", "true"),
+        ("discovery_protection_kind", "ENCRYPT"),
+        ("liveliness_protection_kind", "ENCRYPT"),
+        ("rtps_protection_kind", "SIGN"),
+    ]
+    assert [(item.tag, item.text) for item in domain.find("topic_access_rules/topic_rule")] == [
+        ("topic_expression", "*"),
+        ("enable_discovery_protection", "true"),
+        ("enable_liveliness_protection", "true"),
+        ("enable_read_access_control", "true"),
+        ("enable_write_access_control", "true"),
+        ("metadata_protection_kind", "ENCRYPT"),
+        ("data_protection_kind", "NONE"),
+    ]
+
+
+def test_expressions_over_ros_names_are_mapped_in_their_order():
+    built = build(
+        protection("ros_topic", "*/image"),
+        protection("ros_service", "/add"),
+        protection("ros_action", "/fib"),
+        protection("ros_parameter", "/node"),
+        protection("topic", "raw*"),
+        protection(),
+    )
+    found = expressions(built)
+    assert set(found[:2]) == {"rt/image", "rt/*/image"}
+    assert found[2:4] == ["rq/addRequest", "rr/addReply"]
+    assert {"rq/fib/_action/send_goalRequest", "rr/fib/_action/send_goalReply", "rt/fib/_action/status"} <= set(found)
+    assert {"rq/node/get_parametersRequest", "rr/node/set_parametersReply"} <= set(found)
+    assert found[-2:] == ["raw*", "*"]
+    assert len(found) == len(set(found)) == 2 + 2 + 8 + 12 + 2
+
+
+def test_it_always_ends_with_every_topic():
+    built = build(protection("ros_topic", "/chatter", enable_read_access_control=False, data_protection_kind="NONE"))
+    assert expressions(built) == ["rt/chatter", "*"]
+    assert [found.code for found in built.diagnostics] == ["governance-open-end"]
+    last = etree.fromstring(built.documents["governance.xml"]).findall(".//topic_rule")[-1]
+    assert last.findtext("enable_read_access_control") == "true"
+    assert last.findtext("data_protection_kind") == "ENCRYPT"
+
+
+def test_a_rule_that_comes_too_late_is_a_warning():
+    built = build(protection(), protection("ros_topic", "/late"))
+    assert expressions(built) == ["*"]
+    assert [found.code for found in built.diagnostics] == ["governance-shadowed"]
+
+
+@pytest.mark.parametrize("element", ["discovery", "liveliness", "rtps"])
+def test_unknown_kinds_of_a_domain_rule_are_refused(element):
+    with pytest.raises(KeymintError, match=r"policy.xml:7: .*did you mean 'ENCRYPT'"):
+        build(**{f"{element}_protection_kind": "ENCRYP"})
+
+
+def test_unknown_kinds_of_a_topic_rule_are_refused():
+    assert codes(protection(metadata_protection_kind="sign")) == ["protection-kind"]
+    assert codes(protection(data_protection_kind="SIGN_WITH_ORIGIN_AUTHENTICATION")) == ["protection-kind"]
+    assert codes(protection("ros_topics", "*")) == ["governance-kind"]
+
+
+def test_unauthenticated_participants_with_protected_rtps():
+    assert codes(allow_unauthenticated_participants=True) == ["portability-unauthenticated"]
+    assert build(allow_unauthenticated_participants=True, rtps_protection_kind="NONE").diagnostics == ()
+    lenient = build(allow_unauthenticated_participants=True, options=LENIENT)
+    assert [found.code for found in lenient.diagnostics] == ["portability-unauthenticated"]
+
+
+def test_expressions_that_vendors_read_differently():
+    assert codes(protection("topic", r"a\*"), protection()) == ["portability-expression"]
+    assert expressions(build(protection("topic", r"a\*"), protection(), options=LENIENT)) == [r"a\*", "*"]
+
+
+def test_domains():
+    assert "portability-domain" in codes(domains=(DomainRange(0, 300),))
+    wide = build(domains=(DomainRange(0, 3), DomainRange(7, 7)))
+    found = etree.fromstring(wide.documents["governance.xml"]).find(".//domains")
+    assert [(item.tag, item.text) for item in found.iter() if not len(item)] == [
+        ("min", "0"),
+        ("max", "3"),
+        ("id", "7"),
+    ]
+
+
+def test_no_domain_rule_at_all():
+    loaded = package(rule("ALLOW", "ros_topic", "ros_publish", "/chatter"))
+    with pytest.raises(KeymintError, match="no domain rule"):
+        build_type.build(replace(loaded, governance=replace(loaded.governance, domain_rules=())), STRICT)

@@ -1,0 +1,62 @@
+"""ROS names as DDS topics: the image of an expression is exact."""
+
+from __future__ import annotations
+
+import pytest
+from keymint_ros2_dds.mapping import DISTROS, IMAGES, Action, Image, check_distro, image
+from keymint_ros2_dds.spelling import faithful
+
+from keymint.errors import KeymintError
+from keymint.keymake.glob import parse
+
+TOPIC = IMAGES["ros_publish"][0]
+
+
+@pytest.mark.parametrize(
+    ("expression", "images"),
+    [
+        ("/chatter", {"rt/chatter"}),
+        ("*/scan", {"rt/scan", "rt/*/scan"}),
+        ("*", {"rt/*"}),
+        ("?x", {"rt/x"}),
+        ("[!a]b", {"rt/b"}),
+        ("/a*", {"rt/a*"}),
+        ("**/a", {"rt/a", "rt/*/a"}),
+        ("chatter", set()),
+        ("[ab]x", set()),
+        ("", set()),
+    ],
+)
+def test_the_image_of_a_topic(expression, images):
+    assert {faithful(found) for found in image(parse(expression), TOPIC)} == images
+
+
+def test_a_service_is_two_topics():
+    client, server = IMAGES["ros_call"], IMAGES["ros_execute"]
+    assert client == (Image(Action.PUBLISH, "rq", "Request"), Image(Action.SUBSCRIBE, "rr", "Reply"))
+    assert {(one.prefix, one.suffix) for one in client} == {(one.prefix, one.suffix) for one in server}
+    assert {one.action for one in client if one.prefix == "rq"} != {one.action for one in server if one.prefix == "rq"}
+    assert image(parse("/add"), client[0]) == (("rq/addRequest",),)
+
+
+def test_a_part_of_a_composite_follows_the_name():
+    assert image(parse("/fib"), TOPIC, "/_action/status") == (("rt/fib/_action/status",),)
+    assert {faithful(found) for found in image(parse("*"), TOPIC, "/_action/status")} == {
+        "rt/*/_action/status",
+        "rt/_action/status",
+    }
+
+
+def test_a_raw_topic_is_its_own_name():
+    assert image(parse("sensor*"), IMAGES["publish"][0]) == (parse("sensor*"),)
+
+
+@pytest.mark.parametrize("distro", DISTROS)
+def test_distros_since_bouncy_are_known(distro):
+    check_distro(distro)
+
+
+@pytest.mark.parametrize(("distro", "message"), [("ardent", "not supported"), ("jazy", "did you mean 'jazzy'")])
+def test_other_distros_are_refused(distro, message):
+    with pytest.raises(KeymintError, match=message):
+        check_distro(distro)

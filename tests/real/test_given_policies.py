@@ -1,0 +1,68 @@
+"""Policies that people wrote: provisioned as they are, the real access control decides as they say."""
+
+from __future__ import annotations
+
+from itertools import product
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import pytest
+
+import comarmor
+
+from .agreement import REQUESTS, meanings, operations, said_of
+from .cyclone_access_control import AccessControl
+from .provisioning import enclave
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator
+
+CHECKOUT = Path(__file__).resolve().parents[2]
+REFERENCE = CHECKOUT.parent / "shared" / "reference" / "ppac" / "comarmor.d"
+POLICIES = [
+    *sorted((CHECKOUT / "examples").glob("*/*.xml")),
+    pytest.param(
+        REFERENCE,
+        marks=pytest.mark.skipif(not REFERENCE.is_dir(), reason=f"there is no {REFERENCE.name} of other projects here"),
+    ),
+]
+WILDCARDS = "*?["
+
+
+def names_near(expression: str) -> Iterator[str]:
+    """Yield names that the expression matches, or narrowly does not; a class is read as its second character."""
+    for text in ("", "w/w"):
+        name, inside = "", 0
+        for letter in expression:
+            inside = inside + 1 if letter == "[" or inside else 0
+            if letter == "]":
+                inside = 0
+            elif inside == 0:
+                name += {"*": text, "?": text[:1]}.get(letter, letter)
+            elif inside == 3:
+                name += letter
+        yield from (name, f"{name}x", name[:-1])
+
+
+@pytest.mark.cyclonedds
+@pytest.mark.usefixtures("cyclone_plugins")
+@pytest.mark.parametrize("path", POLICIES, ids=lambda path: path.stem)
+def test_given_policy(path: Path, provisioned: Callable[[str | Path], Path]) -> None:
+    install = provisioned(path)
+    policy = comarmor.load(path, library=install.parent / "profile" / "comarmor.d")
+    subjects = policy.subjects()
+    expressions = {
+        attachment.text for subject in subjects for rule in policy.rules(subject) for attachment in rule.attachments
+    }
+    names = sorted({name for expression in expressions for name in names_near(expression)} - {""})
+    asked = {each for (_, held), name in product(REQUESTS, names) for each in operations(held, name)}
+    asked |= {each for held, name in product(("publish", "subscribe"), names) for each in operations(held, name)}
+    allowed = 0
+    for subject in subjects:
+        with AccessControl.of_enclave(enclave(install, subject)) as access:
+            assert access.valid, (subject, access.reason)
+            for each in asked:
+                said = said_of(policy, subject, each)
+                allowed += said
+                assert access.allows(each.direction, each.topic) is said, (subject, each, meanings(each))
+    assert allowed > len(subjects)

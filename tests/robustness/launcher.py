@@ -1,0 +1,99 @@
+"""Runs the command line again and again, each time in a process of its own, for a tracer to strike at.
+
+    strace -f -e inject=renameat:signal=SIGKILL:when=400 … python launcher.py JOBS RESULTS
+
+strace counts the calls of each process by name, and strikes at one number. Python starts once; every job is a fork of
+it, which first makes as many harmless calls as the call that is meant lacks of that number.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import fcntl
+import io
+import json
+import os
+import sys
+import tempfile
+import traceback
+from collections.abc import Callable, Mapping
+from pathlib import Path
+
+_NOWHERE = "/nonexistent/robustness"
+
+
+def _unlink_at() -> None:
+    os.unlink("robustness", dir_fd=_FOLDER)
+
+
+_FOLDER = os.open("/proc/self", os.O_RDONLY | os.O_DIRECTORY)
+_NULL = os.open(os.devnull, os.O_WRONLY)
+HARMLESS: Mapping[str, Callable[[], object]] = {
+    "openat": lambda: os.open(_NOWHERE, os.O_RDONLY),
+    "write": lambda: os.write(_NULL, b""),
+    "fsync": lambda: os.fsync(_NULL),
+    "fchmod": lambda: os.fchmod(_NULL, 0o666),
+    "renameat": lambda: os.rename(_NOWHERE, _NOWHERE, src_dir_fd=_FOLDER, dst_dir_fd=_FOLDER),
+    "mkdir": lambda: os.mkdir(_NOWHERE),
+    "mkdirat": lambda: os.mkdir(_NOWHERE, dir_fd=_FOLDER),
+    "unlink": lambda: os.unlink(_NOWHERE),
+    "unlinkat": _unlink_at,
+    "rmdir": lambda: os.rmdir(_NOWHERE),
+    "flock": lambda: fcntl.flock(_FOLDER, fcntl.LOCK_UN),
+}
+"""The calls that change a file system, each with a way to make it that changes nothing."""
+
+
+def _job(arguments: list[str], call: str, padding: int, output: Path) -> None:
+    """Be the process of one job, which makes a number of harmless calls before it begins."""
+    from keymint import cli
+
+    shown = os.open(output, os.O_WRONLY | os.O_CREAT | os.O_TRUNC, 0o600)
+    os.dup2(shown, 1)
+    os.dup2(shown, 2)
+    os.close(shown)
+    for _ in range(padding):
+        with contextlib.suppress(OSError):
+            HARMLESS[call]()
+    code = cli.main(arguments)
+    sys.stdout.flush()
+    sys.stderr.flush()
+    os._exit(code)
+
+
+def _warm_up() -> None:
+    """Run the command line in this process, so that no job imports anything, nor fills a cache."""
+    from keymint import cli
+
+    policy = (
+        '<profiles><profile name="p"><attachment>/a</attachment><ros_topic qualifier="ALLOW"><attachment>/b</attachment>'
+        "<permissions><ros_publish/></permissions></ros_topic></profile></profiles>"
+    )
+    with tempfile.TemporaryDirectory() as folder, contextlib.redirect_stdout(io.StringIO()) as said:
+        (Path(folder) / "policy.xml").write_text(policy)
+        for arguments in (["provision", f"{folder}/policy.xml"], ["install", "--prune"], ["check"]):
+            code = cli.main([*arguments, "-w", f"{folder}/ws", "-j", "1"])
+            assert code == 0, said.getvalue()
+
+
+def main(jobs: Path, results: Path) -> None:
+    """Run all jobs, and write what became of each: the status of :func:`os.waitstatus_to_exitcode` and its output."""
+    _warm_up()
+    ended = []
+    output = results.with_suffix(".output")
+    for arguments, call, padding in json.loads(jobs.read_text()):
+        sys.stdout.flush()
+        process = os.fork()
+        if not process:
+            try:
+                _job(arguments, call, padding, output)
+            except BaseException:  # noqa: BLE001 - nothing may return into the loop of the parent
+                traceback.print_exc()
+            os._exit(99)
+        _, status = os.waitpid(process, 0)
+        ended.append([process, os.waitstatus_to_exitcode(status), output.read_text(errors="replace")])
+    results.write_text(json.dumps(ended))
+
+
+if __name__ == "__main__":
+    main(Path(sys.argv[1]), Path(sys.argv[2]))

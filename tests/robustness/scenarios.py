@@ -1,0 +1,159 @@
+"""Runs to disturb, and what must hold of the workspace whenever one was."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import stat
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+from cryptography import x509
+from cryptography.hazmat.primitives.serialization import load_pem_private_key
+from lxml import etree
+
+from keymint.pki import smime
+
+_RULES = """<ros_topic qualifier="ALLOW">
+  <attachment>/chatter{}</attachment><permissions><ros_publish/></permissions>
+</ros_topic>"""
+
+
+def policy(*subjects: str, version: str = "") -> str:
+    """Return a policy that names these subjects; another version gives another rule to ``/robot/talker``."""
+    profiles = (
+        f'<profile name="p"><attachment>{subject}</attachment>'
+        f"{_RULES.format(version if subject == '/robot/talker' else '')}</profile>"
+        for subject in subjects
+    )
+    return f"<profiles>{''.join(profiles)}</profiles>"
+
+
+def _nothing(_folder: Path) -> None:
+    """Begin without a workspace."""
+
+
+def _change_policy(folder: Path) -> None:
+    # /robot becomes an enclave around one that is there; /new/deep/one comes with folders of its own.
+    subjects = ("/robot", "/robot/talker", "/listener", "/new/deep/one")
+    (folder / "policy.xml").write_text(policy(*subjects, version="_changed"))
+
+
+def _remove_packages(folder: Path) -> None:
+    (folder / "policy.xml").write_text(policy("/robot/talker"))
+    for file in (folder / "ws" / "src" / "robot").glob("*.xml"):
+        file.unlink()
+    shutil.rmtree(folder / "ws" / "src" / "new")
+    shutil.rmtree(folder / "ws" / "src" / "listener")
+
+
+@dataclass(frozen=True)
+class Scenario:
+    """A run to disturb.
+
+    Attributes:
+        before: runs that prepare it.
+        change: what a user changes then, in the folder of the workspace and the policy.
+        verb: the run itself, as its arguments; ``{}`` stands for the folder.
+    """
+
+    before: tuple[Callable[[Path], None], ...]
+    change: Callable[[Path], None]
+    verb: tuple[str, ...]
+
+    def arguments(self, folder: Path) -> list[str]:
+        """Return the run's command line in a folder."""
+        return [argument.format(folder) for argument in self.verb]
+
+
+PROVISION = ("provision", "{}/policy.xml", "-w", "{}/ws", "-j", "1")
+SCENARIOS: Mapping[str, Scenario] = {
+    "fresh": Scenario((), _nothing, PROVISION),
+    "update": Scenario((_nothing,), _change_policy, PROVISION),
+    "renew": Scenario((_nothing,), _nothing, (*PROVISION, "--renew")),
+    "prune": Scenario((_nothing, _change_policy), _remove_packages, ("install", "--prune", "-w", "{}/ws", "-j", "1")),
+}
+
+
+def tree(workspace: Path) -> dict[str, str]:
+    """Return every path of a workspace with its kind and mode."""
+    found = {}
+    for folder, folders, files in os.walk(workspace):
+        for name in (*folders, *files):
+            path = Path(folder) / name
+            mode = path.lstat().st_mode
+            found[str(path.relative_to(workspace))] = f"{'d' if stat.S_ISDIR(mode) else '-'}{stat.S_IMODE(mode):04o}"
+    return found
+
+
+def keys(workspace: Path) -> dict[str, bytes]:
+    """Return the private keys that are in their place."""
+    found = {}
+    for path in (workspace / "private").rglob("*.pem"):
+        if not _hidden(path.relative_to(workspace)):
+            found[str(path.relative_to(workspace))] = path.read_bytes()
+    return found
+
+
+def _hidden(path: Path) -> bool:
+    return any(part.startswith(".keymint-") for part in path.parts)
+
+
+def enclaves(workspace: Path) -> dict[str, set[str]]:
+    """Return the files of every folder that is visible below the enclaves."""
+    found: dict[str, set[str]] = {}
+    root = workspace / "install" / "enclaves"
+    for folder, _, files in os.walk(root):
+        relative = Path(folder).relative_to(root)
+        if relative.parts and not _hidden(relative):
+            found[str(relative)] = {file for file in files if not _hidden(Path(file))}
+    return found
+
+
+def require_whole_files(workspace: Path) -> int:
+    """Require that every file that is visible in the install space is whole; returns how many there are."""
+    count = 0
+    for path in sorted((workspace / "install").rglob("*")):
+        if _hidden(path.relative_to(workspace)) or path.is_dir():
+            continue
+        count += 1
+        content = path.read_bytes()
+        if path.name == "key.pem":
+            load_pem_private_key(content, None)
+            assert stat.S_IMODE(path.stat().st_mode) == 0o600
+            assert stat.S_IMODE(path.parent.stat().st_mode) == 0o700
+            continue
+        assert stat.S_IMODE(path.stat().st_mode) == 0o644, path
+        if path.suffix == ".pem":
+            x509.load_pem_x509_certificates(content)
+        elif path.suffix == ".p7s":
+            authority = workspace / "public" / "permissions_ca.cert.pem"
+            etree.fromstring(smime.verify(content, authority.read_bytes()))
+        elif path.suffix == ".xml":
+            etree.fromstring(content)
+        else:
+            raise AssertionError(f"unknown file {path}")
+    return count
+
+
+def require_whole_enclaves(workspace: Path, before: Mapping[str, set[str]], after: Mapping[str, set[str]]) -> None:
+    """Require that no enclave lacks a file.
+
+    An enclave around one that is there already cannot appear at once, nor vanish at once: of such a one, the
+    certificate appears last and goes last, and without it no participant joins.
+
+    Args:
+        workspace: after the run was disturbed.
+        before: the folders below the enclaves before the run.
+        after: those after an undisturbed run.
+    """
+    for name, files in enclaves(workspace).items():
+        wanted = (before.get(name) or after.get(name)) or set()
+        around = any(other.startswith(f"{name}/") for other in before) and before.get(name) != after.get(name)
+        if around:
+            assert files <= wanted | {"cert.pem"}, (name, files)
+            if after.get(name):
+                assert "cert.pem" not in files or files == wanted, (name, files)
+        else:
+            assert files == wanted, (name, files, wanted)

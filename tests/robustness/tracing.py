@@ -1,0 +1,128 @@
+"""Strikes a run at a chosen system call: kills it, interrupts it, or has the call fail."""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+import subprocess
+import sys
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import pytest
+
+from .launcher import HARMLESS
+
+HERE = Path(__file__).parent
+CALLS = ",".join(HARMLESS)
+_MARGIN = 100
+"""Calls of a kind that the start of Python may make more than when it was counted."""
+_LINE = re.compile(r"(?P<process>\d+) +(?P<call>\w+)\((?P<rest>.*)")
+
+
+@dataclass(frozen=True)
+class Point:
+    """A call that changes the workspace: its name, and its number among those of that name in its process."""
+
+    call: str
+    number: int
+    text: str
+
+    def __str__(self) -> str:
+        return f"{self.call} {self.number}: {self.text}"
+
+
+@dataclass(frozen=True)
+class Trace:
+    """An undisturbed run.
+
+    Attributes:
+        points: in order, the calls that may change the workspace.
+        strikes: for each kind of call a number that no process reaches of itself.
+        ended: how it ended.
+    """
+
+    points: Sequence[Point]
+    strikes: Mapping[str, int]
+    ended: Ended
+
+
+@dataclass(frozen=True)
+class Ended:
+    """How a run ended: its exit code, or the negative number of the signal that killed it."""
+
+    code: int
+    output: str
+
+
+def require_strace() -> None:
+    """Skip, visibly, where nothing can be traced; fail where CI demands that it can."""
+    try:
+        ran = subprocess.run(["strace", "-o", os.devnull, "true"], capture_output=True, text=True, check=False)
+        problem = ran.stderr.strip() if ran.returncode else ""
+    except FileNotFoundError:
+        problem = "strace is not installed"
+    if problem and os.environ.get("KEYMINT_REQUIRE_VENDORS") == "1":
+        pytest.fail(f"KEYMINT_REQUIRE_VENDORS=1, but nothing can be traced: {problem}", pytrace=False)
+    if problem:
+        pytest.skip(f"nothing can be traced: {problem}")
+
+
+def environment() -> dict[str, str]:
+    """Return an environment in which every run makes the same calls."""
+    kept = {name: os.environ[name] for name in ("PATH", "HOME", "PYTHONPATH", "SOURCE_DATE_EPOCH") if name in os.environ}
+    return kept | {"PYTHONDONTWRITEBYTECODE": "1", "PYTHONHASHSEED": "0", "LC_ALL": "C.UTF-8"}
+
+
+def _launch(jobs: Sequence[tuple[list[str], str, int]], options: list[str], folder: Path) -> list[tuple[int, Ended]]:
+    (folder / "jobs").write_text(json.dumps(jobs))
+    (folder / "results").unlink(missing_ok=True)
+    launcher = [sys.executable, HERE / "launcher.py", folder / "jobs", folder / "results"]
+    subprocess.run(["strace", "-f", "-q", *options, *launcher], env=environment(), check=True, timeout=600)
+    results = json.loads((folder / "results").read_text())
+    return [(process, Ended(code, output)) for process, code, output in results]
+
+
+def trace(arguments: list[str], workspace: Path, folder: Path) -> Trace:
+    """Run a command line, undisturbed.
+
+    Args:
+        arguments: the command line.
+        workspace: the workspace, or a folder around it.
+        folder: a folder for the files of this.
+    """
+    log = folder / "log"
+    [(process, ended)] = _launch([(arguments, "", 0)], ["-y", "-o", str(log), "-e", f"trace={CALLS}"], folder)
+    found: list[Point] = []
+    counted: dict[int, Counter[str]] = {}
+    for line in log.read_text(errors="replace").splitlines():
+        match = _LINE.match(line)
+        if not match:
+            continue
+        call, rest = match["call"], match["rest"]
+        counter = counted.setdefault(int(match["process"]), Counter())
+        counter[call] += 1
+        reads = call == "openat" and "O_CREAT" not in rest
+        if int(match["process"]) == process and str(workspace) in rest and not reads:
+            found.append(Point(call, counter[call], rest.replace(str(workspace), "…")))
+    strikes = {call: max(counter[call] for counter in counted.values()) + _MARGIN for call in HARMLESS}
+    return Trace(found, strikes, ended)
+
+
+def strike(how: str, struck: Sequence[tuple[Point, list[str]]], traced: Trace, folder: Path) -> list[Ended]:
+    """Run command lines, each struck at a point of its own.
+
+    Args:
+        how: ``signal=SIGKILL``, ``signal=SIGINT``, ``error=ENOSPC``, …; see strace(1), "Tampering".
+        struck: points of the undisturbed run, and the command lines.
+        traced: the undisturbed run.
+        folder: a folder for the files of this.
+    """
+    jobs = [(arguments, point.call, traced.strikes[point.call] - point.number) for point, arguments in struck]
+    options = ["-o", os.devnull, "-e", f"trace={CALLS}"]
+    for call, number in traced.strikes.items():
+        options += ["-e", f"inject={call}:{how}:when={number}"]
+    return [ended for _, ended in _launch(jobs, options, folder)]
