@@ -23,7 +23,7 @@ demo: setup
 	@BIN=$(BIN) DEMO=$(DEMO) .ci/demo
 
 test: setup vendors
-	$(BIN)/python -m pytest -n $(WORKERS) --dist loadgroup $(PYTEST_ARGS)
+	@BIN=$(BIN) WORKERS=$(WORKERS) .ci/test $(PYTEST_ARGS)
 
 lint: setup
 	$(BIN)/ruff check .

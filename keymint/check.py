@@ -57,7 +57,7 @@ def check(
             )
             continue
         findings += _on_disk(inputs, loaded, name, inspection.files)
-        findings += inputs.plugins.build_type(package.build_type).check(inspection)
+        findings += inputs.plugins.build_type(package.build_type, inputs.package_marker(package.name)).check(inspection)
         inspections.setdefault(package.build_type, []).append(inspection)
     for build_type, together in sorted(inspections.items()):
         findings += inputs.plugins.build_type(build_type).check_all(together)
@@ -75,7 +75,9 @@ def _inspection(inputs: Inputs, loaded: LoadedProfile, package: Package, within:
     folder = workspace.enclaves(loaded.profile.layout) / package.name
     chains = trusted_chains(inputs, loaded)
     # What the policy says that vendors read differently was said, and accepted, when it was built.
-    built = inputs.plugins.build_type(package.build_type).build(package, BuildOptions(allow_vendor_specific=True))
+    built = inputs.plugins.build_type(package.build_type, inputs.package_marker(package.name)).build(
+        package, BuildOptions(allow_vendor_specific=True)
+    )
     return Inspection(
         package=package,
         documents=built.documents,

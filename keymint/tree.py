@@ -8,7 +8,7 @@ from __future__ import annotations
 import errno
 import os
 import stat
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 
 from keymint.errors import KeymintError, Origin
@@ -66,58 +66,85 @@ def unreadable(path: Path, error: OSError) -> KeymintError:
     )
 
 
+class _Disk:
+    """What lies on the disk; every file and folder is read at most once."""
+
+    def __init__(self) -> None:
+        self._contents: dict[Path, bytes | None] = {}
+        self._entries: dict[Path, dict[str, bool]] = {}
+
+    def read(self, path: Path) -> bytes | None:
+        if path not in self._contents:
+            self._contents[path] = read_file(path)
+        return self._contents[path]
+
+    def entries(self, folder: Path) -> Mapping[str, bool]:
+        if folder not in self._entries:
+            self._entries[folder] = self._scan(folder)
+        return self._entries[folder]
+
+    @staticmethod
+    def _scan(folder: Path) -> dict[str, bool]:
+        try:
+            with os.scandir(folder) as entries:
+                return dict(sorted((entry.name, entry.is_dir(follow_symlinks=False)) for entry in entries))
+        except (FileNotFoundError, NotADirectoryError):
+            return {}
+        except OSError as error:
+            raise unreadable(folder, error) from error
+
+
 class Tree:
-    """Files by absolute path.
+    """Files by absolute path, as they are when they are first asked for.
 
     Args:
         overlay: planned content by absolute path, which hides the disk; None for a file that will be gone.
     """
 
     def __init__(self, overlay: Mapping[Path, bytes | None] | None = None) -> None:
+        self._disk = _Disk()
         self._overlay: dict[Path, bytes | None] = dict(overlay or {})
-        self._folders: dict[Path, set[str]] = {}
+        self._planned: dict[Path, dict[str, bool]] = {}
+        """Entries of folders that the overlay adds, each with whether it is a folder."""
+        self._gone: dict[Path, set[str]] = {}
         for path, content in self._overlay.items():
-            if content is not None:
-                self._add_folders(path)
+            if content is None:
+                self._gone.setdefault(path.parent, set()).add(path.name)
+            else:
+                self._plan(path)
 
-    def _add_folders(self, path: Path) -> None:
-        while path.parent != path:
-            names = self._folders.setdefault(path.parent, set())
-            if path.name in names:
+    def _plan(self, path: Path) -> None:
+        entries = self._planned.setdefault(path.parent, {})
+        entries[path.name] = False
+        for folder in path.parents:
+            entries = self._planned.setdefault(folder.parent, {})
+            if entries.get(folder.name):
                 return
-            names.add(path.name)
-            path = path.parent
+            entries[folder.name] = True
 
     def overlaid(self, changes: Iterable[tuple[Path, bytes | None]]) -> Tree:
         """Return this view with more planned changes."""
-        return Tree({**self._overlay, **dict(changes)})
+        tree = Tree({**self._overlay, **dict(changes)})
+        tree._disk = self._disk
+        return tree
 
     def read(self, path: Path) -> bytes | None:
         """Return a file's bytes, or None when there is none; errors as :func:`read_file`."""
         if path in self._overlay:
             return self._overlay[path]
-        return read_file(path)
+        return self._disk.read(path)
 
-    def names(self, folder: Path) -> list[tuple[str, bool]]:
+    def names(self, folder: Path) -> Sequence[tuple[str, bool]]:
         """Return the entries of a folder, sorted, each with whether it is a folder (a link is none).
 
         Raises:
             KeymintError: the folder cannot be read.
         """
-        found: dict[str, bool] = {}
-        try:
-            with os.scandir(folder) as entries:
-                for entry in entries:
-                    found[entry.name] = entry.is_dir(follow_symlinks=False)
-        except (FileNotFoundError, NotADirectoryError):
-            pass
-        except OSError as error:
-            raise unreadable(folder, error) from error
-        for name in self._folders.get(folder, ()):
-            found[name] = (folder / name) in self._folders
-        return sorted(
-            (name, is_folder) for name, is_folder in found.items() if self._overlay.get(folder / name, b"") is not None
-        )
+        entries = self._disk.entries(folder)
+        if folder in self._planned:
+            entries = dict(sorted({**entries, **self._planned[folder]}.items()))
+        gone = self._gone.get(folder, ())
+        return [(name, is_folder) for name, is_folder in entries.items() if name not in gone]
 
     def files(self, folder: Path, *, suffix: str = "") -> dict[str, bytes]:
         """Return the files directly in a folder whose names end with ``suffix``, by name."""

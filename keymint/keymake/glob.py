@@ -209,7 +209,7 @@ def literal(glob: Glob) -> str | None:
 
 def is_empty(glob: Glob) -> bool:
     """Tell whether a glob matches no name at all, as ``[b-a]`` does."""
-    return any(isinstance(token, Charset) and not token.ranges for token in glob)
+    return literal(glob) is None and any(isinstance(token, Charset) and not token.ranges for token in glob)
 
 
 def surround(prefix: str, glob: Glob, suffix: str) -> Glob:

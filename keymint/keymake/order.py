@@ -10,8 +10,11 @@ from __future__ import annotations
 from collections.abc import Iterable
 from dataclasses import dataclass
 
-from keymint.keymake.algebra import covers, disjoint, intersection, matcher, maximal, union_covers
+from keymint.keymake.algebra import TooComplexError, covers, disjoint, intersection, matcher, maximal
 from keymint.keymake.glob import Glob, literal
+
+MAX_PIECES = 1000
+"""Patterns that may be needed to say what must be said first; beyond, no handshake would carry the document."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -85,17 +88,24 @@ def mentioned_first(denies: Iterable[Glob], order: Order) -> Rescue:
     Raises:
         TooComplexError: the patterns would be too many.
     """
-    found = (piece for deny in denies for glob in order.rest for piece in intersection(glob, deny))
+    denies = tuple(denies)
+    found: dict[Glob, None] = {}
+    for deny in denies:
+        for glob in order.rest:
+            found.update(dict.fromkeys(intersection(glob, deny)))
+        if len(found) > MAX_PIECES:
+            raise TooComplexError
     clean: list[Glob] = []
     dirty: list[Glob] = []
-    punctures: list[Glob] = []
+    touching: dict[Glob, None] = {}
     for piece in maximal(found):
-        if any(covers(glob, piece) for glob in order.free) or union_covers(order.deny, piece):
+        if any(covers(glob, piece) for glob in (*order.free, *order.deny)):
             continue
-        touching = [deny for deny in order.deny if not disjoint(deny, piece)]
-        if touching:
-            dirty.append(piece)
-            punctures.extend(part for deny in touching for part in intersection(deny, piece))
-        else:
-            clean.append(piece)
+        touched = [deny for deny in order.deny if not disjoint(deny, piece)]
+        touching.update(dict.fromkeys(touched))
+        (dirty if touched else clean).append(piece)
+    # Both directions deny these, so that it does no harm to deny them early, also beside the dirty pieces.
+    punctures = {piece: None for own in touching for deny in denies for piece in intersection(own, deny)}
+    if len(punctures) > MAX_PIECES:
+        raise TooComplexError
     return Rescue(tuple(clean), tuple(maximal(punctures)), tuple(dirty))

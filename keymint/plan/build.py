@@ -99,7 +99,7 @@ def _plan_package(
                 return Step(STAGE, name, Action.UNCHANGED), None, ()
             return Step(STAGE, name, Action.KEPT, detail=_edited(edited)), None, ()
     package = sources.load(inputs, loaded, name, files)
-    built = inputs.plugins.build_type(package.build_type).build(package, options)
+    built = inputs.plugins.build_type(package.build_type, inputs.package_marker(package.name)).build(package, options)
     if not force:
         _refuse_edits(inputs, name, folder, built.documents)
     changes = changed(inputs.tree, folder, {file: File(content) for file, content in built.documents.items()})

@@ -27,7 +27,7 @@ def load_policy(inputs: Inputs, loaded: LoadedProfile) -> LoadedPolicy:
     A library that is only planned yet is read where it will be copied from, and named by its place to be.
     """
     profile = loaded.profile
-    policy_type = inputs.plugins.policy_type(profile.policy_type)
+    policy_type = inputs.plugins.policy_type(profile.policy_type, inputs.profile_marker())
     if profile.library is None or profile.library.is_dir():
         return policy_type.load(profile.policies, profile.library)
     shipped = inputs.plugins.profile_type(profile.profile_type).library(profile.distro)
@@ -42,7 +42,7 @@ def recall_policy(inputs: Inputs, loaded: LoadedProfile) -> LoadedPolicy:
     """
     recorded = inputs.state.stamp(POLICY, "seen")
     subjects = inputs.state.stamp(POLICY, "subjects")
-    fingerprint = inputs.plugins.policy_type(loaded.profile.policy_type).fingerprint
+    fingerprint = inputs.plugins.policy_type(loaded.profile.policy_type, inputs.profile_marker()).fingerprint
     if (
         recorded is None
         or subjects is None
@@ -144,7 +144,7 @@ def plan_create(
     diagnostics: list[Diagnostic] = []
     errors: list[Diagnostic] = []
     stamps: dict[str, Stamp] = {}
-    package_type = inputs.plugins.package_type(loaded.profile.package_type)
+    package_type = inputs.plugins.package_type(loaded.profile.package_type, inputs.profile_marker())
     for name in names:
         folder = inputs.workspace.src / name
         files = sources.files(inputs, name)

@@ -14,7 +14,7 @@ from keymint.plan.model import File, FolderChange, Plan
 from keymint.plugins import Plugins
 from keymint.state import State, digest, digest_files
 from keymint.tree import Tree
-from keymint.workspace import PROFILE_MARKER, Workspace, package_files, profile_files
+from keymint.workspace import PACKAGE_MARKER, PROFILE_MARKER, Workspace, package_files, profile_files
 
 
 @dataclass(frozen=True, slots=True)
@@ -41,6 +41,14 @@ class Inputs:
         """Return the inputs of a stage that plans on top of a plan."""
         return replace(self, tree=self.tree.overlaid(plan.overlay()), state=plan.state)
 
+    def profile_marker(self) -> Origin:
+        """Return the place of the profile's main document, for messages."""
+        return Origin(self.workspace.shown(self.workspace.profile / PROFILE_MARKER))
+
+    def package_marker(self, name: str) -> Origin:
+        """Return the place of a package's manifest, for messages."""
+        return Origin(self.workspace.shown(self.workspace.src / name / PACKAGE_MARKER))
+
     def profile(self) -> LoadedProfile:
         """Load the workspace's profile.
 
@@ -52,7 +60,7 @@ class Inputs:
         if PROFILE_MARKER not in files:
             raise KeymintError(
                 "there is no profile",
-                where=Origin(self.workspace.shown(root / PROFILE_MARKER)),
+                where=self.profile_marker(),
                 help="run 'keymint init'",
                 code="workspace-missing",
             )
@@ -62,7 +70,7 @@ class Inputs:
                 return LoadedProfile(plugin.load(root, files), seen)
         raise KeymintError(
             "no installed profile type knows this profile",
-            where=Origin(self.workspace.shown(root / PROFILE_MARKER)),
+            where=self.profile_marker(),
             help="'keymint plugins' lists what is installed",
             code="profile-unknown",
         )
@@ -91,7 +99,7 @@ class Sources:
         """Load a package; errors as :meth:`keymint.api.PackageType.load`."""
         key = (name, digest(loaded.digest, digest_files(files)))
         if key not in self._loaded:
-            package_type = self._plugins.package_type(loaded.profile.package_type)
+            package_type = self._plugins.package_type(loaded.profile.package_type, inputs.profile_marker())
             folder = inputs.workspace.shown(inputs.workspace.src / name)
             self._loaded[key] = package_type.load(loaded.profile, name, folder, files)
         return self._loaded[key]

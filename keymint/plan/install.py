@@ -220,7 +220,7 @@ def _notarize(
         permissions_ca=notary.chain,
         signer=notary.signer,
     )
-    build_type = inputs.plugins.build_type(package.build_type)
+    build_type = inputs.plugins.build_type(package.build_type, inputs.package_marker(package.name))
     try:
         return build_type.install(package, documents, credentials, loaded.profile.layout, there), said
     except KeymintError as error:

@@ -133,7 +133,8 @@ class _Enclave:
                 )
         try:
             found = certificates.can_sign_documents(
-                certificates.load_bundle(self._seen.permissions_ca)[0], self._where(self._names[-1])
+                certificates.load_bundle(self._seen.permissions_ca)[0],
+                self._where(PERMISSIONS_CA if PERMISSIONS_CA in self._names else CA),
             )
         except KeymintError as error:
             yield from map(self._for_subject, error.diagnostics)
@@ -170,6 +171,8 @@ class _Enclave:
         except KeymintError as error:
             yield from map(self._for_subject, error.diagnostics)
             return None
+        for hazard in document.hazards(content, root):
+            yield self._warning("document-hazard", name, hazard, f"build it anew in place of editing it; {self._again}")
         return root
 
     def _grant(self, root: etree._Element) -> Iterator[Diagnostic]:

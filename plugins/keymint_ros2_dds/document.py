@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+import hashlib
+from collections.abc import Iterable, Iterator, Sequence
 from datetime import UTC, datetime
 
 from lxml import etree
@@ -22,6 +23,8 @@ MAX_YEAR = 2261
 
 _XSI = "http://www.w3.org/2001/XMLSchema-instance"
 _SPEC = "http://www.omg.org/spec/DDS-Security/20170901"
+_valid: set[bytes] = set()
+"""Digests of documents that are known to be valid: a memo, by which most need not be parsed again to be signed."""
 _HEAD = b'<?xml version="1.0" encoding="UTF-8"?>\n'
 
 
@@ -93,7 +96,25 @@ def render(document: etree._Element, kind: str) -> bytes:
     """
     validate(document, kind, f"{kind}.xml")
     etree.indent(document)
-    return _HEAD + etree.tostring(document, encoding="utf-8") + b"\n"
+    content = _HEAD + etree.tostring(document, encoding="utf-8") + b"\n"
+    _valid.add(_digest(content, kind))
+    return content
+
+
+def require_valid(content: bytes, kind: str, name: str) -> None:
+    """Hold a document from bytes against its schema, unless it was rendered here, or held against it before.
+
+    Raises:
+        KeymintError: it cannot be read or is not valid; each defect with ``file:line``.
+    """
+    digest = _digest(content, kind)
+    if digest not in _valid:
+        read(content, kind, name)
+        _valid.add(digest)
+
+
+def _digest(content: bytes, kind: str) -> bytes:
+    return hashlib.sha256(kind.encode() + content).digest()
 
 
 def read(content: bytes, kind: str, name: str) -> etree._Element:
@@ -125,6 +146,16 @@ def validate(document: etree._Element, kind: str, name: str) -> None:
         schema.validate(document, f"dds/{kind}.xsd", name)
     except ComArmorError as error:
         raise _converted(error) from None
+
+
+def hazards(content: bytes, root: etree._Element) -> Iterator[str]:
+    """Yield what a valid document should not hold, since some vendor misreads it or stops at it; one line each."""
+    if b"<!--" in content or b"<?" in content.removeprefix(b"<?xml"):
+        yield "has a comment or a processing instruction, which Fast DDS misreads"
+    if any(item.find("min") is None or item.find("max") is None for item in root.iter("id_range")):
+        yield "has a range of domains without both of its ends, which vendors read differently, or stop at"
+    if any(text != text.strip() for item in root.iter() if not len(item) and (text := item.text or "")):
+        yield "has white space around a text, which Cyclone DDS trims and Fast DDS keeps"
 
 
 def _converted(error: ComArmorError) -> KeymintError:

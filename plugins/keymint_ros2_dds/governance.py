@@ -41,8 +41,8 @@ def build(governance: Governance, subject: str, *, allow_vendor_specific: bool) 
     problems = tuple(
         Diagnostic(item.code, item.severity, item.message, item.where, item.help, subject) for item in found[1]
     )
-    if any(item.severity is Severity.ERROR for item in problems):
-        raise KeymintError.of(problems)
+    if errors := [item for item in problems if item.severity is Severity.ERROR]:
+        raise KeymintError.of(errors)
     return found[0], problems
 
 

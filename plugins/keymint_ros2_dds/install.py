@@ -47,19 +47,16 @@ def install(
             help="name one authority for both, or use the layout 'sros2'",
             code="layout-authorities",
         )
+    permissions, governance = (_document(package, documents, kind) for kind in (PERMISSIONS, GOVERNANCE))
     files = {
         IDENTITY_CA: Artifact(credentials.identity_ca),
         PERMISSIONS_CA: Artifact(credentials.permissions_ca),
         CA: Artifact(credentials.permissions_ca),
         CERTIFICATE: Artifact(credentials.certificate),
         KEY: Artifact(credentials.key, secret=True),
-        PERMISSIONS_XML: Artifact(_document(package, documents, PERMISSIONS)),
-        PERMISSIONS_P7S: Artifact(
-            _signed(_document(package, documents, PERMISSIONS), PERMISSIONS, credentials, installed)
-        ),
-        GOVERNANCE_P7S: Artifact(
-            _signed(_document(package, documents, GOVERNANCE), GOVERNANCE, credentials, installed)
-        ),
+        PERMISSIONS_XML: Artifact(permissions),
+        PERMISSIONS_P7S: Artifact(_signed(permissions, PERMISSIONS, credentials, installed)),
+        GOVERNANCE_P7S: Artifact(_signed(governance, GOVERNANCE, credentials, installed)),
     }
     return {name: files[name] for name in FILES[layout]}
 
@@ -70,13 +67,8 @@ def _document(package: Package, documents: Mapping[str, bytes], kind: str) -> by
         raise KeymintError(
             f"{package.subject} has no {kind}.xml", help=f"run 'keymint build {package.name}'", code="document-missing"
         )
-    _validate(content, kind, f"{package.name}/{kind}.xml")
+    document.require_valid(content, kind, f"{package.name}/{kind}.xml")
     return content
-
-
-@lru_cache(maxsize=16)
-def _validate(content: bytes, kind: str, name: str) -> None:
-    document.read(content, kind, name)
 
 
 def _signed(content: bytes, kind: str, credentials: Credentials, installed: Mapping[str, bytes]) -> bytes:

@@ -6,6 +6,7 @@ say in which order: deny overrides allow.
 
 from __future__ import annotations
 
+import difflib
 from collections.abc import Mapping
 from dataclasses import dataclass
 
@@ -59,14 +60,21 @@ def lower(rules: SubjectRules) -> Lowered:
 def _images(expression: str, rule: Rule) -> list[tuple[Action, Glob]]:
     """Return the DDS patterns of one expression of a rule, for all its permissions."""
     tokens = _parse(expression, rule)
-    return [
-        (mapped.action, pattern)
-        for permission in rule.permissions
-        for _, part, suffix in parts(rule.kind, permission)
-        for mapped in IMAGES[part]
-        for pattern in image(tokens, mapped, suffix)
-        if pattern and not glob.is_empty(pattern)
-    ]
+    found: list[tuple[Action, Glob]] = []
+    for permission in rule.permissions:
+        for _, part, suffix in parts(rule.kind, permission):
+            if part not in IMAGES:
+                close = difflib.get_close_matches(part, IMAGES, 1)
+                raise KeymintError(
+                    f"DDS knows no permission {part!r} of a {rule.kind} rule",
+                    where=rule.origin,
+                    help=f"did you mean {close[0]!r}?" if close else "",
+                    code="permission-unknown",
+                )
+            for mapped in IMAGES[part]:
+                patterns = image(tokens, mapped, suffix)
+                found += [(mapped.action, each) for each in patterns if each and not glob.is_empty(each)]
+    return found
 
 
 def _parse(expression: str, rule: Rule) -> Glob:

@@ -138,7 +138,7 @@ def _clash(denies: Iterable[Glob], plan: Plan, said: Iterable[Glob]) -> Glob | N
             continue
         for deny in denies:
             pieces = (piece for allow in entry.globs for piece in intersection(deny, allow))
-            if any(not union_covers(tuple(known), piece) for piece in pieces):
+            if any(not union_covers(tuple(known), piece, 2000) for piece in pieces):
                 return deny
     return None
 

@@ -9,6 +9,7 @@ alternatives that bring them back. Names are taken to be ASCII, as those of DDS 
 
 from __future__ import annotations
 
+import re
 from functools import lru_cache
 from itertools import pairwise, product
 
@@ -17,6 +18,7 @@ from keymint.keymake.glob import ANY, Charset, Glob, Star, charset, literal
 MAX_ALTERNATIVES = 64
 """How many expressions one glob may become."""
 
+_UNSAFE = re.compile(r"[^ -~]|[*?\[]")
 _ASCII = Charset(((0, 127),))
 _TRAP = Charset(((0x5C, 0x5E),))  # \ ] ^
 
@@ -73,13 +75,13 @@ def _escaped(char: str) -> str:
 
 
 def _literal(text: str) -> str:
-    for char in text:
+    if found := _UNSAFE.search(text):
+        char = found.group()
         if char in "*?[":
             raise InexpressibleError(
                 f"the name has a literal {char!r}, for which Cyclone DDS and Fast DDS have no common escape"
             )
-        if not " " <= char <= "~":
-            raise InexpressibleError(f"the name has the character {char!r}, which is not printable ASCII")
+        raise InexpressibleError(f"the name has the character {char!r}, which is not printable ASCII")
     _check_ends(text)
     return text
 

@@ -400,9 +400,7 @@ def test_whichever_call_fails_files_are_whole_and_it_is_said_in_one_line(
     assert failures >= 2
 
 
-def test_a_write_that_ends_early_leaves_the_old_file(
-    root: Path, store: Store, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_write_that_ends_early_leaves_the_old_file(root: Path, store: Store, monkeypatch: pytest.MonkeyPatch) -> None:
     store.write(root, {"file": File(b"old")})
     before = listing(root)
 
@@ -586,9 +584,7 @@ def test_a_run_that_ends_well_takes_its_mark_back(root: Path, store: Store) -> N
 
 
 @pytest.mark.parametrize("error", [KeyboardInterrupt, KeymintError("no space")])
-def test_a_run_that_does_not_end_well_leaves_its_mark(
-    store: Store, error: BaseException | type[BaseException]
-) -> None:
+def test_a_run_that_does_not_end_well_leaves_its_mark(store: Store, error: BaseException | type[BaseException]) -> None:
     with pytest.raises((KeyboardInterrupt, KeymintError)), store.marked(b""):
         raise error
     assert store.is_marked()

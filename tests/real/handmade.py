@@ -17,8 +17,6 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
     from pathlib import Path
 
-_KINDS = ("rtps_protection_kind", "discovery_protection_kind", "liveliness_protection_kind")
-
 
 @dataclass(frozen=True, slots=True)
 class Authority:
@@ -154,7 +152,6 @@ def permissions_document(subject: str, rules: str, *, default: str = "DENY") -> 
 
 def governance_document(*, domains: str = "<id>0</id>", protection: str = "ENCRYPT") -> str:
     """Return an unsigned governance document that checks everything on every topic."""
-    kinds = dict.fromkeys(_KINDS, protection)
     topic = (
         "<topic_rule><topic_expression>*</topic_expression>"
         "<enable_discovery_protection>true</enable_discovery_protection>"
@@ -169,9 +166,9 @@ def governance_document(*, domains: str = "<id>0</id>", protection: str = "ENCRY
         f"<domains>{domains}</domains>"
         "<allow_unauthenticated_participants>false</allow_unauthenticated_participants>"
         "<enable_join_access_control>true</enable_join_access_control>"
-        f"<discovery_protection_kind>{kinds['discovery_protection_kind']}</discovery_protection_kind>"
-        f"<liveliness_protection_kind>{kinds['liveliness_protection_kind']}</liveliness_protection_kind>"
-        f"<rtps_protection_kind>{kinds['rtps_protection_kind']}</rtps_protection_kind>"
+        f"<discovery_protection_kind>{protection}</discovery_protection_kind>"
+        f"<liveliness_protection_kind>{protection}</liveliness_protection_kind>"
+        f"<rtps_protection_kind>{protection}</rtps_protection_kind>"
         f"<topic_access_rules>{topic}</topic_access_rules>"
         "</domain_rule></domain_access_rules></dds>\n"
     )

@@ -17,9 +17,7 @@ tabs, and every line is answered by one:
 from __future__ import annotations
 
 import os
-import random
 import select
-import socket
 import subprocess
 import tempfile
 import time
@@ -28,6 +26,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Literal, Protocol, Self
 
 from . import cyclone_access_control
+from .ports import FIRST_PARTICIPANT, Ports
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping
@@ -37,10 +36,6 @@ Direction = Literal["publish", "subscribe"]
 
 GRACE_SECONDS = 30.0
 """How much longer than a command allows its answer may take on a busy machine before the probe counts as hung."""
-
-_PORTS = 40
-"""Ports of a system: the first ten are not for participants, each of which then has two (RTPS 2.2, 9.6.1.1)."""
-_FIRST_PARTICIPANT = 10
 
 
 class RefusedError(Exception):
@@ -108,7 +103,7 @@ class FastDDS:
 
     def start(self, first_port: int, index: int) -> tuple[Mapping[str, str], tuple[str, ...]]:
         """Return the time zone, and the first port of participants with this one's place after it."""
-        return {"TZ": "UTC"}, (str(first_port + _FIRST_PARTICIPANT), str(index))
+        return {"TZ": "UTC"}, (str(first_port + FIRST_PARTICIPANT), str(index))
 
 
 class System:
@@ -121,7 +116,7 @@ class System:
         self.first_port = 0
 
     def __enter__(self) -> Self:
-        self.first_port = self._stack.enter_context(_Ports()).first
+        self.first_port = self._stack.enter_context(Ports()).first
         return self
 
     def __exit__(self, *_: object) -> None:
@@ -287,47 +282,3 @@ class _Process:
                 stream.close()
             except BrokenPipeError:
                 continue
-
-
-class _Ports:
-    """A block of UDP ports on loopback that no other system has, also not one of another test process.
-
-    The ports are below the range that the kernel gives out by itself. One that no participant uses is held while
-    the system lives; who holds it, owns the block.
-    """
-
-    _GUARD = 5
-    _RANGE = range(20_000, 32_000, _PORTS)
-
-    def __init__(self) -> None:
-        self.first, self._guard = self._claim()
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self._guard.close()
-
-    def _claim(self) -> tuple[int, socket.socket]:
-        for first in random.sample(self._RANGE, len(self._RANGE)):
-            guard = _bound(first + self._GUARD)
-            if guard is None:
-                continue
-            others = [_bound(first + offset) for offset in range(_PORTS) if offset != self._GUARD]
-            for other in others:
-                if other is not None:
-                    other.close()
-            if None not in others:
-                return first, guard
-            guard.close()
-        raise ProbeError("no free block of UDP ports on loopback")
-
-
-def _bound(port: int) -> socket.socket | None:
-    bound = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
-    try:
-        bound.bind(("127.0.0.1", port))
-    except OSError:
-        bound.close()
-        return None
-    return bound

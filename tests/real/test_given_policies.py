@@ -23,15 +23,14 @@ POLICIES = [
     *sorted((CHECKOUT / "examples").glob("*/*.xml")),
     pytest.param(
         REFERENCE,
-        marks=pytest.mark.skipif(not REFERENCE.is_dir(), reason=f"there is no {REFERENCE.name} of other projects here"),
+        marks=pytest.mark.skipif(not REFERENCE.is_dir(), reason="../shared/reference is not here"),
     ),
 ]
-WILDCARDS = "*?["
 
 
 def names_near(expression: str) -> Iterator[str]:
     """Yield names that the expression matches, or narrowly does not; a class is read as its second character."""
-    for text in ("", "w/w"):
+    for text in ("", "w/w") if "*" in expression else ("",):
         name, inside = "", 0
         for letter in expression:
             inside = inside + 1 if letter == "[" or inside else 0
@@ -41,7 +40,7 @@ def names_near(expression: str) -> Iterator[str]:
                 name += {"*": text, "?": text[:1]}.get(letter, letter)
             elif inside == 3:
                 name += letter
-        yield from (name, f"{name}x", name[:-1])
+        yield from (name, f"{name}x")
 
 
 @pytest.mark.cyclonedds

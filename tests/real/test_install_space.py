@@ -186,6 +186,6 @@ def rejected(*edges: Edge) -> bool:
     """Wait until the vendor says at either end that it rejects the other; no end may match meanwhile."""
     deadline = time.monotonic() + 30
     while time.monotonic() < deadline:
-        if any([edge.await_rejection(seconds=0.05) for edge in edges]):
+        if any(edge.await_rejection(seconds=0.05) for edge in edges):
             return True
     return False

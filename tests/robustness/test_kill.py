@@ -6,7 +6,10 @@ Every call that may change the workspace is struck in turn when ``KEYMINT_EVERY_
 from __future__ import annotations
 
 import os
+import re
 import shutil
+import subprocess
+import sys
 import tempfile
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -124,9 +127,10 @@ def disturb(
     """Strike copies of a run, each at a point of its own, and look at each as it was left and after another run."""
     assert points
     copies = [prepared.copy(folder / f"{how}-{at}") for at in range(len(points))]
-    print(how, len(points), len(prepared.traced.points))
     struck = [(point, prepared.scenario.arguments(copy)) for point, copy in zip(points, copies, strict=True)]
-    for (point, _), copy, ended in zip(struck, copies, tracing.strike(how, struck, prepared.traced, folder), strict=True):
+    for (point, _), copy, ended in zip(
+        struck, copies, tracing.strike(how, struck, prepared.traced, folder), strict=True
+    ):
         try:
             require(ended, point)
             scenarios.require_whole_files(copy / "ws")
@@ -138,6 +142,12 @@ def disturb(
         shutil.rmtree(copy)
 
 
+def one_line(ended: Ended) -> str:
+    """Return the only line that a run said that did not end well."""
+    [line] = ended.output.strip().splitlines()
+    return line
+
+
 @pytest.mark.parametrize("name", SCENARIOS)
 def test_killed_at_any_call_a_run_converges(name: str, memory: Path, keymint: Keymint) -> None:
     prepared = prepare(name, memory, keymint)
@@ -146,3 +156,107 @@ def test_killed_at_any_call_a_run_converges(name: str, memory: Path, keymint: Ke
         assert ended.code == -9
 
     disturb(prepared, "signal=SIGKILL", chosen(prepared.traced.points), memory, keymint, killed)
+
+
+@pytest.mark.parametrize("name", ["fresh", "update"])
+def test_interrupted_at_any_call_a_run_says_so_and_converges(name: str, memory: Path, keymint: Keymint) -> None:
+    prepared = prepare(name, memory, keymint)
+
+    def interrupted(ended: Ended, point: Point) -> None:
+        last = point == prepared.traced.points[-1]
+        if last and ended.code == 0:
+            return  # all was done when the signal came
+        assert ended.code == 130
+        assert "interrupted" in one_line(ended)
+
+    disturb(prepared, "signal=SIGINT", chosen(prepared.traced.points, IN_ORDER // 3), memory, keymint, interrupted)
+
+
+@pytest.mark.parametrize(("error", "message"), [("ENOSPC", "No space left on device"), ("EACCES", "Permission denied")])
+def test_whichever_call_fails_it_is_said_in_one_line_and_a_later_run_converges(
+    error: str, message: str, memory: Path, keymint: Keymint
+) -> None:
+    prepared = prepare("update", memory, keymint)
+
+    def refused(ended: Ended, _point: Point) -> None:
+        assert ended.code == 1
+        line = one_line(ended)
+        assert message in line
+        assert "internal error" not in line
+        assert "ws/" in line
+
+    points = [point for point in prepared.traced.points if point.call != "mkdir"]  # asked again, when it fails
+    disturb(prepared, f"error={error}", chosen(points, IN_ORDER // 2), memory, keymint, refused)
+
+
+def test_a_failing_prune_is_said_in_one_line_and_a_later_one_converges(memory: Path, keymint: Keymint) -> None:
+    prepared = prepare("prune", memory, keymint)
+
+    def refused(ended: Ended, _point: Point) -> None:
+        assert ended.code == 1
+        assert "Input/output error" in one_line(ended)
+
+    points = [point for point in prepared.traced.points if point.call != "rmdir"]  # a parent that stays is no failure
+    disturb(prepared, "error=EIO", chosen(points, IN_ORDER // 2), memory, keymint, refused)
+
+
+# -- the command itself, with its threads ------------------------------------------------------------------------
+
+
+def command(folder: Path, *options: str) -> list[str]:
+    return [sys.executable, "-m", "keymint", "provision", f"{folder}/policy.xml", "-w", f"{folder}/ws", *options]
+
+
+@pytest.fixture
+def robots(memory: Path) -> Path:
+    """Return a folder with a policy of several namespaces, so that several threads write."""
+    names = [f"/robot{number}/{node}" for number in range(4) for node in ("talker", "listener")]
+    (memory / "policy.xml").write_text(scenarios.policy(*names))
+    return memory
+
+
+@pytest.mark.parametrize("number", [1, 3, 5, 9])
+def test_a_command_that_is_killed_while_several_threads_write_converges(
+    robots: Path, keymint: Keymint, number: int
+) -> None:
+    # Each thread's calls are counted by themselves; the main thread makes the first ones.
+    inject = ["-e", "trace=renameat", "-e", f"inject=renameat:signal=SIGKILL:when={number}"]
+    ran = subprocess.run(
+        ["strace", "-f", "-q", "-o", os.devnull, *inject, *command(robots, "-j", "4")],
+        env=tracing.environment(),
+        capture_output=True,
+        check=False,
+    )
+    assert ran.returncode == -9
+    left = scenarios.keys(robots / "ws")
+    scenarios.require_whole_files(robots / "ws")
+    for files in scenarios.enclaves(robots / "ws").values():
+        assert not files or len(files) == 7
+    assert keymint("provision", robots / "policy.xml", "-w", robots / "ws").code == 0
+    checked = keymint("check", "-w", robots / "ws")
+    assert (checked.code, checked.err) == (0, "")
+    assert not any(".keymint-" in path or path.endswith("running") for path in scenarios.tree(robots / "ws"))
+    now = scenarios.keys(robots / "ws")
+    assert {name: now[name] for name in left} == left
+    assert len(now) == 8 + 2
+
+
+def test_a_command_that_is_interrupted_while_it_is_imported_says_so(memory: Path) -> None:
+    (memory / "policy.xml").write_text(scenarios.policy("/a"))
+    module = re.compile("keymint/commands/.*provision")
+    log = memory / "log"
+    trace = ["strace", "-f", "-q", "-e", "trace=openat", "-o"]
+    subprocess.run([*trace, log, *command(memory)], env=tracing.environment(), capture_output=True, check=True)
+    opened = [line for line in log.read_text().splitlines() if "openat(" in line]
+    number = next(at for at, line in enumerate(opened, 1) if module.search(line))
+    shutil.rmtree(memory / "ws")
+    ran = subprocess.run(
+        [*trace, os.devnull, "-e", f"inject=openat:signal=SIGINT:when={number}", *command(memory)],
+        env=tracing.environment(),
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert ran.returncode == 130
+    assert "interrupted" in one_line(Ended(130, ran.stdout + ran.stderr))
+    assert not (memory / "ws").exists()

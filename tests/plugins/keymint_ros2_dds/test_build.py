@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import itertools
-import os
 import subprocess
 import sys
 import time
 from dataclasses import replace
 from datetime import UTC, datetime
+from pathlib import Path
 
 import pytest
 import xmlschema
@@ -205,6 +205,17 @@ def test_a_rule_that_matches_no_name_is_a_warning():
     assert found.help == "write '/chatter'"
 
 
+def test_a_permission_that_dds_does_not_know_is_refused():
+    (found,) = refusal(rule("ALLOW", "topic", "publsh", "x", line=5))
+    assert (found.code, found.where.line, found.help) == ("permission-unknown", 5, "did you mean 'publish'?")
+
+
+@pytest.mark.parametrize("expression", ["a\\", "[[:nope:]]"])
+def test_an_expression_that_cannot_be_read_is_refused(expression):
+    assert codes(refusal(rule("ALLOW", "topic", "publish", expression))) == ["expression"]
+    assert codes(refusal(rule("ALLOW", "topic", "publish", "x", partitions=[expression]))) == ["expression"]
+
+
 def test_wildcards_before_the_end_are_one_note():
     built = build(rule("ALLOW", "ros_service", "ros_call", "/a*", "/b*"))
     (found,) = built.diagnostics
@@ -292,11 +303,12 @@ def test_the_documents_do_not_depend_on_the_hash_seed():
         "from keymint.api import BuildOptions\n"
         "from keymint_ros2_dds import build_type\n"
         "both = 'ros_publish ros_subscribe'\n"
-        "p = package(rule('ALLOW', 'ros_topic', both, '/a*', '*b', '/[xyz]'), rule('DENY', 'ros_topic', 'ros_publish', '/ab*'),"
+        "p = package(rule('ALLOW', 'ros_topic', both, '/a*', '*b', '/[xyz]'),"
+        " rule('DENY', 'ros_topic', 'ros_publish', '/ab*'),"
         " rule('ALLOW', 'topic', 'publish', 'a*', 'b', partitions=['q', 'p', 'r']))\n"
         "print(build_type.build(p, BuildOptions()).documents)\n"
     )
-    here = os.path.dirname(__file__)
+    here = str(Path(__file__).parent)
     paths = [here, *sys.path]
     outputs = {
         subprocess.run(

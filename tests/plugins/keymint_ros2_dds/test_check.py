@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from datetime import UTC, datetime, timedelta
+from datetime import timedelta
 
 import pytest
 from hypothesis import given, settings
@@ -11,11 +11,11 @@ from hypothesis import strategies as st
 from keymint_ros2_dds import build_type
 from keymint_ros2_dds.check_all import cyclone_takes_for
 
-from keymint.api import DomainRange, KeySpec
+from keymint.api import KeySpec
 from keymint.errors import Severity
 from keymint.pki import smime
 
-from .enclaves import NOW, authority, inspection, installed
+from .enclaves import authority, inspection, installed
 from .packages import VALIDITY, package, rule
 
 CHATTER = rule("ALLOW", "ros_topic", "ros_publish", "/chatter")
@@ -109,6 +109,10 @@ def test_drift(files):
         (b"2026-11-20T00:00:00", b"2026-12-31T12:00:00", "grant-slack"),
         (b"<id>0</id>", b"<id>0</id><id_range><min>4</min><max>5</max></id_range>", "domain-uncovered"),
         (b"<validity>", b"<surprise/><validity>", "schema"),
+        (b"<topic>rt/chatter</topic>", b"<topic/>", "schema"),
+        (b"<validity>", b"<!-- hand-made --><validity>", "document-hazard"),
+        (b"<id>0</id>", b"<id_range><min>0</min></id_range>", "document-hazard"),
+        (b"rt/chatter", b" rt/chatter", "document-hazard"),
     ],
 )
 def test_documents_that_were_edited_and_signed_again(files, old, new, code):
@@ -168,13 +172,15 @@ def test_names_that_a_vendor_confuses():
     assert build_type.check_all([seen("/robot", "OU=a,CN=/robot"), seen("/robot/arm", "OU=b,CN=/robot/arm")]) == ()
 
 
-def test_authorities_of_several_enclaves():
+def test_one_authority_for_both_jobs_is_said_once():
     ca = authority("ca").pem
-    shared = replace(seen("/a", identity="ca", permissions="ca"), identity_ca=ca, permissions_ca=ca)
-    assert [each.code for each in build_type.check_all([shared, shared])] == [
-        "authority-shared",
-        *["names-confused"] * 0,
-    ]
-    assert "authorities-differ" in [each.code for each in build_type.check_all([seen("/b", "CN=/b,OU=1"), shared])]
-    assert NOW == datetime(2027, 1, 1, tzinfo=UTC)
-    assert DomainRange(0, 0).first == 0
+    two = [seen(subject, identity="ca", permissions="ca") for subject in ("/a", "/b")]
+    two = [replace(each, identity_ca=ca, permissions_ca=ca) for each in two]
+    found = [each for each in build_type.check_all(two) if each.code != "names-confused"]
+    assert [each.code for each in found] == ["authority-shared"]
+    assert build_type.check_all([replace(two[0], layout="flat")]) == ()
+
+
+def test_permissions_of_different_authorities():
+    other = replace(seen("/b", "CN=/b,OU=2", permissions="other_ca"), permissions_ca=authority("other_ca").pem)
+    assert [each.code for each in build_type.check_all([seen("/a", "CN=/a,OU=1"), other])] == ["authorities-differ"]

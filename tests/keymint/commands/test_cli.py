@@ -1,0 +1,126 @@
+"""The command line as a whole."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from keymint.cli import VERBS
+
+
+def run(*arguments: str, cwd: Path, **environment: str) -> subprocess.CompletedProcess[str]:
+    return subprocess.run(
+        [sys.executable, "-m", "keymint", *arguments],
+        cwd=cwd,
+        env=os.environ | environment,
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+
+
+def test_help_lists_every_verb(keymint) -> None:
+    outcome = keymint("--help")
+    assert outcome.code == 0
+    assert all(verb in outcome.out for verb in VERBS)
+
+
+@pytest.mark.parametrize("verb", VERBS)
+def test_help_of_every_verb_teaches(keymint, verb: str) -> None:
+    outcome = keymint(verb, "--help")
+    assert outcome.code == 0
+    for option in ("--json", "--workspace", "--quiet", "--jobs"):
+        assert option in outcome.out
+    assert ("--dry-run" in outcome.out) == (verb in {"init", "create", "build", "install", "provision"})
+
+
+def test_an_unknown_verb(keymint) -> None:
+    outcome = keymint("instal")
+    assert outcome.code == 2
+    assert "did you mean 'install'?" in outcome.err
+
+
+def test_the_version(keymint) -> None:
+    assert keymint("--version").out.startswith("keymint, version ")
+
+
+@pytest.mark.parametrize("verb", ["create", "build", "install"])
+def test_dry_run_writes_nothing(keymint, provisioned: Path, policy: Path, verb: str) -> None:
+    from tests.conftest import snapshot
+
+    policy.write_text(policy.read_text().replace("<permissions><ros_subscribe/>", "<permissions><ros_publish/>"))
+    before = snapshot(provisioned)
+    outcome = keymint(verb, *(["--all"] if verb == "create" else []), "--dry-run", cwd=provisioned)
+    assert outcome.code == 0
+    assert snapshot(provisioned) == before
+
+
+def test_quiet_says_nothing(keymint, policy: Path) -> None:
+    outcome = keymint("provision", policy, "-w", "ws", "-q")
+    assert (outcome.code, outcome.out, outcome.err) == (0, "", "")
+
+
+def test_no_colour_where_none_is_wanted(tmp_path: Path, policy: Path) -> None:
+    script = f"import pty, sys; sys.exit(pty.spawn([{sys.executable!r}, '-m', 'keymint', 'provision', {str(policy)!r}, '-w', 'ws']))"
+    for name, environment in (("plain", {"NO_COLOR": "1"}), ("coloured", {"NO_COLOR": ""})):
+        (tmp_path / name).mkdir()
+        done = subprocess.run(
+            [sys.executable, "-c", script],
+            cwd=tmp_path / name,
+            env=os.environ | {"TERM": "xterm"} | environment,
+            capture_output=True,
+            check=True,
+            stdin=subprocess.DEVNULL,
+        )
+        assert (b"\x1b[32m" in done.stdout) == (name == "coloured")
+
+
+def test_python_dash_m(tmp_path: Path) -> None:
+    assert run("--version", cwd=tmp_path).returncode == 0
+
+
+def test_a_closed_pipe_is_no_traceback(tmp_path: Path) -> None:
+    done = subprocess.run(
+        f"{sys.executable} -m keymint completion bash | true",
+        shell=True,
+        cwd=tmp_path,
+        capture_output=True,
+        check=False,
+    )
+    assert b"Traceback" not in done.stderr
+
+
+@pytest.mark.parametrize("shell", ["bash", "zsh", "fish"])
+def test_completion_scripts(keymint, shell: str) -> None:
+    outcome = keymint("completion", shell)
+    assert outcome.code == 0
+    assert "_KEYMINT_COMPLETE" in outcome.out
+
+
+def test_completion_knows_the_packages(provisioned: Path) -> None:
+    done = run(cwd=provisioned, _KEYMINT_COMPLETE="bash_complete", COMP_WORDS="keymint build ro", COMP_CWORD="2")
+    assert "robot1/listener" in done.stdout
+
+
+def test_plugins_are_listed_with_where_they_come_from(keymint) -> None:
+    outcome = keymint("plugins")
+    assert outcome.code == 0
+    for name in ("keymint_ros", "keymint_ros2_comarmor", "keymint_ros2_dds"):
+        assert name in outcome.out
+    assert "keymint-tools" in outcome.out
+
+
+def test_an_error_of_our_own_is_one_line(tmp_path: Path) -> None:
+    code = (
+        "import keymint.commands.common as c, sys; from keymint import cli\n"
+        "def broken(*_): raise ZeroDivisionError('oops')\n"
+        "c.Run.workspace = broken\nsys.exit(cli.main(['status']))"
+    )
+    done = subprocess.run([sys.executable, "-c", code], cwd=tmp_path, capture_output=True, text=True, check=False)
+    assert done.returncode == 1
+    assert done.stderr.count("\n") == 1
+    assert "internal error: ZeroDivisionError: oops" in done.stderr

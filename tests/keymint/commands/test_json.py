@@ -1,0 +1,89 @@
+"""``--json``: one documented shape on every verb."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import jsonschema
+import pytest
+
+from keymint.cli import VERBS
+from tests.conftest import CHECKOUT, Outcome
+
+SCHEMA = json.loads((CHECKOUT / "schemas/keymint/report.schema.json").read_text())
+
+
+def held(outcome: Outcome) -> dict:
+    """Return the document, held against the schema, the exit code and silence elsewhere."""
+    document = outcome.document
+    jsonschema.validate(document, SCHEMA)
+    assert document["exit_code"] == outcome.code
+    assert outcome.err == ""
+    return document
+
+
+CALLS = {
+    "init": ["init", "other"],
+    "create": ["create", "--all", "-w", "ws"],
+    "build": ["build", "-f", "-w", "ws"],
+    "install": ["install", "-w", "ws"],
+    "check": ["check", "-w", "ws"],
+    "status": ["status", "-w", "ws"],
+    "provision": ["provision", "policy.xml", "-w", "third"],
+    "plugins": ["plugins"],
+    "completion": ["completion", "bash"],
+}
+
+
+def test_every_verb_has_it() -> None:
+    assert set(CALLS) == set(VERBS)
+
+
+@pytest.mark.parametrize("verb", CALLS)
+def test_of_a_verb_that_succeeds(keymint, provisioned: Path, verb: str) -> None:
+    document = held(keymint(*CALLS[verb], "--json"))
+    assert document["verb"] == verb
+    assert document["exit_code"] == 0
+
+
+@pytest.mark.parametrize("verb", CALLS)
+def test_of_a_usage_error(keymint, verb: str) -> None:
+    document = held(keymint(verb, "--no-such-option", "--json"))
+    assert (document["exit_code"], document["diagnostics"][0]["code"]) == (2, "usage")
+
+
+@pytest.mark.parametrize("verb", ["create", "build", "install", "check", "status"])
+def test_of_a_missing_workspace(keymint, verb: str) -> None:
+    document = held(keymint(*CALLS[verb][:1], *(["--all"] if verb == "create" else []), "-w", "nowhere", "--json"))
+    assert (document["exit_code"], document["diagnostics"][0]["code"]) == (1, "workspace-missing")
+
+
+def test_steps_say_what_was_written(keymint, policy: Path) -> None:
+    document = held(keymint("provision", policy, "-w", "ws", "--json"))
+    written = {path for step in document["steps"] for path in step["written"]}
+    assert "ws/install/enclaves/robot1/listener/cert.pem" in written
+    assert "ws/private/identities/talker/key.pem" in written
+    assert document["summary"]["created"] == len(document["steps"])
+    again = held(keymint("provision", policy, "-w", "ws", "--json"))
+    assert not any(step["written"] for step in again["steps"])
+
+
+def test_a_place_has_the_chain_of_includes(keymint, tmp_path: Path) -> None:
+    (tmp_path / "parts").mkdir()
+    (tmp_path / "parts/bad.xml").write_text("<ros_topic>\n<oops/></ros_topic>")
+    (tmp_path / "p.xml").write_text(
+        '<profiles xmlns:xi="http://www.w3.org/2001/XInclude"><profile name="a"><attachment>/a</attachment>\n'
+        '<xi:include href="parts/bad.xml" parse="xml"/></profile></profiles>'
+    )
+    document = held(keymint("provision", "p.xml", "-w", "ws", "--json"))
+    assert document["exit_code"] == 1
+    found = document["diagnostics"][0]
+    assert found["file"] == "parts/bad.xml"
+    assert found["included_from"] == [{"file": "p.xml", "line": 2}]
+
+
+def test_secrets_are_no_part_of_it(keymint, policy: Path, tmp_path: Path) -> None:
+    out = keymint("provision", policy, "-w", "ws", "--json", "-v").out
+    for key in (tmp_path / "ws").rglob("*key.pem"):
+        assert key.read_text().splitlines()[1] not in out

@@ -1,0 +1,65 @@
+"""``keymint status``."""
+
+from __future__ import annotations
+
+import shutil
+from pathlib import Path
+
+from tests.conftest import snapshot
+
+
+def rows(outcome) -> dict[str, list[str]]:
+    return {line.split()[0]: line.split()[1:] for line in outcome.out.splitlines()[1:]}
+
+
+def test_every_stage(keymint, policy: Path, tmp_path: Path) -> None:
+    ws = tmp_path / "ws"
+    keymint("init", "ws", "--policy", policy)
+    assert rows(keymint("status", cwd=ws))["talker"] == ["-", "create", "-", "-"]
+    keymint("create", "--all", cwd=ws)
+    assert rows(keymint("status", cwd=ws))["talker"][:2] == ["source", "build"]
+    keymint("build", cwd=ws)
+    assert rows(keymint("status", cwd=ws))["talker"][:2] == ["built", "install"]
+    keymint("install", cwd=ws)
+    assert rows(keymint("status", cwd=ws))["talker"][:2] == ["installed", "-"]
+
+
+def test_writes_nothing(keymint, provisioned: Path) -> None:
+    before = snapshot(provisioned)
+    keymint("status", cwd=provisioned)
+    assert snapshot(provisioned) == before
+
+
+def test_a_changed_policy_is_stale(keymint, provisioned: Path, policy: Path) -> None:
+    policy.write_text(policy.read_text().replace("<permissions><ros_subscribe/>", "<permissions><ros_publish/>"))
+    found = rows(keymint("status", cwd=provisioned))
+    assert found["robot1/listener"][:2] == ["installed", "create"]
+    assert found["talker"][:2] == ["installed", "-"]
+
+
+def test_changed_defaults_are_stale(keymint, provisioned: Path) -> None:
+    path = provisioned / "profile/package.defaults/permissions.xml"
+    path.write_text(path.read_text().replace("<id>0</id>", "<id>1</id>"))
+    assert rows(keymint("status", cwd=provisioned))["talker"][:2] == ["installed", "build"]
+
+
+def test_a_damaged_enclave_is_stale(keymint, provisioned: Path) -> None:
+    (provisioned / "install/enclaves/talker/cert.pem").write_text("")
+    assert rows(keymint("status", cwd=provisioned))["talker"][:2] == ["installed", "install"]
+
+
+def test_a_package_that_is_gone_is_orphaned(keymint, provisioned: Path) -> None:
+    shutil.rmtree(provisioned / "src/talker")
+    assert rows(keymint("status", cwd=provisioned))["talker"][0] == "orphaned"
+
+
+def test_expiry(keymint, provisioned: Path) -> None:
+    outcome = keymint("status", cwd=provisioned, env={"SOURCE_DATE_EPOCH": "1900000000"})
+    assert "expired" in outcome.out
+
+
+def test_a_policy_with_a_defect_is_said(keymint, provisioned: Path, policy: Path) -> None:
+    policy.write_text("<profiles>")
+    outcome = keymint("status", cwd=provisioned)
+    assert "policy.xml:1" in outcome.err
+    assert "talker" in outcome.out

@@ -1,0 +1,145 @@
+"""The wheel, the source distribution and an editable install: all are complete, and find their data."""
+
+from __future__ import annotations
+
+import tarfile
+import tomllib
+import zipfile
+from collections.abc import Callable
+from email import message_from_bytes
+from pathlib import Path
+
+import pytest
+
+import keymint
+
+from .conftest import Environment, run
+
+pytestmark = pytest.mark.xdist_group("packaging")
+
+PACKAGES = {"comarmor", "keymint", "keymint_ros", "keymint_ros2_comarmor", "keymint_ros2_dds"}
+DIST_INFO = f"keymint_tools-{keymint.__version__}.dist-info"
+POLICY = """<?xml version="1.0"?>
+<profiles xmlns:xi="http://www.w3.org/2001/XInclude">
+  <profile name="p">
+    <attachment>/robot/camera</attachment>
+    <xi:include href="common/node.xml" parse="xml"/>
+    <ros_topic qualifier="ALLOW">
+      <attachment>/image</attachment>
+      <permissions><ros_publish/></permissions>
+    </ros_topic>
+  </profile>
+</profiles>
+"""
+
+
+def contents(wheel: Path) -> dict[str, bytes]:
+    with zipfile.ZipFile(wheel) as archive:
+        return {name: archive.read(name) for name in archive.namelist()}
+
+
+def tree(folder: Path) -> dict[str, bytes]:
+    """Return the files below a folder."""
+    files = (path for path in folder.rglob("*") if path.is_file())
+    return {path.relative_to(folder).as_posix(): path.read_bytes() for path in files}
+
+
+def test_the_wheel_holds_the_packages_and_nothing_else(project: Path, wheel: Path) -> None:
+    names = set(contents(wheel))
+    assert {name.partition("/")[0] for name in names} == {*PACKAGES, DIST_INFO}
+    assert {name for name in names if name.startswith("comarmor/_data/")} == {
+        f"comarmor/_data/{kind}/{name}" for kind in ("schemas", "templates") for name in tree(project / kind)
+    }
+    assert {"comarmor/py.typed", "keymint/py.typed"} <= names
+
+
+def test_the_wheel_of_the_source_distribution_is_that_of_the_checkout(dist: Path, wheel: Path) -> None:
+    (direct,) = (dist / "direct").glob("*.whl")
+    assert contents(wheel) == contents(direct)
+
+
+def test_the_metadata_of_the_wheel(project: Path, wheel: Path) -> None:
+    files = contents(wheel)
+    said = tomllib.loads((project / "pyproject.toml").read_text())["project"]
+    metadata = message_from_bytes(files[f"{DIST_INFO}/METADATA"])
+    assert metadata["Name"] == "keymint-tools"
+    assert metadata["Version"] == keymint.__version__
+    assert metadata["Requires-Python"] == ">=3.11"
+    assert metadata["License-Expression"] == "Apache-2.0"
+    assert files[f"{DIST_INFO}/licenses/LICENSE"] == (project / "LICENSE").read_bytes()
+    registered = files[f"{DIST_INFO}/entry_points.txt"].decode()
+    for group in said["entry-points"]:
+        assert f"[{group}]" in registered
+    assert "keymint = keymint.__main__:main" in registered
+
+
+def test_every_folder_of_plugins_is_packaged(project: Path, wheel: Path) -> None:
+    files = contents(wheel)
+    for package in (path for path in (project / "plugins").iterdir() if (path / "__init__.py").exists()):
+        assert (
+            tree(package).items()
+            <= {
+                name.removeprefix(f"{package.name}/"): content
+                for name, content in files.items()
+                if name.startswith(f"{package.name}/")
+            }.items()
+        )
+
+
+def test_the_source_distribution_holds_what_make_test_needs(project: Path, dist: Path) -> None:
+    (source,) = dist.glob("*.tar.gz")
+    with tarfile.open(source) as archive:
+        names = {member.name.partition("/")[2] for member in archive.getmembers() if member.isfile()}
+    for folder in (".ci", "tests", "examples", "benchmarks", "docs", "schemas", "templates", "plugins"):
+        assert {f"{folder}/{name}" for name in tree(project / folder)} <= names
+    assert {"Makefile", "requirements.lock", "LICENSE", "README.md", "CONTRIBUTING.md"} <= names
+
+
+def from_source(environment: Environment, project: Path, dist: Path) -> None:
+    environment.install(next(dist.glob("*.tar.gz")))
+
+
+def from_wheel(environment: Environment, project: Path, dist: Path) -> None:
+    environment.install(next((dist / "direct").glob("*.whl")))
+
+
+def editable(environment: Environment, project: Path, dist: Path) -> None:
+    environment.install("--editable", project)
+
+
+@pytest.mark.parametrize(
+    ("install", "tools"), [(from_wheel, ()), (from_source, ("hatchling",)), (editable, ("hatchling",))]
+)
+def test_an_installation_works_elsewhere(
+    install: Callable[[Environment, Path, Path], None],
+    tools: tuple[str, ...],
+    project: Path,
+    dist: Path,
+    new_environment: Callable[..., Environment],
+) -> None:
+    environment = new_environment(*tools)
+    before = tree(project)
+    install(environment, project, dist)
+    assert tree(project) == before
+    environment.pip("check")
+    (environment.cwd / "policy.xml").write_text(POLICY)
+    done = run(
+        [environment.python, "-P", "-m", "keymint", "provision", "policy.xml", "-w", "ws", "--json"], environment.cwd
+    )
+    assert done.returncode == 0, done.stdout + done.stderr
+    assert done.stderr == ""
+    assert (environment.cwd / "ws/install/enclaves/robot/camera/permissions.p7s").is_file()
+    assert "no findings" in environment.keymint("check", "-w", "ws")
+    script = "".join(f"import {module}; print({module}.__file__)\n" for module in PACKAGES)
+    places = run([environment.python, "-P", "-c", script], environment.cwd).stdout.split()
+    installed = {project, project / "plugins"} if install is editable else {environment.site_packages}
+    assert {Path(place).parent.parent for place in places} == installed
+
+
+def test_an_incomplete_installation_says_so(wheel: Path, new_environment: Callable[..., Environment]) -> None:
+    environment = new_environment()
+    environment.install(wheel)
+    (environment.site_packages / "comarmor/_data/schemas").rename(environment.cwd / "gone")
+    (environment.cwd / "policy.xml").write_text(POLICY)
+    said = environment.keymint("provision", "policy.xml", "-w", "ws", code=1)
+    assert "lacks its folder of schemas; reinstall keymint-tools" in said

@@ -1,0 +1,75 @@
+"""Two runs in one workspace at once: one waits, and says so."""
+
+from __future__ import annotations
+
+import fcntl
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from . import scenarios, tracing
+
+Keymint = Callable[..., Any]
+
+
+def start(folder: Path, *arguments: object) -> subprocess.Popen[str]:
+    return subprocess.Popen(
+        [sys.executable, "-m", "keymint", *map(str, arguments), "-w", folder / "ws"],
+        env=tracing.environment(),
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    (tmp_path / "policy.xml").write_text(scenarios.policy("/robot/talker", "/listener"))
+    return tmp_path
+
+
+def require_clean(folder: Path, keymint: Keymint) -> None:
+    checked = keymint("check", "-w", folder / "ws")
+    assert (checked.code, checked.err) == (0, "")
+    again = keymint("provision", folder / "policy.xml", "-w", folder / "ws")
+    assert "nothing to do" in again.out
+
+
+def test_who_finds_the_workspace_taken_says_that_it_waits_and_then_does_its_work(
+    folder: Path, keymint: Keymint
+) -> None:
+    assert keymint("init", folder / "ws", "--policy", folder / "policy.xml").code == 0
+    with (folder / "ws" / ".keymint" / "lock").open("r+") as lock:
+        fcntl.flock(lock, fcntl.LOCK_EX)
+        runs = [start(folder, "provision", folder / "policy.xml") for _ in range(2)]
+        for run in runs:
+            assert run.stderr is not None
+            assert "waiting" in run.stderr.readline()
+            assert run.poll() is None
+        assert not (folder / "ws" / "src").exists()
+    said = [run.communicate(timeout=60) for run in runs]
+    assert [run.returncode for run in runs] == [0, 0]
+    assert [err for _, err in said] == ["", ""]
+    # One does all of it, and the other sees that it is done.
+    assert sorted("nothing to do" in out for out, _ in said) == [False, True]
+    require_clean(folder, keymint)
+
+
+def test_two_runs_that_make_the_workspace_both_end_well(folder: Path, keymint: Keymint) -> None:
+    runs = [start(folder, "provision", folder / "policy.xml") for _ in range(3)]
+    said = [run.communicate(timeout=60) for run in runs]
+    assert [run.returncode for run in runs] == [0, 0, 0], said
+    assert sum("nothing to do" in out for out, _ in said) == 2
+    require_clean(folder, keymint)
+
+
+def test_who_only_looks_does_not_wait(folder: Path, keymint: Keymint) -> None:
+    assert keymint("provision", folder / "policy.xml", "-w", folder / "ws").code == 0
+    with (folder / "ws" / ".keymint" / "lock").open("r+") as lock:
+        fcntl.flock(lock, fcntl.LOCK_EX)
+        for verb in (["check"], ["status"], ["install", "--dry-run"]):
+            assert keymint(*verb, "-w", folder / "ws").code == 0
