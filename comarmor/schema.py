@@ -112,6 +112,9 @@ def _value(found: re.Match[str], _v: Vocabulary, _e: etree._Element | None) -> t
     return f"{_holder(found)} is {quoted(found[3])}, which is not {found[4]}", ""
 
 
+_QUOTED = re.compile(r"'([^']*)(?:'|\Z)")
+"""A value in a message of libxml2, which cuts its messages where they grow too long."""
+
 _Explanation = Callable[[re.Match[str], Vocabulary, Any], tuple[str, str]]
 
 _EXPLANATIONS: tuple[tuple[re.Pattern[str], _Explanation], ...] = tuple(
@@ -138,12 +141,12 @@ _EXPLANATIONS: tuple[tuple[re.Pattern[str], _Explanation], ...] = tuple(
 
 
 def _explain(message: str, vocabulary: Vocabulary, element: etree._Element | None) -> tuple[str, str]:
-    """Return a message of libxml2 as message and help of ours; one that is not known stays as it is."""
+    """Return a message of libxml2 as message and help of ours; one that is not known stays, but for long values."""
     message = _NAME.sub(lambda name: _PREFIXES.get(name[1], f"{{{name[1]}}}") + name[2], message)
     for pattern, explanation in _EXPLANATIONS:
         if found := pattern.match(message):
             return explanation(found, vocabulary, element)
-    return " ".join(message.split()), ""
+    return _QUOTED.sub(lambda value: quoted(value[1]), " ".join(message.split())), ""
 
 
 def _holder(found: re.Match[str]) -> str:

@@ -26,6 +26,7 @@ VERBS: Mapping[str, str] = {
     "status": "Show how far every package has come, and when it expires.",
     "provision": "All of it in one go: what a CI job calls.",
     "plugins": "List the plugins that are found.",
+    "transports": "List the transports: which can be used here, and how to install the rest.",
     "completion": "Print the completion script of a shell.",
 }
 
@@ -131,6 +132,7 @@ def _setting() -> Any:
         monotonic=time.monotonic,
         environment=os.environ,
         cwd=Path.cwd(),
+        cache=_cache(),
         cores=os.cpu_count() or 1,
         streams=Streams(
             sys.stdout,
@@ -140,6 +142,12 @@ def _setting() -> Any:
             progress=err_tty and os.environ.get("TERM") != "dumb",
         ),
     )
+
+
+def _cache() -> Path:
+    """Return the folder of this user for what can be made again (XDG Base Directory Specification)."""
+    named = os.environ.get("XDG_CACHE_HOME", "")
+    return (Path(named) if named.startswith("/") else Path(os.path.expanduser("~"), ".cache")) / "keymint"
 
 
 def _now() -> datetime:

@@ -12,7 +12,16 @@ from dataclasses import dataclass
 from importlib.metadata import EntryPoint, PackageNotFoundError, entry_points
 from typing import Any, cast
 
-from keymint.api import API_VERSION, BuildType, PackageType, PolicyType, ProfileType
+from keymint.api import (
+    API_VERSION,
+    BuildType,
+    PackageType,
+    PolicyType,
+    ProfileType,
+    Surroundings,
+    Transport,
+    TransportType,
+)
 from keymint.errors import KeymintError, Origin
 
 GROUPS: Mapping[str, str] = {
@@ -20,6 +29,7 @@ GROUPS: Mapping[str, str] = {
     "keymint.package_types": "creates and loads a source package",
     "keymint.policy_types": "acquires policy: sources to the intermediate representation",
     "keymint.build_types": "builds, signs and checks a transport's documents",
+    "keymint.transports": "tells what a transport decides about installed enclaves",
 }
 
 
@@ -60,9 +70,14 @@ class Plugins:
 
     Args:
         entries: the entry points to use; by default those of the environment.
+        surroundings: what transports are opened with; without it there are none to ask for.
     """
 
-    def __init__(self, entries: Iterable[EntryPoint] | None = None) -> None:
+    def __init__(
+        self, entries: Iterable[EntryPoint] | None = None, surroundings: Surroundings | None = None
+    ) -> None:
+        self._surroundings = surroundings
+        self._transports: dict[str, Transport] = {}
         self._entries: dict[str, dict[str, list[EntryPoint]]] = {}
         self._loaded: dict[tuple[str, str], object] = {}
         found = [e for group in GROUPS for e in entry_points(group=group)] if entries is None else entries
@@ -106,6 +121,19 @@ class Plugins:
     def build_type(self, name: str, where: Origin | None = None) -> BuildType:
         """Return the build type of this name; see :meth:`load`."""
         return cast("BuildType", self.load("keymint.build_types", name, where))
+
+    def transport(self, name: str, where: Origin | None = None) -> Transport:
+        """Return the transport of this name, opened once in the surroundings; see :meth:`load`."""
+        if name not in self._transports:
+            if self._surroundings is None:
+                raise ValueError("transports are opened in surroundings")
+            opener = cast("TransportType", self.load("keymint.transports", name, where))
+            self._transports[name] = opener.open(self._surroundings)
+        return self._transports[name]
+
+    def transports(self) -> Mapping[str, Transport]:
+        """Return all transports by name, sorted; see :meth:`transport`."""
+        return {name: self.transport(name) for name in sorted(self._entries.get("keymint.transports", {}))}
 
     def load(self, group: str, name: str, where: Origin | None = None) -> Any:
         """Return a plugin object.

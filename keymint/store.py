@@ -53,6 +53,7 @@ class Store:
     def __init__(self, roots: Mapping[Path, bool], records: Path) -> None:
         # The longest root first: a path belongs to the innermost.
         self._roots = dict(sorted(roots.items(), key=lambda item: len(item[0].parts), reverse=True))
+        self._prefixes = {f"{root}/": root for root in self._roots}
         self._records = records
         self._mark = records / "running"
         self._serial = itertools.count()
@@ -253,8 +254,9 @@ class Store:
     # -- folders -------------------------------------------------------------------------------------------------
 
     def _root_of(self, path: Path) -> Path:
-        for root in self._roots:
-            if path.is_relative_to(root) and ".." not in path.parts:
+        text = f"{path}/"
+        for prefix, root in self._prefixes.items():
+            if text.startswith(prefix) and "/../" not in text:
                 return root
         raise KeymintError("lies outside of the workspace", where=Origin(str(path)), code="confined")
 

@@ -11,6 +11,7 @@ from typing import Any
 
 import click
 
+from keymint.api import Surroundings
 from keymint.console import Console, Streams
 from keymint.errors import ExitCode, KeymintError
 from keymint.execute import RECORD, execute, open_store
@@ -33,6 +34,7 @@ class Setting:
         monotonic: returns seconds, for progress.
         environment: environment variables.
         cwd: current folder.
+        cache: folder of this user for what can be made again.
         cores: number of processors.
         streams: where output goes.
     """
@@ -41,6 +43,7 @@ class Setting:
     monotonic: Callable[[], float]
     environment: Mapping[str, str] = field(repr=False)
     cwd: Path
+    cache: Path
     cores: int
     streams: Streams
 
@@ -64,7 +67,7 @@ class Run:
             verbosity=-1 if options["quiet"] else options["verbose"],
             as_json=options["as_json"],
         )
-        self.plugins = Plugins()
+        self.plugins = Plugins(surroundings=Surroundings(setting.now, setting.cache, setting.environment))
         self._named: Path | None = options["workspace"]
         self._spaces: dict[str, Path] = {
             space: options[f"{space}_space"] for space in SPACES if options[f"{space}_space"] is not None

@@ -7,7 +7,7 @@ import click
 from keymint.commands.common import Run, verb
 from keymint.errors import ExitCode, KeymintError
 from keymint.names import package_name
-from keymint.plan.create import everything, recall_policy, plan_create
+from keymint.plan.create import everything, plan_create, recall_policy
 from keymint.plan.inputs import Inputs, Sources
 from keymint.plan.model import Plan
 from keymint.report import Report

@@ -15,7 +15,7 @@ from keymint.errors import KeymintError, Origin
 from keymint.plan.authorities import plan_authorities
 from keymint.plan.bootstrap import plan_init, plan_policy, policy_path
 from keymint.plan.build import plan_build
-from keymint.plan.create import everything, recall_policy, plan_create
+from keymint.plan.create import everything, plan_create, recall_policy
 from keymint.plan.inputs import Inputs, Sources
 from keymint.plan.install import plan_install
 from keymint.plan.model import Plan

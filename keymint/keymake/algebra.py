@@ -1,7 +1,8 @@
 """What sets of names have to do with one another: match, overlap, cover, intersect.
 
-All answers are exact. :func:`union_covers` determinises lazily and may spend its budget; it then answers False
-("not shown to be covered"), which a caller must be able to take without harm.
+Answers are exact, but for one: whether a pattern is covered is found out by determinising lazily, within a budget. When
+it is spent, :func:`covers` and :func:`union_covers` say False ("not shown"), which their callers must be able to take
+without harm, and :func:`surely_covers` raises.
 """
 
 from __future__ import annotations
@@ -25,7 +26,7 @@ from keymint.keymake.glob import (
     units,
 )
 
-BUDGET = 20_000
+BUDGET = 2_000
 """States that a question about covering may visit."""
 
 
@@ -148,7 +149,23 @@ def _meet(token: Token, token2: Token) -> Token | None:
 
 
 def covers(outer: Glob, inner: Glob) -> bool:
-    """Tell whether ``outer`` matches every name that ``inner`` matches."""
+    """Tell whether ``outer`` is shown to match every name that ``inner`` matches; False where that is not known."""
+    return bool(_covers(outer, inner))
+
+
+def surely_covers(outer: Glob, inner: Glob) -> bool:
+    """Tell whether ``outer`` matches every name that ``inner`` matches.
+
+    Raises:
+        TooComplexError: that was not found out within the budget.
+    """
+    found = _covers(outer, inner)
+    if found is None:
+        raise TooComplexError
+    return found
+
+
+def _covers(outer: Glob, inner: Glob) -> bool | None:
     text = literal(inner)
     if text is not None:
         return matcher(outer)(text)
@@ -160,27 +177,31 @@ def covers(outer: Glob, inner: Glob) -> bool:
     match outer:
         case (str(), Star()) | (Star(), str()):
             return True
-    return literal(outer) is None and union_covers((outer,), inner)
+    return literal(outer) is None and _union_covers((outer,), inner, BUDGET)
 
 
-@lru_cache(maxsize=1 << 14)
 def union_covers(outers: tuple[Glob, ...], inner: Glob, budget: int = BUDGET) -> bool:
-    """Tell whether every name that ``inner`` matches is matched by one of ``outers``.
+    """Tell whether it is shown that every name that ``inner`` matches is matched by one of ``outers``.
 
     Args:
         outers: globs.
         inner: a glob.
         budget: how many states may be visited; when it is spent the answer is False.
     """
+    return bool(_union_covers(outers, inner, budget))
+
+
+@lru_cache(maxsize=1 << 14)
+def _union_covers(outers: tuple[Glob, ...], inner: Glob, budget: int) -> bool | None:
     if is_empty(inner):
         return True
     if (text := literal(inner)) is not None:
         return any(matcher(outer)(text) for outer in outers)
     rows = tuple(units(outer) for outer in outers if not disjoint(outer, inner))
-    return bool(rows) and _included(units(inner), rows, budget)
+    return _included(units(inner), rows, budget) if rows else False
 
 
-def _included(goal: tuple[Token, ...], rows: tuple[tuple[Token, ...], ...], budget: int) -> bool:
+def _included(goal: tuple[Token, ...], rows: tuple[tuple[Token, ...], ...], budget: int) -> bool | None:
     """Walk through the goal, and beside it through the subsets of places that the rows can be at."""
     letters = _letters((*rows, goal))
     start = frozenset((row, at) for row in range(len(rows)) for at in _closure(rows[row], 0))
@@ -201,7 +222,7 @@ def _included(goal: tuple[Token, ...], rows: tuple[tuple[Token, ...], ...], budg
                 return False
             new = {(place, after) for place in following} - seen
             if len(seen) + len(new) > budget:
-                return False
+                return None
             seen |= new
             todo += new
     return True
@@ -292,13 +313,14 @@ def _read(token: Token | None, token2: Token | None, step: tuple[int, int]) -> t
 
 def maximal(globs: Iterable[Glob]) -> list[Glob]:
     """Return the globs that no other of them covers, one for each set of equals, in a stable order."""
-    ordered = sorted(dict.fromkeys(globs), key=sort_key)
-    kept: list[Glob] = []
-    for glob in ordered:
-        if not any(covers(other, glob) for other in kept):
-            kept = [other for other in kept if not covers(glob, other)]
-            kept.append(glob)
-    return kept
+    # What covers a glob has a prefix of its literal prefix, so that few need to be compared.
+    kept: dict[str, list[Glob]] = {}
+    for glob in sorted(dict.fromkeys(globs), key=lambda glob: (len(_prefix(glob)), sort_key(glob))):
+        head = _prefix(glob)
+        wider = (other for end in range(len(head) + 1) for other in kept.get(head[:end], ()))
+        if not is_empty(glob) and not any(covers(other, glob) for other in wider):
+            kept[head] = [*(other for other in kept.get(head, ()) if not covers(glob, other)), glob]
+    return sorted((glob for bucket in kept.values() for glob in bucket), key=sort_key)
 
 
 def sort_key(glob: Glob) -> str:

@@ -7,8 +7,9 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 
-from keymint.api import LoadedPolicy
+from keymint.api import LoadedPolicy, PolicyDecision
 from keymint.errors import Diagnostic, KeymintError, Origin, Severity
+from keymint.graph import Edge
 from keymint.ir import SubjectRules
 from keymint.names import package_name, refuse_case_collisions
 from keymint.plan.inputs import Inputs, LoadedProfile, Sources, changed, placed
@@ -70,14 +71,18 @@ class _Recalled:
         """Return the rules of a subject; loads the policy."""
         return self._load().rules(subject)
 
+    def decide(self, edge: Edge) -> PolicyDecision:
+        """Return what the policy says about an edge; loads the policy."""
+        return self._load().decide(edge)
+
 
 class _Relocated:
     """A policy whose library is read from one folder and named by another."""
 
     def __init__(self, policy: LoadedPolicy, source: Path, place: Path) -> None:
         self._policy = policy
-        self._source = source
-        self._place = place
+        self._source = f"{source}/"
+        self._place = f"{place}/"
 
     @property
     def seen(self) -> Mapping[Path, bytes]:
@@ -95,13 +100,17 @@ class _Relocated:
             return None
         return SubjectRules(subject, tuple(replace(rule, origin=self._origin(rule.origin)) for rule in found.rules))
 
+    def decide(self, edge: Edge) -> PolicyDecision:
+        """Return what the policy says about an edge, with the rule's place to be."""
+        found = self._policy.decide(edge)
+        return replace(found, where=self._origin(found.where) if found.where else None)
+
     @functools.cache  # noqa: B019 - lives as long as the run
     def _origin(self, origin: Origin) -> Origin:
         return Origin(self._moved(origin.file), origin.line, tuple(map(self._origin, origin.chain)))
 
     def _moved(self, file: str) -> str:
-        path = Path(file)
-        return str(self._place / path.relative_to(self._source)) if path.is_relative_to(self._source) else file
+        return self._place + file.removeprefix(self._source) if file.startswith(self._source) else file
 
 
 def everything(inputs: Inputs, policy: LoadedPolicy) -> tuple[str, ...]:

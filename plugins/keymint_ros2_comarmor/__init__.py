@@ -8,8 +8,9 @@ from pathlib import Path
 
 import comarmor
 import comarmor.source
-from keymint.api import PolicySource
+from keymint.api import PolicyDecision, PolicySource
 from keymint.errors import Diagnostic, KeymintError, Origin, Severity
+from keymint.graph import Edge
 from keymint.ir import Effect, Rule, SubjectRules
 
 __all__ = ["ComArmorPolicyType", "policy_type"]
@@ -56,6 +57,16 @@ class _LoadedPolicy:
         if not self.policy.applicable(subject):
             return None
         return SubjectRules(subject, tuple(_rule(rule) for rule in self.policy.rules(subject)))
+
+    def decide(self, edge: Edge) -> PolicyDecision:
+        """Return what the policy says about an edge; errors as :meth:`keymint.api.LoadedPolicy.decide`."""
+        found = edge.object
+        try:
+            decision = self.policy.decide(edge.subject, found.kind, edge.permission, found.name, found.partitions)
+        except comarmor.ComArmorError as error:
+            raise KeymintError.of(map(_diagnostic, error.diagnostics)) from error
+        where = _origin(decision.where) if decision.where else None
+        return PolicyDecision(decision.allowed, where, decision.reason, decision.audit)
 
 
 class ComArmorPolicyType:

@@ -6,7 +6,7 @@ from collections.abc import Iterator
 from functools import lru_cache
 
 from keymint.api import BuildOptions, Built, Package
-from keymint.errors import Diagnostic, KeymintError, Severity
+from keymint.errors import Diagnostic, KeymintError, Origin, Severity
 from keymint.pki import names
 from keymint_ros2_dds import governance, limits, permissions
 from keymint_ros2_dds.document import GOVERNANCE, PERMISSIONS
@@ -53,7 +53,8 @@ def build(package: Package, options: BuildOptions) -> Built:
 def _check(package: Package) -> Iterator[Diagnostic]:
     """Yield what does not fit together in a package."""
     granted = package.permissions
-    if _canonical(granted.subject_name) != _canonical(package.identity.subject_name):
+    identity = package.identity
+    if _canonical(granted.subject_name, granted.origin) != _canonical(identity.subject_name, identity.origin):
         yield Diagnostic(
             "subject-mismatch", Severity.ERROR,
             f"the permissions are for {granted.subject_name!r}, but the identity is {package.identity.subject_name!r}",
@@ -81,5 +82,5 @@ def _check(package: Package) -> Iterator[Diagnostic]:
 
 
 @lru_cache(maxsize=4096)
-def _canonical(name: str) -> str:
-    return names.to_text(names.parse(name))
+def _canonical(name: str, origin: Origin) -> str:
+    return names.to_text(names.parse(name, origin))

@@ -21,13 +21,15 @@ from keymint.keymake.algebra import (
     intersection,
     matcher,
     sort_key,
+    surely_covers,
 )
 from keymint.keymake.glob import EVERYTHING, Glob, literal
 from keymint_ros2_dds.lower import Partitions
 
 DEFAULT: Partitions = ("",)
 EVERY: Partitions = ("*",)
-MAX_PATTERNS = 128
+MAX_PATTERNS = 64
+"""Patterns with wildcards that a decision list over several lists of partitions may have."""
 
 
 class PartitionError(Exception):
@@ -124,11 +126,24 @@ def decision_list(
     patterns = dict.fromkeys(pattern for pattern, _ in (*allow, *deny))
     literals = sorted(pattern for pattern in patterns if literal(pattern) is not None)
     wild = _specific_first(_closure([pattern for pattern in patterns if literal(pattern) is None]))
-    steps = [(pattern, _effective(pattern, allow, deny)) for pattern in (*literals, *wild)]
+    steps = list(_closed([(pattern, _effective(pattern, allow, deny)) for pattern in (*literals, *wild)]))
     denies = [pattern for pattern, listed in steps if not listed]
     free = [step for step in steps if step[1] and all(disjoint(step[0], other) for other in denies)]
     later = [step for step in steps if step not in free]
     return tuple(_entries(_needed([*free, *later])))
+
+
+def _closed(steps: Sequence[tuple[Glob, Partitions]]) -> Iterator[tuple[Glob, Partitions]]:
+    """Follow each step by a denial where a later one would allow its names in more partitions.
+
+    Where the topic matches and the partition does not, the standard and Cyclone DDS go on to the next rule. On Fast
+    DDS the first rule that names the topic decides alone, so the denial changes nothing there.
+    """
+    for at, (pattern, listed) in enumerate(steps):
+        yield pattern, listed
+        wider = (other for other, later in steps[at + 1 :] if set(later) - set(listed))
+        if listed and listed != EVERY and any(not disjoint(pattern, other) for other in wider):
+            yield pattern, ()
 
 
 def _needed(steps: Sequence[tuple[Glob, Partitions]]) -> list[tuple[Glob, Partitions]]:
@@ -148,10 +163,14 @@ def _needed(steps: Sequence[tuple[Glob, Partitions]]) -> list[tuple[Glob, Partit
 def _effective(
     pattern: Glob, allow: Iterable[tuple[Glob, Partitions]], deny: Iterable[tuple[Glob, Partitions]]
 ) -> Partitions:
-    listed = {name for other, names in allow if covers(other, pattern) for name in names}
+    try:
+        listed = {name for other, names in allow if surely_covers(other, pattern) for name in names}
+        denied = [names for other, names in deny if surely_covers(other, pattern)]
+    except TooComplexError:
+        raise PartitionError(pattern, "how it overlaps with others is too hard to find out") from None
     left = EVERY if "*" in listed else tuple(sorted(listed))
-    for other, names in deny:
-        if left and covers(other, pattern):
+    for names in denied:
+        if left:
             try:
                 left = _left(left, names)
             except ValueError:

@@ -22,7 +22,7 @@ TEXTS = (
     "P1Y", "P0D", "-P1D", "P", "PT", "P" + "9" * 30 + "Y", "P1.5D", "P1Y1M1W1DT1H1M1.1S",
     "2018-02-30T00:00:00", "9999-12-31T23:59:59", "0000-00-00", "0001-01-01T00:00:00", "2018-06-01T00:00:00+99:00",
     "2018-06-01T00:00:00Z", "24:00:00", "MD5", "SHA1", "sha256", "SHA512", "EC", "rsa", "DSA", "1024", "512", "1",
-    "SECP256R1", "SECP521R1", "secp192r1", "CN=", "CN", "CN=a,CN=b", "CN=" + "x" * 65, "/CN=a/O=b", "CN=a\\,b+OU=#0000",
+    "SECP256R1", "SECP521R1", "secp192r1", "CN=", "CN", "CN=a,CN=b", "CN=" + "x" * 65, "CN=" + "x" * 70000, "/CN=a/O=b", "CN=a\\,b+OU=#0000",
     "CA:TRUE", "CA:FALSE,pathlen:-1", "critical,CA:TRUE", "keyCertSign", "DNS:..,IP:999.1.1.1", "DER:00",
     "sros2", "flat", "jazzy", "ardent", "keymint_ros", "keymint_ros2_dds", "ENCRYPT", "NONE", "ALLOW", "DENY", "AUDIT",
 )  # fmt: skip

@@ -134,6 +134,15 @@ def workspace(memory: Path, policy: Path, keymint: Keymint) -> Path:
     return root
 
 
+def require_errors(said: str) -> None:
+    """Require that a command says, on lines of their own, errors with a place."""
+    errors = [line for line in said.splitlines() if " warning: " not in f" {line}"]
+    assert errors
+    for line in errors:
+        assert line.isprintable(), repr(line)
+        assert ": error: " in line, line
+
+
 # -- policies ----------------------------------------------------------------------------------------------------
 
 
@@ -274,12 +283,7 @@ def test_the_command_line_ends_in_order_and_a_failure_writes_nothing(
             assert "Traceback" not in ended.err
             assert "internal error" not in ended.err
             if ended.code == 1:
-                assert ended.err
-                assert all(
-                    line.isprintable() and ": error: " in line
-                    for line in ended.err.splitlines()
-                    if "warning:" not in line
-                )
+                require_errors(ended.err)
             if ended.code != 0:
                 assert _tree(memory) == before
         if path.is_relative_to(workspace):

@@ -1,20 +1,30 @@
 """A build type that is not part of Keymint: access rules as signed JSON.
 
 A gateway between robots and a web page does not speak DDS Security, but must know who may do what. This build type
-gives it a JSON document of the rules and an S/MIME signature by the permissions authority.
+gives it a document of the rules in JSON, an S/MIME signature over it by the permissions authority, and the identity's
+key and certificate.
+
+A plugin is given all that it needs, and returns bytes: it never writes, and never reads the clock or the environment.
 """
 
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Any
 
 from keymint.api import Artifact, BuildOptions, Built, Credentials, Inspection, Package
 from keymint.errors import Diagnostic, KeymintError, Origin, Severity
-from keymint.pki import smime
+from keymint.pki import certificates, keys, smime
+from keymint.pki.verify import verify_chain
 
 DOCUMENT = "access.json"
 SIGNED = "access.json.p7s"
+CERTIFICATE = "cert.pem"
+KEY = "key.pem"
+IDENTITY_CA = "identity_ca.cert.pem"
+PERMISSIONS_CA = "permissions_ca.cert.pem"
+FILES = (SIGNED, CERTIFICATE, KEY, IDENTITY_CA, PERMISSIONS_CA)
 
 
 class JsonBuildType:
@@ -23,9 +33,10 @@ class JsonBuildType:
     API = "1.0"
 
     def build(self, package: Package, options: BuildOptions) -> Built:
-        """Return the rules as JSON; the same rules give the same bytes."""
-        del options  # nothing here is vendor-specific
-        rules = [
+        """Return the rules as JSON; the same rules give the same bytes, in whatever order a policy has them."""
+        del options  # every rule can be said in JSON, so there is nothing to be lenient about
+        permissions = package.permissions
+        rules: list[dict[str, Any]] = [
             {
                 "effect": str(rule.effect),
                 "kind": rule.kind,
@@ -33,12 +44,13 @@ class JsonBuildType:
                 "expressions": sorted(rule.expressions),
                 "partitions": sorted(rule.partitions),
             }
-            for rule in package.permissions.rules.rules
+            for rule in permissions.rules.rules
         ]
         document = {
             "subject": package.subject,
-            "not_before": package.permissions.validity.not_before.isoformat(),
-            "not_after": package.permissions.validity.not_after.isoformat(),
+            "not_before": permissions.validity.not_before.isoformat(),
+            "not_after": permissions.validity.not_after.isoformat(),
+            "domains": [[domains.first, domains.last] for domains in sorted(permissions.domains)],
             "rules": sorted(rules, key=lambda rule: json.dumps(rule, sort_keys=True)),
         }
         return Built({DOCUMENT: (json.dumps(document, indent=2, sort_keys=True) + "\n").encode()})
@@ -51,14 +63,21 @@ class JsonBuildType:
         layout: str,
         installed: Mapping[str, bytes],
     ) -> Mapping[str, Artifact]:
-        """Return the files of the enclave; a signature over unchanged content is kept."""
-        del layout
+        """Return the files of the enclave; a signature over unchanged content is kept.
+
+        Raises:
+            KeymintError: the document, which a person may have edited, is missing or is not JSON.
+        """
+        del layout  # a gateway's enclave is the same in every layout
         content = documents.get(DOCUMENT, b"")
         try:
             json.loads(content)
         except ValueError as error:
             raise KeymintError(
-                f"{DOCUMENT} of {package.name} is not JSON: {error}", help=f"keymint build -f {package.name}"
+                f"is not JSON: {error}",
+                where=Origin(f"{package.name}/{DOCUMENT}"),
+                help=f"'keymint build -f {package.name}' writes it anew",
+                code="document-invalid",
             ) from error
         signer = smime.load_signer(credentials.signer)
         signed = installed.get(SIGNED)
@@ -66,10 +85,10 @@ class JsonBuildType:
             signed = smime.sign(content, signer.certificate, signer.key)
         return {
             SIGNED: Artifact(signed),
-            "identity_ca.cert.pem": Artifact(credentials.identity_ca),
-            "permissions_ca.cert.pem": Artifact(credentials.permissions_ca),
-            "key.pem": Artifact(credentials.key, secret=True),
-            "cert.pem": Artifact(credentials.certificate),
+            CERTIFICATE: Artifact(credentials.certificate),
+            KEY: Artifact(credentials.key, secret=True),
+            IDENTITY_CA: Artifact(credentials.identity_ca),
+            PERMISSIONS_CA: Artifact(credentials.permissions_ca),
         }
 
     def shared(self, artifacts: Mapping[str, Mapping[str, Artifact]], layout: str) -> Mapping[str, Artifact]:
@@ -78,23 +97,64 @@ class JsonBuildType:
         return {}
 
     def check(self, inspection: Inspection) -> Sequence[Diagnostic]:
-        """Return a finding when the signature does not hold, or the rules are not those of the sources."""
-        where = Origin(f"{inspection.folder}/{SIGNED}")
-        signed = inspection.files.get(SIGNED)
-        if signed is None:
-            return [Diagnostic("file-missing", Severity.ERROR, "is missing", where, "keymint install")]
-        try:
-            content = smime.verify(signed, inspection.permissions_ca, at=inspection.now, where=where)
-        except KeymintError as error:
-            return error.diagnostics
-        if content != inspection.documents[DOCUMENT]:
-            return [Diagnostic("drift", Severity.ERROR, "is not what the sources build", where, "keymint build")]
-        return []
+        """Return what is wrong with an installed enclave, and what its sources would build otherwise.
+
+        Modes, and files that changed since they were installed, are Keymint's own concern.
+        """
+        return tuple(_findings(inspection))
 
     def check_all(self, inspections: Sequence[Inspection]) -> Sequence[Diagnostic]:
-        """Return nothing: no finding concerns several enclaves."""
+        """Return nothing: no finding concerns several enclaves together."""
         del inspections
-        return []
+        return ()
+
+
+def _findings(inspection: Inspection) -> Iterator[Diagnostic]:
+    missing = [name for name in FILES if name not in inspection.files]
+    if missing:
+        yield from (_error(inspection, "file-missing", name, "is missing") for name in missing)
+        return
+    yield from _altered(inspection)
+    where = _where(inspection, CERTIFICATE)
+    yield from verify_chain(inspection.files[CERTIFICATE], inspection.identity_ca, inspection.now, where)
+    try:
+        yield from _contradictions(inspection)
+    except KeymintError as refused:
+        yield from refused.diagnostics
+
+
+def _altered(inspection: Inspection) -> Iterator[Diagnostic]:
+    """Judge the files that are what they are, byte by byte."""
+    files = inspection.files
+    for name, trusted in ((IDENTITY_CA, inspection.identity_ca), (PERMISSIONS_CA, inspection.permissions_ca)):
+        if files[name] != trusted:
+            yield _error(inspection, "authority-differs", name, "is not the certificate of the workspace's authority")
+    for name, is_canonical in ((CERTIFICATE, certificates.is_canonical), (KEY, keys.is_canonical)):
+        if not is_canonical(files[name]):
+            yield _error(inspection, "pem-altered", name, "is not exactly the encoding of what it holds")
+
+
+def _contradictions(inspection: Inspection) -> Iterator[Diagnostic]:
+    """Judge what must fit together; a file that cannot be read, or a signature that does not hold, is raised."""
+    files = inspection.files
+    where = _where(inspection, SIGNED)
+    content = smime.verify(files[SIGNED], inspection.permissions_ca, at=inspection.now, where=where)
+    if content != inspection.documents[DOCUMENT]:
+        yield _error(inspection, "drift", SIGNED, "signs something else than the sources build")
+    if inspection.package.identity.key.password_env:
+        return  # without its password nothing more can be said of the key
+    key = keys.from_pem(files[KEY], where=_where(inspection, KEY))
+    if not keys.matches(key, certificates.load(files[CERTIFICATE], _where(inspection, CERTIFICATE))):
+        yield _error(inspection, "key-mismatch", KEY, "is not the key of the certificate beside it")
+
+
+def _where(inspection: Inspection, name: str) -> Origin:
+    return Origin(f"{inspection.folder}/{name}")
+
+
+def _error(inspection: Inspection, code: str, name: str, message: str) -> Diagnostic:
+    mend = f"'keymint install {inspection.package.name}' writes it anew"
+    return Diagnostic(code, Severity.ERROR, message, _where(inspection, name), mend, inspection.package.subject)
 
 
 build_type = JsonBuildType()

@@ -65,7 +65,8 @@ def test_quiet_says_nothing(keymint, policy: Path) -> None:
 
 
 def test_no_colour_where_none_is_wanted(tmp_path: Path, policy: Path) -> None:
-    script = f"import pty, sys; sys.exit(pty.spawn([{sys.executable!r}, '-m', 'keymint', 'provision', {str(policy)!r}, '-w', 'ws']))"
+    command = [sys.executable, "-m", "keymint", "provision", str(policy), "-w", "ws"]
+    script = f"import pty, sys; sys.exit(pty.spawn({command!r}))"
     for name, environment in (("plain", {"NO_COLOR": "1"}), ("coloured", {"NO_COLOR": ""})):
         (tmp_path / name).mkdir()
         done = subprocess.run(

@@ -110,7 +110,8 @@ def test_names_beyond_what_x509_holds(keymint, tmp_path: Path) -> None:
     long = "/" + "/".join(f"segment_{n}" for n in range(12)) + "/driver"
     deep = "/" + "/".join("abcdefghijklmnopqrstuvwxyz") + "/driver"
     (tmp_path / "p.xml").write_text(
-        f"<profiles><profile name='a'><attachment>{long}</attachment><attachment>{deep}</attachment></profile></profiles>"
+        f"<profiles><profile name='a'><attachment>{long}</attachment>"
+        f"<attachment>{deep}</attachment></profile></profiles>"
     )
     outcome = keymint("provision", "p.xml", "-w", "ws")
     assert outcome.code == 0, outcome.err
