@@ -12,12 +12,13 @@ group                        protocol
 ``keymint.policy_types``     :class:`PolicyType`
 ``keymint.build_types``      :class:`BuildType`
 ``keymint.transports``       :class:`TransportType`
+``keymint.graph_sources``    :class:`GraphSource`
 ===========================  ======================================================
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from datetime import datetime
 from enum import StrEnum
@@ -25,7 +26,7 @@ from pathlib import Path
 from typing import Protocol
 
 from keymint.errors import Diagnostic, Origin
-from keymint.graph import Edge
+from keymint.graph import Edge, Graph
 from keymint.ir import SubjectRules
 
 API_VERSION = "1.0"
@@ -349,6 +350,22 @@ class PackageType(Protocol):
         """
 
 
+class RulePlaces(Protocol):
+    """What a package type may offer beside :class:`PackageType`: where the rules of a package stand in its files."""
+
+    def rule_places(self, name: str, folder: str, files: Mapping[str, bytes]) -> Sequence[Origin]:
+        """Return the place in the package's own document of each of its rules, in their order.
+
+        Args:
+            name: package name.
+            folder: its folder as the user would type it.
+            files: the package's files by name.
+
+        Raises:
+            KeymintError: with ``file:line`` of each defect.
+        """
+
+
 # ---------------------------------------------------------------------------------------------------------------
 # Policies
 # ---------------------------------------------------------------------------------------------------------------
@@ -371,6 +388,15 @@ class PolicyDecision:
     audit: bool = False
 
 
+@dataclass(frozen=True, slots=True)
+class AppliedProfile:
+    """A profile of a policy that applies to a subject: its label, its place, and whether it is to be watched."""
+
+    name: str
+    where: Origin
+    audit: bool = False
+
+
 class LoadedPolicy(Protocol):
     """A policy, loaded once per command."""
 
@@ -386,6 +412,9 @@ class LoadedPolicy(Protocol):
 
     def rules(self, subject: str) -> SubjectRules | None:
         """Return the rules of a subject, or None when no profile applies to it."""
+
+    def profiles(self, subject: str) -> Sequence[AppliedProfile]:
+        """Return the profiles that apply to a subject, outer ones first."""
 
     def decide(self, edge: Edge) -> PolicyDecision:
         """Return what the policy says about an edge; its domain is no matter of policy.
@@ -546,6 +575,23 @@ class BuildType(Protocol):
         """Return findings that concern several enclaves together, e.g. names that a vendor confuses."""
 
 
+class NameMapping(Protocol):
+    """What a build type may offer beside :class:`BuildType`: the endpoints of a transport that an edge stands for.
+
+    Rules on names of the application and rules on names of the transport meet on an endpoint: both count there.
+    """
+
+    def endpoints(self, distro: str, edge: Edge) -> Sequence[Edge]:
+        """Return the edges of kind ``topic`` that a subject needs for an edge; an edge of that kind is its own.
+
+        Raises:
+            KeymintError: the distribution or the permission is not known.
+        """
+
+    def meanings(self, distro: str, endpoint: Edge) -> Sequence[Edge]:
+        """Return the edges of other kinds that need this edge of kind ``topic`` and are not composite."""
+
+
 # ---------------------------------------------------------------------------------------------------------------
 # Transports
 # ---------------------------------------------------------------------------------------------------------------
@@ -636,7 +682,7 @@ class Transport(Protocol):
             tier: one of those that :meth:`usable` names.
 
         Raises:
-            KeymintError: an enclave is refused as a whole, or the transport does not work.
+            KeymintError: an enclave is refused as a whole (code ``enclave-refused``), or the transport does not work.
         """
 
 
@@ -647,3 +693,95 @@ class TransportType(Protocol):
 
     def open(self, surroundings: Surroundings) -> Transport:
         """Return the transport, which is then asked whether it is usable; never raises."""
+
+
+# ---------------------------------------------------------------------------------------------------------------
+# Graphs from the world, and policies from graphs
+# ---------------------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, slots=True)
+class Discovered:
+    """A graph that was seen, and what is to be said of it (how subjects came by their names, say)."""
+
+    graph: Graph
+    diagnostics: tuple[Diagnostic, ...] = ()
+
+
+class GraphSource(Protocol):
+    """Finds semantic access graphs: in a running system, and in captures of one."""
+
+    API: str
+
+    def usable(self) -> Usable:
+        """Tell whether a running system can be observed on this machine; never raises."""
+
+    def observe(self, domain: int, go_on: Callable[[], bool], names: Mapping[str, str]) -> Discovered:
+        """Return what happens in a domain, in the transport's own terms (objects of kind ``topic``).
+
+        Args:
+            domain: DDS domain id.
+            go_on: asked again and again; the observation ends when it returns False.
+            names: subjects by GUID (hexadecimal, or the beginning of one), where the user knows better.
+
+        Raises:
+            KeymintError: what it takes is not installed, or does not work.
+        """
+
+    def recognises(self, content: bytes) -> bool:
+        """Tell whether a file is a capture that :meth:`read` reads."""
+
+    def read(self, content: bytes, name: str, names: Mapping[str, str]) -> Discovered:
+        """Return what a capture holds, in the transport's own terms.
+
+        Args:
+            content: the file.
+            name: its path as the user would type it, for messages.
+            names: as for :meth:`observe`.
+
+        Raises:
+            KeymintError: with ``file:line`` of the defect.
+        """
+
+    def interpret(self, graph: Graph, *, fold: bool) -> Graph:
+        """Return a graph in the application's terms; what is in these already stays, what fits none stays as it is.
+
+        Args:
+            graph: objects of any kind.
+            fold: put the parts of composite kinds together where all of them are there; else take these apart.
+        """
+
+
+@dataclass(frozen=True, slots=True)
+class Learned:
+    """A policy that was learned from a graph.
+
+    Attributes:
+        document: the policy; empty when there is nothing to say.
+        fragments: files that it includes, by name in the folder that was asked for.
+        missing: edges of the graph that the document allows (and the existing policy does not).
+        conflicts: edges that a rule of the existing policy denies, so that no addition allows them.
+        unused: what the existing policy allows and no edge of the graph needs.
+    """
+
+    document: bytes
+    fragments: Mapping[str, bytes]
+    missing: tuple[Edge, ...]
+    conflicts: tuple[Diagnostic, ...] = ()
+    unused: tuple[Diagnostic, ...] = ()
+
+
+class PolicyLearner(Protocol):
+    """What a policy type may offer beside :class:`PolicyType`: the policy that a graph needs."""
+
+    def learn(self, graph: Graph, existing: LoadedPolicy | None, fragments: str) -> Learned:
+        """Return the smallest policy that, with the existing one, allows every edge of a graph.
+
+        Args:
+            graph: what subjects do.
+            existing: a policy of the same type that stays in force.
+            fragments: folder beside the policy for the files that it may include; empty for one document.
+
+        Raises:
+            KeymintError: the policy format cannot express an edge.
+        """

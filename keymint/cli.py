@@ -24,7 +24,11 @@ VERBS: Mapping[str, str] = {
     "install": "Sign them, and stage enclaves for deployment.",
     "check": "Hold what is installed against what it should be.",
     "status": "Show how far every package has come, and when it expires.",
+    "verify": "Compare what transports decide with what the policy says, edge by edge.",
+    "why": "Explain one decision through all layers.",
     "provision": "All of it in one go: what a CI job calls.",
+    "discover": "Find the graph of a running system, or of captures of one.",
+    "learn": "Make the smallest policy that a graph needs.",
     "plugins": "List the plugins that are found.",
     "transports": "List the transports: which can be used here, and how to install the rest.",
     "completion": "Print the completion script of a shell.",
@@ -131,7 +135,7 @@ def _setting() -> Any:
         now=_now(),
         monotonic=time.monotonic,
         environment=os.environ,
-        cwd=Path.cwd(),
+        cwd=_current_folder(),
         cache=_cache(),
         cores=os.cpu_count() or 1,
         streams=Streams(
@@ -148,6 +152,13 @@ def _cache() -> Path:
     """Return the folder of this user for what can be made again (XDG Base Directory Specification)."""
     named = os.environ.get("XDG_CACHE_HOME", "")
     return (Path(named) if named.startswith("/") else Path(os.path.expanduser("~"), ".cache")) / "keymint"
+
+
+def _current_folder() -> Path:
+    try:
+        return Path.cwd()
+    except OSError as error:
+        raise click.UsageError(f"the current folder cannot be used: {error.strerror}; go to another one") from None
 
 
 def _now() -> datetime:

@@ -107,11 +107,11 @@ class Console:
             return
         if diagnostic.severity is Severity.WARNING and self._verbosity < 0:
             return
-        place = f"{diagnostic.where}: " if diagnostic.where else ""
+        place = _printable(f"{diagnostic.where}: ") if diagnostic.where else ""
         label = _paint(f"{diagnostic.severity}:", _COLOURS[diagnostic.severity], colour=self._streams.colour_err)
         about = f" [{diagnostic.code}]" if self._verbosity > 0 else ""
         hint = f" ({diagnostic.help})" if diagnostic.help else ""
-        self._say_err(f"{place}{label} {diagnostic.message}{hint}{about}")
+        self._say_err(f"{place}{label} {_printable(diagnostic.message + hint)}{about}")
 
     def line(self, text: str = "") -> None:
         """Say a line of a result, unless quiet or JSON."""
@@ -157,6 +157,11 @@ class Console:
 def _counted(steps: Any) -> str:
     packages = {step.package for step in steps if step.package and step.stage != "authorities"}
     return f"{len(packages)} package{'s' if len(packages) != 1 else ''}" if packages else "everything"
+
+
+def _printable(text: str) -> str:
+    """Return text on one line, with what would steer a terminal made visible: names and paths may hold anything."""
+    return "".join(char if char.isprintable() else char.encode("unicode_escape").decode() for char in text)
 
 
 def _paint(text: str, code: str, *, colour: bool) -> str:

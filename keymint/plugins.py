@@ -15,6 +15,7 @@ from typing import Any, cast
 from keymint.api import (
     API_VERSION,
     BuildType,
+    GraphSource,
     PackageType,
     PolicyType,
     ProfileType,
@@ -30,6 +31,7 @@ GROUPS: Mapping[str, str] = {
     "keymint.policy_types": "acquires policy: sources to the intermediate representation",
     "keymint.build_types": "builds, signs and checks a transport's documents",
     "keymint.transports": "tells what a transport decides about installed enclaves",
+    "keymint.graph_sources": "finds graphs: in a running system, and in captures of one",
 }
 
 
@@ -73,9 +75,7 @@ class Plugins:
         surroundings: what transports are opened with; without it there are none to ask for.
     """
 
-    def __init__(
-        self, entries: Iterable[EntryPoint] | None = None, surroundings: Surroundings | None = None
-    ) -> None:
+    def __init__(self, entries: Iterable[EntryPoint] | None = None, surroundings: Surroundings | None = None) -> None:
         self._surroundings = surroundings
         self._transports: dict[str, Transport] = {}
         self._entries: dict[str, dict[str, list[EntryPoint]]] = {}
@@ -134,6 +134,10 @@ class Plugins:
     def transports(self) -> Mapping[str, Transport]:
         """Return all transports by name, sorted; see :meth:`transport`."""
         return {name: self.transport(name) for name in sorted(self._entries.get("keymint.transports", {}))}
+
+    def graph_source(self, name: str, where: Origin | None = None) -> GraphSource:
+        """Return the graph source of this name; see :meth:`load`."""
+        return cast("GraphSource", self.load("keymint.graph_sources", name, where))
 
     def load(self, group: str, name: str, where: Origin | None = None) -> Any:
         """Return a plugin object.

@@ -11,7 +11,11 @@ import json
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 
+MAX_RECORD = 1 << 30
+"""Bytes of a record: there are about 1,500 an enclave."""
 VERSION = 1
+_SEAL, _END = b',"sha256":"', b'"}\n'
+"""Around the digest at the end of a record, which tells a damaged one."""
 
 
 def digest(*parts: bytes | str) -> str:
@@ -84,7 +88,8 @@ class State:
                 for stage, stamps in sorted(self.stamps.items())
             },
         }
-        return (json.dumps(document, separators=(",", ":"), sort_keys=True) + "\n").encode()
+        body = json.dumps(document, separators=(",", ":"), sort_keys=True).encode().removesuffix(b"}")
+        return body + _SEAL + digest(body).encode() + _END
 
 
 def dump_mark(state: State, contents: Iterable[bytes]) -> bytes:
@@ -104,6 +109,9 @@ def load(content: bytes | None, mark: bytes | None = None) -> State:
 
 
 def _stamps(content: bytes | None) -> dict[str, dict[str, Stamp]]:
+    body, _, seal = (content or b"").rpartition(_SEAL)
+    if seal != digest(body).encode() + _END:
+        return {}
     try:
         document = json.loads(content or b"")
         if document["version"] != VERSION:

@@ -14,11 +14,15 @@ from pathlib import Path
 from keymint.errors import KeymintError, Origin
 
 MAX_FILE = 16 * 1024 * 1024
-"""Bytes of a file that is read; nothing that Keymint reads or writes comes near."""
+"""Bytes of a file that is read; no document, certificate or key comes near."""
 
 
-def read_file(path: Path) -> bytes | None:
+def read_file(path: Path, most: int | None = None) -> bytes | None:
     """Return the bytes of a regular file, or None when there is none.
+
+    Args:
+        path: the file.
+        most: bytes that it may have; :data:`MAX_FILE` by default.
 
     Raises:
         KeymintError: the path is a symbolic link or no regular file, is too large, or cannot be read.
@@ -40,9 +44,10 @@ def read_file(path: Path) -> bytes | None:
         status = os.fstat(descriptor)
         if not stat.S_ISREG(status.st_mode):
             raise KeymintError("is not a regular file", where=Origin(str(path)), code="file-kind")
-        if status.st_size > MAX_FILE:
+        most = MAX_FILE if most is None else most
+        if status.st_size > most:
             raise KeymintError(
-                f"has {status.st_size} bytes, {MAX_FILE} are the most",
+                f"has {status.st_size} bytes, {most} are the most",
                 where=Origin(str(path)),
                 code="file-size",
             )

@@ -125,8 +125,11 @@ def _opens_to_write(call: ast.Call) -> bool:
 
 
 def _has_writing_mode(call: ast.Call, position: int) -> bool:
-    modes = [keyword.value for keyword in call.keywords if keyword.arg == "mode"] or call.args[position : position + 1]
-    return any(not isinstance(mode, ast.Constant) or set(str(mode.value)) & set("wax+") for mode in modes)
+    named = [keyword.value for keyword in call.keywords if keyword.arg == "mode"]
+    given = call.args[position : position + 1]
+    if position == 0:  # what is not a path may be opened with anything
+        given = [mode for mode in given if isinstance(mode, ast.Constant)]
+    return any(not isinstance(mode, ast.Constant) or set(str(mode.value)) & set("wax+") for mode in named or given)
 
 
 def surroundings(source: str) -> list[int]:
@@ -174,6 +177,7 @@ def test_only_plugins_asks_what_is_installed() -> None:
         "open('f', mode)",
         "path.open('x')",
         "path.open(mode='r+')",
+        "path.open(mode=mode)",
         "path.write_text('')",
         "(folder / name).write_bytes(b'')",
         "path.mkdir(parents=True)",
@@ -196,6 +200,7 @@ def test_writing_is_seen(source: str) -> None:
         "open('f')",
         "open('f', 'rb')",
         "path.open()",
+        "plugin.open(surroundings)",
         "path.read_text()",
         "'a'.replace('a', 'b')",
         "import dataclasses\ndataclasses.replace(a, b=1)",

@@ -8,6 +8,7 @@ from keymint.api import BuildOptions
 from keymint.commands.common import Run, complete_package, verb
 from keymint.errors import Diagnostic, Severity
 from keymint.plan.build import plan_build
+from keymint.plan.create import policy_changed
 from keymint.plan.inputs import Inputs, Sources
 from keymint.plan.model import Plan
 from keymint.report import Report
@@ -43,7 +44,8 @@ def build(
         chosen = run.names(inputs, names)
         options = BuildOptions(allow_vendor_specific=allow_vendor_specific)
         plan = plan_build(inputs, loaded, chosen, Sources(run.plugins), options, force=force, renew=renew)
-        return plan if chosen else Plan((), plan.state, (no_packages(inputs),))
+        said = policy_changed(inputs, loaded) if chosen else (no_packages(inputs),)
+        return Plan(plan.steps, plan.state, (*plan.diagnostics, *said))
 
     return run.carry_out(workspace, make_plan)
 

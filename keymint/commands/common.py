@@ -20,8 +20,9 @@ from keymint.plan.inputs import Inputs
 from keymint.plan.model import Plan
 from keymint.plugins import Plugins
 from keymint.report import Report, as_typed
+from keymint.state import MAX_RECORD
 from keymint.state import load as load_state
-from keymint.tree import Tree
+from keymint.tree import Tree, read_file
 from keymint.workspace import SPACES, Workspace, find, packages
 
 
@@ -99,9 +100,9 @@ class Run:
 
     def inputs(self, workspace: Workspace) -> Inputs:
         """Return what stages plan from, as it is now."""
-        tree = Tree()
-        state = load_state(tree.read(workspace.state / RECORD), tree.read(workspace.state / "running"))
-        return Inputs(workspace, tree, state, self.plugins, self.setting.environment, self.setting.now)
+        record, mark = (read_file(workspace.state / name, MAX_RECORD) for name in (RECORD, "running"))
+        state = load_state(record, mark)
+        return Inputs(workspace, Tree(), state, self.plugins, self.setting.environment, self.setting.now)
 
     def names(self, inputs: Inputs, given: tuple[str, ...]) -> tuple[str, ...]:
         """Return the packages that a user named, or all of them.

@@ -7,6 +7,7 @@ import click
 from keymint.commands.build import no_packages
 from keymint.commands.common import Run, complete_package, verb
 from keymint.plan.authorities import plan_authorities
+from keymint.plan.create import policy_changed
 from keymint.plan.inputs import Inputs, Sources
 from keymint.plan.install import plan_install
 from keymint.plan.model import Plan
@@ -30,7 +31,7 @@ def install(run: Run, names: tuple[str, ...], prune: bool) -> Report:
         after = inputs.after(plan)
         chosen = run.names(inputs, names)
         installed = plan_install(after, loaded, chosen, Sources(run.plugins), authorities, prune=prune)
-        said = () if chosen else (no_packages(inputs),)
+        said = policy_changed(inputs, loaded) if chosen else (no_packages(inputs),)
         return Plan(plan.steps + installed.steps, installed.state, (*plan.diagnostics, *installed.diagnostics, *said))
 
     return run.carry_out(workspace, make_plan)

@@ -7,7 +7,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 
-from keymint.api import LoadedPolicy, PolicyDecision
+from keymint.api import AppliedProfile, LoadedPolicy, PolicyDecision
 from keymint.errors import Diagnostic, KeymintError, Origin, Severity
 from keymint.graph import Edge
 from keymint.ir import SubjectRules
@@ -47,12 +47,35 @@ def recall_policy(inputs: Inputs, loaded: LoadedProfile) -> LoadedPolicy:
     if (
         recorded is None
         or subjects is None
-        or recorded.inputs != loaded.digest
+        or recorded.inputs != _read_from(loaded)
         or any(fingerprint(Path(path)).hex() != value for path, value in recorded.outputs.items())
     ):
         return load_policy(inputs, loaded)
     seen = {Path(path): bytes.fromhex(value) for path, value in recorded.outputs.items()}
     return _Recalled(seen, tuple(sorted(subjects.outputs)), functools.partial(load_policy, inputs, loaded))
+
+
+def policy_changed(inputs: Inputs, loaded: LoadedProfile) -> Sequence[Diagnostic]:
+    """Return a warning when the policy is not the one that the packages were made from."""
+    recorded = inputs.state.stamp(POLICY, "seen")
+    if recorded is None or _as_recorded(inputs, loaded, recorded):
+        return ()
+    message = "the policy, or the profile, changed since the packages were made from it"
+    return (Diagnostic("policy-changed", Severity.WARNING, message, None, "run 'keymint create --all'"),)
+
+
+def _as_recorded(inputs: Inputs, loaded: LoadedProfile, recorded: Stamp) -> bool:
+    """Tell whether the policy would be read from the same files with the same content."""
+    fingerprint = inputs.plugins.policy_type(loaded.profile.policy_type).fingerprint
+    return recorded.inputs == _read_from(loaded) and all(
+        fingerprint(Path(path)).hex() == value for path, value in recorded.outputs.items()
+    )
+
+
+def _read_from(loaded: LoadedProfile) -> str:
+    """Return the digest of where a policy is read from: in the copy of a workspace it is another place."""
+    profile = loaded.profile
+    return digest(loaded.digest, str(profile.library), *(str(source.path) for source in profile.policies))
 
 
 class _Recalled:
@@ -70,6 +93,10 @@ class _Recalled:
     def rules(self, subject: str) -> SubjectRules | None:
         """Return the rules of a subject; loads the policy."""
         return self._load().rules(subject)
+
+    def profiles(self, subject: str) -> Sequence[AppliedProfile]:
+        """Return the profiles that apply to a subject; loads the policy."""
+        return self._load().profiles(subject)
 
     def decide(self, edge: Edge) -> PolicyDecision:
         """Return what the policy says about an edge; loads the policy."""
@@ -99,6 +126,10 @@ class _Relocated:
         if found is None:
             return None
         return SubjectRules(subject, tuple(replace(rule, origin=self._origin(rule.origin)) for rule in found.rules))
+
+    def profiles(self, subject: str) -> Sequence[AppliedProfile]:
+        """Return the profiles that apply to a subject, with their place to be."""
+        return tuple(replace(found, where=self._origin(found.where)) for found in self._policy.profiles(subject))
 
     def decide(self, edge: Edge) -> PolicyDecision:
         """Return what the policy says about an edge, with the rule's place to be."""
@@ -185,9 +216,10 @@ def plan_create(
 
 def _recorded(inputs: Inputs, loaded: LoadedProfile, policy: LoadedPolicy) -> State:
     """Return the record with what the policy was read from, and whom it names."""
-    seen = Stamp(loaded.digest, {str(path): value.hex() for path, value in policy.seen.items()})
+    read_from = _read_from(loaded)
+    seen = Stamp(read_from, {str(path): value.hex() for path, value in policy.seen.items()})
     return inputs.state.updated(
-        POLICY, {"seen": seen, "subjects": Stamp(loaded.digest, dict.fromkeys(policy.subjects(), ""))}
+        POLICY, {"seen": seen, "subjects": Stamp(read_from, dict.fromkeys(policy.subjects(), ""))}
     )
 
 

@@ -157,12 +157,26 @@ def _plan_enclave(
     secret = tuple(file for file, item in contents.items() if item.secret)
     wanted = _wanted(inputs, loaded, name, files, chains)
     edited = _edits(inputs, name, documents)
+    if not build.is_current(inputs, loaded, name, files):
+        edited = [*edited, _outdated(inputs, name)]
     return _Enclave(
         Step(STAGE, name, action, changes),
         Stamp(wanted, outputs, secret),
         package.build_type,
         artifacts,
         [*said, *edited],
+    )
+
+
+def _outdated(inputs: Inputs, name: str) -> Diagnostic:
+    """Return the warning for documents whose sources changed after they were built."""
+    return Diagnostic(
+        "build-outdated",
+        Severity.WARNING,
+        "was built from sources that changed since, and is signed as it is",
+        Origin(str(inputs.workspace.build / name)),
+        f"'keymint build {name}' builds it anew",
+        f"/{name}",
     )
 
 

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 from keymint.api import API_VERSION, Bootstrap, Package, Profile
+from keymint.errors import Origin
 from keymint.ir import SubjectRules
 from keymint_ros import bootstrap, create, distros, package, profile
 from keymint_ros.manifest import MARKER
@@ -79,6 +80,10 @@ class RosPackageType:
             KeymintError: with ``file:line`` of each defect.
         """
         return package.load(profile, name, folder, files)
+
+    def rule_places(self, name: str, folder: str, files: Mapping[str, bytes]) -> Sequence[Origin]:
+        """Return the place in ``permissions.xml`` of each rule of a package; see :class:`keymint.api.RulePlaces`."""
+        return package.rule_places(name, folder, files)
 
 
 profile_type = RosProfileType()

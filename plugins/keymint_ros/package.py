@@ -219,6 +219,15 @@ def load(profile: Profile, name: str, folder: str, files: Mapping[str, bytes]) -
     )
 
 
+def rule_places(name: str, folder: str, files: Mapping[str, bytes]) -> tuple[Origin, ...]:
+    """Return the place in the package of each of its rules: see :meth:`keymint.api.RulePlaces.rule_places`."""
+    marker = f"{folder}/{MARKER}"
+    part = manifest.read(file_in(files, MARKER, Origin(folder), "package"), marker).permissions
+    path = confined(part.path, Origin(marker, part.line))
+    grant = permissions.read(files.get(path, b""), f"{folder}/{path}", f"/{name}")
+    return tuple(Origin(f"{folder}/{path}", rule.line) for rule in grant.rules)
+
+
 def _attempt(part: Callable[[], _T], diagnostics: list[Diagnostic]) -> _T | None:
     """Return a part of the package, or None after noting why it cannot be had."""
     try:

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import comarmor
 import comarmor.source
-from keymint.api import PolicyDecision, PolicySource
+from keymint.api import AppliedProfile, PolicyDecision, PolicySource
 from keymint.errors import Diagnostic, KeymintError, Origin, Severity
 from keymint.graph import Edge
 from keymint.ir import Effect, Rule, SubjectRules
@@ -57,6 +57,13 @@ class _LoadedPolicy:
         if not self.policy.applicable(subject):
             return None
         return SubjectRules(subject, tuple(_rule(rule) for rule in self.policy.rules(subject)))
+
+    def profiles(self, subject: str) -> tuple[AppliedProfile, ...]:
+        """Return the profiles that apply to a subject, outer ones first."""
+        return tuple(
+            AppliedProfile(profile.name, _origin(profile.where), profile.audit)
+            for profile in self.policy.applicable(subject)
+        )
 
     def decide(self, edge: Edge) -> PolicyDecision:
         """Return what the policy says about an edge; errors as :meth:`keymint.api.LoadedPolicy.decide`."""

@@ -6,6 +6,7 @@ from collections.abc import Mapping, Sequence
 
 from keymint.api import API_VERSION, Artifact, BuildOptions, Built, Credentials, Inspection, Package
 from keymint.errors import Diagnostic
+from keymint.graph import Edge
 
 __all__ = ["DdsSecurity", "build_type"]
 
@@ -51,6 +52,18 @@ class DdsSecurity:
         from keymint_ros2_dds.check_all import check_all  # noqa: PLC0415
 
         return check_all(inspections)
+
+    def endpoints(self, distro: str, edge: Edge) -> Sequence[Edge]:
+        """See :func:`keymint_ros2_dds.endpoints.endpoints`."""
+        from keymint_ros2_dds.endpoints import endpoints  # noqa: PLC0415
+
+        return endpoints(distro, edge)
+
+    def meanings(self, distro: str, endpoint: Edge) -> Sequence[Edge]:
+        """See :func:`keymint_ros2_dds.endpoints.meanings`."""
+        from keymint_ros2_dds.endpoints import meanings  # noqa: PLC0415
+
+        return meanings(distro, endpoint)
 
 
 build_type = DdsSecurity()

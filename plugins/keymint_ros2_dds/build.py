@@ -35,7 +35,7 @@ def build(package: Package, options: BuildOptions) -> Built:
         problems += error.diagnostics
     try:
         documents[GOVERNANCE_XML], remarks = governance.build(
-            package.governance, package.subject, allow_vendor_specific=lenient
+            package.governance, package.subject, package.distro, allow_vendor_specific=lenient
         )
         notes += remarks
     except KeymintError as error:

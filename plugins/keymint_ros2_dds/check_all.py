@@ -64,10 +64,12 @@ def _one_authority(inspections: Sequence[Inspection]) -> Iterator[Diagnostic]:
     said: set[bytes] = set()
     for inspection in inspections:
         authority = inspection.permissions_ca
-        if authority and authority == inspection.identity_ca and authority not in said and inspection.layout != "flat":
+        if authority and authority == inspection.identity_ca and authority not in said:
             said.add(authority)
+            # The flat layout has no place for a second authority, so there it is no finding to act upon.
+            severity = Severity.NOTE if inspection.layout == "flat" else Severity.WARNING
             yield Diagnostic(
-                "authority-shared", Severity.WARNING,
+                "authority-shared", severity,
                 f"the authority {inspection.package.permissions.issuer!r} issues identities and signs permissions: on "
                 "older releases of DDS implementations an identity can sign permissions for itself (CVE-2023-24010)",
                 Origin(f"{inspection.folder}/{CERTIFICATE}"),

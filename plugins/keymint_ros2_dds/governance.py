@@ -15,7 +15,7 @@ from keymint.keymake.algebra import covers, union_covers
 from keymint.keymake.composites import PARTS
 from keymint.keymake.glob import EVERYTHING, Glob
 from keymint_ros2_dds import document
-from keymint_ros2_dds.mapping import IMAGES, image
+from keymint_ros2_dds.mapping import ARDENT, IMAGES, images
 from keymint_ros2_dds.spelling import InexpressibleError, faithful, spell
 
 KINDS = ("NONE", "SIGN", "ENCRYPT", "SIGN_WITH_ORIGIN_AUTHENTICATION", "ENCRYPT_WITH_ORIGIN_AUTHENTICATION")
@@ -31,13 +31,22 @@ _PERMISSIONS = {
 """One side of each kind: both sides of a ROS entity use the same DDS topics."""
 
 
-def build(governance: Governance, subject: str, *, allow_vendor_specific: bool) -> tuple[bytes, tuple[Diagnostic, ...]]:
+def build(
+    governance: Governance, subject: str, distro: str, *, allow_vendor_specific: bool
+) -> tuple[bytes, tuple[Diagnostic, ...]]:
     """Return the governance document, valid against its schema, and what is to be said of it.
+
+    Args:
+        governance: what is asked for.
+        subject: whose document it is.
+        distro: ROS 2 distribution whose mapping of names applies. A governance document knows no partitions, so that
+            for Ardent a rule is about a base name in every namespace.
+        allow_vendor_specific: where vendors would differ, follow the standard and warn.
 
     Raises:
         KeymintError: an unknown kind of protection, or what vendors would not read alike; each with its place.
     """
-    found = _compile(governance, allow_vendor_specific)
+    found = _compile(governance, distro, allow_vendor_specific)
     problems = tuple(
         Diagnostic(item.code, item.severity, item.message, item.where, item.help, subject) for item in found[1]
     )
@@ -47,13 +56,13 @@ def build(governance: Governance, subject: str, *, allow_vendor_specific: bool) 
 
 
 @lru_cache(maxsize=64)
-def _compile(governance: Governance, lenient: bool) -> tuple[bytes, tuple[Diagnostic, ...]]:
+def _compile(governance: Governance, distro: str, lenient: bool) -> tuple[bytes, tuple[Diagnostic, ...]]:
     """Most packages of a workspace have the same governance, so that it is compiled once."""
     problems = list(_check(governance, lenient))
     root = document.root(document.GOVERNANCE)
     rules = document.child(root, "domain_access_rules")
     for rule in governance.domain_rules:
-        problems += _domain_rule(rules, rule, lenient)
+        problems += _domain_rule(rules, rule, distro, lenient)
     if any(item.severity is Severity.ERROR for item in problems):
         return b"", tuple(problems)
     return document.render(root, document.GOVERNANCE), tuple(problems)
@@ -96,7 +105,7 @@ def _hint(word: str, known: Iterable[str]) -> str:
     return f"did you mean {close[0]!r}?" if close else ""
 
 
-def _domain_rule(parent: etree._Element, rule: DomainRule, lenient: bool) -> Iterator[Diagnostic]:
+def _domain_rule(parent: etree._Element, rule: DomainRule, distro: str, lenient: bool) -> Iterator[Diagnostic]:
     element = document.child(parent, "domain_rule")
     document.domains(element, rule.domains)
     document.child(element, "allow_unauthenticated_participants", _boolean(rule.allow_unauthenticated_participants))
@@ -109,12 +118,19 @@ def _domain_rule(parent: etree._Element, rule: DomainRule, lenient: bool) -> Ite
     for topic in rule.topic_rules:
         if topic.kind not in _PERMISSIONS:
             continue
-        patterns = [pattern for pattern in _patterns(topic) if not union_covers(tuple(said), pattern)]
+        patterns = [pattern for pattern in _patterns(topic, distro) if not union_covers(tuple(said), pattern)]
         if not patterns:
             yield Diagnostic(
                 "governance-shadowed", Severity.WARNING,
                 f"the {topic.kind} rule for {topic.expression!r} has no effect: the rules before it match all of it",
                 topic.origin, "put it before the wider rules, or remove it",
+            )  # fmt: skip
+        if distro == ARDENT and topic.kind != "topic":
+            yield Diagnostic(
+                "governance-base-name", Severity.NOTE,
+                f"ROS 2 Ardent's DDS topics have base names only: the {topic.kind} rule for {topic.expression!r} is about "
+                "topics of the same base name in every namespace",
+                topic.origin, "let rules on one base name protect alike",
             )  # fmt: skip
         for pattern in patterns:
             texts, problem = _spelled(pattern, topic, lenient)
@@ -132,7 +148,7 @@ def _domain_rule(parent: etree._Element, rule: DomainRule, lenient: bool) -> Ite
         _topic_rule(topics, "*", _strictest(rule))
 
 
-def _patterns(topic: TopicProtection) -> list[Glob]:
+def _patterns(topic: TopicProtection, distro: str) -> list[Glob]:
     """Return the images of an expression, specific ones first."""
     try:
         tokens = glob.parse(topic.expression)
@@ -143,7 +159,7 @@ def _patterns(topic: TopicProtection) -> list[Glob]:
         for permission in _PERMISSIONS[topic.kind]
         for _, part, suffix in PARTS.get(permission, ((*permission, ""),))
         for mapped in IMAGES[part]
-        for pattern in image(tokens, mapped, suffix)
+        for pattern, _ in images(distro, tokens, mapped, suffix)
         if pattern and not glob.is_empty(pattern)
     ]
     return [p for p in dict.fromkeys(found) if not any(q != p and covers(q, p) for q in found)]

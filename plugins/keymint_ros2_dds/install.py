@@ -65,7 +65,10 @@ def _document(package: Package, documents: Mapping[str, bytes], kind: str) -> by
     content = documents.get(f"{kind}.xml")
     if content is None:
         raise KeymintError(
-            f"{package.subject} has no {kind}.xml", help=f"run 'keymint build {package.name}'", code="document-missing"
+            f"{package.subject} has no {kind}.xml",
+            where=Origin(f"{package.name}/{kind}.xml"),
+            help=f"run 'keymint build {package.name}'",
+            code="document-missing",
         )
     document.require_valid(content, kind, f"{package.name}/{kind}.xml")
     return content

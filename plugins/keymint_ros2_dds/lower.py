@@ -15,7 +15,8 @@ from keymint.ir import Effect, Rule, SubjectRules
 from keymint.keymake import glob
 from keymint.keymake.composites import parts
 from keymint.keymake.glob import Glob
-from keymint_ros2_dds.mapping import IMAGES, Action, image
+from keymint_ros2_dds.mapping import IMAGES, Action, images, knows
+from keymint_ros2_dds.spelling import faithful
 
 Partitions = tuple[str, ...]
 """Partition expressions as a policy has them, sorted; empty: not narrowed."""
@@ -32,12 +33,19 @@ class Lowered:
     diagnostics: tuple[Diagnostic, ...]
 
 
-def lower(rules: SubjectRules) -> Lowered:
+def lower(rules: SubjectRules, distro: str) -> Lowered:
     """Return what the rules of a subject say of DDS topics.
 
+    Args:
+        rules: the rules.
+        distro: ROS 2 distribution whose mapping of names applies.
+
     Raises:
-        KeymintError: an expression cannot be read; says at which ``file:line``.
+        KeymintError: an expression cannot be read, or the distribution has no such entities; says at which
+            ``file:line``.
     """
+    if unknown := [_unknown(rule, distro, rules.subject) for rule in rules.rules if not knows(distro, rule.kind)]:
+        raise KeymintError.of(unknown)
     sides: dict[Effect, dict[Action, dict[tuple[Glob, Partitions], Rule]]] = {
         effect: {action: {} for action in Action} for effect in Effect
     }
@@ -49,18 +57,18 @@ def lower(rules: SubjectRules) -> Lowered:
             _parse(expression, rule)
         for expression in rule.expressions:
             found = False
-            for action, pattern in _images(expression, rule):
-                side[action].setdefault((pattern, partitions), rule)
+            for action, pattern, partition in _images(expression, rule, distro):
+                side[action].setdefault((pattern, partition or partitions), rule)
                 found = True
             if not found:
                 diagnostics.append(_never(expression, rule, rules.subject))
     return Lowered(sides[Effect.ALLOW], sides[Effect.DENY], tuple(diagnostics))
 
 
-def _images(expression: str, rule: Rule) -> list[tuple[Action, Glob]]:
-    """Return the DDS patterns of one expression of a rule, for all its permissions."""
+def _images(expression: str, rule: Rule, distro: str) -> list[tuple[Action, Glob, Partitions]]:
+    """Return the DDS patterns of one expression of a rule, for all its permissions, and partitions from the mapping."""
     tokens = _parse(expression, rule)
-    found: list[tuple[Action, Glob]] = []
+    found: list[tuple[Action, Glob, Partitions]] = []
     for permission in rule.permissions:
         for _, part, suffix in parts(rule.kind, permission):
             if part not in IMAGES:
@@ -72,8 +80,10 @@ def _images(expression: str, rule: Rule) -> list[tuple[Action, Glob]]:
                     code="permission-unknown",
                 )
             for mapped in IMAGES[part]:
-                patterns = image(tokens, mapped, suffix)
-                found += [(mapped.action, each) for each in patterns if each and not glob.is_empty(each)]
+                for pattern, partition in images(distro, tokens, mapped, suffix, rule.effect):
+                    if pattern and not glob.is_empty(pattern) and not (partition and glob.is_empty(partition)):
+                        listed = () if partition is None else (faithful(partition),)
+                        found.append((mapped.action, pattern, listed))
     return found
 
 
@@ -82,6 +92,17 @@ def _parse(expression: str, rule: Rule) -> Glob:
         return glob.parse(expression)
     except glob.GlobError as error:
         raise KeymintError(str(error), where=rule.origin, code="expression") from None
+
+
+def _unknown(rule: Rule, distro: str, subject: str) -> Diagnostic:
+    return Diagnostic(
+        "distro-kind",
+        Severity.ERROR,
+        f"ROS 2 {distro.capitalize()} has no actions, but this is an {rule.effect} {rule.kind} rule",
+        rule.origin,
+        "remove it, or take a later distro",
+        subject,
+    )
 
 
 def _never(expression: str, rule: Rule, subject: str) -> Diagnostic:

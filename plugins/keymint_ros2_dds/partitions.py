@@ -19,12 +19,12 @@ from keymint.keymake.algebra import (
     covers,
     disjoint,
     intersection,
-    matcher,
     sort_key,
     surely_covers,
 )
-from keymint.keymake.glob import EVERYTHING, Glob, literal
+from keymint.keymake.glob import EVERYTHING, STAR, Glob, Star, literal
 from keymint_ros2_dds.lower import Partitions
+from keymint_ros2_dds.spelling import faithful
 
 DEFAULT: Partitions = ("",)
 EVERY: Partitions = ("*",)
@@ -77,41 +77,68 @@ def touches(shared: Partitions, denied: Partitions) -> bool:
 
 
 def unsafe(allow: Iterable[tuple[Glob, Partitions]]) -> Iterator[tuple[Glob, str]]:
-    """Yield the patterns whose partitions vendors would not read alike, each with the reason."""
+    """Yield the patterns whose partitions vendors would not read alike, each with the reason.
+
+    An endpoint's own wildcard is compared as text: with ``?`` or a bracket expression an endpoint in ``p*`` would be in
+    ``p?``, and so would hear more than that. Of one ``*`` the text that it stands for may hold any wildcard: what the
+    endpoint hears is within the expression all the same.
+    """
     for pattern, partitions in allow:
         for expression in partitions:
-            if expression == "*":
-                continue
-            text = literal(globs.parse(expression))
-            if text is None:
+            glob = globs.parse(expression)
+            text = literal(glob)
+            if text is None and not (glob.count(STAR) == 1 and all(isinstance(each, str | Star) for each in glob)):
                 reason = (
-                    "is neither a plain name nor '*', and vendors compare an endpoint's own wildcard with it as text"
+                    "is neither a name nor one with a single '*', and vendors compare an endpoint's own wildcard with "
+                    "it as text"
                 )
                 yield pattern, f"the partition {expression!r} {reason}"
-            elif any(char in "*?[]\\" or not " " <= char <= "~" for char in text) or text != text.strip():
+            elif any(_misread(part) for part in glob if isinstance(part, str)):
                 yield pattern, f"the partition {expression!r} has characters that vendors read differently"
 
 
+def _misread(text: str) -> bool:
+    return any(char in "*?[]\\" or not " " <= char <= "~" for char in text) or text != text.strip()
+
+
 def _plain(partitions: Partitions) -> Partitions:
-    """Return partitions as names, sorted; ``*`` alone when it is among them."""
-    if not partitions:
-        return DEFAULT
-    return EVERY if "*" in partitions else tuple(sorted({literal(globs.parse(p)) or "" for p in partitions}))
+    """Return partitions as they are written in a document, sorted; ``*`` alone when it is among them.
+
+    Those that have passed :func:`unsafe` are written as they are, since they have nothing to escape.
+    """
+    return _reduced(partitions) if partitions else DEFAULT
+
+
+def _reduced(partitions: Iterable[str]) -> Partitions:
+    """Leave out the partitions that another one covers; sorted, in normal form."""
+    names = sorted({faithful(globs.parse(expression)) for expression in partitions})
+    wild = [(name, globs.parse(name)) for name in names if "*" in name]
+    return tuple(
+        name for name in names if not any(other != name and covers(glob, globs.parse(name)) for other, glob in wild)
+    )
+
+
+def _within(inner: Partitions, outer: Partitions) -> bool:
+    """Tell whether one list of partitions has nothing that another one lacks."""
+    return all(name in outer or any(covers(globs.parse(o), globs.parse(name)) for o in outer) for name in inner)
 
 
 def _left(allowed: Partitions, denied: Partitions) -> Partitions:
     """Return what a deny of ``denied`` (empty: every partition) leaves of a list.
 
     Raises:
-        ValueError: it takes single names out of "every partition".
+        ValueError: it takes single names out of an expression.
     """
-    patterns = [globs.parse(expression) for expression in denied] if denied else [EVERYTHING]
-    if any(covers(pattern, EVERYTHING) for pattern in patterns):
-        return ()
-    if allowed == EVERY:
-        raise ValueError
-    refused = [matcher(pattern) for pattern in patterns]
-    return tuple(name for name in allowed if not any(refuses(name) for refuses in refused))
+    refused = [globs.parse(expression) for expression in denied] if denied else [EVERYTHING]
+    left: list[str] = []
+    for expression in allowed:
+        glob = globs.parse(expression)
+        if any(covers(other, glob) for other in refused):
+            continue
+        if not all(disjoint(other, glob) for other in refused):
+            raise ValueError
+        left.append(expression)
+    return tuple(left)
 
 
 def decision_list(
@@ -141,7 +168,7 @@ def _closed(steps: Sequence[tuple[Glob, Partitions]]) -> Iterator[tuple[Glob, Pa
     """
     for at, (pattern, listed) in enumerate(steps):
         yield pattern, listed
-        wider = (other for other, later in steps[at + 1 :] if set(later) - set(listed))
+        wider = (other for other, later in steps[at + 1 :] if not _within(later, listed))
         if listed and listed != EVERY and any(not disjoint(pattern, other) for other in wider):
             yield pattern, ()
 
@@ -168,13 +195,14 @@ def _effective(
         denied = [names for other, names in deny if surely_covers(other, pattern)]
     except TooComplexError:
         raise PartitionError(pattern, "how it overlaps with others is too hard to find out") from None
-    left = EVERY if "*" in listed else tuple(sorted(listed))
+    left = _reduced(listed)
     for names in denied:
         if left:
             try:
                 left = _left(left, names)
             except ValueError:
-                raise PartitionError(pattern, "it is allowed in every partition but for some") from None
+                reason = f"it is allowed in the partitions {' '.join(left)}, but for some, which vendors do not read alike"
+                raise PartitionError(pattern, reason) from None
     return left
 
 

@@ -53,7 +53,7 @@ def compile_rules(permissions: Permissions, distro: str, *, allow_vendor_specifi
         KeymintError: every rule that vendors would not read alike, with its ``file:line``.
     """
     check_distro(distro)
-    lowered = lower(permissions.rules)
+    lowered = lower(permissions.rules, distro)
     collector = _Collector(lowered, permissions.rules.subject, allow_vendor_specific)
     for action in Action:
         for pattern, reason in partitions.unsafe(lowered.allow[action]):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import threading
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -139,7 +140,12 @@ def test_the_mark_of_a_run_that_wrote_only_secrets_is_taken_back_by_the_next(wor
 def test_the_mark_holds_no_digest_of_a_secret(workspace: Workspace, monkeypatch: pytest.MonkeyPatch) -> None:
     marks: list[bytes] = []
     marked = Store.marked
-    monkeypatch.setattr(Store, "marked", lambda self, content: marks.append(content) or marked(self, content))
+
+    def watched(self: Store, content: bytes) -> Any:
+        marks.append(content)
+        return marked(self, content)
+
+    monkeypatch.setattr(Store, "marked", watched)
     change = FolderChange(workspace.private, {"key.pem": File(b"secret", secret=True), "cert.pem": File(b"public")})
     run(Plan((Step("authorities", "ca", Action.CREATED, (change,)),), State()), workspace)
     assert marks == [digest(b"public").encode()]

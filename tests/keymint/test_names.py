@@ -22,11 +22,14 @@ def test_a_legal_name_is_itself_with_or_without_its_slash(name: str) -> None:
 
 @given(st.text(max_size=60))
 def test_whatever_is_accepted_is_a_relative_path_without_a_step_upward(text: str) -> None:
+    refusal: KeymintError | None = None
     try:
         name = package_name(text)
     except KeymintError as error:
-        assert error.diagnostics[0].code == "name-illegal"
-        assert len(str(error).splitlines()) == 1
+        refusal = error
+    if refusal:
+        assert refusal.diagnostics[0].code == "name-illegal"
+        assert len(str(refusal).splitlines()) == 1
         return
     assert name.isascii()
     assert all(part and part not in {".", ".."} and "\0" not in part for part in name.split("/"))

@@ -9,7 +9,8 @@ from hypothesis import strategies as st
 from keymint.state import Stamp, State, digest, digest_files, dump_mark, load
 
 WORDS = st.text(max_size=12)
-STAMPS = st.builds(Stamp, WORDS, st.dictionaries(WORDS, WORDS, max_size=4))
+SECRET = st.lists(WORDS, max_size=2, unique=True).map(lambda names: tuple(sorted(names)))
+STAMPS = st.builds(Stamp, WORDS, st.dictionaries(WORDS, WORDS, max_size=4), SECRET)
 STATES = st.builds(State, st.dictionaries(WORDS, st.dictionaries(WORDS, STAMPS, max_size=4), max_size=3))
 
 
@@ -24,7 +25,9 @@ def test_equal_records_are_equal_bytes_in_whatever_order_they_grew(stamps: dict[
     one = State().updated("build", stamps)
     other = State()
     for name, stamp in reversed(stamps.items()):
-        other = other.updated("build", {name: Stamp(stamp.inputs, dict(reversed(stamp.outputs.items())))})
+        other = other.updated(
+            "build", {name: Stamp(stamp.inputs, dict(reversed(list(stamp.outputs.items()))), stamp.secret)}
+        )
     assert one.dump() == other.dump() or not stamps
 
 
@@ -37,6 +40,18 @@ def test_a_damaged_record_is_an_empty_one(content: bytes) -> None:
 def test_a_record_that_ends_early_is_an_empty_one(state: State, data: st.DataObject) -> None:
     content = state.dump()
     assert load(content[: data.draw(st.integers(0, len(content) - 2))]) == State()
+
+
+@given(STATES.filter(lambda state: state.stamps), st.data())
+def test_a_record_with_any_flipped_bit_is_an_empty_one(state: State, data: st.DataObject) -> None:
+    content = bytearray(state.dump())
+    content[data.draw(st.integers(0, len(content) - 1))] ^= 1 << data.draw(st.integers(0, 7))
+    assert load(bytes(content)) == State()
+
+
+def sealed(body: bytes) -> bytes:
+    """Return a record whose digest is right, whatever it says."""
+    return body + b',"sha256":"' + digest(body).encode() + b'"}\n'
 
 
 @pytest.mark.parametrize(
@@ -55,6 +70,14 @@ def test_a_record_that_ends_early_is_an_empty_one(state: State, data: st.DataObj
         b'{"version":1,"stamps":{"build":{"a":["x",[]]}}}',
         b"[" * 200_000,
         b"\xff\xfe",
+        sealed(b'{"version":2,"stamps":{}'),
+        sealed(b'{"version":1'),
+        sealed(b'{"version":1,"stamps":[]'),
+        sealed(b'{"version":1,"stamps":{"build":{"a":7}}'),
+        sealed(b'{"version":1,"stamps":{"build":{"a":["x",[],[]]}}'),
+        sealed(b'{"version":1,"stamps":{"build":{"a":["x",{}]}}'),
+        sealed(b'{"version":1,"stamps":' + b"[" * 200_000),
+        sealed(b"\xff\xfe"),
     ],
 )
 def test_a_record_of_another_shape_is_an_empty_one(content: bytes) -> None:

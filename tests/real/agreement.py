@@ -28,8 +28,8 @@ from keymint.api import (
 )
 from keymint.errors import Origin
 
-from .cyclone_access_control import AccessControl
-from .participants import RefusedError, System
+from keymint_ros2_dds.vendors.cyclone_access_control import AccessControl
+from keymint_ros2_dds.vendors.participants import RefusedError, System
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
@@ -37,9 +37,9 @@ if TYPE_CHECKING:
 
     import comarmor
 
-    from .cyclone_access_control import Direction
+    from keymint_ros2_dds.vendors.cyclone_access_control import Direction
     from .handmade import Authorities
-    from .participants import Participant, Vendor
+    from keymint_ros2_dds.vendors.participants import Participant, Vendor
 
 _HERE = Origin("test")
 _SERVICE_PARTS = {

@@ -10,9 +10,9 @@ from typing import TYPE_CHECKING, NoReturn
 
 import pytest
 
-from . import probes
+from keymint_ros2_dds.vendors import probes
 from .handmade import Authorities
-from .participants import CycloneDDS, FastDDS, System, Vendor
+from keymint_ros2_dds.vendors.participants import CycloneDDS, FastDDS, System, Vendor
 from .provisioning import provision
 
 if TYPE_CHECKING:

@@ -11,7 +11,7 @@ import pytest
 import comarmor
 
 from .agreement import REQUESTS, meanings, operations, said_of
-from .cyclone_access_control import AccessControl
+from keymint_ros2_dds.vendors.cyclone_access_control import AccessControl
 from .provisioning import enclave
 
 if TYPE_CHECKING:

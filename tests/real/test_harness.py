@@ -9,9 +9,9 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from . import participants, probes
+from keymint_ros2_dds.vendors import participants, probes
 from .conftest import missing
-from .participants import FastDDS, ProbeError, System
+from keymint_ros2_dds.vendors.participants import FastDDS, ProbeError, System
 
 if TYPE_CHECKING:
     from pathlib import Path

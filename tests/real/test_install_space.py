@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from .participants import DeniedError, Direction, Edge, RefusedError, System
+from keymint_ros2_dds.vendors.participants import DeniedError, Direction, Edge, RefusedError, System
 from .provisioning import enclave
 
 if TYPE_CHECKING:

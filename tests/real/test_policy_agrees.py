@@ -13,7 +13,7 @@ import comarmor
 from keymint.errors import KeymintError
 
 from .agreement import REQUESTS, access, allowed, compiled, operations, participant, said_of
-from .participants import System, Vendor
+from keymint_ros2_dds.vendors.participants import System, Vendor
 from .policies import (
     ENDPOINTS,
     NAMES,

@@ -8,7 +8,7 @@ import pytest
 from cryptography.x509.oid import NameOID
 
 from .handmade import Authorities, criteria, rule
-from .participants import DeniedError, Direction, RefusedError, System, Vendor
+from keymint_ros2_dds.vendors.participants import DeniedError, Direction, RefusedError, System, Vendor
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

@@ -34,11 +34,11 @@ HARMLESS: Mapping[str, Callable[[], object]] = {
     "fsync": lambda: os.fsync(_NULL),
     "fchmod": lambda: os.fchmod(_NULL, 0o666),
     "renameat": lambda: os.rename(_NOWHERE, _NOWHERE, src_dir_fd=_FOLDER, dst_dir_fd=_FOLDER),
-    "mkdir": lambda: os.mkdir(_NOWHERE),
+    "mkdir": Path(_NOWHERE).mkdir,
     "mkdirat": lambda: os.mkdir(_NOWHERE, dir_fd=_FOLDER),
-    "unlink": lambda: os.unlink(_NOWHERE),
+    "unlink": Path(_NOWHERE).unlink,
     "unlinkat": _unlink_at,
-    "rmdir": lambda: os.rmdir(_NOWHERE),
+    "rmdir": Path(_NOWHERE).rmdir,
     "flock": lambda: fcntl.flock(_FOLDER, fcntl.LOCK_UN),
 }
 """The calls that change a file system, each with a way to make it that changes nothing."""
@@ -66,7 +66,8 @@ def _warm_up() -> None:
     from keymint import cli
 
     policy = (
-        '<profiles><profile name="p"><attachment>/a</attachment><ros_topic qualifier="ALLOW"><attachment>/b</attachment>'
+        '<profiles><profile name="p"><attachment>/a</attachment>'
+        '<ros_topic qualifier="ALLOW"><attachment>/b</attachment>'
         "<permissions><ros_publish/></permissions></ros_topic></profile></profiles>"
     )
     with tempfile.TemporaryDirectory() as folder, contextlib.redirect_stdout(io.StringIO()) as said:

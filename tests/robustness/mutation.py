@@ -10,19 +10,23 @@ from lxml import etree
 
 TOKENS = (
     b"<", b">", b"/>", b"&", b"&amp;", b"&#0;", b"&#x9b;", b"&#xFFFF;", b"&x;", b"]]>", b"<!--", b"-->", b"<?xml?>",
-    b"<!DOCTYPE a [<!ENTITY x 'y'>]>", b"<![CDATA[", b"\x00", b"\xff", b"\xfe\xff", b"\r", b"\x1b[31m", b"'", b'"', b"=",
+    b"<!DOCTYPE a [<!ENTITY x 'y'>]>", b"<![CDATA[", b"\x00", b"\xff", b"\xfe\xff", b"\r", b"\x1b[31m", b"'",
+    b'"', b"=",
     b"xmlns=''", b"xmlns:xi='x'", b" ", b"\n" * 3000, b"{", b"}", b"@{", b"*", b"[", b"\\",
 )  # fmt: skip
 TEXTS = (
-    "", " ", "0", "-1", "00", "1e999", "NaN", "9" * 40, "9" * 5000, "4294967296", "65536", "231", "0x10", "true", "TRUE",
+    "", " ", "0", "-1", "00", "1e999", "NaN", "9" * 40, "9" * 5000, "4294967296", "65536", "231", "0x10",
+    "true", "TRUE",
     "\u202e", "\u009b31m", "\u2028", "\u00e9", "\U0001f916", "a" * 300, "a" * 70000, "/" * 300, "/a" * 600,
     "..", "../../../../etc/passwd", "/etc/passwd", "C:\\x", "a/../b", "file:///etc/passwd", "%2e%2e/x", "~", ".",
-    "{name}", "{namespace}", "{subject}", "{0}", "{__class__}", "{", "}", "{{", "${x}", "@{ROBOT}", "@{", "@{@{A}}", "%s",
+    "{name}", "{namespace}", "{subject}", "{0}", "{__class__}", "{", "}", "{{", "${x}", "@{ROBOT}", "@{",
+    "@{@{A}}", "%s",
     "*", "/*", "?" * 100, "[", "[]", "[!", "[[:alpha:]]", "[z-a]", "\\", "\\*", "*" * 200,
     "P1Y", "P0D", "-P1D", "P", "PT", "P" + "9" * 30 + "Y", "P1.5D", "P1Y1M1W1DT1H1M1.1S",
     "2018-02-30T00:00:00", "9999-12-31T23:59:59", "0000-00-00", "0001-01-01T00:00:00", "2018-06-01T00:00:00+99:00",
     "2018-06-01T00:00:00Z", "24:00:00", "MD5", "SHA1", "sha256", "SHA512", "EC", "rsa", "DSA", "1024", "512", "1",
-    "SECP256R1", "SECP521R1", "secp192r1", "CN=", "CN", "CN=a,CN=b", "CN=" + "x" * 65, "CN=" + "x" * 70000, "/CN=a/O=b", "CN=a\\,b+OU=#0000",
+    "SECP256R1", "SECP521R1", "secp192r1", "CN=", "CN", "CN=a,CN=b", "CN=" + "x" * 65, "CN=" + "x" * 70000,
+    "/CN=a/O=b", "CN=a\\,b+OU=#0000",
     "CA:TRUE", "CA:FALSE,pathlen:-1", "critical,CA:TRUE", "keyCertSign", "DNS:..,IP:999.1.1.1", "DER:00",
     "sros2", "flat", "jazzy", "ardent", "keymint_ros", "keymint_ros2_dds", "ENCRYPT", "NONE", "ALLOW", "DENY", "AUDIT",
 )  # fmt: skip
@@ -78,7 +82,7 @@ def in_tree(content: bytes, chance: Random, others: Sequence[bytes]) -> bytes:
     root = etree.fromstring(content)
     donors = [element for other in (content, *others) for element in etree.fromstring(other).iter(etree.Element)]
     for _ in range(chance.randint(1, 3)):
-        elements = [element for element in root.iter(etree.Element)]
+        elements = list(root.iter(etree.Element))
         chance.choice(_TREES)(chance.choice(elements), donors, chance)
     return etree.tostring(root, xml_declaration=chance.random() < 0.5, encoding="UTF-8")
 

@@ -82,7 +82,7 @@ def environment() -> dict[str, str]:
 def _launch(jobs: Sequence[tuple[list[str], str, int]], options: list[str], folder: Path) -> list[tuple[int, Ended]]:
     (folder / "jobs").write_text(json.dumps(jobs))
     (folder / "results").unlink(missing_ok=True)
-    launcher = [sys.executable, HERE / "launcher.py", folder / "jobs", folder / "results"]
+    launcher = [sys.executable, str(HERE / "launcher.py"), str(folder / "jobs"), str(folder / "results")]
     subprocess.run(["strace", "-f", "-q", *options, *launcher], env=environment(), check=True, timeout=600)
     results = json.loads((folder / "results").read_text())
     return [(process, Ended(code, output)) for process, code, output in results]

@@ -159,7 +159,7 @@ class TestEditsByHand:
 
 PORTABILITY = """<profiles><profile name="p"><attachment>/cam</attachment>
   <topic qualifier="ALLOW"><attachment>image*</attachment><permissions><publish/></permissions>
-    <partitions><partition>left</partition><partition>right</partition></partitions></topic>
+    <partitions><partition>*</partition></partitions></topic>
   <topic qualifier="DENY"><attachment>image_raw</attachment><permissions><publish/></permissions>
     <partitions><partition>left</partition></partitions></topic>
 </profile></profiles>

@@ -136,6 +136,19 @@ def test_a_document_that_breaks_its_schema_is_not_signed(keymint, provisioned: P
     assert snapshot(provisioned / "install") == before
 
 
+def test_sources_and_policy_that_changed_are_said(keymint, provisioned: Path, policy: Path) -> None:
+    policy.write_text(policy.read_text().replace("/chatter", "/other"))
+    for verb in ("build", "install"):
+        outcome = keymint(verb, cwd=provisioned)
+        assert "the policy, or the profile, changed since the packages were made from it" in outcome.err
+    keymint("create", "--all", cwd=provisioned)
+    outcome = keymint("install", cwd=provisioned)
+    assert "build/talker: warning: was built from sources that changed since" in outcome.err
+    keymint("build", cwd=provisioned)
+    outcome = keymint("install", cwd=provisioned)
+    assert (outcome.code, outcome.err) == (0, "")
+
+
 class TestPrune:
     def remove(self, ws: Path) -> None:
         for path in (ws / "src/talker").iterdir():

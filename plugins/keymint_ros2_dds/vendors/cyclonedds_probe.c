@@ -7,6 +7,7 @@
 #include <stdlib.h>
 #include <string.h>
 #include <time.h>
+#include <unistd.h>
 
 #include "dds/dds.h"
 #include "dds/ddsrt/log.h"
@@ -87,20 +88,31 @@ static void set_file(dds_qos_t *qos, const char *property, const char *folder, c
   dds_qset_prop(qos, property, value);
 }
 
-static void open_participant(uint32_t domain, const char *folder, const char *plugins)
+/* The layout of Ardent has one file for both authorities. */
+static void set_authority(dds_qos_t *qos, const char *property, const char *folder, const char *file)
+{
+  char path[4096];
+  snprintf(path, sizeof path, "%s/%s", folder, file);
+  set_file(qos, property, folder, access(path, F_OK) == 0 ? file : "ca.cert.pem");
+}
+
+/* access_control is the path of an access-control plugin in place of the vendor's. */
+static void open_participant(uint32_t domain, const char *folder, const char *plugins, const char *access_control)
 {
   char library[3][4096];
   const char *names[3] = {"auth", "crypto", "ac"};
   for (size_t i = 0; i < 3; i++)
     snprintf(library[i], sizeof library[i], "%s/libdds_security_%s.so", plugins, names[i]);
+  if (access_control)
+    snprintf(library[2], sizeof library[2], "%s", access_control);
   dds_qos_t *qos = dds_create_qos();
   set_library(qos, "auth", library[0], "authentication");
   set_library(qos, "crypto", library[1], "crypto");
   set_library(qos, "access", library[2], "access_control");
-  set_file(qos, "dds.sec.auth.identity_ca", folder, "identity_ca.cert.pem");
+  set_authority(qos, "dds.sec.auth.identity_ca", folder, "identity_ca.cert.pem");
   set_file(qos, "dds.sec.auth.identity_certificate", folder, "cert.pem");
   set_file(qos, "dds.sec.auth.private_key", folder, "key.pem");
-  set_file(qos, "dds.sec.access.permissions_ca", folder, "permissions_ca.cert.pem");
+  set_authority(qos, "dds.sec.access.permissions_ca", folder, "permissions_ca.cert.pem");
   set_file(qos, "dds.sec.access.governance", folder, "governance.p7s");
   set_file(qos, "dds.sec.access.permissions", folder, "permissions.p7s");
   participant = dds_create_participant(domain, qos, NULL);
@@ -226,8 +238,8 @@ static bool obey(char **words, size_t count)
 {
   const char *command = words[0];
   const Edge *edge = count > 1 ? find_edge(words[1]) : NULL;
-  if (strcmp(command, "OPEN") == 0 && count == 4)
-    open_participant((uint32_t)atoi(words[1]), words[2], words[3]);
+  if (strcmp(command, "OPEN") == 0 && (count == 4 || count == 5))
+    open_participant((uint32_t)atoi(words[1]), words[2], words[3], count == 5 ? words[4] : NULL);
   else if (strcmp(command, "EDGE") == 0 || strcmp(command, "TRY") == 0)
     edge_command(command, words + 1, count - 1);
   else if (strcmp(command, "AWAIT") == 0 && edge && count == 3)

@@ -22,15 +22,13 @@ import subprocess
 import tempfile
 import time
 from contextlib import ExitStack
-from dataclasses import dataclass
-from typing import TYPE_CHECKING, Literal, Protocol, Self
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import IO, Literal, Protocol, Self, cast
 
-from . import cyclone_access_control
-from .ports import FIRST_PARTICIPANT, Ports
-
-if TYPE_CHECKING:
-    from collections.abc import Iterable, Mapping
-    from pathlib import Path
+from keymint_ros2_dds.vendors import cyclone_access_control
+from keymint_ros2_dds.vendors.ports import FIRST_PARTICIPANT, Ports
 
 Direction = Literal["publish", "subscribe"]
 
@@ -65,12 +63,19 @@ class Vendor(Protocol):
     def program(self) -> Path:
         """The vendor's probe, built."""
 
-    def start(self, first_port: int, index: int) -> tuple[Mapping[str, str], tuple[str, ...]]:
-        """Return environment variables of the process, and the vendor's own words at the end of ``OPEN``.
+    @property
+    def nonconforming(self) -> Path | None:
+        """A library, built, with which a participant ignores its own permissions; None where there is none."""
+
+    def start(
+        self, first_port: int, index: int, *, conforming: bool = True
+    ) -> tuple[Mapping[str, str], tuple[str, ...]]:
+        """Return the environment variables of the process, and the vendor's own words at the end of ``OPEN``.
 
         Args:
             first_port: first of the ports that belong to the system.
             index: the participant's number in the system, from 0.
+            conforming: the participant enforces its own permissions; else only its peers can.
         """
 
 
@@ -79,8 +84,12 @@ class CycloneDDS:
     """Participants of Cyclone DDS; the transport is configured as for any application, by ``CYCLONEDDS_URI``."""
 
     program: Path
+    environment: Mapping[str, str] = field(default_factory=dict, repr=False)
+    nonconforming: Path | None = None
 
-    def start(self, first_port: int, index: int) -> tuple[Mapping[str, str], tuple[str, ...]]:
+    def start(
+        self, first_port: int, index: int, *, conforming: bool = True
+    ) -> tuple[Mapping[str, str], tuple[str, ...]]:
         """Return the configuration (unicast, loopback and ports of this system only) and the plugins' folder."""
         configuration = (
             "<CycloneDDS><Domain Id='any'><General><Interfaces>"
@@ -89,7 +98,10 @@ class CycloneDDS:
             f"<ParticipantIndex>{index}</ParticipantIndex><MaxAutoParticipantIndex>9</MaxAutoParticipantIndex>"
             f"<Ports><Base>{first_port}</Base><DomainGain>0</DomainGain></Ports></Discovery></Domain></CycloneDDS>"
         )
-        return {"CYCLONEDDS_URI": configuration}, (str(cyclone_access_control.library().folder),)
+        words: tuple[str, ...] = (str(cyclone_access_control.library().folder),)
+        if not conforming:
+            words = (*words, str(self.nonconforming))
+        return {**self.environment, "CYCLONEDDS_URI": configuration}, words
 
 
 @dataclass(frozen=True, slots=True)
@@ -100,10 +112,17 @@ class FastDDS:
     """
 
     program: Path
+    environment: Mapping[str, str] = field(default_factory=dict, repr=False)
+    nonconforming: Path | None = None
 
-    def start(self, first_port: int, index: int) -> tuple[Mapping[str, str], tuple[str, ...]]:
+    def start(
+        self, first_port: int, index: int, *, conforming: bool = True
+    ) -> tuple[Mapping[str, str], tuple[str, ...]]:
         """Return the time zone, and the first port of participants with this one's place after it."""
-        return {"TZ": "UTC"}, (str(first_port + FIRST_PARTICIPANT), str(index))
+        environment = {**self.environment, "TZ": "UTC"}
+        if not conforming:
+            environment["LD_PRELOAD"] = str(self.nonconforming)
+        return environment, (str(first_port + FIRST_PARTICIPANT), str(index))
 
 
 class System:
@@ -122,14 +141,19 @@ class System:
     def __exit__(self, *_: object) -> None:
         self._stack.close()
 
-    def open(self, enclave: Path, domain: int = 0) -> Participant:
+    def open(self, enclave: Path, domain: int = 0, *, conforming: bool = True) -> Participant:
         """Start a process with a participant that has its identity and permissions from the enclave's folder.
+
+        Args:
+            enclave: the folder.
+            domain: DDS domain id.
+            conforming: the participant enforces its own permissions; else only its peers can.
 
         Raises:
             RefusedError: the vendor refuses; the process is gone.
         """
         index, self._opened = self._opened, self._opened + 1
-        environment, words = self._vendor.start(self.first_port, index)
+        environment, words = self._vendor.start(self.first_port, index, conforming=conforming)
         process = _Process(self._vendor.program, environment)
         self._stack.callback(process.reap)
         answer, reason = process.ask("OPEN", str(domain), str(enclave.resolve()), *words)
@@ -218,14 +242,15 @@ class _Process:
     """A probe's process; it never outlives :meth:`reap`."""
 
     def __init__(self, program: Path, environment: Mapping[str, str]) -> None:
-        self._errors = tempfile.TemporaryFile()  # noqa: SIM115 - lives as long as the process
+        self._errors: IO[bytes] = tempfile.TemporaryFile()  # noqa: SIM115 - lives as long as the process
         self._process = subprocess.Popen(
             [program],
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             stderr=self._errors,
-            env={**os.environ, **environment},
+            env=dict(environment),
         )
+        self._input, self._output = cast("IO[bytes]", self._process.stdin), cast("IO[bytes]", self._process.stdout)
         self._pending = b""
 
     def ask(self, *words: str, seconds: float = 0.0) -> tuple[str, str]:
@@ -233,10 +258,9 @@ class _Process:
         line = "\t".join(words)
         if "\n" in line or line.count("\t") != len(words) - 1:
             raise ProbeError(f"words with a tab or a newline cannot be sent: {words}")
-        assert self._process.stdin is not None
         try:
-            self._process.stdin.write(line.encode() + b"\n")
-            self._process.stdin.flush()
+            self._input.write(line.encode() + b"\n")
+            self._input.flush()
         except BrokenPipeError:
             raise self._died(line) from None
         answer, _, rest = self._line(line, time.monotonic() + seconds + GRACE_SECONDS).partition(" ")
@@ -245,13 +269,12 @@ class _Process:
         return answer, rest
 
     def _line(self, command: str, deadline: float) -> str:
-        assert self._process.stdout is not None
         while b"\n" not in self._pending:
             left = deadline - time.monotonic()
-            if left <= 0 or not select.select([self._process.stdout], [], [], left)[0]:
+            if left <= 0 or not select.select([self._output], [], [], left)[0]:
                 self.reap()
                 raise ProbeError(f"the probe did not answer {command!r} in time")
-            chunk = os.read(self._process.stdout.fileno(), 65536)
+            chunk = os.read(self._output.fileno(), 65536)
             if not chunk:
                 raise self._died(command)
             self._pending += chunk
@@ -276,8 +299,7 @@ class _Process:
         """End the process whatever it does, and free what it held; may be called again."""
         self._process.kill()
         self._process.wait()
-        for stream in (self._process.stdin, self._process.stdout, self._errors):
-            assert stream is not None
+        for stream in (self._input, self._output, self._errors):
             try:
                 stream.close()
             except BrokenPipeError:

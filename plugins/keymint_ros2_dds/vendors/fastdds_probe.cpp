@@ -12,6 +12,8 @@
 #include <thread>
 #include <vector>
 
+#include <unistd.h>
+
 #include <fastcdr/Cdr.h>
 #include <fastcdr/FastBuffer.h>
 #include <fastdds/dds/domain/DomainParticipant.hpp>
@@ -220,12 +222,12 @@ private:
 
         const std::string file = "file://" + folder + "/";
         set(qos, "dds.sec.auth.plugin", "builtin.PKI-DH");
-        set(qos, "dds.sec.auth.builtin.PKI-DH.identity_ca", file + "identity_ca.cert.pem");
+        set(qos, "dds.sec.auth.builtin.PKI-DH.identity_ca", authority(folder, "identity_ca.cert.pem"));
         set(qos, "dds.sec.auth.builtin.PKI-DH.identity_certificate", file + "cert.pem");
         set(qos, "dds.sec.auth.builtin.PKI-DH.private_key", file + "key.pem");
         set(qos, "dds.sec.crypto.plugin", "builtin.AES-GCM-GMAC");
         set(qos, "dds.sec.access.plugin", "builtin.Access-Permissions");
-        set(qos, "dds.sec.access.builtin.Access-Permissions.permissions_ca", file + "permissions_ca.cert.pem");
+        set(qos, "dds.sec.access.builtin.Access-Permissions.permissions_ca", authority(folder, "permissions_ca.cert.pem"));
         set(qos, "dds.sec.access.builtin.Access-Permissions.governance", file + "governance.p7s");
         set(qos, "dds.sec.access.builtin.Access-Permissions.permissions", file + "permissions.p7s");
 
@@ -235,6 +237,13 @@ private:
             return "REFUSED " + complaints.take();
         type_.register_type(participant_);
         return "OPENED";
+    }
+
+    // The layout of Ardent has one file for both authorities.
+    static std::string authority(const std::string& folder, const std::string& name)
+    {
+        const std::string path = folder + "/" + name;
+        return "file://" + (access(path.c_str(), F_OK) == 0 ? path : folder + "/ca.cert.pem");
     }
 
     static rtps::Locator_t loopback(int port)

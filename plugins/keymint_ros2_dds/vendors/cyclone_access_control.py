@@ -14,13 +14,11 @@ from __future__ import annotations
 import ctypes
 import functools
 import weakref
+from collections.abc import Iterable
 from ctypes import POINTER, Structure, byref, c_char_p, c_int, c_int32, c_int64, c_ubyte, c_uint32, c_void_p
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal, Self
-
-if TYPE_CHECKING:
-    from collections.abc import Iterable
+from typing import Any, Literal, Self
 
 Direction = Literal["publish", "subscribe"]
 Document = Path | bytes | str
@@ -197,10 +195,11 @@ class AccessControl:
 
     @classmethod
     def of_enclave(cls, folder: Path, domain: int = 0) -> Self:
-        """Open an enclave as sros2 lays it out: ``cert.pem``, ``permissions_ca.cert.pem``, ``*.p7s``."""
+        """Open an enclave as sros2 lays it out: ``cert.pem``, ``permissions_ca.cert.pem`` or ``ca.cert.pem``, ``*.p7s``."""
+        authority = folder / "permissions_ca.cert.pem"
         return cls(
             certificate=folder / "cert.pem",
-            permissions_ca=folder / "permissions_ca.cert.pem",
+            permissions_ca=authority if authority.exists() else folder / "ca.cert.pem",
             governance=folder / "governance.p7s",
             permissions=folder / "permissions.p7s",
             domain=domain,

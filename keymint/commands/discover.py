@@ -1,0 +1,197 @@
+"""``keymint discover``: the graph of a running system, or of captures of one."""
+
+from __future__ import annotations
+
+import json
+from collections import Counter
+from collections.abc import Iterable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import click
+
+from keymint import graph_json
+from keymint.api import Discovered, GraphSource
+from keymint.commands.common import Run, verb
+from keymint.commands.files import exists, read_input, write_outputs
+from keymint.errors import Diagnostic, ExitCode, KeymintError, Origin, Severity
+from keymint.graph import Graph
+from keymint.report import Report
+
+_FILE = click.Path(path_type=Path)
+
+
+@verb(writes=True)
+@click.option("--domain", type=click.IntRange(0, 232), metavar="N", help="DDS domain id [$ROS_DOMAIN_ID, else 0].")
+@click.option(
+    "--seconds",
+    type=click.FloatRange(min=0, min_open=True, max=86_400),
+    default=10.0,
+    show_default=True,
+    metavar="S",
+    help="How long to look. What vanishes meanwhile counts as well.",
+)
+@click.option(
+    "--from",
+    "captures",
+    type=_FILE,
+    multiple=True,
+    metavar="FILE",
+    help="Read a capture in place of looking: XML of RTI Admin Console, or our own JSON. May be given again.",
+)
+@click.option(
+    "--append",
+    type=_FILE,
+    metavar="GRAPH",
+    help="Add to this graph; it is made when it is missing. Without -o the result is written there.",
+)
+@click.option("-o", "--output", type=_FILE, metavar="FILE", help="Write the graph there [standard output].")
+@click.option(
+    "--no-fold", is_flag=True, help="Leave actions and parameters as the services and topics they are made of."
+)
+@click.option(
+    "--subject",
+    "subjects",
+    multiple=True,
+    metavar="GUID=NAME",
+    help="Name of the participant whose GUID begins so (-v shows them). May be given again.",
+)
+@click.option(
+    "--source",
+    "source_name",
+    default="keymint_ros2_dds",
+    show_default=True,
+    metavar="NAME",
+    help="Plugin that finds graphs ('keymint plugins' lists them).",
+)
+def discover(
+    run: Run,
+    domain: int | None,
+    seconds: float,
+    captures: tuple[Path, ...],
+    append: Path | None,
+    output: Path | None,
+    no_fold: bool,
+    subjects: tuple[str, ...],
+    source_name: str,
+) -> Report:
+    """Find the graph of a running system: which subject does what with which topic, service, action, parameter.
+
+    It looks at a DDS domain (with Cyclone DDS, whatever the others use), or reads captures. One look misses clients
+    that live for a moment: look longer, or again with --append. The JSON is described in docs/graph.md.
+
+    \b
+    keymint discover --seconds 30 -o graph.json      while the application runs, without security
+    keymint learn graph.json -o policy.xml
+    keymint provision policy.xml -w ws
+    """
+    source = run.plugins.graph_source(source_name)
+    names = _names(subjects)
+    if captures and domain is not None:
+        raise KeymintError(
+            "--domain is of no use with --from",
+            help="a capture says which domain it is of",
+            code="usage",
+            exit_code=ExitCode.USAGE,
+        )
+    found = [_load(run, source, append, {})] if append and exists(run, append) else []
+    if captures:
+        found += [_load(run, source, capture, names) for capture in captures]
+    else:
+        found.append(_observe(run, source, domain, seconds, names))
+    merged = Graph(subjects=(), edges=())
+    for one in found:
+        merged = graph_json.merge(merged, one.graph)
+    graph = source.interpret(merged, fold=not no_fold)
+    content = graph_json.dump(graph)
+    target = output or append
+    written = write_outputs(run, target, content) if target else []
+    if target:
+        run.console.line(_summary(graph))
+        run.console.line(_outcome(run, target, written))
+    else:
+        run.console.line(content.decode().rstrip("\n"))
+    result: dict[str, Any] = {
+        "subjects": list(graph.subjects),
+        "objects": len(graph.objects),
+        "edges": len(graph.edges),
+        "file": str(target) if target else None,
+        "written": written,
+        "graph": None if target else json.loads(content),
+    }
+    diagnostics = tuple(dict.fromkeys(said for one in found for said in one.diagnostics))
+    return Report(run.verb, None, (), diagnostics, result, dry_run=run.dry_run)
+
+
+def _names(typed: Iterable[str]) -> dict[str, str]:
+    names: dict[str, str] = {}
+    for item in typed:
+        guid, equals, name = item.partition("=")
+        if not equals:
+            raise KeymintError(
+                f"--subject {item!r} is not GUID=NAME",
+                help="e.g. --subject 0110d9a4=/talker",
+                code="usage",
+                exit_code=ExitCode.USAGE,
+            )
+        names[guid] = name
+    return names
+
+
+def _load(run: Run, source: GraphSource, path: Path, names: dict[str, str]) -> Discovered:
+    content = read_input(run, path)
+    if graph_json.recognises(content):
+        return Discovered(graph_json.load(content, str(path)))
+    if source.recognises(content):
+        return source.read(content, str(path), names)
+    raise KeymintError(
+        "is no graph and no capture that is known",
+        where=Origin(str(path)),
+        help="expected JSON as in docs/graph.md, or XML of RTI Admin Console",
+        code="capture",
+    )
+
+
+def _observe(run: Run, source: GraphSource, domain: int | None, seconds: float, names: dict[str, str]) -> Discovered:
+    usable = source.usable()
+    if not usable.usable:
+        raise KeymintError(
+            f"no running system can be observed: {usable.reason}", help=usable.help, code="discovery-unusable"
+        )
+    chosen = _domain(run) if domain is None else domain
+    end = run.setting.monotonic() + seconds
+    found = source.observe(chosen, lambda: run.setting.monotonic() < end, names)
+    if found.graph.subjects:
+        return found
+    nobody = Diagnostic(
+        "discovery-empty",
+        Severity.WARNING,
+        f"no participant was seen in domain {chosen} in {seconds:g} s",
+        help="check --domain, --seconds, CYCLONEDDS_URI and the network; secured participants hide from an unsecured one",
+    )
+    return replace(found, diagnostics=(*found.diagnostics, nobody))
+
+
+def _domain(run: Run) -> int:
+    text = run.setting.environment.get("ROS_DOMAIN_ID", "").strip() or "0"
+    if not text.isdecimal() or int(text) > graph_json.MAX_DOMAIN:
+        raise KeymintError(
+            f"ROS_DOMAIN_ID is {text!r}, expected a DDS domain id from 0 to {graph_json.MAX_DOMAIN}",
+            help="set it, or use --domain",
+            code="usage",
+            exit_code=ExitCode.USAGE,
+        )
+    return int(text)
+
+
+def _summary(graph: Graph) -> str:
+    counts = Counter(found.kind for _, found in graph.objects)
+    kinds = ", ".join(f"{counts[kind]} {kind}" for kind in sorted(counts)) or "none"
+    return f"{len(graph.subjects)} subjects, {len(graph.edges)} edges, objects: {kinds}"
+
+
+def _outcome(run: Run, target: Path, written: list[str]) -> str:
+    if not written:
+        return f"{target} is up to date"
+    return f"{target} {'would be written' if run.dry_run else 'written'}"

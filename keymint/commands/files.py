@@ -1,0 +1,75 @@
+"""Files that a user names on the command line, outside of any workspace: read bounded, written by the store."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+
+from keymint.commands.common import Run
+from keymint.errors import KeymintError, Origin
+from keymint.plan.model import File
+from keymint.store import Store
+from keymint.tree import read_file
+
+
+def read_input(run: Run, path: Path) -> bytes:
+    """Return the bytes of a file that the user named; links are followed.
+
+    Raises:
+        KeymintError: there is none, it is no regular file, or cannot be read.
+    """
+    resolved = _resolved(run, path)
+    try:
+        content = read_file(resolved)
+    except KeymintError as error:
+        message = error.diagnostics[0].message
+        raise KeymintError(message, where=Origin(str(path)), code=error.diagnostics[0].code) from error
+    if content is None:
+        raise KeymintError("no such file", where=Origin(str(path)), help="check the path", code="file-missing")
+    return content
+
+
+def write_outputs(run: Run, path: Path, content: bytes, beside: Mapping[str, bytes] | None = None) -> list[str]:
+    """Write a file that the user named, atomically, and files beside it; one that is the same already is left alone.
+
+    Args:
+        run: the verb under way; with ``--dry-run`` nothing is written.
+        path: the file.
+        content: its bytes.
+        beside: further files by path relative to its folder, written first.
+
+    Returns:
+        The files that were, or would be, written, as the user would type them.
+
+    Raises:
+        KeymintError: a link or something else stands in the way, or the system refuses.
+    """
+    target = _resolved(run, path.parent) / path.name
+    folder = target.parent
+    wanted = [*(beside or {}).items(), (target.name, content)]
+    changed = [(name, data) for name, data in wanted if _current(folder / name) != data]
+    if not run.dry_run:
+        store = Store({folder: False}, folder)
+        for name, data in changed:
+            place = folder / name
+            store.write(place.parent, {place.name: File(data)})
+    return [str(path.parent / name) for name, _ in changed]
+
+
+def exists(run: Run, path: Path) -> bool:
+    """Tell whether there is something at a path that the user named."""
+    return _resolved(run, path).exists()
+
+
+def _current(path: Path) -> bytes | None:
+    try:
+        return read_file(path)
+    except KeymintError:
+        return None  # whatever it is, the store says why it is not replaced
+
+
+def _resolved(run: Run, path: Path) -> Path:
+    try:
+        return (run.setting.cwd / path).resolve()
+    except (OSError, RuntimeError, ValueError) as error:
+        raise KeymintError("is no usable path", where=Origin(str(path)), code="file-missing") from error

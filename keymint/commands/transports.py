@@ -1,0 +1,36 @@
+"""``keymint transports``: which transports can be used on this machine, and how to install the rest."""
+
+from __future__ import annotations
+
+from keymint.commands.common import Run, verb
+from keymint.report import Report
+
+
+@verb()
+def transports(run: Run) -> Report:
+    """List the transports that can be asked, simulated and real: which work here, and how to install the rest."""
+    found = [(name, transport.usable()) for name, transport in run.plugins.transports().items()]
+    run.console.table(
+        ["TRANSPORT", "USABLE", "VERSION", "TIERS"],
+        [
+            [name, "yes" if usable.usable else "no", usable.version or "-", " ".join(usable.tiers) or "-"]
+            for name, usable in found
+        ],
+    )
+    for name, usable in found:
+        if not usable.usable:
+            run.console.line(f"{name}: {usable.reason}" + (f" ({usable.help})" if usable.help else ""))
+    result = {
+        "transports": [
+            {
+                "name": name,
+                "usable": usable.usable,
+                "version": usable.version,
+                "tiers": [str(tier) for tier in usable.tiers],
+                "reason": usable.reason,
+                "help": usable.help,
+            }
+            for name, usable in found
+        ]
+    }
+    return Report(run.verb, None, (), (), result)

@@ -1,0 +1,198 @@
+"""``keymint verify``: holds what transports decide on the installed enclaves against what the policy says."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+
+import click
+
+from keymint.api import Tier, Transport
+from keymint.commands.common import Run, complete_package, verb
+from keymint.errors import ExitCode, KeymintError, Origin
+from keymint.graph import Graph
+from keymint.graph_json import load
+from keymint.plan.create import load_policy
+from keymint.plan.inputs import Sources
+from keymint.plan.model import Action, File, Step
+from keymint.report import Report
+from keymint.store import Store
+from keymint.tree import read_file
+from keymint.verify.compare import compare
+from keymint.verify.explain import Explainer, models
+from keymint.verify.judge import Judge, label
+from keymint.verify.junit import junit as as_junit
+from keymint.verify.model import Outcome
+from keymint.verify.report import as_result, messages
+from keymint.verify.sarif import sarif as as_sarif
+from keymint.verify.scope import edges_of_graph, edges_of_policy, scope
+from keymint.workspace import shown
+
+_FILE = click.Path(path_type=Path, dir_okay=False)
+
+
+@verb()
+@click.argument("names", nargs=-1, metavar="[NAME]...", shell_complete=complete_package)
+@click.option(
+    "-g",
+    "--graph",
+    type=click.Path(path_type=Path),
+    metavar="FILE",
+    help="Complete this graph (docs/graph.md): every subject with every permission on every object. By default the "
+    "objects are what the policy mentions, and names that probe its patterns.",
+)
+@click.option(
+    "-t",
+    "--transport",
+    "chosen",
+    multiple=True,
+    metavar="NAME",
+    help="Ask this transport; may be given again. By default all that 'keymint transports' says are usable.",
+)
+@click.option(
+    "--tier",
+    type=click.Choice([str(tier) for tier in Tier]),
+    default=str(Tier.DECISION),
+    show_default=True,
+    help="How deep to ask: its access-control code, real endpoints of real participants, or data that arrives.",
+)
+@click.option(
+    "--limit", type=click.IntRange(0), default=1000, show_default=True, help="Findings to list per transport."
+)
+@click.option("--sarif", type=_FILE, metavar="FILE", help="Write the findings as SARIF 2.1.0.")
+@click.option("--junit", type=_FILE, metavar="FILE", help="Write the outcome as JUnit XML.")
+def verify(
+    run: Run,
+    names: tuple[str, ...],
+    graph: Path | None,
+    chosen: tuple[str, ...],
+    tier: str,
+    limit: int,
+    sarif: Path | None,
+    junit: Path | None,
+) -> Report:
+    """Compare, edge by edge, what the policy says with what transports decide on the installed enclaves.
+
+    \b
+    false positive: a transport allows what the policy does not
+    false negative: a transport denies what the policy allows
+
+    Each is shown with the rule of the policy and the rule of the document that decide. Ends with 3 when there is any.
+    NAME is a package; by default all of them.
+    """
+    workspace = run.workspace()
+    inputs = run.inputs(workspace)
+    loaded = inputs.profile()
+    found = scope(inputs, loaded, run.names(inputs, names), Sources(run.plugins))
+    policy = load_policy(inputs, loaded)
+    if graph is None:
+        edges = edges_of_policy(policy, found)
+    else:
+        edges = edges_of_graph(_graph(run, graph), found, only=bool(names))
+    transports = _transports(run, chosen, Tier(tier))
+    judge = Judge(policy, found.namings)
+    said = label(judge, edges())
+    explain = Explainer(judge, models(run.plugins.transports()))
+    outcomes: list[Outcome] = []
+    with run.console.progress(len(transports) * len(found.enclaves), run.setting.monotonic) as advance:
+        for name, transport in transports.items():
+            on_subject = _advancing(advance, name)
+            outcomes.append(
+                compare(name, transport, found.enclaves, edges(), said, Tier(tier), explain, limit, on_subject)
+            )
+    _show(run, outcomes, len(found.enclaves), len(said))
+    _write(run, outcomes, tuple(found.enclaves), sarif, junit)
+    wrong = any(outcome.confusion.errors for outcome in outcomes)
+    return Report(
+        run.verb,
+        workspace,
+        (),
+        [message for outcome in outcomes for message in messages(outcome)],
+        as_result(outcomes, tuple(found.enclaves), len(said), _typed(run)),
+        ExitCode.FINDINGS if wrong else ExitCode.DONE,
+    )
+
+
+def _graph(run: Run, path: Path) -> Graph:
+    """Read a graph."""
+    name = str(path)
+    content = read_file(run.setting.cwd / path)
+    if content is None:
+        raise KeymintError("no such file", where=Origin(name), code="graph-missing", exit_code=ExitCode.USAGE)
+    return load(content, name)
+
+
+def _transports(run: Run, chosen: Sequence[str], tier: Tier) -> dict[str, Transport]:
+    """Return the transports to ask, by name: those that are named, or all that can be asked this way here.
+
+    Raises:
+        KeymintError: one that is named is not known, or not usable.
+    """
+    if not chosen:
+        known = run.plugins.transports().items()
+        return {name: each for name, each in known if each.usable().usable and tier in each.usable().tiers}
+    asked = {name: run.plugins.transport(name) for name in dict.fromkeys(chosen)}
+    for name, transport in asked.items():
+        usable = transport.usable()
+        if not usable.usable:
+            raise KeymintError(
+                f"the transport {name!r} cannot be used here: {usable.reason}",
+                help=usable.help,
+                code="transport-unusable",
+            )
+        if tier not in usable.tiers:
+            raise KeymintError(
+                f"the transport {name!r} cannot be asked at the tier {tier}",
+                help=f"it has {', '.join(usable.tiers)}",
+                code="transport-tier",
+                exit_code=ExitCode.USAGE,
+            )
+    return asked
+
+
+def _advancing(advance: Callable[[Step], None], transport: str) -> Callable[[str], None]:
+    return lambda subject: advance(Step(transport, subject, Action.UNCHANGED))
+
+
+def _typed(run: Run) -> Callable[[str], str]:
+    """Return a function that shortens absolute paths to what the user would type."""
+    return lambda file: shown(Path(file), run.setting.cwd) if file.startswith("/") else file
+
+
+def _show(run: Run, outcomes: Sequence[Outcome], subjects: int, edges: int) -> None:
+    """Show the confusion table."""
+    columns = ["TRANSPORT", "VERSION", "TRUE POSITIVE", "FALSE NEGATIVE", "FALSE POSITIVE", "TRUE NEGATIVE"]
+    rows = [
+        [
+            outcome.transport,
+            outcome.version or "-",
+            str(outcome.confusion.true_positive),
+            str(outcome.confusion.false_negative),
+            str(outcome.confusion.false_positive),
+            str(outcome.confusion.true_negative),
+        ]
+        for outcome in outcomes
+    ]
+    run.console.table(columns, rows)
+    wrong = sum(outcome.confusion.errors for outcome in outcomes)
+    plural = "" if subjects == 1 else "s"
+    run.console.line(
+        f"verified {subjects} enclave{plural}, {edges} edges on {len(outcomes)} transports: {wrong or 'no'} "
+        f"edge{'' if wrong == 1 else 's'} decided otherwise than the policy says"
+    )
+
+
+def _write(
+    run: Run, outcomes: Sequence[Outcome], subjects: Sequence[str], sarif: Path | None, junit: Path | None
+) -> None:
+    """Write the reports that were asked for."""
+    typed = _typed(run)
+    documents: Mapping[Path | None, Callable[[], bytes]] = {
+        sarif: lambda: as_sarif(outcomes, typed),
+        junit: lambda: as_junit(outcomes, subjects),
+    }
+    for path, document in documents.items():
+        if path is not None:
+            place = Path(os.path.abspath(run.setting.cwd / path))
+            Store({place.parent: False}, place.parent).write(place.parent, {place.name: File(document())})

@@ -1,0 +1,275 @@
+"""Semantic access graphs as JSON: the format that ``docs/graph.md`` describes, read strictly and written canonically."""
+
+from __future__ import annotations
+
+import difflib
+import json
+import re
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Any, NoReturn
+
+from keymint.errors import KeymintError, Origin
+from keymint.graph import Edge, Graph, Object
+from keymint.ir import PERMISSIONS
+
+FORMAT = "keymint-graph"
+VERSION = 1
+MAX_BYTES = 16 * 2**20
+"""Bytes of a document that is read."""
+MAX_NAME = 1024
+"""Characters of a name."""
+MAX_DOMAIN = 232
+"""Highest DDS domain id whose ports are ports (RTPS 2.2, 9.6.1.1, with the default gains)."""
+
+KIND_OF: Mapping[str, str] = {
+    permission: kind for kind, permissions in PERMISSIONS.items() for permission in permissions
+}
+"""The kind of objects that each permission is about."""
+
+_SUBJECT = re.compile(r"(?:/[A-Za-z_][A-Za-z0-9_]*)+\Z")
+_CONTROL = re.compile(r"[\x00-\x1f\x7f\ud800-\udfff\ufffe\uffff]")
+
+Path = tuple[str | int, ...]
+
+
+def legal_subject(name: str) -> bool:
+    """Tell whether a name is one that a subject may have: ``/`` and segments of ``[A-Za-z_][A-Za-z0-9_]*``."""
+    return len(name) <= MAX_NAME and _SUBJECT.match(name) is not None
+
+
+def legal_text(text: str) -> bool:
+    """Tell whether a text may be the name of an object, a partition or a type: not too long, no control characters."""
+    return len(text) <= MAX_NAME and not _CONTROL.search(text)
+
+
+def merge(first: Graph, second: Graph) -> Graph:
+    """Return the union of two graphs."""
+    return Graph.of((*first.edges, *second.edges), (*first.subjects, *second.subjects), (*first.types, *second.types))
+
+
+def recognises(content: bytes) -> bool:
+    """Tell whether a file looks like JSON, so that :func:`load` is the one to read it."""
+    return content.removeprefix(b"\xef\xbb\xbf").lstrip()[:1] == b"{"
+
+
+# -- writing -----------------------------------------------------------------------------------------------------
+
+
+def dump(graph: Graph) -> bytes:
+    """Return a graph as a JSON document: the same graph is the same bytes; one edge a line, for people and for diff."""
+    head = [f'"format": "{FORMAT}"', f'"version": {VERSION}', _array("subjects", map(json.dumps, graph.subjects))]
+    edges = _array("edges", (json.dumps(_edge(edge)) for edge in graph.edges))
+    types = _array("types", (json.dumps({**_object(found), "type": name}) for found, name in graph.types))
+    return ("{\n  " + ",\n  ".join([*head, edges, types]) + "\n}\n").encode()
+
+
+def _array(name: str, items: Iterator[str]) -> str:
+    inner = ",\n    ".join(items)
+    return f'"{name}": [\n    {inner}\n  ]' if inner else f'"{name}": []'
+
+
+def _edge(edge: Edge) -> dict[str, Any]:
+    partitions = {"partitions": list(edge.object.partitions)} if edge.object.partitions else {}
+    return {
+        "subject": edge.subject,
+        "permission": edge.permission,
+        "object": edge.object.name,
+        **partitions,
+        "domain": edge.domain,
+    }
+
+
+def _object(found: Object) -> dict[str, Any]:
+    partitions = {"partitions": list(found.partitions)} if found.partitions else {}
+    return {"kind": found.kind, "object": found.name, **partitions}
+
+
+# -- reading -----------------------------------------------------------------------------------------------------
+
+
+def load(content: bytes, name: str) -> Graph:
+    """Return the graph of a JSON document.
+
+    Args:
+        content: the document, UTF-8.
+        name: its file as the user would type it, for messages.
+
+    Raises:
+        KeymintError: it is no such document; says where, what was expected, and how to mend it.
+    """
+    reader = _Reader(name, content)
+    return reader.graph()
+
+
+class _Reader:
+    """Reads one document; what is wrong is said with its line."""
+
+    def __init__(self, name: str, content: bytes) -> None:
+        self._name = name
+        if len(content) > MAX_BYTES:
+            raise self._error(f"the file has more than the {MAX_BYTES:,} bytes allowed", 0)
+        try:
+            self._text = content.decode("utf-8-sig")
+        except UnicodeDecodeError as error:
+            line = content[: error.start].count(b"\n") + 1
+            raise self._error("the text is not UTF-8", line) from None
+        try:
+            self._document: Any = json.loads(self._text, parse_constant=_refuse_constant, object_pairs_hook=_unique)
+        except json.JSONDecodeError as error:
+            raise self._error(f"not JSON: {error.msg[:1].lower()}{error.msg[1:]}", error.lineno) from None
+        except RecursionError:
+            raise self._error("nested too deeply for a graph", 0) from None
+        except ValueError as error:
+            raise self._error(f"not a graph: {error}", 0) from None
+
+    def _error(self, message: str, line: int, help: str = "") -> KeymintError:  # noqa: A002
+        return KeymintError(message, where=Origin(self._name, line), help=help, code="graph-invalid")
+
+    def _refuse(self, path: Path, message: str, help: str = "") -> NoReturn:  # noqa: A002
+        shown = "".join(f"[{step}]" if isinstance(step, int) else f".{step}" for step in path).removeprefix(".")
+        raise self._error(f"{shown}: {message}" if shown else message, _line(self._text, path), help)
+
+    def graph(self) -> Graph:
+        document = self._members(
+            (), self._document, required=("format", "version", "edges"), also=("subjects", "types")
+        )
+        if document["format"] != FORMAT:
+            self._refuse(("format",), f"is {_shown(document['format'])}, expected {FORMAT!r}")
+        if isinstance(document["version"], bool) or document["version"] != VERSION:
+            help_ = "a newer keymint wrote it" if isinstance(document["version"], int) else ""
+            self._refuse(("version",), f"is {_shown(document['version'])}, expected {VERSION}", help_)
+        subjects = [self._subject(path, item) for path, item in self._items(document, "subjects")]
+        edges = [self._edge(path, item) for path, item in self._items(document, "edges")]
+        types = [self._type(path, item) for path, item in self._items(document, "types")]
+        return Graph.of(edges, subjects, types)
+
+    def _items(self, document: Mapping[str, Any], name: str) -> Iterator[tuple[Path, Any]]:
+        items = document.get(name, [])
+        if not isinstance(items, list):
+            self._refuse((name,), f"is {_shown(items)}, expected an array")
+        return (((name, at), item) for at, item in enumerate(items))
+
+    def _members(self, path: Path, value: Any, *, required: Sequence[str], also: Sequence[str]) -> Mapping[str, Any]:
+        if not isinstance(value, dict):
+            self._refuse(path, f"is {_shown(value)}, expected an object")
+        for name in value:
+            if name not in required and name not in also:
+                near = difflib.get_close_matches(name, (*required, *also), 1)
+                known = f"did you mean {near[0]!r}?" if near else f"known are {', '.join((*required, *also))}"
+                self._refuse((*path, name), "unknown member", known)
+        for name in required:
+            if name not in value:
+                self._refuse(path, f"the member {name!r} is missing")
+        return value
+
+    def _text_of(self, path: Path, value: Any, *, empty: bool = False) -> str:
+        if not isinstance(value, str) or (not value and not empty):
+            self._refuse(path, f"is {_shown(value)}, expected text")
+        if len(value) > MAX_NAME:
+            self._refuse(path, f"has {len(value):,} characters, {MAX_NAME:,} are the most")
+        if _CONTROL.search(value):
+            self._refuse(path, f"{_shown(value)} holds a character that no name has")
+        return value
+
+    def _subject(self, path: Path, value: Any) -> str:
+        name = self._text_of(path, value)
+        if not legal_subject(name):
+            self._refuse(
+                path, f"{_shown(name)} is not the name of a subject", "a name is '/' and segments, e.g. /robot1/talker"
+            )
+        return name
+
+    def _edge(self, path: Path, value: Any) -> Edge:
+        edge = self._members(path, value, required=("subject", "permission", "object"), also=("partitions", "domain"))
+        permission = edge["permission"]
+        if not isinstance(permission, str) or permission not in KIND_OF:
+            near = difflib.get_close_matches(str(permission), KIND_OF, 1)
+            known = f"did you mean {near[0]!r}?" if near else f"known are {', '.join(KIND_OF)}"
+            self._refuse((*path, "permission"), f"unknown permission {_shown(permission)}", known)
+        domain = edge.get("domain", 0)
+        if isinstance(domain, bool) or not isinstance(domain, int) or not 0 <= domain <= MAX_DOMAIN:
+            self._refuse((*path, "domain"), f"is {_shown(domain)}, expected a DDS domain id from 0 to {MAX_DOMAIN}")
+        subject = self._subject((*path, "subject"), edge["subject"])
+        return Edge(subject, permission, self._object(path, edge, KIND_OF[permission]), domain)
+
+    def _type(self, path: Path, value: Any) -> tuple[Object, str]:
+        entry = self._members(path, value, required=("kind", "object", "type"), also=("partitions",))
+        if not isinstance(entry["kind"], str) or entry["kind"] not in PERMISSIONS:
+            near = difflib.get_close_matches(str(entry["kind"]), PERMISSIONS, 1)
+            known = f"did you mean {near[0]!r}?" if near else f"known are {', '.join(PERMISSIONS)}"
+            self._refuse((*path, "kind"), f"unknown kind {_shown(entry['kind'])}", known)
+        return self._object(path, entry, entry["kind"]), self._text_of((*path, "type"), entry["type"])
+
+    def _object(self, path: Path, entry: Mapping[str, Any], kind: str) -> Object:
+        name = self._text_of((*path, "object"), entry["object"])
+        listed = entry.get("partitions", [])
+        if not isinstance(listed, list):
+            self._refuse((*path, "partitions"), f"is {_shown(listed)}, expected an array of DDS partitions")
+        found = {self._text_of((*path, "partitions", at), item, empty=True) for at, item in enumerate(listed)}
+        if kind == "topic":
+            return Object(kind, name, partitions(found))
+        if listed:
+            self._refuse((*path, "partitions"), f"a {kind} has no partitions", "only a raw topic has")
+        if not name.startswith("/"):
+            self._refuse((*path, "object"), f"{_shown(name)} does not begin with '/'", "ROS names here are absolute")
+        return Object(kind, name)
+
+
+def partitions(names: set[str]) -> tuple[str, ...]:
+    """Return partitions as an :class:`~keymint.graph.Object` holds them: the default one alone is none."""
+    return () if names == {""} else tuple(sorted(names))
+
+
+def _shown(value: Any) -> str:
+    text = repr(value) if isinstance(value, str) else json.dumps(value)
+    return text if len(text) <= 80 else f"{text[:80]}…"  # noqa: PLR2004 - what fits in a line
+
+
+def _refuse_constant(text: str) -> NoReturn:
+    raise ValueError(f"{text} is no JSON number")
+
+
+def _unique(pairs: Sequence[tuple[str, Any]]) -> dict[str, Any]:
+    members = dict(pairs)
+    if len(members) < len(pairs):
+        names = [name for name, _ in pairs]
+        raise ValueError(f"the member {next(name for name in names if names.count(name) > 1)!r} stands twice")
+    return members
+
+
+def _line(text: str, path: Path) -> int:
+    """Return the line of what a path leads to, in a document that is known to be JSON; its innermost part that exists."""
+    decoder = json.JSONDecoder()
+    at = _skip(text, text.find("{"))
+    for step in path:
+        found = next((start for name, start in _inside(decoder, text, at) if name == step), None)
+        if found is None:
+            break
+        at = found
+    return text.count("\n", 0, at) + 1
+
+
+def _inside(decoder: json.JSONDecoder, text: str, at: int) -> Iterator[tuple[str | int, int]]:
+    """Yield name or index, and the place, of what an object or array at a place of a text holds."""
+    opening = text[at]
+    if opening not in "{[":
+        return
+    at = _skip(text, at + 1)
+    number = 0
+    while text[at] not in "}]":
+        name: str | int = number
+        if opening == "{":
+            name, at = decoder.raw_decode(text, at)
+            at = _skip(text, _skip(text, at) + 1)
+        yield name, at
+        _, at = decoder.raw_decode(text, at)
+        at = _skip(text, at)
+        if text[at] == ",":
+            at = _skip(text, at + 1)
+        number += 1
+
+
+def _skip(text: str, at: int) -> int:
+    while text[at] in " \t\r\n":
+        at += 1
+    return at

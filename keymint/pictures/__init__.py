@@ -1,0 +1,1 @@
+"""Pictures of semantic access graphs: SVG, PNG, Graphviz DOT, and a report in HTML. All of it is pure."""

@@ -1,0 +1,204 @@
+"""Labelled graphs: what a policy and transports say about every edge, as data to draw.
+
+The terms are those of White et al. 2018: an edge's label is *true* when the transport decides what the policy says;
+an edge that the transport allows against the policy is a *false positive* (here: false allow), the reverse a *false
+negative* (false deny).
+"""
+
+from __future__ import annotations
+
+import difflib
+from collections import Counter
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from enum import StrEnum
+
+from keymint.errors import ExitCode, KeymintError, Origin
+from keymint.graph import Edge, Graph, Object
+
+
+class Outcome(StrEnum):
+    """How an edge is drawn."""
+
+    UNLABELLED = "unlabelled"
+    ALLOW = "allow"
+    DENY = "deny"
+    FALSE_ALLOW = "false-allow"
+    FALSE_DENY = "false-deny"
+
+    @property
+    def false(self) -> bool:
+        """Whether a transport decides otherwise than the policy."""
+        return self in {Outcome.FALSE_ALLOW, Outcome.FALSE_DENY}
+
+    @property
+    def allowed(self) -> bool:
+        """Whether the edge works in the end."""
+        return self in {Outcome.ALLOW, Outcome.FALSE_ALLOW}
+
+
+@dataclass(frozen=True, slots=True)
+class Said:
+    """What one layer says about an edge.
+
+    Attributes:
+        allowed: the decision.
+        reason: one line: why.
+        where: the rule that decided, if there is one; the file as the user would type it.
+    """
+
+    allowed: bool
+    reason: str = ""
+    where: Origin | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class LabelledEdge:
+    """An edge and what is said about it.
+
+    Attributes:
+        edge: the edge.
+        policy: what the policy says; None when there is none.
+        transports: what each transport of the graph says, in their order; None where one was not asked.
+        audit: the rule that decided is to be watched.
+    """
+
+    edge: Edge
+    policy: Said | None = None
+    transports: tuple[Said | None, ...] = ()
+    audit: bool = False
+
+    def outcome(self, transport: int | None = None) -> Outcome:
+        """Return how the edge is drawn, for one transport or (None) for all together, where any false label wins."""
+        said = self.transports if transport is None else self.transports[transport : transport + 1]
+        found = [one.allowed for one in said if one is not None]
+        if self.policy is None:
+            return _plain(all(found)) if found else Outcome.UNLABELLED
+        if any(allowed != self.policy.allowed for allowed in found):
+            return Outcome.FALSE_DENY if self.policy.allowed else Outcome.FALSE_ALLOW
+        return _plain(self.policy.allowed)
+
+
+def _plain(allowed: bool) -> Outcome:
+    return Outcome.ALLOW if allowed else Outcome.DENY
+
+
+@dataclass(frozen=True, slots=True)
+class Confusion:
+    """How the labels of one transport compare with those of the policy, in edges.
+
+    Attributes:
+        true_allow: true positives.
+        false_deny: false negatives.
+        false_allow: false positives.
+        true_deny: true negatives.
+    """
+
+    true_allow: int
+    false_deny: int
+    false_allow: int
+    true_deny: int
+
+
+@dataclass(frozen=True, slots=True)
+class Labelled:
+    """A graph with labels.
+
+    Attributes:
+        title: one line.
+        edges: sorted.
+        subjects: names, sorted; also of those without an edge.
+        transports: names, in the order of every edge's ``transports``.
+        patterns: objects whose name is an expression of the policy rather than a name.
+        confusions: one per transport, when more edges were compared than are kept here; else empty.
+    """
+
+    title: str
+    edges: tuple[LabelledEdge, ...]
+    subjects: tuple[str, ...]
+    transports: tuple[str, ...] = ()
+    patterns: frozenset[Object] = frozenset()
+    confusions: tuple[Confusion, ...] = ()
+
+    @classmethod
+    def of(
+        cls,
+        title: str,
+        edges: Iterable[LabelledEdge],
+        subjects: Iterable[str] = (),
+        transports: Sequence[str] = (),
+        patterns: Iterable[Object] = (),
+        confusions: Sequence[Confusion] = (),
+    ) -> Labelled:
+        """Return the graph of these edges; subjects of the edges need not be named again."""
+        found = tuple(sorted(edges, key=lambda labelled: labelled.edge))
+        named = {*subjects, *(labelled.edge.subject for labelled in found)}
+        return cls(title, found, tuple(sorted(named)), tuple(transports), frozenset(patterns), tuple(confusions))
+
+    @classmethod
+    def of_graph(cls, title: str, graph: Graph) -> Labelled:
+        """Return a graph about which nothing is said."""
+        return cls.of(title, (LabelledEdge(edge) for edge in graph.edges), graph.subjects)
+
+    @property
+    def counts(self) -> Mapping[Outcome, int]:
+        """Number of edges by outcome."""
+        return Counter(labelled.outcome() for labelled in self.edges)
+
+    def confusion(self, transport: int) -> Confusion:
+        """Return how a transport compares with the policy over the edges that both were asked about."""
+        if self.confusions:
+            return self.confusions[transport]
+        asked = Counter(
+            one.outcome(transport) for one in self.edges if one.policy is not None and one.transports[transport]
+        )
+        return Confusion(
+            asked[Outcome.ALLOW], asked[Outcome.FALSE_DENY], asked[Outcome.FALSE_ALLOW], asked[Outcome.DENY]
+        )
+
+
+def namespace(name: str) -> str:
+    """Return what stands before the last segment of a name, with the slash: ``/robot1/`` of ``/robot1/arm``."""
+    return name[: name.rfind("/") + 1]
+
+
+def select(
+    labelled: Labelled, *, subjects: Sequence[str] = (), namespaces: Sequence[str] = (), differences: bool = False
+) -> Labelled:
+    """Return the part of a graph that a user asked for.
+
+    Args:
+        labelled: the graph.
+        subjects: only edges of these subjects; empty for all.
+        namespaces: only edges of subjects at or below these names; empty for all.
+        differences: only edges with a false label.
+
+    Raises:
+        KeymintError: no subject has that name, or none lies in that namespace.
+    """
+    if not (subjects or namespaces or differences):
+        return labelled
+    kept = set() if subjects or namespaces else set(labelled.subjects)
+    for name in subjects:
+        if name not in labelled.subjects:
+            _refuse(f"no subject {name!r} in this graph", name, labelled.subjects)
+        kept.add(name)
+    for name in namespaces:
+        prefix = name.rstrip("/")
+        below = {one for one in labelled.subjects if one == prefix or one.startswith(f"{prefix}/")}
+        if not below:
+            _refuse(f"no subject lies in the namespace {name!r}", name, sorted({*map(namespace, labelled.subjects)}))
+        kept |= below
+    edges = tuple(
+        one for one in labelled.edges if one.edge.subject in kept and (not differences or one.outcome().false)
+    )
+    if differences:
+        kept = {one.edge.subject for one in edges}
+    return replace(labelled, edges=edges, subjects=tuple(sorted(kept)), confusions=())
+
+
+def _refuse(message: str, name: str, known: Sequence[str]) -> None:
+    near = difflib.get_close_matches(name, known, n=1)
+    listed = ", ".join(known[:5]) + (", …" if len(known) > 5 else "")  # noqa: PLR2004 - more would be no help
+    hint = f"did you mean {near[0]!r}?" if near else f"there are {listed}" if known else "the graph is empty"
+    raise KeymintError(message, help=hint, code="subject-unknown", exit_code=ExitCode.USAGE)

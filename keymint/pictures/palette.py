@@ -1,0 +1,106 @@
+"""Colours and line styles of pictures, for light and for dark backgrounds, as one style sheet.
+
+Nothing is told by colour alone: arrowheads of denied edges are hollow and barred, false labels are solid and heavy,
+and every kind of object has its name in the legend. Text has a contrast of at least 4.5 to 1 to what it stands on, and
+lines one of at least 3 to 1 (WCAG 2.2, 1.4.3 and 1.4.11).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from enum import StrEnum
+
+
+class Theme(StrEnum):
+    """Background of a picture; ``auto`` follows the reader's preference where a browser shows it, and is else light."""
+
+    AUTO = "auto"
+    LIGHT = "light"
+    DARK = "dark"
+
+
+LIGHT: Mapping[str, str] = {
+    "background": "#ffffff",
+    "text": "#1c2126",
+    "muted": "#57606a",
+    "rule": "#d0d7de",
+    "subject-fill": "#d9f2dc",
+    "subject": "#23762f",
+    "ros_topic-fill": "#dbe9fd",
+    "ros_topic": "#1f5fae",
+    "ros_service-fill": "#ecdcf9",
+    "ros_service": "#7a35a8",
+    "ros_action-fill": "#fde8cc",
+    "ros_action": "#9a5200",
+    "ros_parameter-fill": "#fbdce9",
+    "ros_parameter": "#a8326a",
+    "topic-fill": "#d3f1f2",
+    "topic": "#0b6a72",
+    "allow": "#1a7f37",
+    "deny": "#cf222e",
+    "plain": "#57606a",
+    "audit": "#9a6700",
+}
+DARK: Mapping[str, str] = {
+    "background": "#11161c",
+    "text": "#e6edf3",
+    "muted": "#9aa4af",
+    "rule": "#39424d",
+    "subject-fill": "#143a1b",
+    "subject": "#5fc46b",
+    "ros_topic-fill": "#122f57",
+    "ros_topic": "#6fa8ff",
+    "ros_service-fill": "#38204f",
+    "ros_service": "#c58af5",
+    "ros_action-fill": "#46300f",
+    "ros_action": "#f2b25c",
+    "ros_parameter-fill": "#4a1c34",
+    "ros_parameter": "#f28cb5",
+    "topic-fill": "#0d3a3e",
+    "topic": "#5cd0d8",
+    "allow": "#4fc36b",
+    "deny": "#ff7069",
+    "plain": "#9aa4af",
+    "audit": "#e3b341",
+}
+KIND_NAMES = ("subject", "ros_topic", "ros_service", "ros_action", "ros_parameter", "topic")
+
+_SHAPES = """\
+.keymint text{font-family:"DejaVu Sans Mono","Liberation Mono",Menlo,Consolas,"Noto Sans Mono",monospace;font-size:12px}
+.keymint .title{font-size:15px;font-weight:bold}
+.keymint .heading{font-size:13px;font-weight:bold}
+.keymint .pattern rect{stroke-dasharray:4 3}
+.keymint .pattern text{font-style:italic}
+.keymint .box rect{stroke-width:1.4}
+.keymint .curve{fill:none;stroke-width:1.5}
+.keymint .head{stroke-width:1.5;stroke-linejoin:round}
+.keymint .true .curve{stroke-dasharray:6 4}
+.keymint .false .curve{stroke-width:3.6}
+.keymint .false .head{stroke-width:2.4}
+"""
+
+
+def style_sheet(theme: Theme) -> str:
+    """Return the style sheet of a picture; renderers that know no media queries read it as well."""
+    if theme is Theme.AUTO:
+        return f"{_SHAPES}{_colours(LIGHT)}@media (prefers-color-scheme:dark){{\n{_colours(DARK)}}}\n"
+    return _SHAPES + _colours(LIGHT if theme is Theme.LIGHT else DARK)
+
+
+def _colours(palette: Mapping[str, str]) -> str:
+    rules = [
+        f".keymint .background{{fill:{palette['background']}}}",
+        f".keymint text{{fill:{palette['text']}}}",
+        f".keymint .muted{{fill:{palette['muted']}}}",
+        f".keymint .rule{{stroke:{palette['rule']}}}",
+        f".keymint .audit{{fill:{palette['audit']};stroke:{palette['background']}}}",
+    ]
+    rules.append(f".keymint .neutral rect{{fill:{palette['background']};stroke:{palette['plain']}}}")
+    for kind in KIND_NAMES:
+        rules.append(f".keymint .{kind} rect{{fill:{palette[f'{kind}-fill']};stroke:{palette[kind]}}}")
+        rules.append(f".keymint .{kind} .bullet{{fill:{palette[kind]}}}")
+    for verdict in ("allow", "deny", "plain"):
+        rules.append(f".keymint .{verdict} .curve,.keymint .{verdict} .head{{stroke:{palette[verdict]}}}")
+        filled = palette["background"] if verdict == "deny" else palette[verdict]
+        rules.append(f".keymint .{verdict} .head{{fill:{filled}}}")
+    return "\n".join(rules) + "\n"

@@ -1,0 +1,118 @@
+"""Holds the labels of a transport against those of the policy, as they come: nothing but counts and findings is kept."""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from itertools import groupby
+from operator import attrgetter
+
+from keymint.api import Enclave, Tier, Transport, Verdict
+from keymint.errors import KeymintError
+from keymint.graph import Edge
+from keymint.verify.model import Confusion, Error, Finding, Outcome
+
+ENCLAVE_REFUSED = "enclave-refused"
+"""Code of the error by which a transport says that it refuses an enclave as a whole."""
+
+Explain = Callable[[str, Enclave, list[tuple[Edge, Verdict]]], list[Finding]]
+"""Returns the findings on edges of one enclave that a transport (given by name) labels differently from the policy."""
+
+
+def compare(
+    name: str,
+    transport: Transport,
+    enclaves: Mapping[str, Enclave],
+    edges: Iterable[Edge],
+    said: Iterable[int],
+    tier: Tier,
+    explain: Explain,
+    limit: int,
+    on_subject: Callable[[str], None] = lambda _subject: None,
+) -> Outcome:
+    """Hold one transport against the policy.
+
+    Args:
+        name: the transport's name.
+        transport: a transport that is usable.
+        enclaves: the enclave of each subject of the edges.
+        edges: grouped by subject.
+        said: what the policy says about each edge: 1 allowed, 0 not.
+        tier: how deep to ask.
+        explain: says why a label is wrong.
+        limit: findings to keep; all are counted.
+        on_subject: called when all edges of a subject are done.
+
+    Raises:
+        KeymintError: the transport does not work.
+    """
+    expected = iter(said)
+    counts = [[0, 0], [0, 0]]
+    findings: list[Finding] = []
+    by_subject: dict[str, int] = {}
+    for subject, labelled in _by_subject(transport, enclaves, edges, tier):
+        wrong: list[tuple[Edge, Verdict]] = []
+        for edge, verdict in labelled:
+            allowed = next(expected)
+            counts[allowed][verdict.allowed] += 1
+            if allowed != verdict.allowed:
+                by_subject[subject] = by_subject.get(subject, 0) + 1
+                if len(findings) + len(wrong) < limit:
+                    wrong.append((edge, verdict))
+        if wrong:
+            findings += explain(name, enclaves[subject], wrong)
+        on_subject(subject)
+    (true_negative, false_positive), (false_negative, true_positive) = counts
+    confusion = Confusion(true_positive, false_negative, false_positive, true_negative)
+    return Outcome(name, transport.usable().version, tier, confusion, tuple(findings), by_subject)
+
+
+def error_of(allowed_by_transport: bool) -> Error:
+    """Return how an edge is wrong that a transport labels so, and the policy differently."""
+    return Error.FALSE_POSITIVE if allowed_by_transport else Error.FALSE_NEGATIVE
+
+
+def _by_subject(
+    transport: Transport, enclaves: Mapping[str, Enclave], edges: Iterable[Edge], tier: Tier
+) -> Iterator[tuple[str, Iterator[tuple[Edge, Verdict]]]]:
+    """Yield the labelled edges of each subject.
+
+    A transport that needs peers is asked once for all of them; else subject by subject, so that one enclave that is
+    refused says nothing of the others.
+    """
+    if tier is Tier.EXCHANGE:
+        labelled = transport.label(tuple(enclaves.values()), edges, tier)
+        for subject, group in groupby(labelled, key=lambda item: item[0].subject):
+            yield subject, group
+        return
+    for subject, group_of_edges in groupby(edges, key=attrgetter("subject")):
+        yield subject, label_enclave(transport, enclaves[subject], group_of_edges, tier)
+
+
+def label_enclave(
+    transport: Transport, enclave: Enclave, edges: Iterable[Edge], tier: Tier
+) -> Iterator[tuple[Edge, Verdict]]:
+    """Yield what a transport decides about the edges of one enclave; one that is refused may do nothing.
+
+    Raises:
+        KeymintError: the transport does not work.
+    """
+    unanswered: deque[Edge] = deque()
+
+    def asked() -> Iterator[Edge]:
+        for edge in edges:
+            unanswered.append(edge)
+            yield edge
+
+    source = asked()
+    try:
+        for edge, verdict in transport.label((enclave,), source, tier):
+            unanswered.popleft()
+            yield edge, verdict
+    except KeymintError as error:
+        found = error.diagnostics[0]
+        if found.code != ENCLAVE_REFUSED:
+            raise
+        refused = Verdict(allowed=False, reason=f"the enclave is refused: {found.message}")
+        yield from ((edge, refused) for edge in unanswered)
+        yield from ((edge, refused) for edge in edges)

@@ -1,0 +1,119 @@
+"""What the policy says about an edge where it is enforced: on the endpoints of a transport.
+
+There, rules on names of the application and rules on names of the transport meet, and both count: ``ALLOW publish`` of
+the topic ``rt/chatter`` and ``DENY ros_publish`` of ``/chatter`` are about the same endpoint.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+
+from keymint.api import LoadedPolicy, NameMapping, PolicyDecision
+from keymint.errors import KeymintError
+from keymint.graph import Edge
+from keymint.keymake import glob
+from keymint.keymake.algebra import matcher
+
+RAW = "topic"
+
+
+@dataclass(frozen=True, slots=True)
+class Naming:
+    """How the names of a subject become those of its transport: a mapping, and the distribution it is for."""
+
+    mapping: NameMapping
+    distro: str
+
+    def endpoints(self, edge: Edge) -> Sequence[Edge]:
+        """Return the endpoints of an edge; see :meth:`keymint.api.NameMapping.endpoints`."""
+        return self.mapping.endpoints(self.distro, edge)
+
+    def meanings(self, endpoint: Edge) -> Sequence[Edge]:
+        """Return what an endpoint can mean; see :meth:`keymint.api.NameMapping.meanings`."""
+        return self.mapping.meanings(self.distro, endpoint)
+
+
+class Judge:
+    """Says what a policy means on the endpoints of its subjects.
+
+    Args:
+        policy: the policy.
+        namings: the naming of each subject that has one; names of other subjects are taken as they are.
+    """
+
+    def __init__(self, policy: LoadedPolicy, namings: Mapping[str, Naming]) -> None:
+        self._policy = policy
+        self._namings = namings
+        self._subject = ""
+        self._is_raw: Callable[[str], bool] = lambda _name: False
+
+    def decide(self, edge: Edge) -> PolicyDecision:
+        """Return what the policy says about an edge.
+
+        Raises:
+            KeymintError: the kind or the permission is not known.
+        """
+        naming = self._namings.get(edge.subject)
+        if naming is None:
+            return self._policy.decide(edge)
+        if edge.object.kind == RAW:
+            return self._endpoint(edge, naming) if naming.meanings(edge) else self._policy.decide(edge)
+        self._turn_to(edge.subject)
+        endpoints = naming.endpoints(edge)
+        if not any(self._is_raw(endpoint.object.name) for endpoint in endpoints):
+            return self._policy.decide(edge)
+        return self._together([self._endpoint(endpoint, naming) for endpoint in endpoints])
+
+    def _endpoint(self, endpoint: Edge, naming: Naming) -> PolicyDecision:
+        """Decide an endpoint by all that the policy can say of it: deny overrides allow."""
+        said = [self._policy.decide(edge) for edge in (endpoint, *naming.meanings(endpoint))]
+        denying = [decision for decision in said if not decision.allowed and decision.where]
+        allowing = [decision for decision in said if decision.allowed]
+        return (denying or allowing or said)[0]
+
+    @staticmethod
+    def _together(decisions: Sequence[PolicyDecision]) -> PolicyDecision:
+        """Return the first denial of an endpoint that is needed, or that all are allowed."""
+        return next((decision for decision in decisions if not decision.allowed), decisions[0])
+
+    def _turn_to(self, subject: str) -> None:
+        """Make ready for a subject's edges, which come together."""
+        if subject == self._subject:
+            return
+        rules = self._policy.rules(subject)
+        raw = [glob.parse(e) for rule in (rules.rules if rules else ()) if rule.kind == RAW for e in rule.expressions]
+        exact = {text for each in raw if (text := glob.literal(each)) is not None}
+        patterns = [matcher(each) for each in raw if glob.literal(each) is None]
+        self._is_raw = lambda name: name in exact or any(matches(name) for matches in patterns)
+        self._subject = subject
+
+
+def label(judge: Judge, edges: Iterator[Edge]) -> bytearray:
+    """Return what the policy says about edges, a byte for each: 1 allowed, 0 not.
+
+    Raises:
+        KeymintError: the kind or the permission of an edge is not known.
+    """
+    return bytearray(judge.decide(edge).allowed for edge in edges)
+
+
+def check_subjects(policy: LoadedPolicy, edges: Sequence[str], known: Sequence[str]) -> None:
+    """Refuse subjects without an enclave.
+
+    Raises:
+        KeymintError: a subject of a graph is not installed; says which is near.
+    """
+    import difflib  # noqa: PLC0415 - only for the message
+
+    missing = [subject for subject in edges if subject not in known]
+    if not missing:
+        return
+    near = difflib.get_close_matches(missing[0], known, n=1)
+    applies = bool(policy.profiles(missing[0]))
+    hint = f"'keymint create {missing[0]}', then build and install" if applies else "no profile of the policy applies"
+    raise KeymintError(
+        f"no enclave of {', '.join(missing[:5])}{' …' if len(missing) > 5 else ''} is installed",  # noqa: PLR2004
+        help=f"did you mean {near[0]}?" if near and not applies else hint,
+        code="enclave-missing",
+    )

@@ -1,0 +1,45 @@
+"""Outcomes as JUnit XML, the format that CI servers show test results from."""
+
+from __future__ import annotations
+
+import re
+from collections import defaultdict
+from collections.abc import Sequence
+from xml.etree import ElementTree as ET  # only writes
+
+from keymint.verify.model import Finding, Outcome
+from keymint.verify.words import in_words
+
+_CONTROL = re.compile(r"[^\t\n\r\x20-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]")
+
+
+def junit(outcomes: Sequence[Outcome], subjects: Sequence[str]) -> bytes:
+    """Return a test suite for each transport, with a test case for each subject; a case lists all its findings."""
+    root = ET.Element("testsuites", name="keymint verify")
+    for outcome in outcomes:
+        found: defaultdict[str, list[Finding]] = defaultdict(list)
+        for finding in outcome.findings:
+            found[finding.edge.subject].append(finding)
+        suite = ET.SubElement(
+            root,
+            "testsuite",
+            name=f"{outcome.transport} ({outcome.tier})",
+            tests=str(len(subjects)),
+            failures=str(len(outcome.wrong)),
+            errors="0",
+            skipped="0",
+        )
+        for subject in subjects:
+            case = ET.SubElement(suite, "testcase", classname=f"keymint.{outcome.transport}", name=_text(subject))
+            if count := outcome.wrong.get(subject, 0):
+                lines = [in_words(outcome.transport, finding) for finding in found[subject]]
+                message = f"{count} edge{'s' if count > 1 else ''} decided otherwise than the policy says"
+                failure = ET.SubElement(case, "failure", type="verify", message=message)
+                failure.text = _text("\n".join(lines) or "not listed: there are too many findings")
+    ET.indent(root)
+    return ET.tostring(root, encoding="utf-8", xml_declaration=True) + b"\n"
+
+
+def _text(text: str) -> str:
+    """Return what XML can hold of a text."""
+    return _CONTROL.sub("\ufffd", text)

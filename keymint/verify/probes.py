@@ -1,0 +1,148 @@
+"""Names to ask for when no graph says which: those that a policy mentions, and names that probe each of its patterns.
+
+A pattern is probed inside, where it must match, and just outside, where it must not: nothing, one character, a slash
+and several segments for ``*``; each of a few members of a class and its neighbours; a character more or less at either
+end; the other case. A document whose pattern is wider or narrower than the policy's differs on one of these.
+"""
+
+from __future__ import annotations
+
+import string
+from collections.abc import Iterable, Iterator, Sequence
+from functools import lru_cache
+from itertools import islice
+
+from keymint.graph import LABELLED, Edge, Object
+from keymint.ir import Rule, SubjectRules
+from keymint.keymake import glob
+from keymint.keymake.composites import PARTS
+from keymint.keymake.glob import ANY, Charset, Star
+from keymint.verify.judge import RAW
+
+MOST_OF_A_PATTERN = 48
+"""Names that one pattern is probed with."""
+MOST_OF_OTHERS = 2_000
+"""Objects that only the rules of other subjects are about, by which a subject is probed."""
+_MOST_OF_A_CLASS = 6
+_FILLINGS = ("", "x", "y/z", "_0", "/n")
+_PLAIN = string.ascii_letters + string.digits + "_/"
+"""Characters that names of topics have on every transport; what is generated has no others."""
+
+
+def edges(rules: Iterable[SubjectRules], domains: dict[str, int]) -> Iterator[Edge]:
+    """Yield edges to ask for, grouped by subject, sorted.
+
+    Every subject is asked for all that its own rules mention, probes included, and for what the rules of the others
+    mention by name: evenly chosen where that is more than :data:`MOST_OF_OTHERS`.
+
+    Args:
+        rules: the rules of each subject, sorted by subject.
+        domains: the DDS domain of each subject.
+    """
+    listed = tuple(rules)
+    shared = sorted({found for each in listed for rule in each.rules for found in _objects(rule, probe=False)})
+    stride = max(1, -(-len(shared) // MOST_OF_OTHERS))
+    common = shared[::stride]
+    for each in listed:
+        own = {found for rule in each.rules for found in _objects(rule, probe=True)}
+        for found in sorted(own.union(common)):
+            for permission in LABELLED[found.kind]:
+                yield Edge(each.subject, permission, found, domains.get(each.subject, 0))
+
+
+def names(expression: str) -> tuple[str, ...]:
+    """Return names that probe an expression, the likeliest first, at most :data:`MOST_OF_A_PATTERN`.
+
+    A literal is returned with its neighbours: a character more or less, the other case, something above and below.
+    """
+    return tuple(islice(dict.fromkeys(_names(expression)), MOST_OF_A_PATTERN))
+
+
+def _objects(rule: Rule, *, probe: bool) -> Iterator[Object]:
+    """Yield the objects that a rule mentions, and those that probe its patterns."""
+    for name in _names_of(rule.expressions, probe):
+        if not name or (rule.kind != RAW and name[0] != "/"):
+            continue  # no topic has such a name
+        yield from (Object(rule.kind, name, each) for each in _partitions(rule.partitions, rule.kind, probe))
+        for permission in rule.permissions:
+            for kind, _, suffix in PARTS.get((rule.kind, permission), ()):
+                yield Object(kind, name + suffix)
+
+
+def _names_of(expressions: Sequence[str], probe: bool) -> Iterator[str]:
+    for expression in expressions:
+        text = glob.literal(glob.parse(expression))
+        if probe:
+            yield from names(expression)
+        elif text is not None:
+            yield text
+
+
+def _partitions(expressions: Sequence[str], kind: str, probe: bool) -> Iterator[tuple[str, ...]]:
+    """Yield lists of partitions that probe a rule's."""
+    yield ()
+    if kind != RAW or not probe:
+        return
+    if not expressions:
+        yield ("keymint_probe",)
+        return
+    inside = []
+    for expression in expressions:
+        parsed = glob.parse(expression)
+        text = glob.literal(parsed)
+        found = [text] if text is not None else [_filled(parsed, filling) for filling in _FILLINGS[:3]]
+        inside += found
+        yield from ((name,) for name in found if name)
+        yield from ((name + "x",) for name in found[:1])
+    named = sorted({name for name in inside if name})
+    yield from (("", name) for name in named[:1])
+    if len(named) > 1:
+        yield tuple(named[:2])
+
+
+@lru_cache(maxsize=1 << 14)
+def _names(expression: str) -> tuple[str, ...]:
+    parsed = glob.parse(expression)
+    text = glob.literal(parsed)
+    if text is not None:
+        return text, *filter(_is_plain, (text + "x", text[:-1], text.swapcase(), text + "/x", "/x" + text, text[1:]))
+    found = [_filled(parsed, filling) for filling in _FILLINGS]
+    plain = found[1]
+    found += [plain + "x", plain[:-1], plain.swapcase(), "/x" + plain, plain + "/x", plain[1:], found[0][:-1]]
+    for at, token in enumerate(parsed):
+        if isinstance(token, str):
+            found += [_replaced(parsed, at, near) for near in (token[:-1], token[1:], token.swapcase(), token + "x")]
+        elif isinstance(token, Charset):
+            found += [_replaced(parsed, at, near) for near in ("", *_around(token))]
+    return tuple(filter(_is_plain, found))
+
+
+def _is_plain(name: str) -> bool:
+    return all(char in _PLAIN for char in name)
+
+
+def _filled(parsed: glob.Glob, filling: str) -> str:
+    """Return a name that a pattern matches: each ``*`` is the filling, each class one of its characters."""
+    return "".join(_sample(token, filling) for token in parsed)
+
+
+def _replaced(parsed: glob.Glob, at: int, text: str) -> str:
+    """Return a name that differs in one place from what a pattern matches."""
+    return "".join(text if index == at else _sample(token, "x") for index, token in enumerate(parsed))
+
+
+def _sample(token: glob.Token, filling: str) -> str:
+    if isinstance(token, Star):
+        return filling
+    return token if isinstance(token, str) else next((char for char in _PLAIN if char in token), "")
+
+
+def _around(members: Charset) -> Iterator[str]:
+    """Yield some members of a class, first and last ones among them, and the characters next to it."""
+    inside = [char for char in _PLAIN if char in members]
+    half = _MOST_OF_A_CLASS // 2
+    yield from dict.fromkeys((*inside[:half], *inside[-half:]))
+    outside = [char for char in _PLAIN if char not in members]
+    edges_of = [code for low, high in members.ranges for code in (low, high)]
+    yield from sorted(outside, key=lambda char: min(abs(ord(char) - code) for code in edges_of))[:2]
+    yield "/" if "/" in members else ""

@@ -1,0 +1,130 @@
+"""What came of a comparison, as diagnostics for people and as JSON for machines (``docs/json.md``)."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from typing import Any
+
+from keymint.errors import Diagnostic, Origin, Severity
+from keymint.graph import Edge
+from keymint.verify.model import Confusion, Error, Finding, Outcome
+from keymint.verify.words import in_words, request
+
+_EXAMPLES = 3
+_HELP = {
+    Error.FALSE_POSITIVE: "the enclave permits more than the policy: build and install it from the policy",
+    Error.FALSE_NEGATIVE: "the enclave permits less than the policy: build and install it from the policy",
+}
+
+
+def messages(outcome: Outcome) -> Iterator[Diagnostic]:
+    """Yield a diagnostic for each cause: findings that the same rules explain are told together."""
+    causes: dict[tuple[object, ...], list[Finding]] = {}
+    for finding in outcome.findings:
+        where = finding.policy.where
+        kind = finding.edge.object.kind
+        key = (finding.edge.subject, kind, finding.error, where, finding.document.line, finding.verdict.deviation)
+        causes.setdefault(key, []).append(finding)
+    for together in causes.values():
+        first = together[0]
+        more = [f"{each.edge.permission} {each.edge.object.name}" for each in together[1 : 1 + _EXAMPLES]]
+        others = len(together) - 1
+        also = f"; likewise {others} more: {', '.join(more)}{' …' if others > len(more) else ''}" if others else ""
+        yield Diagnostic(
+            str(first.error),
+            Severity.ERROR,
+            in_words(outcome.transport, first) + also,
+            first.policy.where or first.document,
+            _HELP[first.error],
+            first.edge.subject,
+        )
+    if outcome.omitted:
+        yield Diagnostic(
+            "findings-omitted",
+            Severity.WARNING,
+            f"{outcome.omitted} more findings on {outcome.transport} are counted and not listed",
+            None,
+            "raise --limit, or verify some packages at a time",
+        )
+
+
+def as_result(
+    outcomes: Sequence[Outcome], subjects: Sequence[str], edges: int, typed: Callable[[str], str]
+) -> dict[str, Any]:
+    """Return the outcome of ``keymint verify`` as what JSON can hold.
+
+    Args:
+        outcomes: what came of each transport.
+        subjects: the subjects that were verified.
+        edges: how many edges each transport was asked for.
+        typed: returns a path as the user would type it.
+    """
+    return {
+        "subjects": list(subjects),
+        "edges": edges,
+        "transports": [
+            {
+                "name": outcome.transport,
+                "version": outcome.version,
+                "tier": str(outcome.tier),
+                "confusion": confusion(outcome.confusion),
+                "findings": [_finding(finding, typed) for finding in outcome.findings],
+                "findings_omitted": outcome.omitted,
+            }
+            for outcome in outcomes
+        ],
+    }
+
+
+def confusion(counts: Confusion) -> dict[str, int]:
+    """Return counts by label, allowing being the positive."""
+    return {
+        "true_positive": counts.true_positive,
+        "false_negative": counts.false_negative,
+        "false_positive": counts.false_positive,
+        "true_negative": counts.true_negative,
+    }
+
+
+def _finding(finding: Finding, typed: Callable[[str], str]) -> dict[str, Any]:
+    return {
+        "error": str(finding.error),
+        "edge": edge_document(finding.edge),
+        "request": request(finding.edge),
+        "policy": {
+            "allowed": finding.policy.allowed,
+            "reason": finding.policy.reason,
+            "rule": place(finding.policy.where, typed),
+            "audit": finding.policy.audit,
+        },
+        "transport": {
+            "allowed": finding.verdict.allowed,
+            "reason": finding.verdict.reason,
+            "rule": place(finding.document, typed),
+            "deviation": finding.verdict.deviation or None,
+            "explained_by": finding.model or None,
+        },
+    }
+
+
+def edge_document(edge: Edge) -> dict[str, Any]:
+    """Return an edge as what JSON can hold."""
+    return {
+        "subject": edge.subject,
+        "permission": edge.permission,
+        "kind": edge.object.kind,
+        "object": edge.object.name,
+        "partitions": list(edge.object.partitions),
+        "domain": edge.domain,
+    }
+
+
+def place(where: Origin | None, typed: Callable[[str], str]) -> Mapping[str, Any] | None:
+    """Return a place as what JSON can hold."""
+    if where is None:
+        return None
+    return {
+        "file": typed(where.file),
+        "line": where.line or None,
+        "included_from": [{"file": typed(outer.file), "line": outer.line} for outer in where.chain],
+    }

@@ -1,0 +1,94 @@
+"""What there is to verify in a workspace: the enclaves that are installed, how they name things, and the edges."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import cast
+
+from keymint.api import Enclave, LoadedPolicy, NameMapping
+from keymint.errors import KeymintError
+from keymint.graph import Edge, Graph, complete
+from keymint.ir import SubjectRules
+from keymint.plan import install
+from keymint.plan.inputs import Inputs, LoadedProfile, Sources
+from keymint.verify import probes
+from keymint.verify.judge import Naming
+
+
+@dataclass(frozen=True, slots=True)
+class Scope:
+    """What there is to verify.
+
+    Attributes:
+        enclaves: installed enclaves by subject, sorted.
+        namings: the naming of each subject whose build type has one.
+        domains: the first DDS domain of each subject's grant.
+    """
+
+    enclaves: Mapping[str, Enclave]
+    namings: Mapping[str, Naming]
+    domains: Mapping[str, int]
+
+
+def scope(inputs: Inputs, loaded: LoadedProfile, names: Sequence[str], sources: Sources) -> Scope:
+    """Return what there is to verify of some packages.
+
+    Raises:
+        KeymintError: a package is not installed, or has defects.
+    """
+    there = set(install.installed(inputs, loaded))
+    missing = [name for name in names if name not in there]
+    if missing:
+        shown = ", ".join(f"/{name}" for name in missing[:5]) + (" …" if len(missing) > 5 else "")  # noqa: PLR2004
+        raise KeymintError(
+            f"no enclave of {shown} is installed",
+            help="run 'keymint build' and 'keymint install'",
+            code="enclave-missing",
+        )
+    enclaves: dict[str, Enclave] = {}
+    namings: dict[str, Naming] = {}
+    domains: dict[str, int] = {}
+    for name in sorted(names):
+        package = sources.load(inputs, loaded, name, sources.files(inputs, name))
+        folder = inputs.workspace.enclaves(loaded.profile.layout) / name
+        enclaves[package.subject] = Enclave(package.subject, folder, package.distro)
+        build_type = inputs.plugins.build_type(package.build_type, inputs.package_marker(name))
+        if hasattr(build_type, "endpoints") and hasattr(build_type, "meanings"):
+            namings[package.subject] = Naming(cast("NameMapping", build_type), package.distro)
+        if package.permissions.domains:
+            domains[package.subject] = package.permissions.domains[0].first
+    return Scope(dict(sorted(enclaves.items())), namings, domains)
+
+
+def edges_of_graph(graph: Graph, found: Scope, *, only: bool) -> Callable[[], Iterator[Edge]]:
+    """Return a function that yields the completion of a graph, for the subjects that there is to verify.
+
+    Args:
+        graph: the graph.
+        found: what there is to verify.
+        only: leave subjects out that are not to be verified.
+
+    Raises:
+        KeymintError: a subject of the graph has no enclave here.
+    """
+    missing = [subject for subject in graph.subjects if subject not in found.enclaves]
+    if missing and only:
+        kept = replace(graph, subjects=tuple(subject for subject in graph.subjects if subject in found.enclaves))
+        return lambda: complete(kept)
+    if missing:
+        import difflib  # noqa: PLC0415 - only for the message
+
+        near = difflib.get_close_matches(missing[0], found.enclaves, n=1)
+        raise KeymintError(
+            f"the graph has a subject {missing[0]}, but no such enclave is verified",
+            help=f"did you mean {near[0]}?" if near else f"'keymint create {missing[0]}', build and install it",
+            code="enclave-missing",
+        )
+    return lambda: complete(graph)
+
+
+def edges_of_policy(policy: LoadedPolicy, found: Scope) -> Callable[[], Iterator[Edge]]:
+    """Return a function that yields edges on the names that a policy mentions, and on names that probe its patterns."""
+    rules = [policy.rules(subject) or SubjectRules(subject, ()) for subject in found.enclaves]
+    return lambda: probes.edges(rules, found.domains)

@@ -1,0 +1,21 @@
+"""The policy decision point: what a signed or unsigned permissions document says, by the standard and by each vendor."""
+
+from __future__ import annotations
+
+from keymint_ros2_dds.decision.document import PermissionsDocument, read
+from keymint_ros2_dds.decision.explain import explain
+from keymint_ros2_dds.decision.judge import Decision, Judge, Outcome, decide
+from keymint_ros2_dds.decision.semantics import (
+    CYCLONEDDS_0_10,
+    FASTDDS_2_9,
+    OMG,
+    VARIATIONS,
+    Deviation,
+    Semantics,
+    Variation,
+)
+
+__all__ = [
+    "CYCLONEDDS_0_10", "FASTDDS_2_9", "OMG", "VARIATIONS", "Decision", "Deviation", "Judge", "Outcome",
+    "PermissionsDocument", "Semantics", "Variation", "decide", "explain", "read",
+]  # fmt: skip

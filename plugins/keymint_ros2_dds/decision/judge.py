@@ -1,0 +1,257 @@
+"""The decision: Algorithm 1 of White et al. 2018, which is DDS Security 1.1, 9.4.1.3, with points that may differ.
+
+A document is asked for its grant by subject name and validity; the grant's rules are gone through in order by domain
+and action, and their criteria by topic, partitions and data tags. The first that matches decides by its qualifier,
+else the grant's default does. When no grant matches there is no decision: that is an error, and denies.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Collection, Iterable, Iterator, Sequence
+from dataclasses import dataclass
+from datetime import datetime
+from enum import StrEnum
+from functools import lru_cache
+
+from keymint_ros2_dds.decision import fnmatch
+from keymint_ros2_dds.decision.document import Criteria, Grant, PermissionsDocument, Rule
+from keymint_ros2_dds.decision.refusals import covers
+from keymint_ros2_dds.decision.semantics import OMG, Semantics, Variation
+
+Tags = tuple[tuple[str, str], ...]
+DEFAULT_PARTITION = ("",)
+
+
+class Outcome(StrEnum):
+    """How a question ends. ``error``: no grant matches, so that there is nothing to decide by."""
+
+    ALLOWED = "allowed"
+    DENIED = "denied"
+    ERROR = "error"
+
+
+@dataclass(frozen=True, slots=True)
+class Decision:
+    """What a document says of an endpoint.
+
+    Attributes:
+        outcome: allowed, denied, or error.
+        line: line of the criteria, rule or grant that decided; 0 if none did.
+        reason: one line.
+    """
+
+    outcome: Outcome
+    line: int
+    reason: str
+
+    @property
+    def allowed(self) -> bool:
+        """Whether the endpoint may be; an error denies."""
+        return self.outcome is Outcome.ALLOWED
+
+
+@dataclass(frozen=True, slots=True)
+class _Patterns:
+    """Expressions of one list, ready to be asked."""
+
+    plain: frozenset[str]
+    wild: re.Pattern[str] | None
+
+    def match(self, name: str) -> bool:
+        return name in self.plain or (self.wild is not None and self.wild.fullmatch(name) is not None)
+
+
+@dataclass(frozen=True, slots=True)
+class _Step:
+    """Criteria of a rule, or those of a whole rule taken together.
+
+    ``partitions`` is None where every partition matches.
+    """
+
+    allows: bool
+    action: str
+    topics: _Patterns
+    partitions: _Patterns | None
+    tags: frozenset[tuple[str, str]] | None
+    line: int
+
+
+class Judge:
+    """Decides by one document for one subject in a domain; made once, asked often.
+
+    Args:
+        document: the document.
+        subject_name: the identity's, as text in the order of RFC 2253: ``CN=/talker,OU=h``.
+        now: the clock, UTC.
+        domain: DDS domain id.
+        variation: the standard, or an implementation.
+
+    Attributes:
+        semantics: the points of the variation.
+        refusal: what ends every question, or None.
+        joins: the subject may have a participant: some allow_rule holds in the domain, or the default allows.
+    """
+
+    def __init__(
+        self, document: PermissionsDocument, subject_name: str, now: datetime, domain: int, variation: Variation = OMG
+    ) -> None:
+        semantics = variation.semantics
+        self.semantics = semantics
+        self._file = document.file
+        self._steps: dict[str, list[_Step]] = {}
+        self._named: list[_Step] = []
+        self.joins = False
+        self._default = False
+        self._default_line = 0
+        refused = semantics.refuses(document)
+        self.refusal: Decision | None = None
+        if refused:
+            self.refusal = Decision(Outcome.ERROR, 0, f"{document.file}: {refused}")
+            return
+        found = _grant(document, subject_name, now, semantics)
+        if isinstance(found, Decision):
+            self.refusal = found
+            return
+        self._default = semantics.default_counts and found.default != "DENY"
+        self._default_line = found.line
+        in_domain = [rule for rule in found.rules if _holds(rule, domain, semantics)]
+        self.joins = self._default or any(rule.allows for rule in in_domain)
+        for step in _steps(in_domain, semantics):
+            self._steps.setdefault(step.action, []).append(step)
+            if step.action != "relay":
+                self._named.append(step)
+
+    def decide(
+        self, action: str, topic: str, partitions: Sequence[str] = (), tags: Collection[tuple[str, str]] = ()
+    ) -> Decision:
+        """Return what is decided about an endpoint.
+
+        Args:
+            action: ``publish``, ``subscribe`` or ``relay``.
+            topic: DDS topic name.
+            partitions: of the endpoint's publisher or subscriber; none is the default partition.
+            tags: data tags of the endpoint.
+        """
+        if self.refusal is not None:
+            return self.refusal
+        name = fnmatch.in_bytes(topic)
+        if self.semantics.topic_check:
+            named = next((step for step in self._named if step.topics.match(name)), None)
+            if named is None and not self._default:
+                return self._by_default(topic)
+            if named is not None and not named.allows:
+                return self._by(named, f"denies the topic {topic!r}", allowed=False)
+        asked = [fnmatch.in_bytes(each) for each in partitions] or DEFAULT_PARTITION
+        for step in self._steps.get(action, ()):
+            if not step.topics.match(name):
+                continue
+            if self._concerns(step, asked, tags):
+                return self._by(step, f"{'allows' if step.allows else 'denies'} {action} {topic!r}", allowed=step.allows)
+            if self.semantics.first_topic_decides:
+                return self._by(step, f"names {topic!r}, but not in these partitions", allowed=False)
+        return self._by_default(topic)
+
+    def _concerns(self, step: _Step, asked: Sequence[str], tags: Collection[tuple[str, str]]) -> bool:
+        """Tell whether partitions and tags match: an allow needs all of the endpoint's, a deny one of them."""
+        need = all if step.allows else any
+        if step.tags is not None and self.semantics.tags_count and not need(tag in step.tags for tag in tags):
+            return False
+        return step.partitions is None or need(step.partitions.match(each) for each in asked)
+
+    def _by(self, step: _Step, text: str, *, allowed: bool) -> Decision:
+        rule = "allow_rule" if step.allows else "deny_rule"
+        outcome = Outcome.ALLOWED if allowed else Outcome.DENIED
+        return Decision(outcome, step.line, f"{self._file}:{step.line}: the {rule} {text}")
+
+    def _by_default(self, topic: str) -> Decision:
+        outcome = Outcome.ALLOWED if self._default else Outcome.DENIED
+        text = f"no rule is about {topic!r}, and the grant's default is {'ALLOW' if self._default else 'DENY'}"
+        return Decision(outcome, self._default_line, f"{self._file}:{self._default_line}: {text}")
+
+
+def decide(
+    document: PermissionsDocument,
+    subject_name: str,
+    now: datetime,
+    domain: int,
+    action: str,
+    topic: str,
+    partitions: Sequence[str] = (),
+    tags: Collection[tuple[str, str]] = (),
+    variation: Variation = OMG,
+) -> Decision:
+    """Return what a document says of one endpoint; see :class:`Judge`."""
+    return Judge(document, subject_name, now, domain, variation).decide(action, topic, partitions, tags)
+
+
+def _grant(
+    document: PermissionsDocument, subject_name: str, now: datetime, semantics: Semantics
+) -> Grant | Decision:
+    """Return the grant that counts, or why there is none."""
+    reason = f"no grant is about {subject_name!r}"
+    found_line = 0
+    for grant in document.grants:
+        name = grant.subject_name.strip() if semantics.trims else grant.subject_name
+        if not semantics.selects(name, subject_name):
+            continue
+        begin, end = semantics.date(grant.not_before), semantics.date(grant.not_after)
+        if begin is not None and end is not None and begin <= now <= end:
+            return grant
+        when = "is not valid yet" if begin is not None and now < begin else "has expired"
+        found_line = grant.line
+        reason = f"the grant of {subject_name!r} {when} ({grant.not_before.strip()} to {grant.not_after.strip()})"
+        if not semantics.passes_over_invalid:
+            break
+    place = f"{document.file}:{found_line}" if found_line else document.file
+    return Decision(Outcome.ERROR, found_line, f"{place}: {reason}")
+
+
+def _holds(rule: Rule, domain: int, semantics: Semantics) -> bool:
+    exact = semantics.min_only_is_exact
+    return not semantics.domains_count or any(covers(each, domain, min_only_is_exact=exact) for each in rule.domains)
+
+
+def _steps(rules: Iterable[Rule], semantics: Semantics) -> Iterator[_Step]:
+    for rule in rules:
+        for group in _groups(rule, semantics):
+            yield _step(rule, group, semantics)
+
+
+def _groups(rule: Rule, semantics: Semantics) -> Iterable[Sequence[Criteria]]:
+    """Return criteria that are asked together: each by itself, or all of an action."""
+    if not semantics.pools_criteria:
+        return [[criteria] for criteria in rule.criteria]
+    pooled: dict[str, list[Criteria]] = {}
+    for criteria in rule.criteria:
+        pooled.setdefault(criteria.action, []).append(criteria)
+    return pooled.values()
+
+
+def _step(rule: Rule, group: Sequence[Criteria], semantics: Semantics) -> _Step:
+    if rule.allows:
+        everywhere = False
+    else:
+        unlisted = any(item.partitions is None for item in group)
+        everywhere = semantics.deny_topic or (unlisted and not semantics.deny_default)
+    listed = (each for item in group for each in (DEFAULT_PARTITION if item.partitions is None else item.partitions))
+    tags = None if any(item.tags is None for item in group) else frozenset(t for item in group for t in item.tags or ())
+    return _Step(
+        rule.allows,
+        group[0].action,
+        _patterns((topic for item in group for topic in item.topics), semantics),
+        None if everywhere else _patterns(listed, semantics),
+        tags,
+        group[0].line,
+    )
+
+
+def _patterns(expressions: Iterable[str], semantics: Semantics) -> _Patterns:
+    texts = frozenset(fnmatch.in_bytes(each.strip() if semantics.trims else each) for each in expressions)
+    plain = frozenset(each for each in texts if fnmatch.is_plain(each))
+    return _Patterns(plain, _compiled(tuple(sorted(texts - plain)), semantics.fnmatch) if texts - plain else None)
+
+
+@lru_cache(maxsize=4096)
+def _compiled(patterns: tuple[str, ...], dialect: fnmatch.Dialect) -> re.Pattern[str]:
+    return re.compile("|".join(f"(?:{dialect(pattern)})" for pattern in patterns), re.DOTALL)

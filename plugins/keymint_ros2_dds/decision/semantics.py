@@ -1,0 +1,158 @@
+"""The points on which implementations of DDS Security differ, and how each of them sees them.
+
+Every point is a field of :class:`Semantics`, whose defaults are the standard's. A :class:`Deviation` changes a point,
+and a :class:`Variation` is a list of deviations: an implementation. The rows are those of the table in
+``docs/vendors.md``, which was measured on Cyclone DDS 0.10.2 and Fast DDS 2.9.1.
+"""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, replace
+from datetime import datetime
+from typing import Any
+
+from keymint_ros2_dds.decision import dates, fnmatch, subjects
+from keymint_ros2_dds.decision.document import PermissionsDocument
+from keymint_ros2_dds.decision.refusals import cyclone_refuses, fast_refuses, schema_refuses
+
+Refusal = Callable[[PermissionsDocument], str]
+"""Returns why a document is refused as a whole, or an empty text."""
+
+
+@dataclass(frozen=True, slots=True)
+class Semantics:
+    """How a permissions document is read.
+
+    Attributes:
+        refuses: whether a document is refused as a whole, and why.
+        selects: whether a grant's subject name is about an identity: both as text, ``CN=/talker,OU=h``.
+        passes_over_invalid: a grant that is not valid now is passed over; else it ends the search.
+        date: reads a date of the document; None is a date that can never hold.
+        trims: white space around a text is no part of it.
+        default_counts: ``<default>`` is looked at; else it is always DENY.
+        min_only_is_exact: a range of domains with ``min`` alone is that domain; else every higher one as well.
+        domains_count: rules of other domains are passed over.
+        fnmatch: the dialect of expressions.
+        pools_criteria: topics and partitions of all criteria of a rule are taken together.
+        first_topic_decides: a rule that names the topic ends the search, also if its partitions do not match.
+        deny_default: a deny rule without partitions is about the default partition alone; else about every partition.
+        deny_topic: the partitions of a deny rule do not matter.
+        topic_check: the first criteria that name the topic, in any direction, decide whether there is a topic at all.
+        tags_count: data tags are looked at.
+    """
+
+    refuses: Refusal = schema_refuses
+    selects: Callable[[str, str], bool] = subjects.same_name
+    passes_over_invalid: bool = True
+    date: Callable[[str], datetime | None] = dates.standard
+    trims: bool = False
+    default_counts: bool = True
+    min_only_is_exact: bool = False
+    domains_count: bool = True
+    fnmatch: fnmatch.Dialect = fnmatch.posix
+    pools_criteria: bool = False
+    first_topic_decides: bool = False
+    deny_default: bool = False
+    deny_topic: bool = False
+    topic_check: bool = False
+    tags_count: bool = True
+
+
+STANDARD = Semantics()
+
+
+@dataclass(frozen=True, slots=True)
+class Deviation:
+    """One point on which an implementation differs from the standard.
+
+    Attributes:
+        row: row of the table of disagreements.
+        name: in kebab-case.
+        text: one line for people.
+        changes: fields of :class:`Semantics`.
+    """
+
+    row: str
+    name: str
+    text: str
+    changes: Mapping[str, Any] = field(repr=False)
+
+    def __str__(self) -> str:
+        """Return what a report says: row, name and text."""
+        return f"row {self.row}, {self.name}: {self.text}"
+
+
+@dataclass(frozen=True, slots=True)
+class Variation:
+    """An implementation: the standard with deviations.
+
+    Attributes:
+        name: e.g. ``cyclonedds-0.10``; tells variations apart.
+        deviations: in the order of their rows.
+    """
+
+    name: str
+    deviations: tuple[Deviation, ...] = ()
+
+    @property
+    def semantics(self) -> Semantics:
+        """The points with all deviations applied."""
+        return functools.reduce(lambda found, deviation: replace(found, **deviation.changes), self.deviations, STANDARD)
+
+    def without(self, deviation: Deviation) -> Variation:
+        """Return the implementation if it did not differ on one point."""
+        left = tuple(item for item in self.deviations if item != deviation)
+        return Variation(f"{self.name} without {deviation.name}", left)
+
+    def only(self, deviation: Deviation) -> Variation:
+        """Return the implementation if it differed on one point alone."""
+        return Variation(f"{self.name} with {deviation.name} alone", (deviation,))
+
+
+def _on(row: str, name: str, text: str, **changes: Any) -> Deviation:
+    return Deviation(row, name, text, changes)
+
+
+CYCLONE_DEVIATIONS = (
+    _on("1", "subject-tokens", "every part of the identity's name must occur in the grant's, in any order",
+        selects=subjects.parts_occur),
+    _on("2", "first-grant-only", "the first grant of the subject counts, also when it is not valid now",
+        passes_over_invalid=False),
+    _on("6", "deny-default-partition", "a deny rule without partitions is about the default partition alone",
+        deny_default=True),
+    _on("9", "topic-check", "the first rule that names a topic decides whether it exists, whatever its direction",
+        topic_check=True),
+    _on("11", "strictness", "domain ids above 230, foreign attributes, and what is without its ends are refused",
+        refuses=cyclone_refuses),
+    _on("12", "min-only", "a range of domains with a minimum alone is that one domain", min_only_is_exact=True),
+    _on("15", "late-dates", "a date that does not fit 64 bits of nanoseconds is over", date=dates.cyclone),
+    _on("16", "trimmed-text", "white space around a text is no part of it", trims=True),
+    _on("17", "fnmatch", "no escapes; only '!' negates a set; the ']' that ends a set is a member of it",
+        fnmatch=fnmatch.cyclone),
+    _on("data tags", "tags-ignored", "data tags are not looked at", tags_count=False),
+)  # fmt: skip
+
+FAST_DEVIATIONS = (
+    _on("1", "subject-text", "names are compared as text in the order of RFC 2253, blanks around parts aside",
+        selects=subjects.same_text),
+    _on("3", "default-unused", "<default>ALLOW</default> is read and never used", default_counts=False),
+    _on("4", "pooled-criteria", "topics and partitions of all criteria of a rule are taken together",
+        pools_criteria=True),
+    _on("5", "first-topic-decides", "a rule that names the topic ends the search, also if its partitions do not match",
+        first_topic_decides=True),
+    _on("7", "deny-topic", "a deny rule denies the topic in every partition, also if it lists some", deny_topic=True),
+    _on("10", "domains-unused", "rules of other domains count as well in local checks", domains_count=False),
+    _on("11", "strictness", "a grant without a name or default, and empty lists, are refused", refuses=fast_refuses),
+    _on("12", "min-only", "a range of domains with a minimum alone is that one domain", min_only_is_exact=True),
+    _on("14", "zone-ignored", "the zone of a date is ignored", date=dates.fast),
+    _on("17", "fnmatch", "expressions have no escapes", fnmatch=fnmatch.noescape),
+    _on("data tags", "tags-ignored", "data tags are not looked at", tags_count=False),
+)  # fmt: skip
+
+OMG = Variation("omg")
+CYCLONEDDS_0_10 = Variation("cyclonedds-0.10", CYCLONE_DEVIATIONS)
+FASTDDS_2_9 = Variation("fastdds-2.9", FAST_DEVIATIONS)
+VARIATIONS: Mapping[str, Variation] = {each.name: each for each in (OMG, CYCLONEDDS_0_10, FASTDDS_2_9)}
+

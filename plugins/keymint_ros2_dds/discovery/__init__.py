@@ -1,0 +1,49 @@
+"""Graph source ``keymint_ros2_dds``: what ROS 2 nodes do, seen on DDS or in a capture of RTI Admin Console."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+
+from keymint.api import API_VERSION, Discovered, Usable
+from keymint.graph import Graph
+
+__all__ = ["DdsGraphs", "graph_source"]
+
+
+class DdsGraphs:
+    """Implements :class:`keymint.api.GraphSource` for DDS domains and the names of ROS 2 in them."""
+
+    API = API_VERSION
+
+    def usable(self) -> Usable:
+        """Tell whether Cyclone DDS, which observes, is installed."""
+        from keymint_ros2_dds.discovery import cyclonedds  # noqa: PLC0415 - listing plugins must not load a vendor
+
+        return cyclonedds.usable()
+
+    def observe(self, domain: int, go_on: Callable[[], bool], names: Mapping[str, str]) -> Discovered:
+        """See :func:`keymint_ros2_dds.discovery.cyclonedds.observe`."""
+        from keymint_ros2_dds.discovery import capture, cyclonedds  # noqa: PLC0415
+
+        return capture.discovered(cyclonedds.observe(domain, go_on), names)
+
+    def recognises(self, content: bytes) -> bool:
+        """See :func:`keymint_ros2_dds.discovery.admin_console.recognises`."""
+        from keymint_ros2_dds.discovery import admin_console  # noqa: PLC0415
+
+        return admin_console.recognises(content)
+
+    def read(self, content: bytes, name: str, names: Mapping[str, str]) -> Discovered:
+        """See :func:`keymint_ros2_dds.discovery.admin_console.read`."""
+        from keymint_ros2_dds.discovery import admin_console, capture  # noqa: PLC0415
+
+        return capture.discovered(admin_console.read(content, name), names)
+
+    def interpret(self, graph: Graph, *, fold: bool) -> Graph:
+        """See :func:`keymint_ros2_dds.discovery.interpret.interpret`."""
+        from keymint_ros2_dds.discovery.interpret import interpret  # noqa: PLC0415
+
+        return interpret(graph, fold=fold)
+
+
+graph_source = DdsGraphs()

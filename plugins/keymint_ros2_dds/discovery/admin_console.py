@@ -1,0 +1,121 @@
+"""Captures of RTI Admin Console: the XML of what it discovered, participants with their publications and subscriptions.
+
+The document nests ``system/processes//domain_participants``; each participant holds ``participant_data`` (the sample
+of ``DCPSParticipant``), ``publications`` and ``subscriptions`` (samples of ``DCPSPublication``, ``DCPSSubscription``).
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator
+
+from lxml import etree
+
+import comarmor
+from comarmor.reader import parse
+from keymint.errors import Diagnostic, KeymintError, Origin, Severity
+from keymint_ros2_dds.discovery.capture import Capture, Endpoint, Participant
+
+MAX_DOMAIN = 232
+_HEX = re.compile(r"[0-9a-f]{1,2}(?:,\s*[0-9a-f]{1,2})*\Z", re.IGNORECASE)
+_ENDPOINTS = {"publication_data": "publish", "subscription_data": "subscribe"}
+
+
+def recognises(content: bytes) -> bool:
+    """Tell whether a file looks like XML, so that :func:`read` is the one to read it."""
+    return content.removeprefix(b"\xef\xbb\xbf").lstrip()[:1] == b"<"
+
+
+def read(content: bytes, name: str) -> Capture:
+    """Return what a capture holds.
+
+    Args:
+        content: the XML document.
+        name: its file as the user would type it, for messages.
+
+    Raises:
+        KeymintError: not well-formed, too large, with a DOCTYPE, or no such capture; with ``file:line``.
+    """
+    try:
+        root = parse(content, name)
+    except comarmor.ComArmorError as error:
+        raise KeymintError.of(_diagnostic(found) for found in error.diagnostics) from error
+    reader = _Reader(name)
+    if root.tag != "system":
+        raise reader.error(
+            root, f"the root is <{root.tag}>, expected <system>", "export the system from RTI Admin Console"
+        )
+    return reader.capture(root)
+
+
+class _Reader:
+    def __init__(self, name: str) -> None:
+        self._name = name
+
+    def error(self, element: etree._Element, message: str, hint: str = "") -> KeymintError:
+        return KeymintError(message, where=Origin(self._name, element.sourceline or 0), help=hint, code="capture")
+
+    def capture(self, root: etree._Element) -> Capture:
+        participants: dict[str, Participant] = {}
+        endpoints: dict[Endpoint, None] = {}
+        for data in root.iter("participant_data"):
+            one = self._participant(data)
+            participants[one.guid] = one
+        for tag, permission in _ENDPOINTS.items():
+            for data in root.iter(tag):
+                endpoint = self._endpoint(data, permission)
+                if endpoint.participant not in participants:
+                    raise self.error(data, f"the participant {endpoint.participant} of this endpoint is not in the file")
+                endpoints[endpoint] = None
+        if not participants:
+            raise self.error(root, "no participant in this file", "export the system from RTI Admin Console")
+        return Capture(tuple(participants.values()), tuple(endpoints))
+
+    def _participant(self, data: etree._Element) -> Participant:
+        above = data.getparent()
+        domain = data.findtext("domain_id") or (above.findtext("domain_id") if above is not None else None) or "0"
+        if not domain.strip().isdecimal() or int(domain) > MAX_DOMAIN:
+            raise self.error(data, f"domain_id is {domain.strip()!r}, expected a DDS domain id from 0 to {MAX_DOMAIN}")
+        name = (data.findtext("participant_name/name") or "").strip()
+        return Participant(self._guid(data, "key"), int(domain), name, _octets(data.findtext("user_data/value")))
+
+    def _endpoint(self, data: etree._Element, permission: str) -> Endpoint:
+        topic = (data.findtext("topic_name") or "").strip()
+        if not topic:
+            raise self.error(data, f"<{data.tag}> has no <topic_name>")
+        return Endpoint(
+            self._guid(data, "participant_key"),
+            permission,
+            topic,
+            (data.findtext("type_name") or "").strip(),
+            tuple(_partitions(data)),
+        )
+
+    def _guid(self, data: etree._Element, key: str) -> str:
+        """Return the 32 digits of a key, which is written as four hexadecimal numbers of 32 bits."""
+        words = (data.findtext(f"{key}/value") or "").split(",")
+        try:
+            numbers = [int(word, 16) for word in words]
+        except ValueError:
+            numbers = []
+        if len(numbers) != 4 or any(not 0 <= number < 2**32 for number in numbers):  # noqa: PLR2004 - see above
+            raise self.error(data, f"<{key}> is {','.join(words)!r}, expected four hexadecimal numbers")
+        return "".join(f"{number:08x}" for number in numbers)
+
+
+def _partitions(data: etree._Element) -> Iterator[str]:
+    for element in data.iterfind("partition/name/element"):
+        yield (element.text or "").strip()
+
+
+def _octets(text: str | None) -> bytes:
+    """Return user data, which is written as hexadecimal octets, or as it is."""
+    bare = (text or "").strip()
+    if _HEX.match(bare):
+        return bytes(int(octet, 16) for octet in bare.split(","))
+    return bare.encode()
+
+
+def _diagnostic(found: comarmor.Diagnostic) -> Diagnostic:
+    where = Origin(found.where.file, found.where.line) if found.where else None
+    return Diagnostic(found.code, Severity(found.severity.value), found.message, where, found.help)

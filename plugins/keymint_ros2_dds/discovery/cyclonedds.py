@@ -1,0 +1,238 @@
+"""Observes a DDS domain with the built-in topics of Cyclone DDS 0.10, by ctypes on its shared library.
+
+Cyclone reads its network configuration from ``CYCLONEDDS_URI``, as for any application. Every participant and endpoint
+that is seen counts, also one that vanishes again. What a domain hides by discovery protection is not seen.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import time
+from collections.abc import Callable, Iterator
+from ctypes import POINTER, Structure, byref, c_bool, c_char_p, c_int32, c_int64, c_size_t, c_uint32, c_uint64, c_void_p
+from functools import cache
+from typing import Any
+
+from keymint.api import Usable
+from keymint.errors import KeymintError
+from keymint_ros2_dds.discovery.capture import Capture, Endpoint, Participant
+
+LIBRARY = "libddsc.so.0debian"
+INSTALL = "apt-get install libddsc0debian"
+_OTHER_NAMES = ("libddsc.so.0",)
+_PARTICIPANTS, _PUBLICATIONS, _SUBSCRIPTIONS = 0x7FFF0001, 0x7FFF0003, 0x7FFF0004
+"""Pseudo handles of the built-in topics (``DDS_BUILTIN_TOPIC_…``)."""
+_SAMPLES = 64
+_PAUSE = 0.02
+"""Seconds between two looks."""
+
+
+class _Guid(Structure):
+    _fields_ = [("octets", ctypes.c_uint8 * 16)]  # noqa: RUF012 - as ctypes wants it
+
+    def __str__(self) -> str:
+        return bytes(self.octets).hex()
+
+
+class _Participant(Structure):
+    """``dds_builtintopic_participant_t``."""
+
+    _fields_ = [("key", _Guid), ("qos", c_void_p)]  # noqa: RUF012
+
+
+class _Endpoint(Structure):
+    """``dds_builtintopic_endpoint_t``."""
+
+    _fields_ = [  # noqa: RUF012
+        ("key", _Guid),
+        ("participant", _Guid),
+        ("participant_handle", c_uint64),
+        ("topic", c_char_p),
+        ("type", c_char_p),
+        ("qos", c_void_p),
+    ]
+
+
+class _Info(Structure):
+    """``dds_sample_info_t``."""
+
+    _fields_ = [  # noqa: RUF012
+        ("sample_state", c_int32),
+        ("view_state", c_int32),
+        ("instance_state", c_int32),
+        ("valid_data", c_bool),
+        ("source_timestamp", c_int64),
+        ("instance_handle", c_uint64),
+        ("publication_handle", c_uint64),
+        ("counts", c_uint32 * 5),
+    ]
+
+
+@cache
+def _library() -> Any:
+    """Return the library, its functions declared.
+
+    Raises:
+        OSError: it is not installed, or is not the one that is expected.
+    """
+    for name in (LIBRARY, *_OTHER_NAMES):
+        try:
+            found = ctypes.CDLL(name)
+            break
+        except OSError:
+            continue
+    else:
+        raise OSError(f"{LIBRARY} is not installed")
+    signatures: dict[str, tuple[Any, list[Any]]] = {
+        "dds_create_participant": (c_int32, [c_uint32, c_void_p, c_void_p]),
+        "dds_create_reader": (c_int32, [c_int32, c_int32, c_void_p, c_void_p]),
+        "dds_delete": (c_int32, [c_int32]),
+        "dds_free": (None, [c_void_p]),
+        "dds_get_guid": (c_int32, [c_int32, POINTER(_Guid)]),
+        "dds_qget_entity_name": (c_bool, [c_void_p, POINTER(c_void_p)]),
+        "dds_qget_partition": (c_bool, [c_void_p, POINTER(c_uint32), POINTER(POINTER(c_void_p))]),
+        "dds_qget_userdata": (c_bool, [c_void_p, POINTER(c_void_p), POINTER(c_size_t)]),
+        "dds_return_loan": (c_int32, [c_int32, POINTER(c_void_p), c_int32]),
+        "dds_strretcode": (c_char_p, [c_int32]),
+        "dds_take": (c_int32, [c_int32, POINTER(c_void_p), POINTER(_Info), c_size_t, c_uint32]),
+    }
+    for name, (result, arguments) in signatures.items():
+        try:
+            function = getattr(found, name)
+        except AttributeError:
+            raise OSError(f"{found._name} has no {name}") from None  # noqa: SLF001 - its file name
+        function.restype, function.argtypes = result, arguments
+    return found
+
+
+def usable() -> Usable:
+    """Tell whether the library is installed."""
+    try:
+        _library()
+    except OSError as error:
+        return Usable(usable=False, reason=str(error), help=INSTALL)
+    return Usable(usable=True, version="0.10")
+
+
+def observe(domain: int, go_on: Callable[[], bool]) -> Capture:
+    """Return all participants and endpoints that are seen in a domain.
+
+    Args:
+        domain: DDS domain id.
+        go_on: asked every 20 ms; the observation ends when it returns False.
+
+    Raises:
+        KeymintError: Cyclone DDS is not installed, or cannot join the domain.
+    """
+    try:
+        dds = _library()
+    except OSError as error:
+        raise KeymintError(str(error), help=INSTALL, code="discovery-unusable") from None
+    own = _checked(dds, dds.dds_create_participant(domain, None, None), f"join domain {domain}")
+    try:
+        myself = _Guid()
+        _checked(dds, dds.dds_get_guid(own, byref(myself)), "tell its own GUID")
+        readers = [
+            _checked(dds, dds.dds_create_reader(own, topic, None, None), "read a built-in topic")
+            for topic in (_PARTICIPANTS, _PUBLICATIONS, _SUBSCRIPTIONS)
+        ]
+        participants: dict[str, Participant] = {}
+        endpoints: dict[Endpoint, None] = {}
+        while True:
+            last = not go_on()
+            for sample in _taken(dds, readers[0], _Participant):
+                guid = str(sample.key)
+                participants[guid] = Participant(guid, domain, _entity_name(dds, sample.qos), _user_data(dds, sample.qos))
+            for reader, permission in zip(readers[1:], ("publish", "subscribe"), strict=True):
+                for sample in _taken(dds, reader, _Endpoint):
+                    endpoint = Endpoint(
+                        str(sample.participant),
+                        permission,
+                        _text(sample.topic),
+                        _text(sample.type),
+                        tuple(_partitions(dds, sample.qos)),
+                    )
+                    endpoints[endpoint] = None
+            if last:
+                break
+            time.sleep(_PAUSE)
+    finally:
+        dds.dds_delete(own)
+    return _without(str(myself), domain, participants, endpoints)
+
+
+def _without(
+    myself: str, domain: int, participants: dict[str, Participant], endpoints: dict[Endpoint, None]
+) -> Capture:
+    """Return the capture without the observer; an endpoint whose participant was missed has one without a name."""
+    for endpoint in endpoints:
+        participants.setdefault(endpoint.participant, Participant(endpoint.participant, domain))
+    return Capture(
+        tuple(participant for guid, participant in participants.items() if guid != myself),
+        tuple(endpoint for endpoint in endpoints if endpoint.participant != myself),
+    )
+
+
+def _checked(dds: Any, code: int, what: str) -> int:
+    if code < 0:
+        reason = _text(dds.dds_strretcode(code)) or str(code)
+        raise KeymintError(
+            f"Cyclone DDS cannot {what}: {reason}",
+            help="look at CYCLONEDDS_URI and the network interfaces",
+            code="discovery-failed",
+        )
+    return code
+
+
+def _taken(dds: Any, reader: int, kind: type[Any]) -> Iterator[Any]:
+    """Yield the samples that a reader has; also of what is gone already. Each is valid until the next is asked for."""
+    infos = (_Info * _SAMPLES)()
+    while True:
+        samples = (c_void_p * _SAMPLES)()
+        count = dds.dds_take(reader, samples, infos, _SAMPLES, _SAMPLES)
+        if count <= 0:
+            return
+        try:
+            for at in range(count):
+                address = samples[at]
+                if infos[at].valid_data and address:
+                    yield kind.from_address(address)
+        finally:
+            dds.dds_return_loan(reader, samples, count)
+
+
+def _text(raw: bytes | None) -> str:
+    return (raw or b"").decode("utf-8", errors="replace")
+
+
+def _entity_name(dds: Any, qos: int | None) -> str:
+    name = c_void_p()
+    if not qos or not dds.dds_qget_entity_name(qos, byref(name)) or not name.value:
+        return ""
+    try:
+        return _text(ctypes.string_at(name.value))
+    finally:
+        dds.dds_free(name)
+
+
+def _user_data(dds: Any, qos: int | None) -> bytes:
+    data, size = c_void_p(), c_size_t()
+    if not qos or not dds.dds_qget_userdata(qos, byref(data), byref(size)) or not data.value:
+        return b""
+    try:
+        return ctypes.string_at(data.value, size.value)
+    finally:
+        dds.dds_free(data)
+
+
+def _partitions(dds: Any, qos: int | None) -> list[str]:
+    count, names = c_uint32(), POINTER(c_void_p)()
+    if not qos or not dds.dds_qget_partition(qos, byref(count), byref(names)) or not count.value:
+        return []
+    found = [names[at] for at in range(count.value)]
+    try:
+        return [_text(ctypes.string_at(address)) if address else "" for address in found]
+    finally:
+        for address in found:
+            dds.dds_free(address)
+        dds.dds_free(names)

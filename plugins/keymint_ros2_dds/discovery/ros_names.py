@@ -1,0 +1,67 @@
+"""Names of DDS topics back to those of ROS 2 (design.ros2.org, "Topic and Service name mapping to DDS").
+
+Bouncy and later put the prefix into the topic's name: ``rt/chatter`` in the default partition. Ardent put prefix and
+namespace into the partition: ``chatter`` in ``rt``, ``chatter`` in ``rt/robot1``. No name is both.
+"""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass
+from typing import Literal
+
+from keymint.graph import Object
+
+_NAME = re.compile(r"(?:/[A-Za-z_][A-Za-z0-9_]*)+\Z")
+_TYPE = re.compile(r"([A-Za-z]\w*(?:::[A-Za-z]\w*)*)::dds_::([A-Za-z]\w*)_\Z")
+_SUFFIXES = {"rt": "", "rq": "Request", "rr": "Reply"}
+Part = Literal["rt", "rq", "rr"]
+
+
+@dataclass(frozen=True, slots=True)
+class RosName:
+    """What a DDS topic is to ROS.
+
+    Attributes:
+        part: ``rt`` a topic, ``rq`` the requests of a service, ``rr`` its replies.
+        name: the topic's or service's name.
+    """
+
+    part: str
+    name: str
+
+
+def ros_name(topic: Object) -> RosName | None:
+    """Return what a DDS topic is to ROS, or None where it fits no mapping.
+
+    Args:
+        topic: an object of kind ``topic``.
+    """
+    if not topic.partitions:
+        whole = topic.name
+    elif len(topic.partitions) == 1 and "/" not in topic.name:
+        whole = f"{topic.partitions[0]}/{topic.name}"
+    else:
+        return None
+    part, slash, rest = whole.partition("/")
+    suffix = _SUFFIXES.get(part)
+    if suffix is None or not rest.endswith(suffix):
+        return None
+    name = slash + rest.removesuffix(suffix)
+    return RosName(part, name) if _NAME.match(name) else None
+
+
+def ros_type(dds_type: str, part: str) -> str:
+    """Return the ROS type of what a DDS topic carries: ``std_msgs::msg::dds_::String_`` is ``std_msgs/msg/String``.
+
+    Args:
+        dds_type: the DDS type's name.
+        part: as :attr:`RosName.part`; the types of requests and replies give that of the service.
+    """
+    found = _TYPE.match(dds_type)
+    if found is None:
+        return dds_type
+    name = found[2]
+    if part != "rt":
+        name = name.removesuffix("_Request" if part == "rq" else "_Response")
+    return "/".join([*found[1].split("::"), name])

@@ -1,0 +1,123 @@
+"""How participants get the names of subjects.
+
+What a participant says of itself differs from release to release. In this order it is taken for its name:
+
+1. what the user says of its GUID;
+2. the enclave in its user data (``enclave=/x;``, Foxy and later) unless that is ``/``, which every unsecured one has;
+3. node and namespace in its user data (``name=x;namespace=/y;``, Bouncy to Eloquent);
+4. its entity name, when that is a legal name (``talker``, Ardent), completed by the namespace of the parameters that
+   it serves or calls where these tell one;
+5. the one node whose parameters it serves (any ROS 2: a node serves its own);
+6. a name made from its GUID, with a warning.
+
+The topic ``ros_discovery_info`` would tell the nodes of a participant, but not what each of them does: since Foxy it
+is the enclave, hence the participant, that permissions are granted to.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable, Mapping, Sequence
+from typing import TYPE_CHECKING
+
+from keymint.errors import Diagnostic, ExitCode, KeymintError, Severity
+from keymint.graph_json import legal_subject
+from keymint_ros2_dds.discovery.ros_names import ros_name
+
+if TYPE_CHECKING:
+    from keymint_ros2_dds.discovery.capture import Endpoint, Participant
+
+_GUID = re.compile(r"[0-9a-f]{8,32}\Z")
+_PARAMETERS = "/get_parameters"
+_ASKED = "--subject GUID=NAME"
+
+
+def name_participants(
+    participants: Sequence[Participant], endpoints: Iterable[Endpoint], given: Mapping[str, str]
+) -> tuple[dict[str, str], list[Diagnostic]]:
+    """Return the subject of each participant by GUID, and how each came by its name.
+
+    Args:
+        participants: participants.
+        endpoints: their endpoints.
+        given: subjects by GUID or the beginning of one, as the user typed them.
+
+    Raises:
+        KeymintError: what the user gave is no GUID, fits several participants, or is no legal name.
+    """
+    names = _given(participants, given)
+    serves: dict[str, set[str]] = {}
+    meets: dict[str, set[str]] = {}
+    for seen in endpoints:
+        entity = ros_name(seen.object)
+        if entity is None or entity.part == "rt" or not entity.name.endswith(_PARAMETERS):
+            continue
+        node = entity.name.removesuffix(_PARAMETERS)
+        meets.setdefault(seen.participant, set()).add(node)
+        if (entity.part, seen.permission) == ("rq", "subscribe"):
+            serves.setdefault(seen.participant, set()).add(node)
+    said: list[Diagnostic] = []
+    for one in sorted(participants):
+        found = ("as you said", names[one.guid]) if one.guid in names else _own(one, serves, meets)
+        if found is None:
+            names[one.guid] = f"/participant_{one.guid[:24]}"
+            said.append(
+                Diagnostic(
+                    "subject-unknown",
+                    Severity.WARNING,
+                    f"participant {one.guid} in domain {one.domain} does not say what it is called, and is named "
+                    f"{names[one.guid]}",
+                    help=f"name it with {_ASKED}",
+                    subject=names[one.guid],
+                )
+            )
+            continue
+        how, names[one.guid] = found
+        message = f"participant {one.guid} in domain {one.domain} is {names[one.guid]}: {how}"
+        said.append(Diagnostic("subject-named", Severity.NOTE, message, subject=names[one.guid]))
+    return names, said
+
+
+def _own(
+    one: Participant, serves: Mapping[str, set[str]], meets: Mapping[str, set[str]]
+) -> tuple[str, str] | None:
+    """Return how a participant tells its name, and the name; or None when it does not."""
+    told = _fields(one.user_data)
+    enclave = told.get("enclave", "")
+    if legal_subject(enclave):
+        return "the enclave in its user data", enclave
+    node = f"{told.get('namespace', '/').rstrip('/')}/{told.get('name', '')}"
+    if legal_subject(node):
+        return "node and namespace in its user data", node
+    name = one.name if one.name.startswith("/") else f"/{one.name}"
+    if legal_subject(name):
+        whole = [node for node in (*serves.get(one.guid, ()), *meets.get(one.guid, ())) if node.endswith(name)]
+        return "the participant's name", whole[0] if len(set(whole)) == 1 else name
+    served = [node for node in serves.get(one.guid, ()) if legal_subject(node)]
+    if len(served) == 1:
+        return "the node whose parameters it serves", served[0]
+    return None
+
+
+def _fields(user_data: bytes) -> dict[str, str]:
+    """Return the fields of user data like ``enclave=/x;`` (rmw_dds_common) or ``name=x;namespace=/;`` (rmw)."""
+    text = user_data.decode("ascii", errors="replace").rstrip("\0")
+    return {name: value for name, equals, value in (item.partition("=") for item in text.split(";")) if equals}
+
+
+def _given(participants: Sequence[Participant], given: Mapping[str, str]) -> dict[str, str]:
+    names: dict[str, str] = {}
+    for typed, name in given.items():
+        guid = re.sub(r"[.:|\s]", "", typed).lower()
+        if not _GUID.match(guid):
+            raise _refused(f"{typed!r} is not a GUID", "8 to 32 hexadecimal digits, as 'keymint discover -v' shows them")
+        if not legal_subject(name):
+            raise _refused(f"{name!r} is not the name of a subject", "a name is '/' and segments, e.g. /robot1/talker")
+        for one in participants:
+            if one.guid.startswith(guid):
+                names[one.guid] = name
+    return names
+
+
+def _refused(message: str, hint: str) -> KeymintError:
+    return KeymintError(message, help=hint, code="usage", exit_code=ExitCode.USAGE)

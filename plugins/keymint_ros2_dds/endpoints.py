@@ -1,0 +1,82 @@
+"""The DDS endpoints that an edge of a semantic graph stands for, and the edges that an endpoint can stand for."""
+
+from __future__ import annotations
+
+from functools import lru_cache
+
+from keymint.errors import KeymintError
+from keymint.graph import Edge, Object
+from keymint.keymake.composites import parts
+from keymint_ros2_dds.mapping import ARDENT, IMAGES, check_distro, knows
+
+_KINDS = {
+    "ros_publish": "ros_topic", "ros_subscribe": "ros_topic", "ros_call": "ros_service", "ros_execute": "ros_service",
+}  # fmt: skip
+
+
+@lru_cache(maxsize=64)
+def _images(distro: str, kind: str, permission: str) -> tuple[tuple[str, str, str], ...]:
+    """Return action, prefix and suffix of each endpoint of a permission."""
+    check_distro(distro)
+    if not knows(distro, kind):
+        raise KeymintError(f"ROS 2 {distro.capitalize()} has no {kind}", code="distro-kind")
+    found = []
+    for _, part, tail in parts(kind, permission):
+        if part not in IMAGES:
+            raise KeymintError(f"DDS knows no permission {part!r} of a {kind}", code="permission-unknown")
+        found += [(str(image.action), image.prefix, tail + image.suffix) for image in IMAGES[part]]
+    return tuple(found)
+
+
+def endpoints(distro: str, edge: Edge) -> tuple[Edge, ...]:
+    """Return the edges of kind ``topic`` that a subject needs for an edge; an edge of that kind is its own.
+
+    Args:
+        distro: ROS 2 distribution whose name mapping applies.
+        edge: an edge of any kind.
+
+    Raises:
+        KeymintError: the distribution or the permission is not known.
+    """
+    if edge.object.kind == "topic":
+        return (edge,)
+    name = edge.object.name
+    return tuple(
+        Edge(edge.subject, action, _topic(distro, f"{prefix}{name}{suffix}"), edge.domain)
+        for action, prefix, suffix in _images(distro, edge.object.kind, edge.permission)
+    )
+
+
+def _topic(distro: str, path: str) -> Object:
+    """Return the topic of a ROS name with its prefix and suffix: for Ardent, all but the base name is a partition."""
+    if distro != ARDENT:
+        return Object("topic", path)
+    partition, _, topic = path.rpartition("/")
+    return Object("topic", topic, (partition,))
+
+
+def _paths(distro: str, topic: Object) -> tuple[tuple[str, tuple[str, ...]], ...]:
+    """Return the ROS names, with prefix and suffix, that a topic may stand for, and the partitions that are left."""
+    if distro != ARDENT:
+        return ((topic.name, topic.partitions),)
+    return tuple((f"{partition}/{topic.name}", ()) for partition in topic.partitions)
+
+
+def meanings(distro: str, endpoint: Edge) -> tuple[Edge, ...]:
+    """Return the edges on ROS names, none of them composite, that need an endpoint.
+
+    Args:
+        distro: ROS 2 distribution whose name mapping applies.
+        endpoint: an edge of kind ``topic``.
+
+    Raises:
+        KeymintError: the distribution is not known.
+    """
+    found = []
+    for path, partitions in _paths(distro, endpoint.object):
+        for permission, kind in _KINDS.items():
+            for action, prefix, suffix in _images(distro, kind, permission):
+                if action == endpoint.permission and path.startswith(f"{prefix}/") and path.endswith(suffix):
+                    name = path[len(prefix) : len(path) - len(suffix)]
+                    found.append(Edge(endpoint.subject, permission, Object(kind, name, partitions), endpoint.domain))
+    return tuple(found)

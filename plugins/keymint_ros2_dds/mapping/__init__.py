@@ -1,0 +1,68 @@
+"""Names of ROS 2 entities as DDS topics and partitions; which way a distribution maps them.
+
+:mod:`.modern` is the mapping of Bouncy and later, :mod:`.ardent` that of Ardent. A raw topic is its own name in both.
+"""
+
+from __future__ import annotations
+
+import difflib
+from collections.abc import Iterator
+
+from keymint.errors import KeymintError
+from keymint.ir import Effect
+from keymint.keymake.glob import Glob
+from keymint_ros2_dds.mapping import ardent
+from keymint_ros2_dds.mapping.entities import IMAGES, Action, Image
+from keymint_ros2_dds.mapping.modern import image
+
+__all__ = ["ARDENT", "DISTROS", "IMAGES", "Action", "Image", "check_distro", "image", "images", "knows"]
+
+ARDENT = "ardent"
+DISTROS = (
+    ARDENT, "bouncy", "crystal", "dashing", "eloquent", "foxy", "galactic", "humble", "iron", "jazzy", "kilted",
+    "lyrical", "rolling",
+)  # fmt: skip
+"""Distributions whose mapping of names is known."""
+
+
+def images(
+    distro: str, expression: Glob, mapped: Image, part: str = "", effect: Effect = Effect.ALLOW
+) -> Iterator[tuple[Glob, Glob | None]]:
+    """Yield patterns of topics for the names that an expression matches, and the pattern of their partitions.
+
+    The pattern of partitions is None where the mapping says nothing of them.
+
+    Args:
+        distro: a known distribution.
+        expression: an expression over ROS names, or over DDS names for an image without a prefix.
+        mapped: where the names go.
+        part: the part of a composite that follows the names.
+        effect: what the rule does with the names.
+    """
+    if distro == ARDENT and mapped.prefix:
+        for partition, topic in ardent.image(expression, mapped, part, every=effect is Effect.DENY):
+            yield topic, partition
+    else:
+        for topic in image(expression, mapped, part):
+            yield topic, None
+
+
+def knows(distro: str, kind: str) -> bool:
+    """Tell whether a distribution has entities of a kind: actions came with Crystal, but Bouncy maps their parts."""
+    return distro != ARDENT or kind != "ros_action"
+
+
+def check_distro(distro: str) -> None:
+    """Refuse a distribution whose mapping of names is not known.
+
+    Raises:
+        KeymintError: the name is not that of a distribution.
+    """
+    if distro in DISTROS:
+        return
+    close = difflib.get_close_matches(distro, DISTROS, 1)
+    raise KeymintError(
+        f"unknown distro {distro!r}",
+        help=f"did you mean {close[0]!r}?" if close else f"use one of {', '.join(DISTROS)}",
+        code="distro-unknown",
+    )

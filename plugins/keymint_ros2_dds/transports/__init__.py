@@ -1,0 +1,54 @@
+"""Transports: what DDS implementations decide about installed enclaves, simulated and real.
+
+The simulated ones are always usable; the real ones are found at run time. What each attribute names is loaded when it
+is opened.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+from keymint.api import API_VERSION, Surroundings, Transport
+
+__all__ = ["Opener", "cyclonedds", "cyclonedds_0_10", "fastdds", "fastdds_2_9", "omg"]
+
+
+class Opener:
+    """Implements :class:`keymint.api.TransportType`."""
+
+    API = API_VERSION
+
+    def __init__(self, make: Callable[[Surroundings], Transport]) -> None:
+        self._make = make
+
+    def open(self, surroundings: Surroundings) -> Transport:
+        """Return the transport, which is then asked whether it is usable."""
+        return self._make(surroundings)
+
+
+def _simulated(name: str) -> Opener:
+    def make(surroundings: Surroundings) -> Transport:
+        from keymint_ros2_dds.transports.simulated import Simulated  # noqa: PLC0415 - listing plugins loads no XML
+
+        return Simulated.of(name, surroundings)
+
+    return Opener(make)
+
+
+def _cyclonedds(surroundings: Surroundings) -> Transport:
+    from keymint_ros2_dds.transports.cyclonedds import CycloneDDSTransport  # noqa: PLC0415
+
+    return CycloneDDSTransport(surroundings)
+
+
+def _fastdds(surroundings: Surroundings) -> Transport:
+    from keymint_ros2_dds.transports.fastdds import FastDDSTransport  # noqa: PLC0415
+
+    return FastDDSTransport(surroundings)
+
+
+omg = _simulated("omg")
+cyclonedds_0_10 = _simulated("cyclonedds-0.10")
+fastdds_2_9 = _simulated("fastdds-2.9")
+cyclonedds = Opener(_cyclonedds)
+fastdds = Opener(_fastdds)

@@ -1,0 +1,167 @@
+"""Simulated transports: the decision point on the signed documents of installed enclaves."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass
+from datetime import datetime
+from functools import cached_property
+from pathlib import Path
+
+from keymint.api import Enclave, Surroundings, Tier, Usable, Verdict
+from keymint.errors import KeymintError, Origin
+from keymint.graph import Edge
+from keymint.pki import smime
+from keymint_ros2_dds import decision
+from keymint_ros2_dds.decision import OMG, Decision, Judge, Outcome, Variation, governance
+from keymint_ros2_dds.endpoints import endpoints
+from keymint_ros2_dds.install import CERTIFICATE, GOVERNANCE_P7S, PERMISSIONS_P7S
+from keymint_ros2_dds.transports import files
+
+
+class Court:
+    """Decides about one enclave in one domain, by the standard and by every implementation.
+
+    Args:
+        folder: the enclave's folder.
+        now: the clock, UTC.
+        domain: DDS domain id.
+    """
+
+    def __init__(self, folder: Path, now: datetime, domain: int) -> None:
+        self._folder = folder
+        self._now = now
+        self._domain = domain
+        self._judges: dict[str, Judge] = {}
+        self.refusal = ""
+        try:
+            authority = files.authority(folder, permissions=True)
+            signed = {name: files.content(folder, name) for name in (PERMISSIONS_P7S, GOVERNANCE_P7S)}
+            verified = {
+                name: smime.verify(content, authority, at=now, where=Origin(name)) for name, content in signed.items()
+            }
+            self._document = decision.read(verified[PERMISSIONS_P7S])
+            self._governance = governance.read(verified[GOVERNANCE_P7S], domain)
+            self._subject_name = files.subject_name(files.content(folder, CERTIFICATE), Origin(CERTIFICATE))
+        except KeymintError as error:
+            self.refusal = str(error)
+
+    @cached_property
+    def document(self) -> decision.PermissionsDocument:
+        """The permissions document; only if there is no refusal."""
+        return self._document
+
+    def decide(self, variation: Variation, endpoint: Edge) -> Decision:
+        """Return what is decided about an endpoint, an edge of kind ``topic``."""
+        if self.refusal:
+            return Decision(Outcome.ERROR, 0, self.refusal)
+        judge = self._judge(variation)
+        if judge.refusal is not None:
+            return judge.refusal
+        rules = self._governance
+        if rules is None:
+            return Decision(Outcome.DENIED, 0, f"governance.xml is not about domain {self._domain}")
+        rule = rules.topic_rule(endpoint.object.name, judge.semantics.fnmatch)
+        if rule is None:
+            return Decision(Outcome.DENIED, 0, f"governance.xml has no rule for the topic {endpoint.object.name!r}")
+        controlled = rule.write_controlled if endpoint.permission == "publish" else rule.read_controlled
+        if not controlled and (judge.joins or not rules.join_controlled):
+            return Decision(Outcome.ALLOWED, 0, f"governance.xml:{rule.line}: access to the topic is not controlled")
+        return judge.decide(endpoint.permission, endpoint.object.name, endpoint.object.partitions)
+
+    def _judge(self, variation: Variation) -> Judge:
+        judge = self._judges.get(variation.name)
+        if judge is None:
+            judge = Judge(self._document, self._subject_name, self._now, self._domain, variation)
+            self._judges[variation.name] = judge
+        return judge
+
+    def deviation(self, variation: Variation, endpoint: Edge, *, allowed: bool) -> str:
+        """Return which deviations explain that an implementation does not decide as the standard does.
+
+        Args:
+            variation: the model of the implementation.
+            endpoint: an edge of kind ``topic``.
+            allowed: what the implementation decided; empty when the model or the standard has it otherwise.
+        """
+        if self.refusal or allowed == self.decide(OMG, endpoint).allowed:
+            return ""
+        if self.decide(variation, endpoint).allowed != allowed:
+            return ""
+        found = decision.explain(lambda asked: self.decide(asked, endpoint).allowed, variation)
+        return "; ".join(map(str, found))
+
+
+class Courts:
+    """The courts of the subjects of edges; as edges come grouped by subject, only those of one subject are kept."""
+
+    def __init__(self, enclaves: Sequence[Enclave], now: datetime) -> None:
+        self._enclaves = files.by_subject(enclaves)
+        self._now = now
+        self._subject = ""
+        self._courts: dict[int, Court] = {}
+
+    def enclave(self, subject: str) -> Enclave:
+        """Return the enclave of a subject.
+
+        Raises:
+            KeymintError: there is none.
+        """
+        if subject not in self._enclaves:
+            raise KeymintError(
+                f"{subject} has no installed enclave", help="run 'keymint install'", code="enclave-missing"
+            )
+        return self._enclaves[subject]
+
+    def of(self, subject: str, domain: int) -> Court:
+        """Return the court of a subject in a domain.
+
+        Raises:
+            KeymintError: the subject has no enclave.
+        """
+        enclave = self.enclave(subject)
+        if subject != self._subject:
+            self._subject, self._courts = subject, {}
+        if domain not in self._courts:
+            self._courts[domain] = Court(enclave.folder, self._now, domain)
+        return self._courts[domain]
+
+
+@dataclass(frozen=True, slots=True)
+class Simulated:
+    """A transport that is the standard, or the model of an implementation."""
+
+    variation: Variation
+    now: datetime
+
+    @classmethod
+    def of(cls, name: str, surroundings: Surroundings) -> Simulated:
+        """Return the simulated transport of this name."""
+        return cls(decision.VARIATIONS[name], surroundings.now)
+
+    def usable(self) -> Usable:
+        """Tell that it is."""
+        versions = {"omg": "1.1"}
+        version = versions.get(self.variation.name) or self.variation.name.rpartition("-")[2]
+        return Usable(usable=True, version=version, tiers=(Tier.DECISION,))
+
+    def label(self, enclaves: Sequence[Enclave], edges: Iterable[Edge], tier: Tier) -> Iterator[tuple[Edge, Verdict]]:
+        """See :meth:`keymint.api.Transport.label`."""
+        del tier
+        courts = Courts(enclaves, self.now)
+        for edge in edges:
+            court = courts.of(edge.subject, edge.domain)
+            yield edge, self._verdict(court, endpoints(courts.enclave(edge.subject).distro, edge))
+
+    def _verdict(self, court: Court, needed: Sequence[Edge]) -> Verdict:
+        deviation = ""
+        verdict = Verdict(allowed=False, reason="no DDS endpoint stands for this")
+        for endpoint in needed:
+            found = court.decide(self.variation, endpoint)
+            deviation = deviation or court.deviation(self.variation, endpoint, allowed=found.allowed)
+            verdict = Verdict(found.allowed, found.reason, found.line, deviation)
+            if not found.allowed:
+                break
+        return verdict
+
+

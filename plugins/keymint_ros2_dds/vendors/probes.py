@@ -1,0 +1,152 @@
+"""The two vendors: whether they are here, and their probes, small programs that hold a secure participant each.
+
+A probe is built from its source in this folder, against the vendor's packages, once for each state of source,
+compiler and library. :mod:`participants` starts it and talks to it.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import shutil
+import subprocess
+import tempfile
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from types import MappingProxyType
+
+from keymint_ros2_dds.vendors import cyclone_access_control
+
+_SOURCES = Path(__file__).parent
+
+
+_NOTHING: Mapping[str, str] = MappingProxyType({})
+
+
+class MissingVendorError(Exception):
+    """A vendor is not on this machine; says what is missing and how to install it.
+
+    Args:
+        vendor: the vendor's name, for people.
+        reason: what is missing.
+        packages: Debian packages that bring it.
+    """
+
+    def __init__(self, vendor: str, reason: str, packages: tuple[str, ...]) -> None:
+        self.reason = reason
+        self.help = f"apt-get install {' '.join(packages)}"
+        super().__init__(f"{vendor}: {reason}; {self.help}")
+
+
+@dataclass(frozen=True, slots=True)
+class Probe:
+    """How to build a vendor's probe.
+
+    Attributes:
+        vendor: the vendor's name, for people.
+        source: file name of the program.
+        compilers: compilers that do, best first.
+        header: a header of the vendor without which it cannot be built.
+        arguments: arguments of the compiler beside source and output.
+        packages: Debian packages that it is built from.
+    """
+
+    vendor: str
+    source: str
+    compilers: tuple[str, ...]
+    header: str
+    arguments: tuple[str, ...]
+    packages: tuple[str, ...]
+
+    def require(self, environment: Mapping[str, str] = _NOTHING) -> tuple[str, bytes]:
+        """Return the compiler, and the header with all that it includes.
+
+        Raises:
+            MissingVendorError: compiler or headers are not installed.
+        """
+        path = environment.get("PATH", os.defpath)
+        compiler = next(filter(None, (shutil.which(name, path=path) for name in self.compilers)), None)
+        if compiler is None:
+            reason = f"no compiler {' or '.join(self.compilers)}"
+            raise MissingVendorError(self.vendor, reason, (self.compilers[0], *self.packages))
+        looked_for = subprocess.run(
+            [compiler, *self.arguments[:1], "-E", "-include", self.header, "-x", self._language, os.devnull],
+            capture_output=True,
+            check=False,
+            env={"PATH": path},
+        )
+        if looked_for.returncode:
+            raise MissingVendorError(self.vendor, f"no header {self.header}", self.packages)
+        return compiler, looked_for.stdout
+
+    def build(self, cache: Path, environment: Mapping[str, str] = _NOTHING) -> Path:
+        """Return the program, built in the cache unless it is there.
+
+        Args:
+            cache: a folder for programs; made if it is missing.
+            environment: environment variables; the compiler is looked for on its ``PATH``.
+
+        Raises:
+            MissingVendorError: compiler, headers or library are not installed.
+        """
+        compiler, included = self.require(environment)
+        source = _SOURCES / self.source
+        state = hashlib.sha256(source.read_bytes() + included + repr(self).encode())
+        program = cache / f"{source.stem}-{state.hexdigest()[:16]}"
+        if not program.exists():
+            cache.mkdir(mode=0o700, parents=True, exist_ok=True)
+            with tempfile.TemporaryDirectory(dir=cache) as scratch:
+                output = Path(scratch) / program.name
+                command = [compiler, *self.arguments[:1], "-O1", "-o", str(output), str(source)]
+                done = subprocess.run(
+                    [*command, *self.arguments[1:]],
+                    capture_output=True,
+                    check=False,
+                    env={"PATH": environment.get("PATH", os.defpath)},
+                )
+                if done.returncode:
+                    said = done.stderr.decode(errors="replace").strip().splitlines()
+                    reason = f"{self.source} cannot be built: {said[-1] if said else 'no message'}"
+                    raise MissingVendorError(self.vendor, reason, self.packages)
+                output.replace(program)
+        return program
+
+    @property
+    def _language(self) -> str:
+        return "c" if self.source.endswith(".c") else "c++"
+
+
+CYCLONE_PACKAGES = ("libddsc0debian", "cyclonedds-dev", "gcc")
+CYCLONEDDS = Probe(
+    "Cyclone DDS", "cyclonedds_probe.c", ("gcc", "cc"), "dds/dds.h", ("-std=gnu11", "-lddsc"), CYCLONE_PACKAGES
+)
+NONCONFORMING = Probe(
+    "Cyclone DDS",
+    "cyclonedds_nonconforming.c",
+    ("gcc", "cc"),
+    "dds/security/dds_security_api.h",
+    ("-std=gnu11", "-shared", "-fPIC"),
+    CYCLONE_PACKAGES,
+)
+"""An access-control plugin that lets its own participant do everything; peers see its true permissions."""
+FASTDDS = Probe(
+    "Fast DDS",
+    "fastdds_probe.cpp",
+    ("g++", "c++"),
+    "fastdds/dds/domain/DomainParticipant.hpp",
+    ("-std=c++17", "-lfastrtps", "-lfastcdr"),
+    ("libfastrtps-dev", "libfastcdr-dev", "g++"),
+)
+
+
+def require_cyclone_plugins() -> None:
+    """Check that the security plugins of Cyclone DDS load.
+
+    Raises:
+        MissingVendorError: they do not.
+    """
+    try:
+        cyclone_access_control.library()
+    except OSError as error:
+        raise MissingVendorError("Cyclone DDS", str(error), CYCLONE_PACKAGES[:1]) from None
