@@ -1,5 +1,6 @@
 #!/usr/bin/env bash
-# Installs the real DDS software that tests/real holds keystores against (Debian or Ubuntu), and what its probes need.
+# Installs the real DDS software that tests/real holds keystores against (Debian or Ubuntu), what its probes need, and the
+# browser that tests of reports run.
 # Where that is not possible it says why. The tests then skip, visibly, what they lack; with KEYMINT_REQUIRE_VENDORS=1
 # they fail, and so does this.
 set -euo pipefail
@@ -10,7 +11,8 @@ packages=(
     libfastrtps-dev libfastcdr-dev               # Fast DDS, with security compiled in
     gcc g++                                      # the probes in tests/real
     openssl strace                               # what other tests run
+    chromium chromium-driver fonts-dejavu-core   # what the tests of pictures and reports look at them with
 )
 if .ci/apt-install "${packages[@]}"; then exit 0; fi
-echo "setup-vendors: some of ${packages[*]} cannot be installed (see above): tests on real DDS software will skip" >&2
+echo "setup-vendors: some of ${packages[*]} cannot be installed (see above): tests on real software will skip" >&2
 [ "${KEYMINT_REQUIRE_VENDORS:-}" != 1 ]

@@ -265,7 +265,7 @@ class Bootstrap:
             the example policy that the profile type brings along.
         distro: ROS 2 distribution.
         domain: DDS domain id.
-        layout: ``sros2`` or ``flat``.
+        layout: ``sros2`` or ``flat``; empty for what the distro takes.
         subject_format: ``unique`` (a second RDN that no other subject has) or ``sros2`` (the bare CN).
         now: the clock, UTC.
     """
@@ -591,6 +591,9 @@ class NameMapping(Protocol):
     def meanings(self, distro: str, endpoint: Edge) -> Sequence[Edge]:
         """Return the edges of other kinds that need this edge of kind ``topic`` and are not composite."""
 
+    def mentioned(self, enclave: Enclave) -> Sequence[tuple[str, Sequence[str]]]:
+        """Return what the signed documents of an enclave mention: expressions of topics, each with its partitions."""
+
 
 # ---------------------------------------------------------------------------------------------------------------
 # Transports
@@ -611,13 +614,23 @@ class Tier(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class Usable:
-    """Whether a transport can be used here: what it is, and how to install what it lacks."""
+    """Whether a transport can be used here: what it is, and how to install what it lacks.
+
+    Attributes:
+        usable: it can.
+        version: of what it is, or is a model of.
+        reason: why it cannot be used, or not wholly.
+        help: how to install what is missing.
+        tiers: how deep it can be asked.
+        by_default: it is asked where none is named; False for one that is known not to follow the policy.
+    """
 
     usable: bool
     version: str = ""
     reason: str = ""
     help: str = ""
     tiers: tuple[Tier, ...] = ()
+    by_default: bool = True
 
 
 @dataclass(frozen=True, slots=True)

@@ -9,7 +9,10 @@ from __future__ import annotations
 import stat
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from datetime import timedelta
+from functools import partial
 from pathlib import Path
+
+from cryptography import x509
 
 from keymint.api import Artifact, BuildOptions, Inspection, Package
 from keymint.errors import Diagnostic, KeymintError, Origin, Severity
@@ -102,7 +105,7 @@ def _installed_files(inputs: Inputs, folder: Path) -> dict[str, bytes]:
 
 def _authorities(inputs: Inputs, loaded: LoadedProfile, within: timedelta) -> Iterator[Diagnostic]:
     workspace = inputs.workspace
-    issuers: dict[str, certificates.Issuer] = {}
+    issuers: dict[str, x509.Certificate] = {}
     for authority in in_order(loaded.profile.authorities):
         key_path, path = (
             workspace.authority_key(authority.name),
@@ -129,7 +132,6 @@ def _authorities(inputs: Inputs, loaded: LoadedProfile, within: timedelta) -> It
                 where,
                 "restore it to sign anything anew",
             )
-            continue
         yield from _authority(inputs, authority.name, pem, key_pem, issuers, within, loaded)
 
 
@@ -137,20 +139,25 @@ def _authority(
     inputs: Inputs,
     name: str,
     pem: bytes,
-    key_pem: bytes,
-    issuers: dict[str, certificates.Issuer],
+    key_pem: bytes | None,
+    issuers: dict[str, x509.Certificate],
     within: timedelta,
     loaded: LoadedProfile,
 ) -> Iterator[Diagnostic]:
     spec = next(a.certificate for a in loaded.profile.authorities if a.name == name)
     where = Origin(inputs.workspace.shown(inputs.workspace.authority_certificate(name)))
     try:
-        key = keys.from_pem(key_pem, password(spec.key, inputs.environment, spec.origin))
         certificate = certificates.load(pem)
+        key = certificates.public_key(certificate)
     except KeymintError as error:
         yield from (Diagnostic(d.code, d.severity, d.message, where, d.help) for d in error.diagnostics)
         return
-    issuers[name] = certificates.Issuer(certificate, key)
+    issuers[name] = certificate
+    if key_pem is not None:
+        try:
+            key = keys.from_pem(key_pem, password(spec.key, inputs.environment, spec.origin)).public_key()
+        except KeymintError as error:
+            yield from map(partial(_about_key, where=where), error.diagnostics)
     end = certificate.not_valid_after_utc
     if not satisfies(pem, spec, key, issuers.get(spec.issuer)):
         yield Diagnostic(
@@ -176,6 +183,12 @@ def _authority(
             where,
             f"extend its validity at {spec.origin}, and install anew",
         )
+
+
+def _about_key(found: Diagnostic, where: Origin) -> Diagnostic:
+    """Return what is wrong with an authority's key as a finding; that its password is not here is no defect of it."""
+    severity = Severity.NOTE if found.code == "password-missing" else found.severity
+    return Diagnostic(found.code, severity, found.message, where, found.help)
 
 
 def _modes(shown: str, path: Path, mode: int, subject: str) -> Iterator[Diagnostic]:

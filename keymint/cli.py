@@ -29,6 +29,7 @@ VERBS: Mapping[str, str] = {
     "provision": "All of it in one go: what a CI job calls.",
     "discover": "Find the graph of a running system, or of captures of one.",
     "learn": "Make the smallest policy that a graph needs.",
+    "graph": "Draw a policy, or the graph of a system.",
     "plugins": "List the plugins that are found.",
     "transports": "List the transports: which can be used here, and how to install the rest.",
     "completion": "Print the completion script of a shell.",
@@ -151,7 +152,7 @@ def _setting() -> Any:
 def _cache() -> Path:
     """Return the folder of this user for what can be made again (XDG Base Directory Specification)."""
     named = os.environ.get("XDG_CACHE_HOME", "")
-    return (Path(named) if named.startswith("/") else Path(os.path.expanduser("~"), ".cache")) / "keymint"
+    return (Path(named) if named.startswith("/") else Path("~/.cache").expanduser()) / "keymint"
 
 
 def _current_folder() -> Path:

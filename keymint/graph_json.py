@@ -1,4 +1,4 @@
-"""Semantic access graphs as JSON: the format that ``docs/graph.md`` describes, read strictly and written canonically."""
+"""Semantic access graphs as JSON: the format of ``docs/graph.md``, read strictly and written canonically."""
 
 from __future__ import annotations
 
@@ -238,7 +238,7 @@ def _unique(pairs: Sequence[tuple[str, Any]]) -> dict[str, Any]:
 
 
 def _line(text: str, path: Path) -> int:
-    """Return the line of what a path leads to, in a document that is known to be JSON; its innermost part that exists."""
+    """Return the line of what a path leads to, or of its innermost part that exists, in a text that is JSON."""
     decoder = json.JSONDecoder()
     at = _skip(text, text.find("{"))
     for step in path:

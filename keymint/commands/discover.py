@@ -168,7 +168,7 @@ def _observe(run: Run, source: GraphSource, domain: int | None, seconds: float, 
         "discovery-empty",
         Severity.WARNING,
         f"no participant was seen in domain {chosen} in {seconds:g} s",
-        help="check --domain, --seconds, CYCLONEDDS_URI and the network; secured participants hide from an unsecured one",
+        help="check --domain, --seconds, CYCLONEDDS_URI and the network; secured participants hide from this one",
     )
     return replace(found, diagnostics=(*found.diagnostics, nobody))
 

@@ -111,7 +111,7 @@ def bootstrap_request(
         policy=policy_path(run.setting.cwd / policy, workspace.profile) if policy else "",
         distro=distro or environment.get("ROS_DISTRO") or "jazzy",
         domain=domain or 0,
-        layout=layout or "sros2",
+        layout=layout or "",
         subject_format=subject_format or "unique",
         now=run.setting.now,
     )

@@ -20,7 +20,7 @@ PROFILE_OPTIONS: Sequence[Callable[[Any], Any]] = (
     click.option(
         "--layout",
         type=click.Choice(["sros2", "flat"]),
-        help="Layout of the install space: sros2 for Foxy and later, flat for older ones [sros2].",
+        help="Layout of the install space: sros2 for Foxy and later, flat for older ones [sros2, for ardent flat].",
     ),
     click.option(
         "--subject-format",

@@ -17,6 +17,9 @@ def transports(run: Run) -> Report:
             for name, usable in found
         ],
     )
+    named = [name for name, usable in found if usable.usable and not usable.by_default]
+    if named:
+        run.console.line(f"asked only when they are named: {', '.join(named)}")
     for name, usable in found:
         if not usable.usable:
             run.console.line(f"{name}: {usable.reason}" + (f" ({usable.help})" if usable.help else ""))
@@ -27,6 +30,7 @@ def transports(run: Run) -> Report:
                 "usable": usable.usable,
                 "version": usable.version,
                 "tiers": [str(tier) for tier in usable.tiers],
+                "by_default": usable.by_default,
                 "reason": usable.reason,
                 "help": usable.help,
             }

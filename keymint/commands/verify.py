@@ -2,25 +2,24 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 
 import click
 
-from keymint.api import Tier, Transport
+from keymint.api import Tier
 from keymint.commands.common import Run, complete_package, verb
-from keymint.errors import ExitCode, KeymintError, Origin
-from keymint.graph import Graph
+from keymint.commands.files import read_input, write_outputs
+from keymint.commands.verify_report import labelled_edges, write_report
+from keymint.errors import ExitCode
 from keymint.graph_json import load
 from keymint.plan.create import load_policy
 from keymint.plan.inputs import Sources
-from keymint.plan.model import Action, File, Step
+from keymint.plan.model import Action, Step
 from keymint.report import Report
-from keymint.store import Store
-from keymint.tree import read_file
+from keymint.verify.choose import choose, models
 from keymint.verify.compare import compare
-from keymint.verify.explain import Explainer, models
+from keymint.verify.explain import Explainer
 from keymint.verify.judge import Judge, label
 from keymint.verify.junit import junit as as_junit
 from keymint.verify.model import Outcome
@@ -62,6 +61,12 @@ _FILE = click.Path(path_type=Path, dir_okay=False)
 )
 @click.option("--sarif", type=_FILE, metavar="FILE", help="Write the findings as SARIF 2.1.0.")
 @click.option("--junit", type=_FILE, metavar="FILE", help="Write the outcome as JUnit XML.")
+@click.option(
+    "--report",
+    type=click.Path(path_type=Path, file_okay=False),
+    metavar="DIR",
+    help="Write a page to read in a browser, offline, and pictures of the labelled graph.",
+)
 def verify(
     run: Run,
     names: tuple[str, ...],
@@ -71,6 +76,7 @@ def verify(
     limit: int,
     sarif: Path | None,
     junit: Path | None,
+    report: Path | None,
 ) -> Report:
     """Compare, edge by edge, what the policy says with what transports decide on the installed enclaves.
 
@@ -89,13 +95,13 @@ def verify(
     if graph is None:
         edges = edges_of_policy(policy, found)
     else:
-        edges = edges_of_graph(_graph(run, graph), found, only=bool(names))
-    transports = _transports(run, chosen, Tier(tier))
+        edges = edges_of_graph(load(read_input(run, graph), str(graph)), found, only=bool(names))
+    transports = choose(run.plugins, chosen, Tier(tier))
     judge = Judge(policy, found.namings)
-    said = label(judge, edges())
-    explain = Explainer(judge, models(run.plugins.transports()))
+    explain = Explainer(judge, transports, lambda: models(run.plugins))
     outcomes: list[Outcome] = []
-    with run.console.progress(len(transports) * len(found.enclaves), run.setting.monotonic) as advance:
+    with run.console.progress((1 + len(transports)) * len(found.enclaves), run.setting.monotonic) as advance:
+        said = label(judge, edges(), _advancing(advance, "policy"))
         for name, transport in transports.items():
             on_subject = _advancing(advance, name)
             outcomes.append(
@@ -103,52 +109,20 @@ def verify(
             )
     _show(run, outcomes, len(found.enclaves), len(said))
     _write(run, outcomes, tuple(found.enclaves), sarif, junit)
+    if report is not None:
+        title = f"{graph or 'The policy'} on {', '.join(transports)}"
+        labelled = labelled_edges(title, outcomes, edges(), said, judge.decide, _typed(run))
+        for file in write_report(run, report, labelled):
+            run.console.line(f"{file} written")
     wrong = any(outcome.confusion.errors for outcome in outcomes)
     return Report(
         run.verb,
         workspace,
         (),
-        [message for outcome in outcomes for message in messages(outcome)],
+        tuple(messages(outcomes)),
         as_result(outcomes, tuple(found.enclaves), len(said), _typed(run)),
         ExitCode.FINDINGS if wrong else ExitCode.DONE,
     )
-
-
-def _graph(run: Run, path: Path) -> Graph:
-    """Read a graph."""
-    name = str(path)
-    content = read_file(run.setting.cwd / path)
-    if content is None:
-        raise KeymintError("no such file", where=Origin(name), code="graph-missing", exit_code=ExitCode.USAGE)
-    return load(content, name)
-
-
-def _transports(run: Run, chosen: Sequence[str], tier: Tier) -> dict[str, Transport]:
-    """Return the transports to ask, by name: those that are named, or all that can be asked this way here.
-
-    Raises:
-        KeymintError: one that is named is not known, or not usable.
-    """
-    if not chosen:
-        known = run.plugins.transports().items()
-        return {name: each for name, each in known if each.usable().usable and tier in each.usable().tiers}
-    asked = {name: run.plugins.transport(name) for name in dict.fromkeys(chosen)}
-    for name, transport in asked.items():
-        usable = transport.usable()
-        if not usable.usable:
-            raise KeymintError(
-                f"the transport {name!r} cannot be used here: {usable.reason}",
-                help=usable.help,
-                code="transport-unusable",
-            )
-        if tier not in usable.tiers:
-            raise KeymintError(
-                f"the transport {name!r} cannot be asked at the tier {tier}",
-                help=f"it has {', '.join(usable.tiers)}",
-                code="transport-tier",
-                exit_code=ExitCode.USAGE,
-            )
-    return asked
 
 
 def _advancing(advance: Callable[[Step], None], transport: str) -> Callable[[str], None]:
@@ -194,5 +168,4 @@ def _write(
     }
     for path, document in documents.items():
         if path is not None:
-            place = Path(os.path.abspath(run.setting.cwd / path))
-            Store({place.parent: False}, place.parent).write(place.parent, {place.name: File(document())})
+            write_outputs(run, path, document())

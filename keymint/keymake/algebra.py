@@ -72,8 +72,14 @@ def _regex(glob: Glob) -> str:
             steps[-1] += re.escape(token)
         elif not token.ranges:
             steps[-1] += "(?!)"
+        elif token == ANY:
+            steps[-1] += "."
         else:
-            steps[-1] += "[" + "".join(rf"\U{low:08x}-\U{high:08x}" for low, high in token.ranges) + "]"
+            # A set that goes on to the last code point takes long to compile, its complement does not.
+            negated = token.ranges[-1][1] == MAX_CODE
+            ranges = (token.complement() if negated else token).ranges
+            members = "".join(rf"\U{low:08x}-\U{high:08x}" for low, high in ranges)
+            steps[-1] += f"[{'^' * negated}{members}]"
     if len(steps) == 1:
         return steps[0]
     return steps[0] + "".join(f"(?>.*?{step})" for step in steps[1:-1]) + ".*" + steps[-1]

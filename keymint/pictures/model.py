@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import difflib
 from collections import Counter
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from enum import StrEnum
 
@@ -29,12 +29,15 @@ class Outcome(StrEnum):
     @property
     def false(self) -> bool:
         """Whether a transport decides otherwise than the policy."""
-        return self in {Outcome.FALSE_ALLOW, Outcome.FALSE_DENY}
+        return self in DIFFERENCES
 
     @property
     def allowed(self) -> bool:
         """Whether the edge works in the end."""
         return self in {Outcome.ALLOW, Outcome.FALSE_ALLOW}
+
+
+DIFFERENCES = frozenset({Outcome.FALSE_ALLOW, Outcome.FALSE_DENY})
 
 
 @dataclass(frozen=True, slots=True)
@@ -162,38 +165,48 @@ def namespace(name: str) -> str:
     return name[: name.rfind("/") + 1]
 
 
-def select(
-    labelled: Labelled, *, subjects: Sequence[str] = (), namespaces: Sequence[str] = (), differences: bool = False
-) -> Labelled:
-    """Return the part of a graph that a user asked for.
+def choose(known: Sequence[str], subjects: Sequence[str] = (), namespaces: Sequence[str] = ()) -> tuple[str, ...]:
+    """Return the subjects that a user asked for, sorted; all of them when nothing was asked for.
 
     Args:
-        labelled: the graph.
-        subjects: only edges of these subjects; empty for all.
-        namespaces: only edges of subjects at or below these names; empty for all.
-        differences: only edges with a false label.
+        known: names of all subjects.
+        subjects: names of some.
+        namespaces: names at or below which subjects lie.
 
     Raises:
-        KeymintError: no subject has that name, or none lies in that namespace.
+        KeymintError: no subject has such a name, or none lies there.
     """
-    if not (subjects or namespaces or differences):
-        return labelled
-    kept = set() if subjects or namespaces else set(labelled.subjects)
+    if not (subjects or namespaces):
+        return tuple(sorted(known))
+    kept = set()
     for name in subjects:
-        if name not in labelled.subjects:
-            _refuse(f"no subject {name!r} in this graph", name, labelled.subjects)
+        if name not in known:
+            _refuse(f"no subject {name!r} in this graph", name, known)
         kept.add(name)
     for name in namespaces:
         prefix = name.rstrip("/")
-        below = {one for one in labelled.subjects if one == prefix or one.startswith(f"{prefix}/")}
+        below = {one for one in known if one == prefix or one.startswith(f"{prefix}/")}
         if not below:
-            _refuse(f"no subject lies in the namespace {name!r}", name, sorted({*map(namespace, labelled.subjects)}))
+            _refuse(f"no subject lies in the namespace {name!r}", name, sorted({*map(namespace, known)}))
         kept |= below
+    return tuple(sorted(kept))
+
+
+def select(labelled: Labelled, *, subjects: Collection[str] | None = None, only: Collection[Outcome] = ()) -> Labelled:
+    """Return a part of a graph.
+
+    Args:
+        labelled: the graph.
+        subjects: only these subjects; None for all.
+        only: only edges with one of these outcomes, and subjects that have such; empty for all. What differs from the
+            policy is ``only=DIFFERENCES``.
+    """
     edges = tuple(
-        one for one in labelled.edges if one.edge.subject in kept and (not differences or one.outcome().false)
+        one
+        for one in labelled.edges
+        if (subjects is None or one.edge.subject in subjects) and (not only or one.outcome() in only)
     )
-    if differences:
-        kept = {one.edge.subject for one in edges}
+    kept = {one.edge.subject for one in edges} if only else set(labelled.subjects if subjects is None else subjects)
     return replace(labelled, edges=edges, subjects=tuple(sorted(kept)), confusions=())
 
 

@@ -2,50 +2,81 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
+import difflib
+import functools
+import itertools
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import replace
 
 from keymint.api import LoadedPolicy, PolicyDecision
-from keymint.errors import KeymintError
+from keymint.errors import KeymintError, Origin
 from keymint.graph import LABELLED, Edge, Graph, Object, complete
 from keymint.ir import PERMISSIONS, Rule
 from keymint.keymake import glob
 from keymint.pictures.model import Labelled, LabelledEdge, Said
 
-
-def label(policy: LoadedPolicy, edges: Iterable[Edge]) -> Iterator[LabelledEdge]:
-    """Yield edges with what a policy says about them; errors as :meth:`keymint.api.LoadedPolicy.decide`."""
-    for edge in edges:
-        yield _labelled(edge, policy.decide(edge))
+MOST_EDGES = 250_000
+"""Edges that are kept to be drawn: about 250 MB."""
 
 
-def of_graph(title: str, policy: LoadedPolicy, graph: Graph, *, everything: bool) -> Labelled:
+def unchanged(file: str) -> str:
+    """Return a path as it is."""
+    return file
+
+
+def of_graph(
+    title: str,
+    policy: LoadedPolicy,
+    graph: Graph,
+    subjects: Collection[str],
+    *,
+    everything: bool = False,
+    typed: Callable[[str], str] = unchanged,
+) -> Labelled:
     """Return a graph, or its completion, labelled by a policy.
 
     Args:
         title: one line.
         policy: the policy.
         graph: the graph, e.g. of a running system.
+        subjects: which of its subjects; the objects are those of all.
         everything: label the completion: every subject with every permission on every object.
+        typed: returns a path as the user would type it.
+
+    Raises:
+        KeymintError: the completion is too large to be drawn; also as :meth:`keymint.api.LoadedPolicy.decide`.
     """
-    return Labelled.of(title, label(policy, complete(graph) if everything else graph.edges), graph.subjects)
+    if everything:
+        _refuse_large(len(subjects) * sum(len(LABELLED[found.kind]) for _, found in graph.objects))
+    edges = complete(replace(graph, subjects=tuple(subjects))) if everything else graph.edges
+    said = _Said(typed)
+    labelled = (said.labelled(edge, policy.decide(edge)) for edge in edges if edge.subject in subjects)
+    return Labelled.of(title, labelled, subjects)
 
 
-def of_policy(title: str, policy: LoadedPolicy, subjects: Sequence[str] = (), *, everything: bool = False) -> Labelled:
+def of_policy(
+    title: str,
+    policy: LoadedPolicy,
+    subjects: Sequence[str] = (),
+    *,
+    everything: bool = False,
+    typed: Callable[[str], str] = unchanged,
+) -> Labelled:
     """Return the graph of a policy.
 
     Its objects are the names in the rules of its subjects. An expression that is no name stands for itself: only the
-    subjects whose rules have it are joined to it, with what is decided about a name that nothing but the expression
-    matches by design.
+    subjects whose rules have it are joined to it, by what is decided about a name that hardly anything else matches.
 
     Args:
         title: one line.
         policy: the policy.
         subjects: which subjects; empty for all that it names exactly.
         everything: also draw what is denied because no rule matches.
+        typed: returns a path as the user would type it.
 
     Raises:
-        KeymintError: the policy names no subject exactly, or no profile applies to one of these.
+        KeymintError: the policy names no subject exactly, no profile applies to one of these, or the graph is too
+            large to be drawn.
     """
     chosen = tuple(subjects) or policy.subjects()
     if not chosen:
@@ -60,27 +91,40 @@ def of_policy(title: str, policy: LoadedPolicy, subjects: Sequence[str] = (), *,
     for subject in chosen:
         rules = policy.rules(subject)
         if rules is None:
-            raise KeymintError(f"no profile of the policy applies to {subject}", code="subject-unknown")
+            near = difflib.get_close_matches(subject, policy.subjects(), n=1)
+            hint = f"did you mean {near[0]!r}?" if near else "attach a profile to it"
+            raise KeymintError(f"no profile of the policy applies to {subject}", help=hint, code="subject-unknown")
         mine = own.setdefault(subject, {})
         for rule in rules.rules:
             for found in _objects(rule):
-                witness = _witness(found)
-                if witness == found:
-                    names.add(found)
-                elif _literal(found):
-                    names.add(witness)
+                if _literal(found):
+                    names.add(_witness(found))
                 else:
-                    expressions[found] = witness
+                    expressions[found] = _witness(found)
                     mine.setdefault(found, set()).update(rule.permissions)
-    edges = [
-        *_decided(policy, chosen, sorted(names), everything=everything),
-        *_expressed(policy, own, expressions),
-    ]
+    if everything:
+        _refuse_large(len(chosen) * sum(len(LABELLED[found.kind]) for found in names))
+    said = _Said(typed)
+    decided = itertools.chain(
+        _decided(policy, chosen, sorted(names), said, everything=everything),
+        _expressed(policy, own, expressions, said),
+    )
+    edges = list(itertools.islice(decided, MOST_EDGES + 1))
+    _refuse_large(len(edges))
     return Labelled.of(title, edges, chosen, patterns=expressions)
 
 
+def _refuse_large(edges: int) -> None:
+    if edges > MOST_EDGES:
+        raise KeymintError(
+            f"the graph has more than {MOST_EDGES} edges, which no picture shows",
+            help="choose some of it with --subject or --namespace, or leave out --all",
+            code="graph-large",
+        )
+
+
 def _decided(
-    policy: LoadedPolicy, subjects: Sequence[str], objects: Sequence[Object], *, everything: bool
+    policy: LoadedPolicy, subjects: Sequence[str], objects: Sequence[Object], said: _Said, *, everything: bool
 ) -> Iterator[LabelledEdge]:
     for subject in subjects:
         for found in objects:
@@ -89,21 +133,40 @@ def _decided(
                 decision = policy.decide(edge)
                 wanted = everything and permission in LABELLED[found.kind]
                 if decision.allowed or decision.where is not None or wanted:
-                    yield _labelled(edge, decision)
+                    yield said.labelled(edge, decision)
 
 
 def _expressed(
-    policy: LoadedPolicy, own: dict[str, dict[Object, set[str]]], expressions: dict[Object, Object]
+    policy: LoadedPolicy,
+    own: Mapping[str, Mapping[Object, set[str]]],
+    expressions: Mapping[Object, Object],
+    said: _Said,
 ) -> Iterator[LabelledEdge]:
     for subject, found in own.items():
         for expression, permissions in found.items():
             for permission in sorted(permissions):
                 asked = Edge(subject, permission, expressions[expression])
-                yield _labelled(replace(asked, object=expression), policy.decide(asked))
+                yield said.labelled(replace(asked, object=expression), policy.decide(asked))
 
 
-def _labelled(edge: Edge, decision: PolicyDecision) -> LabelledEdge:
-    return LabelledEdge(edge, Said(decision.allowed, decision.reason, decision.where), (), decision.audit)
+class _Said:
+    """Makes labels of decisions; the many that are alike are one object."""
+
+    def __init__(self, typed: Callable[[str], str]) -> None:
+        self._typed = functools.cache(typed)
+        self._known: dict[PolicyDecision, Said] = {}
+
+    def labelled(self, edge: Edge, decision: PolicyDecision) -> LabelledEdge:
+        """Return a labelled edge."""
+        if decision not in self._known:
+            # The place of the rule is said beside the reason.
+            reason = decision.reason.replace(f" at {decision.where}", "") if decision.where else decision.reason
+            where = self._place(decision.where) if decision.where else None
+            self._known[decision] = Said(decision.allowed, reason, where)
+        return LabelledEdge(edge, self._known[decision], (), decision.audit)
+
+    def _place(self, origin: Origin) -> Origin:
+        return Origin(self._typed(origin.file), origin.line, tuple(map(self._place, origin.chain)))
 
 
 def _objects(rule: Rule) -> Iterator[Object]:

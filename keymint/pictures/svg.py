@@ -11,10 +11,10 @@ from functools import cache
 from typing import TYPE_CHECKING
 
 from keymint.pictures.fold import fold, folded_name
-from keymint.pictures.layout import CHARACTER, Box, Domain, Line, Panel, lay_out
+from keymint.pictures.layout import CHARACTER, Box, Domain, Key, Line, Panel, lay_out
 from keymint.pictures.model import Labelled, LabelledEdge, Outcome, Said, namespace
 from keymint.pictures.palette import Theme, style_sheet
-from keymint.pictures.text import INWARD, KINDS, OUTWARD, columns, object_name, printable, role
+from keymint.pictures.text import INWARD, KINDS, OUTWARD, columns, object_name, printable, role, shorten
 
 if TYPE_CHECKING:
     from jinja2 import Environment
@@ -26,6 +26,8 @@ _SHEET = 1500.0
 """Panels stand beside one another up to that width, in pixels."""
 _LEAST_WIDTH = 760.0
 _HEAD = 8.0
+_LEAST = 2
+"""Weight of what matters least to a reader: what is denied, and rightly."""
 FOLD_FROM = 40
 """Objects of a graph from which on they are folded unless the reader wants otherwise."""
 
@@ -49,15 +51,14 @@ class Options:
         theme: colours.
         split: one panel, or one per subject or namespace of subjects.
         transport: index of the transport whose labels are drawn; None for all together.
-        limit: the most edges that are drawn; false ones come first, then allowed ones. The picture says what it
-            leaves out.
+        limit: the most edges that are drawn; see :func:`shown_edges`. The picture says what it leaves out.
         fold: draw objects that nothing tells apart as one; None does so from :data:`FOLD_FROM` objects on.
     """
 
     theme: Theme = Theme.AUTO
     split: Split = Split.NONE
     transport: int | None = None
-    limit: int = 2000
+    limit: int = 600
     fold: bool | None = None
 
 
@@ -69,7 +70,7 @@ class Embedding:
         number: returns the number of a subject or object in the page, which says more about it under ``#n<number>``.
     """
 
-    number: Callable[[str | Domain], int]
+    number: Callable[[Key], int]
 
 
 @dataclass(frozen=True, slots=True)
@@ -129,6 +130,7 @@ def draw(labelled: Labelled, options: Options, embedding: Embedding | None) -> s
         .get_template("picture.svg.j2")
         .render(
             title=printable(labelled.title),
+            heading=shorten(printable(labelled.title), int(width / (CHARACTER * 15 / 12))),
             subtitle=_subtitle(labelled, options, members, len(edges), total),
             style=None if embedding else style_sheet(options.theme),
             standalone=embedding is None,
@@ -164,20 +166,28 @@ def _folded(
 
 
 def shown_edges(edges: Sequence[LabelledEdge], options: Options) -> tuple[LabelledEdge, ...]:
-    """Return the edges that a picture has room for, the ones that matter most first, in their own order."""
+    """Return the edges that a picture has room for, in their own order.
+
+    Beyond the limit true denials go first, and all of them: some of them would look as if the others were allowed.
+    """
     if len(edges) <= options.limit:
         return tuple(edges)
-    kept = set(sorted(edges, key=lambda one: _weight(one.outcome(options.transport)))[: options.limit])
-    return tuple(one for one in edges if one in kept)
+    weights = {one: weight(one.outcome(options.transport)) for one in edges}
+    kept = [one for one in edges if weights[one] < _LEAST]
+    if len(kept) > options.limit:
+        chosen = set(sorted(kept, key=weights.__getitem__)[: options.limit])
+        kept = [one for one in kept if one in chosen]
+    return tuple(kept)
 
 
-def _weight(outcome: Outcome) -> int:
-    return 0 if outcome.false else 2 if outcome is Outcome.DENY else 1
+def weight(outcome: Outcome) -> int:
+    """Return how much an outcome matters to a reader; least first."""
+    return 0 if outcome.false else _LEAST if outcome is Outcome.DENY else 1
 
 
 def _by_weight(lines: Sequence[Line], options: Options) -> list[Line]:
     """Return lines so that those that matter are drawn over the others."""
-    return sorted(lines, key=lambda line: -_weight(line.labelled.outcome(options.transport)))
+    return sorted(lines, key=lambda line: -weight(line.labelled.outcome(options.transport)))
 
 
 def _parts(
@@ -229,7 +239,7 @@ def _subtitle(labelled: Labelled, options: Options, members: _Members, drawn: in
     if any(len(found) > 1 for found in members.values()):
         said.append("objects that are alike are drawn as one")
     if drawn < total:
-        said.append(f"only the {drawn} of {total} edges that matter most are drawn")
+        said.append(f"{total - drawn} of {total} lines left out, first what is rightly denied")
     return "; ".join(said)
 
 
@@ -309,8 +319,9 @@ def _classes(outcome: Outcome, *, labels: bool) -> str:
 
 
 def _box(box: Box, labelled: Labelled, members: _Members, embedding: Embedding | None) -> dict[str, object]:
+    stands_for: Sequence[Key] = (box.key,) if isinstance(box.key, str) else members[box.key]
     title = box.title
-    if not isinstance(box.key, str) and len(members[box.key]) > 1:
+    if not isinstance(box.key, str) and len(stands_for) > 1:
         title = "\n".join(object_name(found, domain) for domain, found in members[box.key])
     pattern = not isinstance(box.key, str) and box.key[1] in labelled.patterns
     return {
@@ -326,6 +337,7 @@ def _box(box: Box, labelled: Labelled, members: _Members, embedding: Embedding |
         "text_y": _number(box.y + box.height / 2 + 4.2),
         "middle": _number(box.y + box.height / 2),
         "number": embedding.number(box.key) if embedding else None,
+        "numbers": " ".join(str(embedding.number(key)) for key in stands_for) if embedding else None,
     }
 
 
@@ -349,6 +361,7 @@ def _line(
     edge = line.labelled.edge
     at = 0.11
     return {
+        "outcome": str(outcome),
         "classes": f"edge {_classes(outcome, labels=bool(labelled.transports))}",
         "title": sentence(line.labelled, labelled.transports),
         "curve": curve,

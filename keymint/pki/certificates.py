@@ -87,6 +87,23 @@ def _parsed(pem: bytes) -> tuple[x509.Certificate, ...]:
     return found
 
 
+def public_key(certificate: x509.Certificate, where: Origin | None = None) -> keys.PublicKey:
+    """Return the key that a certificate certifies.
+
+    Raises:
+        KeymintError: it is of an algorithm that no key of ours is of.
+    """
+    found = certificate.public_key()
+    if not isinstance(found, keys.PublicKey):
+        raise KeymintError(
+            "certifies neither an EC nor an RSA key",
+            where=where,
+            help="restore the file, or issue it anew with --renew",
+            code="certificate-invalid",
+        )
+    return found
+
+
 def to_pem(certificate: x509.Certificate) -> bytes:
     """Return a certificate as PEM."""
     return certificate.public_bytes(serialization.Encoding.PEM)

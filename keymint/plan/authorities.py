@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
+from cryptography import x509
+
 from keymint.api import Authority, CertificateSpec, Signer
 from keymint.errors import Diagnostic, KeymintError, Origin
 from keymint.pki import certificates, keys
@@ -17,29 +19,52 @@ STAGE = "authorities"
 
 @dataclass(frozen=True, slots=True)
 class MintedAuthority:
-    """An authority with its certificate and key, able to issue.
+    """An authority with its certificate; where its private key is here as well, able to issue and to sign.
 
     Attributes:
-        issuer: what issues certificates.
+        certificate: its certificate.
         chain: PEM of its certificate, followed by those of the authorities above it up to the root.
-        signer: what signs documents.
     """
 
-    issuer: certificates.Issuer
+    certificate: x509.Certificate
     chain: bytes
-    signer: Signer = field(repr=False)
+    _keyed: tuple[certificates.Issuer, Signer] | KeymintError = field(repr=False)
+
+    @property
+    def issuer(self) -> certificates.Issuer:
+        """What issues certificates.
+
+        Raises:
+            KeymintError: its private key is kept elsewhere.
+        """
+        return self._with_key()[0]
+
+    @property
+    def signer(self) -> Signer:
+        """What signs documents.
+
+        Raises:
+            KeymintError: its private key is kept elsewhere.
+        """
+        return self._with_key()[1]
+
+    def _with_key(self) -> tuple[certificates.Issuer, Signer]:
+        if isinstance(self._keyed, KeymintError):
+            raise KeymintError.of(self._keyed.diagnostics)
+        return self._keyed
 
 
 def plan_authorities(inputs: Inputs, loaded: LoadedProfile) -> tuple[Plan, Mapping[str, MintedAuthority]]:
     """Plan the keys and certificates of all authorities that the profile names.
 
-    A key that is there is kept. A certificate is issued anew when the profile asks for another one than is there.
+    A key that is there is kept, and one whose certificate is there without it is kept elsewhere: it is not replaced. A
+    certificate is issued anew when the profile asks for another one than is there.
 
     Returns:
         the plan, and the authorities by name as they are when it is carried out.
 
     Raises:
-        KeymintError: a key cannot be read, or is not of the kind that the profile asks for.
+        KeymintError: a key cannot be read, is not of the kind that the profile asks for, or is needed and elsewhere.
     """
     minted: dict[str, MintedAuthority] = {}
     steps: list[Step] = []
@@ -81,10 +106,9 @@ def trusted_chains(inputs: Inputs, loaded: LoadedProfile) -> Mapping[str, bytes]
     return chains
 
 
-def satisfies(pem: bytes, spec: CertificateSpec, key: keys.PrivateKey, issuer: certificates.Issuer | None) -> bool:
+def satisfies(pem: bytes, spec: CertificateSpec, key: keys.PublicKey, issuer: x509.Certificate | None) -> bool:
     """Tell whether an authority's certificate is what the profile asks for."""
-    above = issuer.certificate if issuer else None
-    return certificates.certificate_satisfies(pem, spec, key.public_key(), above, authority=True)
+    return certificates.certificate_satisfies(pem, spec, key, issuer, authority=True)
 
 
 def _plan_authority(
@@ -93,9 +117,12 @@ def _plan_authority(
     spec = authority.certificate
     key_path = inputs.workspace.authority_key(authority.name)
     certificate_path = inputs.workspace.authority_certificate(authority.name)
-    secret = password(spec.key, inputs.environment, spec.origin)
     changes: list[FolderChange] = []
-    pem = inputs.tree.read(key_path)
+    above = minted[spec.issuer] if spec.issuer else None
+    certificate, pem = inputs.tree.read(certificate_path), inputs.tree.read(key_path)
+    if pem is None and certificate is not None:
+        return _kept_elsewhere(inputs, authority, certificate, above), (), ()
+    secret = password(spec.key, inputs.environment, spec.origin)
     if pem is None:
         key = keys.generate(spec.key, spec.origin)
         pem = keys.to_pem(key, secret)
@@ -103,21 +130,34 @@ def _plan_authority(
     else:
         shown = Origin(inputs.workspace.shown(key_path))
         key = load_key(pem, spec.key, inputs.environment, shown, spec.origin)
-    above = minted[spec.issuer] if spec.issuer else None
-    issuer = above.issuer if above else None
-    certificate = inputs.tree.read(certificate_path)
     said: Sequence[Diagnostic] = ()
-    if certificate is None or not satisfies(certificate, spec, key, issuer):
-        issued = certificates.issue_authority(spec, key, issuer)
+    if certificate is None or not satisfies(certificate, spec, key.public_key(), above.certificate if above else None):
+        issued = certificates.issue_authority(spec, key, above.issuer if above else None)
         certificate, said = issued.pem, issued.diagnostics
         changes += changed(inputs.tree, certificate_path.parent, {certificate_path.name: File(certificate)})
-    chain = certificate + (above.chain if above else b"")
-    return (
-        MintedAuthority(
-            issuer=certificates.Issuer(certificates.load(certificate), key),
-            chain=chain,
-            signer=Signer(authority.name, certificate, pem, secret),
-        ),
-        tuple(changes),
-        said,
+    loaded = certificates.load(certificate)
+    keyed = certificates.Issuer(loaded, key), Signer(authority.name, certificate, pem, secret)
+    return MintedAuthority(loaded, certificate + (above.chain if above else b""), keyed), tuple(changes), said
+
+
+def _kept_elsewhere(
+    inputs: Inputs, authority: Authority, pem: bytes, above: MintedAuthority | None
+) -> MintedAuthority:
+    """Return an authority whose private key is not here, as that of an offline root.
+
+    Raises:
+        KeymintError: the profile asks for another certificate than is here, which takes the key.
+    """
+    spec = authority.certificate
+    shown = inputs.workspace.shown(inputs.workspace.authority_certificate(authority.name))
+    certificate = certificates.load(pem, Origin(shown))
+    missing = KeymintError(
+        f"the private key of the authority {authority.name!r} is not here, and is needed to sign anew",
+        where=Origin(inputs.workspace.shown(inputs.workspace.authority_key(authority.name))),
+        help=f"restore it; for a new authority, whose enclaves trust no older ones, remove {shown} as well",
+        code="authority-key-missing",
     )
+    public_key = certificates.public_key(certificate)
+    if not keys.fits(public_key, spec.key) or not satisfies(pem, spec, public_key, above.certificate if above else None):
+        raise missing
+    return MintedAuthority(certificate, pem + (above.chain if above else b""), missing)

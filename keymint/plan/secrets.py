@@ -50,7 +50,8 @@ def load_key(
         raise KeymintError(
             f"is not {kind}, which {asked} asks for",
             where=shown,
-            help="remove an authority's key, or use 'keymint build --renew' for a subject's, to have a new one minted",
+            help="remove an authority's key and certificate, or use 'keymint build --renew' for a subject's, "
+            "to have a new one minted",
             code="key-kind",
         )
     return key

@@ -1,4 +1,4 @@
-"""Holds the labels of a transport against those of the policy, as they come: nothing but counts and findings is kept."""
+"""Holds the labels of a transport against those of the policy, as they come; only counts and findings are kept."""
 
 from __future__ import annotations
 

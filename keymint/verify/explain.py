@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
+from functools import cached_property
 
 from keymint.api import Enclave, Tier, Transport, Verdict
 from keymint.errors import KeymintError, Origin
 from keymint.graph import Edge
+from keymint.verify.choose import names_rules
 from keymint.verify.compare import error_of, label_enclave
 from keymint.verify.judge import Judge
 from keymint.verify.model import Finding
@@ -21,13 +23,21 @@ class Explainer:
 
     Args:
         judge: what the policy says.
-        models: transports whose verdicts have the line of a rule, by name; ``cyclonedds-0.10`` is a model of
-            ``cyclonedds``. The first is asked where a real transport has no model of its own.
+        asked: the transports whose labels are explained, by name.
+        find_models: returns, when it is needed, transports whose verdicts have the line of a rule, by name;
+            ``cyclonedds-0.10`` is a model of ``cyclonedds``. The first is asked where there is no model of its own.
     """
 
-    def __init__(self, judge: Judge, models: Mapping[str, Transport]) -> None:
+    def __init__(
+        self, judge: Judge, asked: Mapping[str, Transport], find_models: Callable[[], Mapping[str, Transport]]
+    ) -> None:
         self._judge = judge
-        self._models = models
+        self._explains_itself = frozenset(name for name, each in asked.items() if names_rules(each.usable()))
+        self._find_models = find_models
+
+    @cached_property
+    def _models(self) -> Mapping[str, Transport]:
+        return self._find_models()
 
     def __call__(self, transport: str, enclave: Enclave, wrong: list[tuple[Edge, Verdict]]) -> list[Finding]:
         """Return the findings on edges of one enclave that a transport labels wrongly."""
@@ -37,7 +47,8 @@ class Explainer:
                 error_of(verdict.allowed),
                 edge,
                 self._judge.decide(edge),
-                found,
+                replace(verdict, line=found.line, deviation=found.deviation),
+                found.reason,
                 document(enclave, found.line),
                 model,
             )
@@ -52,39 +63,22 @@ class Explainer:
     def _modelled(
         self, transport: str, enclave: Enclave, wrong: Sequence[tuple[Edge, Verdict]]
     ) -> list[tuple[Verdict, str]]:
-        """Return each verdict, with the line and reason of a model where it has none and the model decides alike."""
+        """Return the verdicts of the model, where there is one and it decides alike; else the transport's own."""
         plain = [(verdict, "") for _, verdict in wrong]
+        if transport in self._explains_itself:
+            return plain
         name = self.model_of(transport)
-        if not name or name == transport or any(verdict.line for _, verdict in wrong):
+        if not name:
             return plain
         try:
-            models = [v for _, v in label_enclave(self._models[name], enclave, (e for e, _ in wrong), Tier.DECISION)]
+            asked = [edge for edge, _ in wrong]
+            models = [verdict for _, verdict in label_enclave(self._models[name], enclave, asked, Tier.DECISION)]
         except KeymintError:
             return plain
         return [
-            (
-                replace(
-                    verdict, reason=_both(verdict.reason, model.reason), line=model.line, deviation=model.deviation
-                ),
-                name,
-            )
-            if model.allowed == verdict.allowed
-            else (verdict, "")
+            (model, name) if model.allowed == verdict.allowed else (verdict, "")
             for (_, verdict), model in zip(wrong, models, strict=True)
         ]
-
-
-def models(transports: Mapping[str, Transport]) -> dict[str, Transport]:
-    """Return the transports that decide only, by the text of the documents, and so can name the rule that decides.
-
-    That of a standard, which names no version of a vendor, comes first.
-    """
-    found = {name: transport for name, transport in transports.items() if transport.usable().tiers == (Tier.DECISION,)}
-    return {name: found[name] for name in sorted(found, key=lambda name: ("-" in name, name))}
-
-
-def _both(said: str, modelled: str) -> str:
-    return "; ".join(dict.fromkeys(filter(None, (said, modelled))))
 
 
 def document(enclave: Enclave, line: int) -> Origin:

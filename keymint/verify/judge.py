@@ -6,11 +6,12 @@ the topic ``rt/chatter`` and ``DENY ros_publish`` of ``/chatter`` are about the 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from itertools import groupby
+from operator import attrgetter
 
 from keymint.api import LoadedPolicy, NameMapping, PolicyDecision
-from keymint.errors import KeymintError
 from keymint.graph import Edge
 from keymint.keymake import glob
 from keymint.keymake.algebra import matcher
@@ -66,7 +67,11 @@ class Judge:
         return self._together([self._endpoint(endpoint, naming) for endpoint in endpoints])
 
     def _endpoint(self, endpoint: Edge, naming: Naming) -> PolicyDecision:
-        """Decide an endpoint by all that the policy can say of it: deny overrides allow."""
+        """Decide an endpoint: in each of its partitions by itself, since the mapping may make another name of each."""
+        return self._together([self._in_partition(each, naming) for each in _apart(endpoint)])
+
+    def _in_partition(self, endpoint: Edge, naming: Naming) -> PolicyDecision:
+        """Decide by all that the policy can say of an endpoint: deny overrides allow."""
         said = [self._policy.decide(edge) for edge in (endpoint, *naming.meanings(endpoint))]
         denying = [decision for decision in said if not decision.allowed and decision.where]
         allowing = [decision for decision in said if decision.allowed]
@@ -89,31 +94,29 @@ class Judge:
         self._subject = subject
 
 
-def label(judge: Judge, edges: Iterator[Edge]) -> bytearray:
+def _apart(endpoint: Edge) -> Sequence[Edge]:
+    """Return an endpoint for each of its partitions."""
+    names = endpoint.object.partitions
+    if len(names) < 2:  # noqa: PLR2004 - nothing to take apart
+        return (endpoint,)
+    return [
+        replace(endpoint, object=replace(endpoint.object, partitions=(name,) if name else ())) for name in names
+    ]
+
+
+def label(judge: Judge, edges: Iterable[Edge], on_subject: Callable[[str], None] = lambda _subject: None) -> bytearray:
     """Return what the policy says about edges, a byte for each: 1 allowed, 0 not.
+
+    Args:
+        judge: what the policy says.
+        edges: grouped by subject.
+        on_subject: called when all edges of a subject are done.
 
     Raises:
         KeymintError: the kind or the permission of an edge is not known.
     """
-    return bytearray(judge.decide(edge).allowed for edge in edges)
-
-
-def check_subjects(policy: LoadedPolicy, edges: Sequence[str], known: Sequence[str]) -> None:
-    """Refuse subjects without an enclave.
-
-    Raises:
-        KeymintError: a subject of a graph is not installed; says which is near.
-    """
-    import difflib  # noqa: PLC0415 - only for the message
-
-    missing = [subject for subject in edges if subject not in known]
-    if not missing:
-        return
-    near = difflib.get_close_matches(missing[0], known, n=1)
-    applies = bool(policy.profiles(missing[0]))
-    hint = f"'keymint create {missing[0]}', then build and install" if applies else "no profile of the policy applies"
-    raise KeymintError(
-        f"no enclave of {', '.join(missing[:5])}{' …' if len(missing) > 5 else ''} is installed",  # noqa: PLR2004
-        help=f"did you mean {near[0]}?" if near and not applies else hint,
-        code="enclave-missing",
-    )
+    said = bytearray()
+    for subject, group in groupby(edges, key=attrgetter("subject")):
+        said.extend(judge.decide(edge).allowed for edge in group)
+        on_subject(subject)
+    return said

@@ -32,12 +32,13 @@ def junit(outcomes: Sequence[Outcome], subjects: Sequence[str]) -> bytes:
         for subject in subjects:
             case = ET.SubElement(suite, "testcase", classname=f"keymint.{outcome.transport}", name=_text(subject))
             if count := outcome.wrong.get(subject, 0):
-                lines = [in_words(outcome.transport, finding) for finding in found[subject]]
+                lines = [in_words([outcome.transport], finding) for finding in found[subject]]
                 message = f"{count} edge{'s' if count > 1 else ''} decided otherwise than the policy says"
                 failure = ET.SubElement(case, "failure", type="verify", message=message)
                 failure.text = _text("\n".join(lines) or "not listed: there are too many findings")
     ET.indent(root)
-    return ET.tostring(root, encoding="utf-8", xml_declaration=True) + b"\n"
+    text: bytes = ET.tostring(root, encoding="utf-8", xml_declaration=True)
+    return text + b"\n"
 
 
 def _text(text: str) -> str:

@@ -30,7 +30,7 @@ def about(rules: Sequence[Rule], edge: Edge) -> tuple[int, ...]:
 def _is_about(rule: Rule, part: tuple[str, str, str], edge: Edge) -> bool:
     """Tell whether a rule, itself or as what its composite permissions stand for, is about a part of an edge."""
     kind, permission, suffix = part
-    name = edge.object.name + (suffix if kind != edge.object.kind else "")
+    name = edge.object.name + suffix
     for held in rule.permissions:
         for kind_of_part, permission_of_part, tail in parts(rule.kind, held):
             if (kind_of_part, permission_of_part) != (kind, permission) or not name.endswith(tail):

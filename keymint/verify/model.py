@@ -49,7 +49,8 @@ class Finding:
         error: false positive or false negative.
         edge: the edge.
         policy: what the policy says; its ``where`` is the rule that decides, or none.
-        verdict: what the transport decides.
+        verdict: what the transport decides, and says itself.
+        reason: one line: why it does, in the words of the model of it where there is one.
         document: the rule in the enclave's document that decides; without a line where no rule does.
         model: the simulated transport that explains the verdict of a real one, or empty.
     """
@@ -58,6 +59,7 @@ class Finding:
     edge: Edge
     policy: PolicyDecision
     verdict: Verdict
+    reason: str
     document: Origin
     model: str = ""
 

@@ -8,7 +8,7 @@ end; the other case. A document whose pattern is wider or narrower than the poli
 from __future__ import annotations
 
 import string
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from functools import lru_cache
 from itertools import islice
 
@@ -16,7 +16,7 @@ from keymint.graph import LABELLED, Edge, Object
 from keymint.ir import Rule, SubjectRules
 from keymint.keymake import glob
 from keymint.keymake.composites import PARTS
-from keymint.keymake.glob import ANY, Charset, Star
+from keymint.keymake.glob import Charset, Star
 from keymint.verify.judge import RAW
 
 MOST_OF_A_PATTERN = 48
@@ -29,15 +29,22 @@ _PLAIN = string.ascii_letters + string.digits + "_/"
 """Characters that names of topics have on every transport; what is generated has no others."""
 
 
-def edges(rules: Iterable[SubjectRules], domains: dict[str, int]) -> Iterator[Edge]:
-    """Yield edges to ask for, grouped by subject, sorted.
+def edges(
+    rules: Iterable[SubjectRules],
+    domains: Mapping[str, int],
+    mentioned: Callable[[str], Iterable[Edge]] = lambda _subject: (),
+    needed: Callable[[Edge], Iterable[Edge]] = lambda _edge: (),
+) -> Iterator[Edge]:
+    """Yield edges to ask for, grouped by subject, without doubles.
 
-    Every subject is asked for all that its own rules mention, probes included, and for what the rules of the others
-    mention by name: evenly chosen where that is more than :data:`MOST_OF_OTHERS`.
+    Every subject is asked for all that its own rules mention, probes included, for what the rules of the others mention
+    by name (evenly chosen where that is more than :data:`MOST_OF_OTHERS`), and for what its documents mention beside.
 
     Args:
         rules: the rules of each subject, sorted by subject.
         domains: the DDS domain of each subject.
+        mentioned: returns edges of kind ``topic`` on what the documents of a subject mention.
+        needed: returns the edges of kind ``topic`` that an edge stands for, which need not be asked for again.
     """
     listed = tuple(rules)
     shared = sorted({found for each in listed for rule in each.rules for found in _objects(rule, probe=False)})
@@ -45,9 +52,27 @@ def edges(rules: Iterable[SubjectRules], domains: dict[str, int]) -> Iterator[Ed
     common = shared[::stride]
     for each in listed:
         own = {found for rule in each.rules for found in _objects(rule, probe=True)}
+        asked: set[Edge] = set()
         for found in sorted(own.union(common)):
             for permission in LABELLED[found.kind]:
-                yield Edge(each.subject, permission, found, domains.get(each.subject, 0))
+                edge = Edge(each.subject, permission, found, domains.get(each.subject, 0))
+                asked.update((edge, *needed(edge)))
+                yield edge
+        yield from (edge for edge in dict.fromkeys(mentioned(each.subject)) if edge not in asked)
+
+
+def raw_edges(subject: str, expression: str, partitions: Sequence[str], domain: int) -> Iterator[Edge]:
+    """Yield edges that probe an expression of topics, and the expressions of partitions beside it."""
+    try:
+        text = glob.literal(glob.parse(expression))
+        found = (text,) if text else names(expression)
+        lists = tuple(dict.fromkeys(_partitions(partitions, RAW, probe=True))) if partitions else ((),)
+    except glob.GlobError:
+        return  # no policy can say this; a transport has its own reading
+    for name in filter(None, found):
+        for each in lists:
+            for permission in LABELLED[RAW]:
+                yield Edge(subject, permission, Object(RAW, name, each), domain)
 
 
 def names(expression: str) -> tuple[str, ...]:
@@ -63,7 +88,7 @@ def _objects(rule: Rule, *, probe: bool) -> Iterator[Object]:
     for name in _names_of(rule.expressions, probe):
         if not name or (rule.kind != RAW and name[0] != "/"):
             continue  # no topic has such a name
-        yield from (Object(rule.kind, name, each) for each in _partitions(rule.partitions, rule.kind, probe))
+        yield from (Object(rule.kind, name, each) for each in _partitions(rule.partitions, rule.kind, probe=probe))
         for permission in rule.permissions:
             for kind, _, suffix in PARTS.get((rule.kind, permission), ()):
                 yield Object(kind, name + suffix)
@@ -78,7 +103,7 @@ def _names_of(expressions: Sequence[str], probe: bool) -> Iterator[str]:
             yield text
 
 
-def _partitions(expressions: Sequence[str], kind: str, probe: bool) -> Iterator[tuple[str, ...]]:
+def _partitions(expressions: Sequence[str], kind: str, *, probe: bool) -> Iterator[tuple[str, ...]]:
     """Yield lists of partitions that probe a rule's."""
     yield ()
     if kind != RAW or not probe:

@@ -11,41 +11,53 @@ from keymint.verify.model import Confusion, Error, Finding, Outcome
 from keymint.verify.words import in_words, request
 
 _EXAMPLES = 3
-_HELP = {
+HELP = {
     Error.FALSE_POSITIVE: "the enclave permits more than the policy: build and install it from the policy",
     Error.FALSE_NEGATIVE: "the enclave permits less than the policy: build and install it from the policy",
 }
 
 
-def messages(outcome: Outcome) -> Iterator[Diagnostic]:
-    """Yield a diagnostic for each cause: findings that the same rules explain are told together."""
-    causes: dict[tuple[object, ...], list[Finding]] = {}
-    for finding in outcome.findings:
-        where = finding.policy.where
-        kind = finding.edge.object.kind
-        key = (finding.edge.subject, kind, finding.error, where, finding.document.line, finding.verdict.deviation)
-        causes.setdefault(key, []).append(finding)
-    for together in causes.values():
-        first = together[0]
-        more = [f"{each.edge.permission} {each.edge.object.name}" for each in together[1 : 1 + _EXAMPLES]]
-        others = len(together) - 1
-        also = f"; likewise {others} more: {', '.join(more)}{' …' if others > len(more) else ''}" if others else ""
+def messages(outcomes: Sequence[Outcome]) -> Iterator[Diagnostic]:
+    """Yield a diagnostic for each cause: what the same rules explain, on whatever transports, is told together."""
+    merged: dict[tuple[object, ...], tuple[list[str], list[Finding]]] = {}
+    for outcome in outcomes:
+        for cause, together in _by_cause(outcome.findings).items():
+            edges = tuple(finding.edge for finding in together)
+            merged.setdefault((cause, edges), ([], together))[0].append(outcome.transport)
+    for transports, together in merged.values():
+        first, *others = together
+        some = [f"{each.edge.permission} {each.edge.object.name}" for each in others[:_EXAMPLES]]
+        also = f"; likewise {len(others)} more: {', '.join(some)}{' …' if len(others) > len(some) else ''}"
         yield Diagnostic(
             str(first.error),
             Severity.ERROR,
-            in_words(outcome.transport, first) + also,
+            in_words(transports, first, here=True) + (also if others else ""),
             first.policy.where or first.document,
-            _HELP[first.error],
+            HELP[first.error],
             first.edge.subject,
         )
-    if outcome.omitted:
-        yield Diagnostic(
-            "findings-omitted",
-            Severity.WARNING,
-            f"{outcome.omitted} more findings on {outcome.transport} are counted and not listed",
-            None,
-            "raise --limit, or verify some packages at a time",
-        )
+    for outcome in outcomes:
+        if outcome.omitted:
+            yield Diagnostic(
+                "findings-omitted",
+                Severity.WARNING,
+                f"{outcome.omitted} more findings on {outcome.transport} are counted and not listed",
+                None,
+                "raise --limit, or verify some packages at a time",
+            )
+
+
+def _by_cause(findings: Sequence[Finding]) -> dict[tuple[object, ...], list[Finding]]:
+    """Group findings; a reason that names no object, a grant that has expired, say, is one cause for all objects."""
+    causes: dict[tuple[object, ...], list[Finding]] = {}
+    for finding in findings:
+        edge = finding.edge
+        if edge.object.name in finding.reason:
+            cause = (finding.policy.where, finding.document.line, finding.verdict.deviation)
+        else:
+            cause = (None, finding.document.line, finding.reason)
+        causes.setdefault((edge.subject, finding.error, *cause), []).append(finding)
+    return causes
 
 
 def as_result(
@@ -99,7 +111,8 @@ def _finding(finding: Finding, typed: Callable[[str], str]) -> dict[str, Any]:
         },
         "transport": {
             "allowed": finding.verdict.allowed,
-            "reason": finding.verdict.reason,
+            "reason": finding.reason,
+            "said": finding.verdict.reason,
             "rule": place(finding.document, typed),
             "deviation": finding.verdict.deviation or None,
             "explained_by": finding.model or None,

@@ -51,9 +51,9 @@ def _result(outcome: Outcome, finding: Finding, typed: Callable[[str], str]) -> 
         "ruleId": str(finding.error),
         "ruleIndex": list(_RULES).index(finding.error),
         "level": "error",
-        "message": {"text": in_words(outcome.transport, finding)},
+        "message": {"text": in_words([outcome.transport], finding)},
         "locations": [_location(where, typed) if where else document],
-        "relatedLocations": [{**document, "message": {"text": finding.verdict.reason or "the enclave's document"}}],
+        "relatedLocations": [{**document, "message": {"text": finding.reason or "the enclave's document"}}],
         "partialFingerprints": {"keymintEdge/v1": f"{outcome.transport}|{request(edge)}|{edge.domain}"},
     }
 

@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import cast
 
-from keymint.api import Enclave, LoadedPolicy, NameMapping
+from keymint.api import Enclave, LoadedPolicy, NameMapping, Package
 from keymint.errors import KeymintError
 from keymint.graph import Edge, Graph, complete
 from keymint.ir import SubjectRules
@@ -53,12 +53,20 @@ def scope(inputs: Inputs, loaded: LoadedProfile, names: Sequence[str], sources: 
         package = sources.load(inputs, loaded, name, sources.files(inputs, name))
         folder = inputs.workspace.enclaves(loaded.profile.layout) / name
         enclaves[package.subject] = Enclave(package.subject, folder, package.distro)
-        build_type = inputs.plugins.build_type(package.build_type, inputs.package_marker(name))
-        if hasattr(build_type, "endpoints") and hasattr(build_type, "meanings"):
-            namings[package.subject] = Naming(cast("NameMapping", build_type), package.distro)
+        naming = naming_of(inputs, package)
+        if naming:
+            namings[package.subject] = naming
         if package.permissions.domains:
             domains[package.subject] = package.permissions.domains[0].first
     return Scope(dict(sorted(enclaves.items())), namings, domains)
+
+
+def naming_of(inputs: Inputs, package: Package) -> Naming | None:
+    """Return how the build type of a package maps names, if it tells."""
+    build_type = inputs.plugins.build_type(package.build_type, inputs.package_marker(package.name))
+    if hasattr(build_type, "endpoints") and hasattr(build_type, "meanings"):
+        return Naming(cast("NameMapping", build_type), package.distro)
+    return None
 
 
 def edges_of_graph(graph: Graph, found: Scope, *, only: bool) -> Callable[[], Iterator[Edge]]:
@@ -89,6 +97,18 @@ def edges_of_graph(graph: Graph, found: Scope, *, only: bool) -> Callable[[], It
 
 
 def edges_of_policy(policy: LoadedPolicy, found: Scope) -> Callable[[], Iterator[Edge]]:
-    """Return a function that yields edges on the names that a policy mentions, and on names that probe its patterns."""
+    """Return a function that yields edges on what a policy and the documents mention, and on names that probe it."""
     rules = [policy.rules(subject) or SubjectRules(subject, ()) for subject in found.enclaves]
-    return lambda: probes.edges(rules, found.domains)
+
+    def mentioned(subject: str) -> Iterator[Edge]:
+        """Yield edges on the topics that the subject's own documents mention."""
+        naming = found.namings.get(subject)
+        for name, partitions in naming.mapping.mentioned(found.enclaves[subject]) if naming else ():
+            yield from probes.raw_edges(subject, name, partitions, found.domains.get(subject, 0))
+
+    def needed(edge: Edge) -> Sequence[Edge]:
+        """Return the endpoints of an edge, where they are known."""
+        naming = found.namings.get(edge.subject)
+        return naming.endpoints(edge) if naming else ()
+
+    return lambda: probes.edges(rules, found.domains, mentioned, needed)

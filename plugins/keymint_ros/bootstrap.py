@@ -39,7 +39,8 @@ _PROFILE = (
 def bootstrap(request: Bootstrap) -> Mapping[str, bytes]:
     """Return the files of a new profile: see :meth:`keymint.api.ProfileType.bootstrap`."""
     distros.check(request.distro)
-    _check_choice("layout", request.layout, _AUTHORITIES)
+    layout = request.layout or distros.layout(request.distro)
+    _check_choice("layout", layout, _AUTHORITIES)
     _check_choice("subject format", request.subject_format, _SUBJECT_NAMES)
     if not 0 <= request.domain <= _MAX_DOMAIN:
         raise KeymintError(
@@ -50,12 +51,12 @@ def bootstrap(request: Bootstrap) -> Mapping[str, bytes]:
     _check_line("name of the profile", request.name)
     # A day of slack, for clocks that run behind, and for vendors that read dates without zone as local time.
     start = request.now.replace(hour=0, minute=0, second=0, microsecond=0) - timedelta(days=1)
-    issuer, signer = _AUTHORITIES[request.layout]
+    issuer, signer = _AUTHORITIES[layout]
     values = {
         "name": request.name,
         "distro": request.distro,
         "domain": request.domain,
-        "layout": request.layout,
+        "layout": layout,
         "authorities": tuple(dict.fromkeys((issuer, signer))),
         "issuer": issuer,
         "signer": signer,

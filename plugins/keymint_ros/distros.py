@@ -9,11 +9,16 @@ from keymint.errors import KeymintError, Origin
 from keymint_ros.document import did_you_mean
 
 _FAMILIES = {
+    "ardent": ("ardent",),
     "bouncy": ("bouncy", "crystal", "dashing", "eloquent"),
     "foxy": ("foxy", "galactic", "humble"),
     "iron": ("iron", "jazzy", "kilted", "lyrical", "rolling"),
 }
-"""Distributions whose nodes need the same: Foxy brings ``ros_discovery_info``, Iron the type description service."""
+"""Distributions whose nodes need the same.
+
+Nodes of Ardent have no ``rosout`` and are clients of their own parameters; Foxy brings ``ros_discovery_info``, Iron the
+type description service.
+"""
 DISTROS = {distro: family for family, distros in _FAMILIES.items() for distro in distros}
 """The first distribution of the family that each belongs to."""
 DEFAULT = "jazzy"
@@ -23,23 +28,21 @@ def check(distro: str, where: Origin | None = None) -> str:
     """Return the name of a known distribution.
 
     Raises:
-        KeymintError: it is not known, or its names are mapped in a way that is not supported.
+        KeymintError: it is not known.
     """
     if distro in DISTROS:
         return distro
-    if distro == "ardent":
-        raise KeymintError(
-            "the name mapping of ROS 2 Ardent is not supported yet",
-            where=where,
-            help="take bouncy or a later distro",
-            code="distro-unsupported",
-        )
     raise KeymintError(
         f"unknown ROS 2 distro {distro!r}",
         where=where,
         help=did_you_mean(distro.lower(), DISTROS) or f"known are {', '.join(DISTROS)}",
         code="distro-unknown",
     )
+
+
+def layout(distro: str) -> str:
+    """Return the layout of the install space that a distribution reads: Ardent knows the flat one only."""
+    return "flat" if distro == "ardent" else "sros2"
 
 
 def library(distro: str) -> Path:

@@ -8,9 +8,9 @@ from pathlib import Path
 
 import comarmor
 import comarmor.source
-from keymint.api import AppliedProfile, PolicyDecision, PolicySource
+from keymint.api import AppliedProfile, Learned, LoadedPolicy, PolicyDecision, PolicySource
 from keymint.errors import Diagnostic, KeymintError, Origin, Severity
-from keymint.graph import Edge
+from keymint.graph import Edge, Graph
 from keymint.ir import Effect, Rule, SubjectRules
 
 __all__ = ["ComArmorPolicyType", "policy_type"]
@@ -107,6 +107,18 @@ class ComArmorPolicyType:
     def fingerprint(self, path: Path) -> bytes:
         """Return what tells whether a path is still what it was when a policy was loaded."""
         return comarmor.source.fingerprint(path)
+
+    def learn(self, graph: Graph, existing: LoadedPolicy | None, fragments: str) -> Learned:
+        """See :func:`keymint_ros2_comarmor.learn.learn`.
+
+        Raises:
+            KeymintError: the existing policy is not one of this type.
+        """
+        from keymint_ros2_comarmor.learn import learn  # noqa: PLC0415 - only this verb needs it
+
+        if existing is not None and not isinstance(existing, _LoadedPolicy):
+            raise KeymintError("the existing policy is not a ComArmor policy", code="policy-type")
+        return learn(graph, existing.policy if existing else None, fragments)
 
 
 policy_type = ComArmorPolicyType()

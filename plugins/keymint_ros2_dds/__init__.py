@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 
-from keymint.api import API_VERSION, Artifact, BuildOptions, Built, Credentials, Inspection, Package
+from keymint.api import API_VERSION, Artifact, BuildOptions, Built, Credentials, Enclave, Inspection, Package
 from keymint.errors import Diagnostic
 from keymint.graph import Edge
 
@@ -64,6 +64,12 @@ class DdsSecurity:
         from keymint_ros2_dds.endpoints import meanings  # noqa: PLC0415
 
         return meanings(distro, endpoint)
+
+    def mentioned(self, enclave: Enclave) -> Sequence[tuple[str, Sequence[str]]]:
+        """See :func:`keymint_ros2_dds.mentioned.mentioned`."""
+        from keymint_ros2_dds.mentioned import mentioned  # noqa: PLC0415
+
+        return mentioned(enclave)
 
 
 build_type = DdsSecurity()

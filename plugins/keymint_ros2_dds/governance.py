@@ -128,8 +128,8 @@ def _domain_rule(parent: etree._Element, rule: DomainRule, distro: str, lenient:
         if distro == ARDENT and topic.kind != "topic":
             yield Diagnostic(
                 "governance-base-name", Severity.NOTE,
-                f"ROS 2 Ardent's DDS topics have base names only: the {topic.kind} rule for {topic.expression!r} is about "
-                "topics of the same base name in every namespace",
+                f"DDS topics of ROS 2 Ardent have base names only: the {topic.kind} rule for {topic.expression!r} is "
+                "about topics of the same base name in every namespace",
                 topic.origin, "let rules on one base name protect alike",
             )  # fmt: skip
         for pattern in patterns:

@@ -153,11 +153,12 @@ def decision_list(
     patterns = dict.fromkeys(pattern for pattern, _ in (*allow, *deny))
     literals = sorted(pattern for pattern in patterns if literal(pattern) is not None)
     wild = _specific_first(_closure([pattern for pattern in patterns if literal(pattern) is None]))
-    steps = list(_closed([(pattern, _effective(pattern, allow, deny)) for pattern in (*literals, *wild)]))
+    needed = _needed([(pattern, _effective(pattern, allow, deny)) for pattern in (*literals, *wild)])
+    steps = list(_closed(needed))
     denies = [pattern for pattern, listed in steps if not listed]
     free = [step for step in steps if step[1] and all(disjoint(step[0], other) for other in denies)]
     later = [step for step in steps if step not in free]
-    return tuple(_entries(_needed([*free, *later])))
+    return tuple(_entries([*free, *later]))
 
 
 def _closed(steps: Sequence[tuple[Glob, Partitions]]) -> Iterator[tuple[Glob, Partitions]]:
@@ -192,17 +193,17 @@ def _effective(
 ) -> Partitions:
     try:
         listed = {name for other, names in allow if surely_covers(other, pattern) for name in names}
-        denied = [names for other, names in deny if surely_covers(other, pattern)]
+        denied = [(other, names) for other, names in deny if surely_covers(other, pattern)]
     except TooComplexError:
         raise PartitionError(pattern, "how it overlaps with others is too hard to find out") from None
     left = _reduced(listed)
-    for names in denied:
+    for other, names in denied:
         if left:
             try:
                 left = _left(left, names)
             except ValueError:
-                reason = f"it is allowed in the partitions {' '.join(left)}, but for some, which vendors do not read alike"
-                raise PartitionError(pattern, reason) from None
+                reason = f"it takes away a part of the partitions {' '.join(left)}, which vendors do not read alike"
+                raise PartitionError(other, reason) from None
     return left
 
 

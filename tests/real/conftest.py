@@ -11,6 +11,8 @@ from typing import TYPE_CHECKING, NoReturn
 import pytest
 
 from keymint_ros2_dds.vendors import probes
+from keymint.api import Usable
+
 from .handmade import Authorities
 from keymint_ros2_dds.vendors.participants import CycloneDDS, FastDDS, System, Vendor
 from .provisioning import provision
@@ -25,6 +27,11 @@ def missing(error: probes.MissingVendorError) -> NoReturn:
     if os.environ.get("KEYMINT_REQUIRE_VENDORS") == "1":
         pytest.fail(f"KEYMINT_REQUIRE_VENDORS=1, but {error}", pytrace=False)
     pytest.skip(str(error))
+
+
+def missing_transport(usable: Usable) -> NoReturn:
+    """Skip or fail in the same way where a transport cannot be used."""
+    missing(probes.MissingVendorError("transport", usable.reason, (usable.help,)))
 
 
 @pytest.fixture(scope="session")

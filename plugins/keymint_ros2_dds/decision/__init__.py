@@ -1,4 +1,4 @@
-"""The policy decision point: what a signed or unsigned permissions document says, by the standard and by each vendor."""
+"""The policy decision point: what a permissions document says, by the standard and by each vendor."""
 
 from __future__ import annotations
 

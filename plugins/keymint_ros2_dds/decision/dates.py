@@ -5,9 +5,7 @@ from __future__ import annotations
 import re
 from datetime import UTC, datetime, timedelta
 
-_DATE = re.compile(
-    r"\s*(\d{4,})-(\d\d)-(\d\d)T(\d\d):(\d\d):(\d\d)(?:\.\d+)?(Z|[+-]\d\d:\d\d)?\s*", re.ASCII
-)
+_DATE = re.compile(r"\s*(\d{4,})-(\d\d)-(\d\d)T(\d\d):(\d\d):(\d\d)(?:\.\d+)?(Z|[+-]\d\d:\d\d)?\s*", re.ASCII)
 _LAST_OF_CYCLONE = datetime(2262, 4, 11, tzinfo=UTC)
 
 

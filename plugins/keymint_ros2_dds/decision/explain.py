@@ -13,14 +13,14 @@ Ask = Callable[[Variation], bool]
 def explain(ask: Ask, variation: Variation) -> tuple[Deviation, ...]:
     """Return the deviations that make the difference; none if there is no difference.
 
-    The standard with one deviation alone tells best; where no one deviation suffices, those without any of which
-    the implementation would decide as the standard does; else all that there are.
+    Those each of which suffices alone tell best; where none does, those without any of which the implementation would
+    decide as the standard does; else all that there are.
     """
     expected, found = ask(OMG), ask(variation)
     if expected == found:
         return ()
     alone = tuple(each for each in variation.deviations if ask(variation.only(each)) == found)
     if alone:
-        return alone[:1]
+        return alone
     needed = tuple(each for each in variation.deviations if ask(variation.without(each)) == expected)
     return needed or variation.deviations

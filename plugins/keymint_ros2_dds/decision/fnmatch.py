@@ -83,6 +83,8 @@ def _cyclone_set(pattern: str, at: int) -> tuple[str, int] | None:
     """Return a set as a regular expression and where it ends; None for one that matches nothing, ever."""
     negated = pattern.startswith("!", at)
     at += negated
+    if pattern.startswith("]", at):  # a set without members; its bracket is then read a second time, as itself
+        return (".", at) if negated else None
     members: list[tuple[str, str]] = []
     ended = False
     while not ended:

@@ -30,11 +30,18 @@ class DomainRule:
     join_controlled: bool
     topic_rules: tuple[TopicRule, ...]
 
+    @property
+    def joins_without_rule(self) -> bool:
+        """Whether a participant needs no rule to join: joining is not controlled, or some topic is not (1.1, 9.4.3)."""
+        return not self.join_controlled or not all(
+            rule.read_controlled and rule.write_controlled for rule in self.topic_rules
+        )
+
     def topic_rule(self, topic: str, dialect: fnmatch.Dialect) -> TopicRule | None:
         """Return the first rule that is about a topic."""
         name = fnmatch.in_bytes(topic)
         for rule in self.topic_rules:
-            if re.fullmatch(dialect(fnmatch.in_bytes(rule.expression)), name, re.DOTALL):
+            if rule.expression == "*" or re.fullmatch(dialect(fnmatch.in_bytes(rule.expression)), name, re.DOTALL):
                 return rule
         return None
 

@@ -113,7 +113,7 @@ class Judge:
         if isinstance(found, Decision):
             self.refusal = found
             return
-        self._default = semantics.default_counts and found.default != "DENY"
+        self._default = semantics.default_counts and found.default == "ALLOW"
         self._default_line = found.line
         in_domain = [rule for rule in found.rules if _holds(rule, domain, semantics)]
         self.joins = self._default or any(rule.allows for rule in in_domain)
@@ -123,7 +123,13 @@ class Judge:
                 self._named.append(step)
 
     def decide(
-        self, action: str, topic: str, partitions: Sequence[str] = (), tags: Collection[tuple[str, str]] = ()
+        self,
+        action: str,
+        topic: str,
+        partitions: Sequence[str] = (),
+        tags: Collection[tuple[str, str]] = (),
+        *,
+        topic_checked: bool = True,
     ) -> Decision:
         """Return what is decided about an endpoint.
 
@@ -132,11 +138,13 @@ class Judge:
             topic: DDS topic name.
             partitions: of the endpoint's publisher or subscriber; none is the default partition.
             tags: data tags of the endpoint.
+            topic_checked: the governance document controls both reading and writing the topic, so that the topic
+                itself is checked by those who do so.
         """
         if self.refusal is not None:
             return self.refusal
         name = fnmatch.in_bytes(topic)
-        if self.semantics.topic_check:
+        if topic_checked and self.semantics.topic_check:
             named = next((step for step in self._named if step.topics.match(name)), None)
             if named is None and not self._default:
                 return self._by_default(topic)
@@ -147,7 +155,9 @@ class Judge:
             if not step.topics.match(name):
                 continue
             if self._concerns(step, asked, tags):
-                return self._by(step, f"{'allows' if step.allows else 'denies'} {action} {topic!r}", allowed=step.allows)
+                return self._by(
+                    step, f"{'allows' if step.allows else 'denies'} {action} {topic!r}", allowed=step.allows
+                )
             if self.semantics.first_topic_decides:
                 return self._by(step, f"names {topic!r}, but not in these partitions", allowed=False)
         return self._by_default(topic)
@@ -185,9 +195,7 @@ def decide(
     return Judge(document, subject_name, now, domain, variation).decide(action, topic, partitions, tags)
 
 
-def _grant(
-    document: PermissionsDocument, subject_name: str, now: datetime, semantics: Semantics
-) -> Grant | Decision:
+def _grant(document: PermissionsDocument, subject_name: str, now: datetime, semantics: Semantics) -> Grant | Decision:
     """Return the grant that counts, or why there is none."""
     reason = f"no grant is about {subject_name!r}"
     found_line = 0

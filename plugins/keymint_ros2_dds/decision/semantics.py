@@ -41,6 +41,7 @@ class Semantics:
         deny_topic: the partitions of a deny rule do not matter.
         topic_check: the first criteria that name the topic, in any direction, decide whether there is a topic at all.
         tags_count: data tags are looked at.
+        needs_rule_to_join: a participant needs a rule that allows something, whatever the governance document says.
     """
 
     refuses: Refusal = schema_refuses
@@ -58,6 +59,7 @@ class Semantics:
     deny_topic: bool = False
     topic_check: bool = False
     tags_count: bool = True
+    needs_rule_to_join: bool = False
 
 
 STANDARD = Semantics()
@@ -148,6 +150,8 @@ FAST_DEVIATIONS = (
     _on("12", "min-only", "a range of domains with a minimum alone is that one domain", min_only_is_exact=True),
     _on("14", "zone-ignored", "the zone of a date is ignored", date=dates.fast),
     _on("17", "fnmatch", "expressions have no escapes", fnmatch=fnmatch.noescape),
+    _on("19", "rule-to-join", "a participant needs an allow_rule, also where joining is not controlled",
+        needs_rule_to_join=True),
     _on("data tags", "tags-ignored", "data tags are not looked at", tags_count=False),
 )  # fmt: skip
 
@@ -155,4 +159,3 @@ OMG = Variation("omg")
 CYCLONEDDS_0_10 = Variation("cyclonedds-0.10", CYCLONE_DEVIATIONS)
 FASTDDS_2_9 = Variation("fastdds-2.9", FAST_DEVIATIONS)
 VARIATIONS: Mapping[str, Variation] = {each.name: each for each in (OMG, CYCLONEDDS_0_10, FASTDDS_2_9)}
-

@@ -12,7 +12,7 @@ from collections.abc import Iterator
 from lxml import etree
 
 import comarmor
-from comarmor.reader import parse
+from comarmor.reader import line, parse
 from keymint.errors import Diagnostic, KeymintError, Origin, Severity
 from keymint_ros2_dds.discovery.capture import Capture, Endpoint, Participant
 
@@ -53,7 +53,7 @@ class _Reader:
         self._name = name
 
     def error(self, element: etree._Element, message: str, hint: str = "") -> KeymintError:
-        return KeymintError(message, where=Origin(self._name, element.sourceline or 0), help=hint, code="capture")
+        return KeymintError(message, where=Origin(self._name, line(element)), help=hint, code="capture")
 
     def capture(self, root: etree._Element) -> Capture:
         participants: dict[str, Participant] = {}
@@ -65,7 +65,9 @@ class _Reader:
             for data in root.iter(tag):
                 endpoint = self._endpoint(data, permission)
                 if endpoint.participant not in participants:
-                    raise self.error(data, f"the participant {endpoint.participant} of this endpoint is not in the file")
+                    raise self.error(
+                        data, f"the participant {endpoint.participant} of this endpoint is not in the file"
+                    )
                 endpoints[endpoint] = None
         if not participants:
             raise self.error(root, "no participant in this file", "export the system from RTI Admin Console")

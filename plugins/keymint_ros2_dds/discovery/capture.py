@@ -81,8 +81,7 @@ def discovered(capture: Capture, names: Mapping[str, str]) -> Discovered:
         for guid in sorted({seen.participant for seen in capture.endpoints if not _sound(seen)})
     ]
     edges = [
-        Edge(subjects[seen.participant], seen.permission, seen.object, domains[seen.participant])
-        for seen in sound
+        Edge(subjects[seen.participant], seen.permission, seen.object, domains[seen.participant]) for seen in sound
     ]
     types = [(seen.object, seen.type) for seen in sound if seen.type]
     return Discovered(Graph.of(edges, subjects.values(), types), tuple(diagnostics))

@@ -10,8 +10,8 @@ import ctypes
 import time
 from collections.abc import Callable, Iterator
 from ctypes import POINTER, Structure, byref, c_bool, c_char_p, c_int32, c_int64, c_size_t, c_uint32, c_uint64, c_void_p
-from functools import cache
-from typing import Any
+from functools import cache, partial
+from typing import Any, Self
 
 from keymint.api import Usable
 from keymint.errors import KeymintError
@@ -24,11 +24,11 @@ _PARTICIPANTS, _PUBLICATIONS, _SUBSCRIPTIONS = 0x7FFF0001, 0x7FFF0003, 0x7FFF000
 """Pseudo handles of the built-in topics (``DDS_BUILTIN_TOPIC_…``)."""
 _SAMPLES = 64
 _PAUSE = 0.02
-"""Seconds between two looks."""
+"""Seconds between two questions whether to go on."""
 
 
 class _Guid(Structure):
-    _fields_ = [("octets", ctypes.c_uint8 * 16)]  # noqa: RUF012 - as ctypes wants it
+    _fields_ = [("octets", ctypes.c_uint8 * 16)]
 
     def __str__(self) -> str:
         return bytes(self.octets).hex()
@@ -37,13 +37,13 @@ class _Guid(Structure):
 class _Participant(Structure):
     """``dds_builtintopic_participant_t``."""
 
-    _fields_ = [("key", _Guid), ("qos", c_void_p)]  # noqa: RUF012
+    _fields_ = [("key", _Guid), ("qos", c_void_p)]
 
 
 class _Endpoint(Structure):
     """``dds_builtintopic_endpoint_t``."""
 
-    _fields_ = [  # noqa: RUF012
+    _fields_ = [
         ("key", _Guid),
         ("participant", _Guid),
         ("participant_handle", c_uint64),
@@ -56,7 +56,7 @@ class _Endpoint(Structure):
 class _Info(Structure):
     """``dds_sample_info_t``."""
 
-    _fields_ = [  # noqa: RUF012
+    _fields_ = [
         ("sample_state", c_int32),
         ("view_state", c_int32),
         ("instance_state", c_int32),
@@ -66,6 +66,10 @@ class _Info(Structure):
         ("publication_handle", c_uint64),
         ("counts", c_uint32 * 5),
     ]
+
+
+_Callback = ctypes.CFUNCTYPE(None, c_int32, c_void_p)
+"""``dds_on_data_available_fn``: a reader, and an argument that is not used."""
 
 
 @cache
@@ -86,9 +90,12 @@ def _library() -> Any:
     signatures: dict[str, tuple[Any, list[Any]]] = {
         "dds_create_participant": (c_int32, [c_uint32, c_void_p, c_void_p]),
         "dds_create_reader": (c_int32, [c_int32, c_int32, c_void_p, c_void_p]),
+        "dds_create_listener": (c_void_p, [c_void_p]),
         "dds_delete": (c_int32, [c_int32]),
+        "dds_delete_listener": (None, [c_void_p]),
         "dds_free": (None, [c_void_p]),
         "dds_get_guid": (c_int32, [c_int32, POINTER(_Guid)]),
+        "dds_lset_data_available": (None, [c_void_p, _Callback]),
         "dds_qget_entity_name": (c_bool, [c_void_p, POINTER(c_void_p)]),
         "dds_qget_partition": (c_bool, [c_void_p, POINTER(c_uint32), POINTER(POINTER(c_void_p))]),
         "dds_qget_userdata": (c_bool, [c_void_p, POINTER(c_void_p), POINTER(c_size_t)]),
@@ -128,49 +135,83 @@ def observe(domain: int, go_on: Callable[[], bool]) -> Capture:
         dds = _library()
     except OSError as error:
         raise KeymintError(str(error), help=INSTALL, code="discovery-unusable") from None
-    own = _checked(dds, dds.dds_create_participant(domain, None, None), f"join domain {domain}")
-    try:
-        myself = _Guid()
-        _checked(dds, dds.dds_get_guid(own, byref(myself)), "tell its own GUID")
-        readers = [
-            _checked(dds, dds.dds_create_reader(own, topic, None, None), "read a built-in topic")
-            for topic in (_PARTICIPANTS, _PUBLICATIONS, _SUBSCRIPTIONS)
-        ]
-        participants: dict[str, Participant] = {}
-        endpoints: dict[Endpoint, None] = {}
-        while True:
-            last = not go_on()
-            for sample in _taken(dds, readers[0], _Participant):
-                guid = str(sample.key)
-                participants[guid] = Participant(guid, domain, _entity_name(dds, sample.qos), _user_data(dds, sample.qos))
-            for reader, permission in zip(readers[1:], ("publish", "subscribe"), strict=True):
-                for sample in _taken(dds, reader, _Endpoint):
-                    endpoint = Endpoint(
-                        str(sample.participant),
-                        permission,
-                        _text(sample.topic),
-                        _text(sample.type),
-                        tuple(_partitions(dds, sample.qos)),
-                    )
-                    endpoints[endpoint] = None
-            if last:
-                break
+    with _Observer(dds, domain) as observer:
+        while go_on():
             time.sleep(_PAUSE)
-    finally:
-        dds.dds_delete(own)
-    return _without(str(myself), domain, participants, endpoints)
+        return observer.capture()
 
 
-def _without(
-    myself: str, domain: int, participants: dict[str, Participant], endpoints: dict[Endpoint, None]
-) -> Capture:
-    """Return the capture without the observer; an endpoint whose participant was missed has one without a name."""
-    for endpoint in endpoints:
-        participants.setdefault(endpoint.participant, Participant(endpoint.participant, domain))
-    return Capture(
-        tuple(participant for guid, participant in participants.items() if guid != myself),
-        tuple(endpoint for endpoint in endpoints if endpoint.participant != myself),
-    )
+class _Observer:
+    """A participant that listens to the built-in topics.
+
+    It listens rather than looks now and then: when something vanishes, what was not taken yet is lost. The listeners
+    run in threads of Cyclone; what they add to is a dictionary each.
+    """
+
+    def __init__(self, dds: Any, domain: int) -> None:
+        self._dds = dds
+        self._domain = domain
+        self._participants: dict[str, Participant] = {}
+        self._endpoints: dict[Endpoint, None] = {}
+        self._readers: list[tuple[int, Callable[[int], None]]] = []
+        self._callbacks: list[Any] = []
+        self._own = _checked(dds, dds.dds_create_participant(domain, None, None), f"join domain {domain}")
+
+    def __enter__(self) -> Self:
+        try:
+            for topic, take in (
+                (_PARTICIPANTS, self._take_participants),
+                (_PUBLICATIONS, partial(self._take_endpoints, "publish")),
+                (_SUBSCRIPTIONS, partial(self._take_endpoints, "subscribe")),
+            ):
+                self._readers.append((self._listen(topic, take), take))
+        except BaseException:
+            self._dds.dds_delete(self._own)
+            raise
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._dds.dds_delete(self._own)
+
+    def _listen(self, topic: int, take: Callable[[int], None]) -> int:
+        callback = _Callback(lambda reader, _: take(reader))
+        self._callbacks.append(callback)  # must live as long as the reader does
+        listener = self._dds.dds_create_listener(None)
+        try:
+            self._dds.dds_lset_data_available(listener, callback)
+            return _checked(
+                self._dds, self._dds.dds_create_reader(self._own, topic, None, listener), "read a built-in topic"
+            )
+        finally:
+            self._dds.dds_delete_listener(listener)
+
+    def _take_participants(self, reader: int) -> None:
+        for sample in _taken(self._dds, reader, _Participant):
+            guid = str(sample.key)
+            name, user_data = _entity_name(self._dds, sample.qos), _user_data(self._dds, sample.qos)
+            self._participants[guid] = Participant(guid, self._domain, name, user_data)
+
+    def _take_endpoints(self, permission: str, reader: int) -> None:
+        for sample in _taken(self._dds, reader, _Endpoint):
+            partitions = tuple(_partitions(self._dds, sample.qos))
+            endpoint = Endpoint(
+                str(sample.participant), permission, _text(sample.topic), _text(sample.type), partitions
+            )
+            self._endpoints[endpoint] = None
+
+    def capture(self) -> Capture:
+        """Return what was seen but for the observer; an endpoint whose participant was missed has a nameless one."""
+        for reader, take in self._readers:
+            take(reader)
+        own = _Guid()
+        _checked(self._dds, self._dds.dds_get_guid(self._own, byref(own)), "tell its own GUID")
+        participants, endpoints = self._participants.copy(), list(self._endpoints.copy())
+        for endpoint in endpoints:
+            participants.setdefault(endpoint.participant, Participant(endpoint.participant, self._domain))
+        return Capture(
+            tuple(participant for guid, participant in participants.items() if guid != str(own)),
+            tuple(endpoint for endpoint in endpoints if endpoint.participant != str(own)),
+        )
 
 
 def _checked(dds: Any, code: int, what: str) -> int:

@@ -51,7 +51,10 @@ def _ros_types(graph: Graph) -> Iterator[tuple[Object, str]]:
     for found, name in graph.types:
         entity = ros_name(found) if found.kind == "topic" else None
         if entity:
-            yield Object("ros_topic" if entity.part == "rt" else "ros_service", entity.name), ros_type(name, entity.part)
+            yield (
+                Object("ros_topic" if entity.part == "rt" else "ros_service", entity.name),
+                ros_type(name, entity.part),
+            )
 
 
 def _ros_edges(edges: set[Edge]) -> Iterator[Edge]:

@@ -78,9 +78,7 @@ def name_participants(
     return names, said
 
 
-def _own(
-    one: Participant, serves: Mapping[str, set[str]], meets: Mapping[str, set[str]]
-) -> tuple[str, str] | None:
+def _own(one: Participant, serves: Mapping[str, set[str]], meets: Mapping[str, set[str]]) -> tuple[str, str] | None:
     """Return how a participant tells its name, and the name; or None when it does not."""
     told = _fields(one.user_data)
     enclave = told.get("enclave", "")
@@ -110,7 +108,9 @@ def _given(participants: Sequence[Participant], given: Mapping[str, str]) -> dic
     for typed, name in given.items():
         guid = re.sub(r"[.:|\s]", "", typed).lower()
         if not _GUID.match(guid):
-            raise _refused(f"{typed!r} is not a GUID", "8 to 32 hexadecimal digits, as 'keymint discover -v' shows them")
+            raise _refused(
+                f"{typed!r} is not a GUID", "8 to 32 hexadecimal digits, as 'keymint discover -v' shows them"
+            )
         if not legal_subject(name):
             raise _refused(f"{name!r} is not the name of a subject", "a name is '/' and segments, e.g. /robot1/talker")
         for one in participants:

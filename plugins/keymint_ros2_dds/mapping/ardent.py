@@ -88,4 +88,3 @@ def _maximal(pairs: Iterable[Pair]) -> tuple[Pair, ...]:
 
 def _covers(outer: Pair, inner: Pair) -> bool:
     return covers(outer[0], inner[0]) and covers(outer[1], inner[1])
-

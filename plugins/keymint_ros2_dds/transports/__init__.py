@@ -10,7 +10,10 @@ from collections.abc import Callable
 
 from keymint.api import API_VERSION, Surroundings, Transport
 
-__all__ = ["Opener", "cyclonedds", "cyclonedds_0_10", "fastdds", "fastdds_2_9", "omg"]
+__all__ = [
+    "Opener", "ardent_cyclonedds", "ardent_cyclonedds_0_10", "ardent_omg", "cyclonedds_0_10", "fastdds_2_9", "omg",
+    "real_cyclonedds", "real_fastdds",
+]  # fmt: skip
 
 
 class Opener:
@@ -47,8 +50,20 @@ def _fastdds(surroundings: Surroundings) -> Transport:
     return FastDDSTransport(surroundings)
 
 
+def _of_ardent(opener: Opener) -> Opener:
+    def make(surroundings: Surroundings) -> Transport:
+        from keymint_ros2_dds.transports.ardent import ArdentMiddleware  # noqa: PLC0415
+
+        return ArdentMiddleware(opener.open(surroundings))
+
+    return Opener(make)
+
+
 omg = _simulated("omg")
 cyclonedds_0_10 = _simulated("cyclonedds-0.10")
 fastdds_2_9 = _simulated("fastdds-2.9")
-cyclonedds = Opener(_cyclonedds)
-fastdds = Opener(_fastdds)
+real_cyclonedds = Opener(_cyclonedds)
+real_fastdds = Opener(_fastdds)
+ardent_omg = _of_ardent(omg)
+ardent_cyclonedds_0_10 = _of_ardent(cyclonedds_0_10)
+ardent_cyclonedds = _of_ardent(real_cyclonedds)

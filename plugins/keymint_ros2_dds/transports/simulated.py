@@ -61,13 +61,11 @@ class Court:
         rules = self._governance
         if rules is None:
             return Decision(Outcome.DENIED, 0, f"governance.xml is not about domain {self._domain}")
+        if not judge.joins and (judge.semantics.needs_rule_to_join or not rules.joins_without_rule):
+            reason = f"permissions.xml allows nothing in domain {self._domain}, so that there is no participant"
+            return Decision(Outcome.DENIED, 0, reason)
         rule = rules.topic_rule(endpoint.object.name, judge.semantics.fnmatch)
-        if rule is None:
-            return Decision(Outcome.DENIED, 0, f"governance.xml has no rule for the topic {endpoint.object.name!r}")
-        controlled = rule.write_controlled if endpoint.permission == "publish" else rule.read_controlled
-        if not controlled and (judge.joins or not rules.join_controlled):
-            return Decision(Outcome.ALLOWED, 0, f"governance.xml:{rule.line}: access to the topic is not controlled")
-        return judge.decide(endpoint.permission, endpoint.object.name, endpoint.object.partitions)
+        return _by_topic_rule(rule, judge, endpoint)
 
     def _judge(self, variation: Variation) -> Judge:
         judge = self._judges.get(variation.name)
@@ -90,6 +88,17 @@ class Court:
             return ""
         found = decision.explain(lambda asked: self.decide(asked, endpoint).allowed, variation)
         return "; ".join(map(str, found))
+
+
+def _by_topic_rule(rule: governance.TopicRule | None, judge: Judge, endpoint: Edge) -> Decision:
+    """Decide by the permissions, if the governance document wants them to be asked."""
+    found = endpoint.object
+    if rule is None:
+        return Decision(Outcome.DENIED, 0, f"governance.xml has no rule for the topic {found.name!r}")
+    if not (rule.write_controlled if endpoint.permission == "publish" else rule.read_controlled):
+        return Decision(Outcome.ALLOWED, 0, f"governance.xml:{rule.line}: access to the topic is not controlled")
+    checked = rule.read_controlled and rule.write_controlled
+    return judge.decide(endpoint.permission, found.name, found.partitions, topic_checked=checked)
 
 
 class Courts:
@@ -123,8 +132,12 @@ class Courts:
         if subject != self._subject:
             self._subject, self._courts = subject, {}
         if domain not in self._courts:
-            self._courts[domain] = Court(enclave.folder, self._now, domain)
+            self._courts[domain] = self.fresh(enclave, domain)
         return self._courts[domain]
+
+    def fresh(self, enclave: Enclave, domain: int) -> Court:
+        """Return a court of an enclave that is the caller's to keep."""
+        return Court(enclave.folder, self._now, domain)
 
 
 @dataclass(frozen=True, slots=True)
@@ -163,5 +176,3 @@ class Simulated:
             if not found.allowed:
                 break
         return verdict
-
-

@@ -99,7 +99,7 @@ class Library:
     @property
     def folder(self) -> Path:
         """The folder of the security plugins, which Debian keeps off the loader's path."""
-        return Path(self.plugin._name).parent
+        return Path(self.plugin._name).parent  # noqa: SLF001 - where the loader found it
 
 
 @functools.cache
@@ -114,6 +114,7 @@ def library() -> Library:
     plugin = _load_first([*map(str, found), "libdds_security_ac.so"])
     core.ddsrt_free.argtypes = [c_void_p]
     core.ddsrt_free.restype = None
+    core.dds_set_log_mask(c_uint32(0))  # what it has to say comes as the exception of a call as well
     plugin.init_access_control.argtypes = [c_char_p, POINTER(POINTER(_Plugin)), c_void_p]
     plugin.init_access_control.restype = c_int
     plugin.finalize_access_control.argtypes = [POINTER(_Plugin)]
@@ -195,7 +196,7 @@ class AccessControl:
 
     @classmethod
     def of_enclave(cls, folder: Path, domain: int = 0) -> Self:
-        """Open an enclave as sros2 lays it out: ``cert.pem``, ``permissions_ca.cert.pem`` or ``ca.cert.pem``, ``*.p7s``."""
+        """Open an enclave as sros2 lays it out, of today or of Ardent (``ca.cert.pem`` for both authorities)."""
         authority = folder / "permissions_ca.cert.pem"
         return cls(
             certificate=folder / "cert.pem",

@@ -1,10 +1,10 @@
 /* An access-control plugin for Cyclone DDS 0.10 whose participant ignores its own permissions: what it checks of itself
  * is always right, all else is done by the vendor's plugin. So peers learn its true identity and permissions, and only
- * they can refuse it. The vendor's plugin is looked for beside the library that is loaded already. */
+ * they can refuse it. KEYMINT_VENDOR_PLUGIN is the path of the vendor's plugin. */
 
 #define _GNU_SOURCE
 #include <dlfcn.h>
-#include <stdio.h>
+#include <stdlib.h>
 
 #include "dds/security/dds_security_api.h"
 
@@ -12,7 +12,7 @@ struct ddsi_domaingv;
 typedef int (*init_function)(const char *, void **, struct ddsi_domaingv *);
 typedef int (*finalize_function)(void *);
 
-static void *vendor;
+static void *vendor;  /* the shared object; stays loaded */
 
 static DDS_Security_boolean joins(dds_security_access_control *plugin, const DDS_Security_PermissionsHandle handle,
                                   const DDS_Security_DomainId domain, const DDS_Security_Qos *qos,
@@ -40,9 +40,10 @@ static DDS_Security_boolean has_topic(dds_security_access_control *plugin, const
   return true;
 }
 
-int init_nonconforming(const char *argument, void **context, struct ddsi_domaingv *gv)
+int init_access_control(const char *argument, void **context, struct ddsi_domaingv *gv)
 {
-  vendor = dlopen(KEYMINT_VENDOR_PLUGIN, RTLD_NOW | RTLD_LOCAL);
+  const char *path = getenv("KEYMINT_VENDOR_PLUGIN");
+  vendor = path ? dlopen(path, RTLD_NOW | RTLD_LOCAL) : NULL;
   if (!vendor)
     return -1;
   const init_function init = (init_function)dlsym(vendor, "init_access_control");
@@ -56,4 +57,10 @@ int init_nonconforming(const char *argument, void **context, struct ddsi_domaing
     plugin->check_create_topic = has_topic;
   }
   return code;
+}
+
+int finalize_access_control(void *context)
+{
+  const finalize_function finalize = (finalize_function)dlsym(vendor, "finalize_access_control");
+  return finalize ? finalize(context) : -1;
 }

@@ -21,8 +21,8 @@ import select
 import subprocess
 import tempfile
 import time
-from contextlib import ExitStack
 from collections.abc import Iterable, Mapping
+from contextlib import ExitStack
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import IO, Literal, Protocol, Self, cast
@@ -98,10 +98,12 @@ class CycloneDDS:
             f"<ParticipantIndex>{index}</ParticipantIndex><MaxAutoParticipantIndex>9</MaxAutoParticipantIndex>"
             f"<Ports><Base>{first_port}</Base><DomainGain>0</DomainGain></Ports></Discovery></Domain></CycloneDDS>"
         )
-        words: tuple[str, ...] = (str(cyclone_access_control.library().folder),)
-        if not conforming:
-            words = (*words, str(self.nonconforming))
-        return {**self.environment, "CYCLONEDDS_URI": configuration}, words
+        plugins = cyclone_access_control.library().folder
+        environment = {**self.environment, "CYCLONEDDS_URI": configuration}
+        if conforming:
+            return environment, (str(plugins),)
+        environment["KEYMINT_VENDOR_PLUGIN"] = str(plugins / "libdds_security_ac.so")
+        return environment, (str(plugins), str(self.nonconforming))
 
 
 @dataclass(frozen=True, slots=True)
@@ -184,7 +186,12 @@ class Participant:
 
     def allows(self, direction: Direction, topic: str, partitions: Iterable[str] = ()) -> bool:
         """Tell whether the vendor lets the participant have a writer or reader; it is not kept."""
-        return self._process.ask("TRY", direction, topic, *partitions)[0] == "ALLOWED"
+        return self.ask(direction, topic, partitions)[0]
+
+    def ask(self, direction: Direction, topic: str, partitions: Iterable[str] = ()) -> tuple[bool, str]:
+        """Tell the same, and what the vendor says if it denies."""
+        answer, reason = self._process.ask("TRY", direction, topic, *partitions)
+        return answer == "ALLOWED", reason.strip()
 
     def close(self) -> None:
         """Delete the participant and end its process in good order."""
@@ -243,7 +250,7 @@ class _Process:
 
     def __init__(self, program: Path, environment: Mapping[str, str]) -> None:
         self._errors: IO[bytes] = tempfile.TemporaryFile()  # noqa: SIM115 - lives as long as the process
-        self._process = subprocess.Popen(
+        self._process = subprocess.Popen(  # noqa: S603 - no shell, and no word of it from outside
             [program],
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,

@@ -21,6 +21,14 @@ from keymint_ros2_dds.vendors import cyclone_access_control
 _SOURCES = Path(__file__).parent
 
 
+_INHERITED = ("PATH", "LD_LIBRARY_PATH")
+
+
+def inherited(environment: Mapping[str, str]) -> Mapping[str, str]:
+    """Return what a probe gets of an environment: nothing that could configure a vendor otherwise than we do."""
+    return {name: environment[name] for name in _INHERITED if name in environment}
+
+
 _NOTHING: Mapping[str, str] = MappingProxyType({})
 
 
@@ -70,7 +78,7 @@ class Probe:
         if compiler is None:
             reason = f"no compiler {' or '.join(self.compilers)}"
             raise MissingVendorError(self.vendor, reason, (self.compilers[0], *self.packages))
-        looked_for = subprocess.run(
+        looked_for = subprocess.run(  # noqa: S603 - no shell, and no word of it from outside
             [compiler, *self.arguments[:1], "-E", "-include", self.header, "-x", self._language, os.devnull],
             capture_output=True,
             check=False,
@@ -99,7 +107,7 @@ class Probe:
             with tempfile.TemporaryDirectory(dir=cache) as scratch:
                 output = Path(scratch) / program.name
                 command = [compiler, *self.arguments[:1], "-O1", "-o", str(output), str(source)]
-                done = subprocess.run(
+                done = subprocess.run(  # noqa: S603 - no shell, and no word of it from outside
                     [*command, *self.arguments[1:]],
                     capture_output=True,
                     check=False,
@@ -112,6 +120,19 @@ class Probe:
                 output.replace(program)
         return program
 
+    def version(self, header: str, macro: str, environment: Mapping[str, str] = _NOTHING) -> str:
+        """Return the text of a macro that says the vendor's version, or an empty text if it is not to be found."""
+        path = environment.get("PATH", os.defpath)
+        compiler = next(filter(None, (shutil.which(name, path=path) for name in self.compilers)), None)
+        if compiler is None:
+            return ""
+        command = [compiler, *self.arguments[:1], "-E", "-dM", "-include", header, "-x", self._language, os.devnull]
+        done = subprocess.run(  # noqa: S603 - no shell, and no word of it from outside
+            command, capture_output=True, text=True, check=False, env={"PATH": path}
+        )
+        lines = (line.split(maxsplit=2) for line in done.stdout.splitlines())
+        return next((words[2].strip('"') for words in lines if words[1:2] == [macro] and len(words) == 3), "")  # noqa: PLR2004
+
     @property
     def _language(self) -> str:
         return "c" if self.source.endswith(".c") else "c++"
@@ -121,7 +142,7 @@ CYCLONE_PACKAGES = ("libddsc0debian", "cyclonedds-dev", "gcc")
 CYCLONEDDS = Probe(
     "Cyclone DDS", "cyclonedds_probe.c", ("gcc", "cc"), "dds/dds.h", ("-std=gnu11", "-lddsc"), CYCLONE_PACKAGES
 )
-NONCONFORMING = Probe(
+CYCLONEDDS_NONCONFORMING = Probe(
     "Cyclone DDS",
     "cyclonedds_nonconforming.c",
     ("gcc", "cc"),
@@ -130,14 +151,19 @@ NONCONFORMING = Probe(
     CYCLONE_PACKAGES,
 )
 """An access-control plugin that lets its own participant do everything; peers see its true permissions."""
+FAST_PACKAGES = ("libfastrtps-dev", "libfastcdr-dev", "g++")
 FASTDDS = Probe(
     "Fast DDS",
     "fastdds_probe.cpp",
     ("g++", "c++"),
     "fastdds/dds/domain/DomainParticipant.hpp",
     ("-std=c++17", "-lfastrtps", "-lfastcdr"),
-    ("libfastrtps-dev", "libfastcdr-dev", "g++"),
+    FAST_PACKAGES,
 )
+FASTDDS_NONCONFORMING = Probe(
+    "Fast DDS", "fastdds_nonconforming.c", ("gcc", "cc"), "stdbool.h", ("-std=gnu11", "-shared", "-fPIC"), FAST_PACKAGES
+)
+"""A library to preload, for the same purpose."""
 
 
 def require_cyclone_plugins() -> None:

@@ -186,3 +186,24 @@ def test_a_file_that_cannot_be_read(keymint, provisioned: Path) -> None:
     outcome = keymint("check", cwd=provisioned)
     assert outcome.code in {1, 3}
     assert "Traceback" not in outcome.err
+
+
+def test_without_the_password_of_an_authority(keymint, provisioned: Path) -> None:
+    path = provisioned / "profile/authorities.xml"
+    root = (
+        '<authority name="root"><cert><issuer_name/></cert>'
+        "<key><encryption_algorithm>BestAvailableEncryption</encryption_algorithm>"
+        "<password_env>ROOT_PASSWORD</password_env></key></authority>"
+    )
+    path.write_text(
+        path.read_text()
+        .replace("<authorities>", f"<authorities>{root}")
+        .replace("<issuer_name></issuer_name>", "<issuer_name>root</issuer_name>", 1)
+    )
+    environment = {"ROOT_PASSWORD": "correct horse"}
+    assert keymint("install", cwd=provisioned, env=environment).code == 0
+    assert keymint("check", cwd=provisioned, env=environment).code == 0
+    without = keymint("check", "--json", cwd=provisioned)
+    assert (without.code, without.codes()) == (0, ["password-missing"])
+    wrong = keymint("check", "--json", cwd=provisioned, env={"ROOT_PASSWORD": "wrong"})
+    assert (wrong.code, wrong.codes()) == (3, ["key-password"])

@@ -29,13 +29,17 @@ def test_help_lists_every_verb(keymint) -> None:
     assert all(verb in outcome.out for verb in VERBS)
 
 
+WRITING = {"init", "create", "build", "install", "provision", "discover", "learn", "graph"}
+"""Verbs that write files, so that they have ``--dry-run``."""
+
+
 @pytest.mark.parametrize("verb", VERBS)
 def test_help_of_every_verb_teaches(keymint, verb: str) -> None:
     outcome = keymint(verb, "--help")
     assert outcome.code == 0
     for option in ("--json", "--workspace", "--quiet", "--jobs"):
         assert option in outcome.out
-    assert ("--dry-run" in outcome.out) == (verb in {"init", "create", "build", "install", "provision"})
+    assert ("--dry-run" in outcome.out) == (verb in WRITING)
 
 
 def test_an_unknown_verb(keymint) -> None:

@@ -85,7 +85,6 @@ def test_dry_run_writes_nothing(keymint, tmp_path: Path) -> None:
     [
         (("--policy", "nowhere.xml"), "nowhere.xml: error: no such file or folder"),
         (("--distro", "humbel"), "humble"),
-        (("--distro", "ardent"), "Ardent"),
         (("--profile-type", "keymint_rso"), "did you mean 'keymint_ros'?"),
     ],
 )

@@ -275,3 +275,48 @@ class TestAuthorities:
         assert done.returncode == 0, done.stderr
         outcome = keymint("check", cwd=ws)
         assert "error" not in outcome.err
+
+
+def with_a_root(ws: Path) -> None:
+    """Have the identities' authority issued by a third one."""
+    path = ws / "profile/authorities.xml"
+    path.write_text(
+        path.read_text()
+        .replace("<authorities>", '<authorities><authority name="root"><cert><issuer_name/></cert></authority>')
+        .replace("<issuer_name></issuer_name>", "<issuer_name>root</issuer_name>", 1)
+    )
+
+
+def test_an_authoritys_private_key_may_be_kept_elsewhere(keymint, provisioned: Path) -> None:
+    with_a_root(provisioned)
+    assert keymint("install", cwd=provisioned).code == 0
+    (provisioned / "private/root.key.pem").unlink()
+    before = snapshot(provisioned)
+    assert keymint("install", cwd=provisioned).out.startswith("nothing to do")
+    assert keymint("check", cwd=provisioned).code == 0
+    assert keymint("build", "--renew", "talker", cwd=provisioned).code == 0
+    assert keymint("install", cwd=provisioned).code == 0  # the intermediate authority issues
+    after = snapshot(provisioned)
+    assert {path: after[path] for path in after if path.startswith("public/")} == {
+        path: before[path] for path in before if path.startswith("public/")
+    }
+
+
+@pytest.mark.parametrize("name", ["permissions_ca", "identity_ca", "root"])
+def test_an_authority_is_not_replaced_because_its_key_is_not_here(keymint, provisioned: Path, name: str) -> None:
+    with_a_root(provisioned)
+    assert keymint("install", cwd=provisioned).code == 0
+    (provisioned / f"private/{name}.key.pem").unlink()
+    for part in ("identities", "permissions", "governance"):  # so that everything is to be signed anew
+        path = provisioned / f"profile/package.defaults/{part}.xml"
+        path.write_text(path.read_text().replace("<not_after>2028-01-14", "<not_after>2028-01-10").replace(">SIGN<", ">ENCRYPT<"))
+    path = provisioned / "profile/profile.defaults/authorities.xml"
+    path.write_text(path.read_text().replace("<hash_algorithm>SHA256", "<hash_algorithm>SHA512"))
+    assert keymint("build", cwd=provisioned).code == 0
+    before = snapshot(provisioned)
+    outcome = keymint("install", cwd=provisioned)
+    assert outcome.code == 1
+    assert f"the private key of the authority '{name}' is not here" in outcome.err
+    assert snapshot(provisioned) == before
+    (provisioned / f"public/{name}.cert.pem").unlink()
+    assert keymint("install", cwd=provisioned).code == 0

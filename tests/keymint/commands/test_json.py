@@ -9,6 +9,8 @@ import jsonschema
 import pytest
 
 from keymint.cli import VERBS
+from keymint.graph import Edge, Graph, Object
+from keymint.graph_json import dump
 from tests.conftest import CHECKOUT, Outcome
 
 SCHEMA = json.loads((CHECKOUT / "schemas/keymint/report.schema.json").read_text())
@@ -31,9 +33,20 @@ CALLS = {
     "check": ["check", "-w", "ws"],
     "status": ["status", "-w", "ws"],
     "provision": ["provision", "policy.xml", "-w", "third"],
+    "discover": ["discover", "--from", "graph.json"],
+    "learn": ["learn", "graph.json"],
+    "verify": ["verify", "-w", "ws", "-t", "omg"],
+    "why": ["why", "/talker", "ros_publish", "/chatter", "-w", "ws", "-t", "omg"],
     "plugins": ["plugins"],
     "completion": ["completion", "bash"],
 }
+
+
+@pytest.fixture(autouse=True)
+def graph(tmp_path: Path) -> None:
+    """A graph for the verbs that take one."""
+    edge = Edge("/talker", "ros_publish", Object("ros_topic", "/chatter"))
+    (tmp_path / "graph.json").write_bytes(dump(Graph.of([edge])))
 
 
 def test_every_verb_has_it() -> None:

@@ -154,7 +154,6 @@ def _issuer(name: str) -> tuple[str, str]:
         (_MANIFEST, ">authorities.xml", ">/etc/passwd", "path-outside", "inside the same folder"),
         (_MANIFEST, ">policies.xml", ">a/../policies.xml", "path-outside", "inside the same folder"),
         (_MANIFEST, ">jazzy", ">jazy", "distro-unknown", "did you mean jazzy?"),
-        (_MANIFEST, ">jazzy", ">ardent", "distro-unsupported", "bouncy"),
         (_MANIFEST, ">sros2", ">sros", "schema", "did you mean sros2?"),
         (_MANIFEST, "<profile", "<!DOCTYPE x>\n<profile", "xml-doctype", "remove it"),
     ],

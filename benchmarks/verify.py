@@ -1,0 +1,102 @@
+"""What verifying costs: how time and memory grow with subjects and objects, all edges of the completion asked.
+
+usage: python benchmarks/verify.py [--sizes 25x250,50x500,100x1000,200x2000] [--transport NAME]...
+
+For each size a policy is provisioned on tmpfs, and a graph that names every subject and object is completed and
+verified in a process of its own, at the tier ``decision``. Seconds are of processor time; peak memory is that of the
+process. What to look at: the cost of an edge stays the same, memory grows by about a byte an edge and by what names
+take, not by what labels do.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import subprocess
+import sys
+import tempfile
+from pathlib import Path
+
+KEYMINT = (sys.executable, "-m", "keymint")
+PROFILE = """  <profile name="node{n}">
+    <attachment>/robot{n}/node</attachment>
+    <xi:include href="common/node.xml" parse="xml"/>
+    <ros_topic qualifier="ALLOW">
+      <attachment>/data/{n}_*</attachment>
+      <permissions><ros_publish/></permissions>
+    </ros_topic>
+    <ros_topic qualifier="ALLOW">
+      <attachment>/data/{next}_*</attachment>
+      <attachment>/data/0_0</attachment>
+      <permissions><ros_subscribe/></permissions>
+    </ros_topic>
+    <ros_topic qualifier="DENY">
+      <attachment>/data/{next}_1</attachment>
+      <permissions><ros_subscribe/></permissions>
+    </ros_topic>
+    <ros_service qualifier="ALLOW">
+      <attachment>/serve/{n}_0</attachment>
+      <permissions><ros_execute/></permissions>
+    </ros_service>
+  </profile>
+"""
+
+
+def policy(subjects: int) -> str:
+    """Return a policy that names so many subjects exactly."""
+    profiles = "".join(PROFILE.format(n=n, next=(n + 1) % subjects) for n in range(subjects))
+    return f'<profiles xmlns:xi="http://www.w3.org/2001/XInclude">\n{profiles}</profiles>\n'
+
+
+def graph(subjects: int, objects: int) -> str:
+    """Return a graph of so many subjects and objects, a tenth of which are services."""
+    edges = []
+    for at in range(objects):
+        n, serial = at % subjects, at // subjects
+        permission, name = ("ros_execute", "/serve") if serial % 10 == 0 else ("ros_publish", "/data")
+        edges.append({"subject": f"/robot{n}/node", "permission": permission, "object": f"{name}/{n}_{serial}"})
+    return json.dumps({"format": "keymint-graph", "version": 1, "edges": edges})
+
+
+def measured(arguments: list[str]) -> tuple[dict, float, float]:
+    """Run keymint; return its JSON, the seconds of processor time that it took, and its peak memory in MB."""
+    with tempfile.TemporaryFile() as out:
+        process = subprocess.Popen([*KEYMINT, *arguments], stdout=out)
+        _, status, usage = os.wait4(process.pid, 0)
+        process.returncode = os.waitstatus_to_exitcode(status)
+        out.seek(0)
+        document = json.load(out)
+    if process.returncode not in (0, 3):
+        raise SystemExit(document["diagnostics"])
+    return document, usage.ru_utime + usage.ru_stime, usage.ru_maxrss / 1024
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--sizes", default="25x250,50x500,100x1000,200x2000", help="SUBJECTSxOBJECTS,…")
+    parser.add_argument("--transport", action="append", help="ask only this one; may be given again")
+    options = parser.parse_args()
+    chosen = options.transport or ["omg", "cyclonedds-0.10", "fastdds-2.9"]
+    print(f"{'size':>10} {'transport':>16} {'edges':>9} {'errors':>7} {'seconds':>8} {'us/edge':>8} {'peak MB':>8}")
+    for size in options.sizes.split(","):
+        subjects, objects = map(int, size.split("x"))
+        with tempfile.TemporaryDirectory(dir="/dev/shm") as folder:
+            root = Path(folder)
+            (root / "policy.xml").write_text(policy(subjects))
+            (root / "graph.json").write_text(graph(subjects, objects))
+            made = [*KEYMINT, "provision", str(root / "policy.xml"), "-w", str(root / "ws"), "-q"]
+            subprocess.run(made, check=True)
+            for transport in chosen:
+                document, seconds, peak = measured(
+                    ["verify", "-w", str(root / "ws"), "--graph", str(root / "graph.json"), "-t", transport, "--json"]
+                )
+                (outcome,) = document["result"]["transports"]
+                counts, edges = outcome["confusion"], document["result"]["edges"]
+                errors = counts["false_positive"] + counts["false_negative"]
+                cost = seconds / edges * 1e6
+                print(f"{size:>10} {transport:>16} {edges:>9} {errors:>7} {seconds:>8.1f} {cost:>8.1f} {peak:>8.0f}")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,214 @@
+"""``keymint graph``: draws what a policy says, or what a system does."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import click
+
+from keymint import graph_json
+from keymint.api import LoadedPolicy, PolicySource
+from keymint.commands.common import Run, verb
+from keymint.commands.files import read_input, write_outputs
+from keymint.commands.verify_report import sources
+from keymint.errors import Diagnostic, ExitCode, KeymintError, Origin
+from keymint.graph import Graph
+from keymint.pictures.model import Labelled, Outcome, choose, select
+from keymint.pictures.of_policy import of_graph, of_policy
+from keymint.pictures.palette import Theme
+from keymint.pictures.svg import Options, Split
+from keymint.plan.create import load_policy
+from keymint.report import Report
+from keymint.workspace import shown
+
+FORMATS = ("svg", "png", "dot", "html")
+_PATH = click.Path(path_type=Path)
+
+
+@verb(writes=True)
+@click.argument("source", metavar="[POLICY|GRAPH]", required=False, type=_PATH)
+@click.option("-o", "--output", type=_PATH, metavar="FILE", help="Write it there; the suffix is the format.")
+@click.option("-f", "--format", "kind", type=click.Choice(FORMATS), help="Format [that of FILE, else svg].")
+@click.option("--policy", type=_PATH, metavar="PATH", help="Label the edges of GRAPH by this policy.")
+@click.option("--all", "everything", is_flag=True, help="Draw the completion: what no rule allows as well.")
+@click.option("--subject", "subjects", multiple=True, metavar="NAME", help="Only this subject; may be given again.")
+@click.option("--namespace", "namespaces", multiple=True, metavar="NAME", help="Only subjects at or below this name.")
+@click.option("--only", type=click.Choice(["allowed", "denied"]), help="Only the edges that the policy labels so.")
+@click.option("--by", type=click.Choice([str(split) for split in Split]), default="none", help="A panel for each.")
+@click.option("--fold/--no-fold", default=None, help="Draw alike objects as one [from 40 objects on].")
+@click.option("--limit", type=click.IntRange(1), default=600, show_default=True, help="The most lines to draw.")
+@click.option("--theme", type=click.Choice([str(theme) for theme in Theme]), default="auto", show_default=True)
+@click.option("--scale", type=click.FloatRange(0.1, 10), default=2.0, show_default=True, help="Resolution of a PNG.")
+@click.option("--title", metavar="TEXT", help="Title of the picture.")
+@click.option(
+    "--distro", metavar="NAME", help="ROS 2 distribution of what a policy includes [$ROS_DISTRO, else jazzy]."
+)
+@click.option("--profile-type", default="keymint_ros", metavar="NAME", help="Plugin that has what a policy includes.")
+@click.option("--policy-type", default="keymint_ros2_comarmor", metavar="NAME", help="Plugin that reads a policy.")
+@click.option("--source-type", default="keymint_ros2_dds", metavar="NAME", help="Plugin that reads a capture.")
+def graph(
+    run: Run,
+    source: Path | None,
+    output: Path | None,
+    kind: str | None,
+    policy: Path | None,
+    everything: bool,
+    subjects: tuple[str, ...],
+    namespaces: tuple[str, ...],
+    only: str | None,
+    by: str,
+    fold: bool | None,
+    limit: int,
+    theme: str,
+    scale: float,
+    title: str | None,
+    distro: str | None,
+    profile_type: str,
+    policy_type: str,
+    source_type: str,
+) -> Report:
+    """Draw a policy, or the graph of a system, as a picture or a page.
+
+    Subjects are joined to the topics, services, actions and parameters that they may use: arrows go from a subject to
+    what it publishes or serves, and from what it subscribes to or calls to the subject. POLICY is a ComArmor file or
+    folder, by default that of the workspace; GRAPH is what 'keymint discover' writes, or a capture.
+
+    \b
+    keymint graph policy.xml -o policy.svg                     what the policy allows and expressly denies
+    keymint graph policy.xml -o policy.html                    the same, to search in a browser
+    keymint graph graph.json --policy policy.xml --all -o g.png   what the policy says of all that could be done
+    """
+    chosen_format = _format(output, kind)
+
+    def policy_at(path: Path) -> LoadedPolicy:
+        chosen = distro or run.setting.environment.get("ROS_DISTRO") or "jazzy"
+        library = run.plugins.profile_type(profile_type).library(chosen)
+        named = PolicySource(str(path), run.setting.cwd / path, Origin(str(path)))
+        return run.plugins.policy_type(policy_type).load([named], library)
+
+    found, said = _graph(run, source, source_type) if source else (None, ())
+    if found is None:
+        if policy is not None:
+            raise KeymintError(
+                f"{source or 'the policy of the workspace'} is a policy, and --policy labels a graph",
+                help="leave out --policy",
+                code="usage",
+                exit_code=ExitCode.USAGE,
+            )
+        loaded = policy_at(source) if source else _policy_of_workspace(run)
+        named = tuple(sorted({*subjects, *(choose(loaded.subjects(), (), namespaces) if namespaces else ())}))
+        labelled = of_policy(
+            title or f"Policy {source or 'of the workspace'}", loaded, named, everything=everything, typed=_typed(run)
+        )
+    else:
+        labelled = _labelled(run, found, choose(found.subjects, subjects, namespaces), policy, policy_at, everything)
+        labelled = replace(labelled, title=title or f"Graph {source}" + (f", labelled by {policy}" if policy else ""))
+    if only:
+        labelled = select(labelled, only={Outcome.ALLOW if only == "allowed" else Outcome.DENY})
+    options = Options(Theme(theme), Split(by), None, limit, fold)
+    content = _drawn(run, labelled, chosen_format, options, scale)
+    return _report(run, labelled, chosen_format, output, content, said)
+
+
+def _format(output: Path | None, kind: str | None) -> str:
+    suffix = output.suffix.removeprefix(".").lower() if output else ""
+    chosen = kind or {"gv": "dot", "htm": "html"}.get(suffix, suffix) or "svg"
+    if chosen not in FORMATS:
+        raise KeymintError(
+            f"{output} ends in no format that is known",
+            help=f"end it in .{', .'.join(FORMATS)}, or say --format",
+            code="usage",
+            exit_code=ExitCode.USAGE,
+        )
+    if chosen == "png" and output is None:
+        raise KeymintError(
+            "a PNG picture is no text",
+            help="say where to write it: -o FILE.png",
+            code="usage",
+            exit_code=ExitCode.USAGE,
+        )
+    return chosen
+
+
+def _graph(run: Run, source: Path, source_type: str) -> tuple[Graph | None, tuple[Diagnostic, ...]]:
+    """Return the graph in a file, or None for what must be a policy."""
+    if (run.setting.cwd / source).is_dir():
+        return None, ()
+    content = read_input(run, source)
+    if graph_json.recognises(content):
+        return graph_json.load(content, str(source)), ()
+    reader = run.plugins.graph_source(source_type)
+    if not reader.recognises(content):
+        return None, ()
+    try:
+        capture = reader.read(content, str(source), {})
+    except KeymintError:
+        return None, ()  # both are XML: what is no capture is read as a policy, which has the last word on defects
+    return reader.interpret(capture.graph, fold=True), capture.diagnostics
+
+
+def _policy_of_workspace(run: Run) -> LoadedPolicy:
+    inputs = run.inputs(run.workspace())
+    return load_policy(inputs, inputs.profile())
+
+
+def _labelled(
+    run: Run,
+    found: Graph,
+    subjects: tuple[str, ...],
+    policy: Path | None,
+    policy_at: Callable[[Path], LoadedPolicy],
+    everything: bool,
+) -> Labelled:
+    if policy is not None:
+        return of_graph("", policy_at(policy), found, subjects, everything=everything, typed=_typed(run))
+    if everything:
+        raise KeymintError(
+            "the completion of a graph has only edges that are labelled",
+            help="say by which policy: --policy PATH",
+            code="usage",
+            exit_code=ExitCode.USAGE,
+        )
+    return select(Labelled.of_graph("", found), subjects=subjects)
+
+
+def _typed(run: Run) -> Callable[[str], str]:
+    return lambda file: shown(Path(file), run.setting.cwd) if file.startswith("/") else file
+
+
+def _drawn(run: Run, labelled: Labelled, kind: str, options: Options, scale: float) -> bytes:
+    # Templates are slow to import, and no other verb needs them.
+    from keymint.pictures import dot, raster, report, svg  # noqa: PLC0415
+
+    if kind == "dot":
+        return dot.dot(labelled, options)
+    if kind == "html":
+        return report.html_report(labelled, sources(run, labelled), options)
+    if kind == "png":
+        return raster.png(svg.svg(labelled, options), scale)
+    return svg.svg(labelled, options)
+
+
+def _report(
+    run: Run, labelled: Labelled, kind: str, output: Path | None, content: bytes, said: tuple[Diagnostic, ...]
+) -> Report:
+    written = write_outputs(run, output, content) if output else []
+    if output is None:
+        run.console.line(content.decode().rstrip("\n"))
+    elif not written:
+        run.console.line(f"{output} is up to date")
+    for file in written:
+        run.console.line(f"{file} {'would be written' if run.dry_run else 'written'}")
+    result: dict[str, Any] = {
+        "file": str(output) if output else None,
+        "written": written,
+        "format": kind,
+        "subjects": list(labelled.subjects),
+        "objects": len({(one.edge.domain, one.edge.object) for one in labelled.edges}),
+        "edges": {str(outcome): labelled.counts[outcome] for outcome in Outcome if labelled.counts[outcome]},
+        "content": None if output else content.decode(),
+    }
+    return Report(run.verb, None, (), said, result, dry_run=run.dry_run)

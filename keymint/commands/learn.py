@@ -1,0 +1,147 @@
+"""``keymint learn``: the smallest policy that a graph needs."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from typing import Any, cast
+
+import click
+
+from keymint import graph_json
+from keymint.api import Learned, LoadedPolicy, PolicyLearner, PolicySource
+from keymint.commands.common import Run, verb
+from keymint.commands.files import read_input, write_outputs
+from keymint.errors import Diagnostic, ExitCode, KeymintError, Origin
+from keymint.graph import Edge
+from keymint.report import Report, as_typed
+
+_FILE = click.Path(path_type=Path)
+
+
+@verb(writes=True)
+@click.argument("graph", type=_FILE)
+@click.option("--policy", type=_FILE, metavar="EXISTING", help="A policy that stays: propose only what it lacks.")
+@click.option("-o", "--output", type=_FILE, metavar="FILE", help="Write the policy there [standard output].")
+@click.option("-f", "--force", is_flag=True, help="Replace a policy that is there and differs.")
+@click.option(
+    "--distro", metavar="NAME", help="ROS 2 distribution of what EXISTING includes [$ROS_DISTRO, else jazzy]."
+)
+@click.option(
+    "--profile-type",
+    default="keymint_ros",
+    show_default=True,
+    metavar="NAME",
+    help="Plugin whose policy fragments EXISTING may include.",
+)
+@click.option(
+    "--policy-type",
+    default="keymint_ros2_comarmor",
+    show_default=True,
+    metavar="NAME",
+    help="Plugin that learns ('keymint plugins' lists them).",
+)
+def learn(
+    run: Run,
+    graph: Path,
+    policy: Path | None,
+    output: Path | None,
+    force: bool,
+    distro: str | None,
+    profile_type: str,
+    policy_type: str,
+) -> Report:
+    """Make the smallest policy that allows what a GRAPH has, and nothing else: aa-genprof for robots.
+
+    GRAPH is JSON, as 'keymint discover' writes it. Read the result before you trust it: it allows what the system
+    did, whoever did it, and nothing that it did not happen to do while you looked.
+
+    With --policy the result is an addition: it holds what EXISTING lacks, to be put beside it in one folder. What
+    EXISTING allows and the graph does not need is listed. Exit code 3: a DENY rule is in the way.
+    """
+    learner = run.plugins.policy_type(policy_type)
+    if not hasattr(learner, "learn"):
+        raise KeymintError(f"the policy type {policy_type!r} cannot learn", code="learn-unsupported")
+    wanted = graph_json.load(read_input(run, graph), str(graph))
+    existing = _existing(run, policy, policy_type, profile_type, distro) if policy else None
+    if output and existing:
+        _refuse_overwriting(run, output, existing)
+    folder = f"{output.stem}.d" if output else ""
+    learned = cast("PolicyLearner", learner).learn(wanted, existing, folder)
+    learned = replace(learned, unused=tuple(as_typed(found, run.setting.cwd) for found in learned.unused))
+    written: list[str] = []
+    if output and learned.document:
+        if not force:
+            _refuse_replacing(run, output, learned.document)
+        fragments = {f"{folder}/{name}": content for name, content in learned.fragments.items()}
+        written = write_outputs(run, output, learned.document, fragments)
+    _tell(run, learned, output, written, against=policy is not None)
+    result: dict[str, Any] = {
+        "file": str(output) if output and learned.document else None,
+        "written": written,
+        "policy": None if output else learned.document.decode(),
+        "missing": [_as_json(edge) for edge in learned.missing],
+        "unused": [_place(found) for found in learned.unused],
+    }
+    code = ExitCode.FINDINGS if learned.conflicts else ExitCode.DONE
+    return Report(run.verb, None, (), (*learned.conflicts, *learned.unused), result, code, dry_run=run.dry_run)
+
+
+def _existing(run: Run, policy: Path, policy_type: str, profile_type: str, distro: str | None) -> LoadedPolicy:
+    chosen = distro or run.setting.environment.get("ROS_DISTRO") or "jazzy"
+    library = run.plugins.profile_type(profile_type).library(chosen)
+    source = PolicySource(str(policy), run.setting.cwd / policy, Origin(str(policy)))
+    return run.plugins.policy_type(policy_type).load([source], library)
+
+
+def _refuse_overwriting(run: Run, output: Path, existing: LoadedPolicy) -> None:
+    """Refuse to replace a policy by an addition to it."""
+    target = (run.setting.cwd / output).resolve()
+    if target.exists() and target in {path.resolve() for path in existing.seen}:
+        raise KeymintError(
+            "is part of the existing policy, which stays beside what is learned",
+            where=Origin(str(output)),
+            help="name another file in the same folder",
+            code="learn-overwrites",
+        )
+
+
+def _refuse_replacing(run: Run, output: Path, document: bytes) -> None:
+    if (run.setting.cwd / output).exists() and read_input(run, output) != document:
+        raise KeymintError(
+            "exists and differs from what is learned",
+            where=Origin(str(output)),
+            help="name another file, hold it against the graph with --policy, or replace it with --force",
+            code="learn-exists",
+        )
+
+
+def _tell(run: Run, learned: Learned, output: Path | None, written: list[str], *, against: bool) -> None:
+    if not output:
+        run.console.line(learned.document.decode().rstrip("\n"))
+        return
+    if against:
+        for edge in learned.missing:
+            run.console.line(f"missing  {edge.subject} {edge.permission} {edge.object.name}")
+        for found in learned.unused:
+            run.console.line(f"unused   {_place(found)['place'] or found.subject}: {found.message}")
+    if not learned.document:
+        run.console.line("nothing is missing: no file is needed")
+    for file in written:
+        run.console.line(f"{file} {'would be written' if run.dry_run else 'written'}")
+    if learned.document and not written:
+        run.console.line(f"{output} is up to date")
+
+
+def _as_json(edge: Edge) -> dict[str, Any]:
+    return {
+        "subject": edge.subject,
+        "permission": edge.permission,
+        "object": edge.object.name,
+        "partitions": list(edge.object.partitions),
+        "domain": edge.domain,
+    }
+
+
+def _place(found: Diagnostic) -> dict[str, str]:
+    return {"code": found.code, "place": str(found.where) if found.where else "", "message": found.message}

@@ -1,0 +1,131 @@
+"""What ``keymint verify --report`` writes: a page and pictures of the labelled graph."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from pathlib import Path
+
+from keymint.api import PolicyDecision
+from keymint.commands.common import Run
+from keymint.commands.files import exists, read_input, write_outputs
+from keymint.errors import Origin
+from keymint.graph import Edge
+from keymint.pictures.model import DIFFERENCES, Confusion, Labelled, LabelledEdge, Said, select
+from keymint.verify.model import Finding, Outcome
+
+PAGE = "index.html"
+MOST_TRUE = 10_000
+"""Edges without a finding that are kept of what is allowed, and again of what is denied: counts are of all."""
+
+_UNSAFE = re.compile(r"[^A-Za-z0-9._-]+")
+
+
+def labelled_edges(
+    title: str,
+    outcomes: Sequence[Outcome],
+    edges: Iterable[Edge],
+    allowed: Iterable[int],
+    decide: Callable[[Edge], PolicyDecision],
+    typed: Callable[[str], str],
+) -> Labelled:
+    """Return the graph that transports were held against, with their labels.
+
+    Nothing is asked again: an edge on which a transport has no finding is labelled as the policy labels it. Where
+    findings were counted and not kept, nothing is said of the edges that come after them.
+
+    Args:
+        title: one line.
+        outcomes: what came of each transport.
+        edges: all edges, in the order of the findings.
+        allowed: what the policy says of each: 1 allowed, 0 not.
+        decide: why it says so; asked only about edges that are kept.
+        typed: returns a path as the user would type it.
+    """
+    findings = [{finding.edge: finding for finding in outcome.findings} for outcome in outcomes]
+    last = [outcome.findings[-1].edge if outcome.omitted and outcome.findings else None for outcome in outcomes]
+    known = [not outcome.omitted or bool(outcome.findings) for outcome in outcomes]
+
+    def labels() -> Iterator[LabelledEdge]:
+        room = {True: MOST_TRUE, False: MOST_TRUE}
+        for edge, may in zip(edges, allowed, strict=True):
+            found = [each.get(edge) for each in findings]
+            if any(found) or room[bool(may)]:
+                room[bool(may)] -= not any(found)
+                decision = decide(edge)
+                policy = _of_policy(decision, typed)
+                said = tuple(
+                    _of_finding(one, typed) if one else Said(policy.allowed) if known[at] else None
+                    for at, one in enumerate(found)
+                )
+                yield LabelledEdge(edge, policy, said, decision.audit)
+            for at, end in enumerate(last):
+                known[at] = known[at] and edge != end
+
+    confusions = [
+        Confusion(
+            outcome.confusion.true_positive,
+            outcome.confusion.false_negative,
+            outcome.confusion.false_positive,
+            outcome.confusion.true_negative,
+        )
+        for outcome in outcomes
+    ]
+    names = [outcome.transport for outcome in outcomes]
+    return Labelled.of(title, labels(), transports=names, confusions=confusions)
+
+
+def _of_policy(decision: PolicyDecision, typed: Callable[[str], str]) -> Said:
+    if decision.where is None:
+        return Said(decision.allowed, decision.reason)
+    reason = decision.reason.replace(f" at {decision.where}", "")
+    return Said(decision.allowed, reason, _place(decision.where, typed))
+
+
+def _of_finding(finding: Finding, typed: Callable[[str], str]) -> Said:
+    verdict = finding.verdict
+    reason = "; ".join(filter(None, (finding.reason, verdict.deviation)))
+    return Said(verdict.allowed, reason, _place(finding.document, typed))
+
+
+def _place(origin: Origin, typed: Callable[[str], str]) -> Origin:
+    return Origin(typed(origin.file), origin.line, tuple(_place(outer, typed) for outer in origin.chain))
+
+
+def write_report(run: Run, folder: Path, labelled: Labelled) -> list[str]:
+    """Write the page and the pictures of a labelled graph into a folder.
+
+    Returns:
+        The files that were written, as the user would type them.
+
+    Raises:
+        KeymintError: something stands in the way, or the system refuses.
+    """
+    # Templates are slow to import, and a run without a report needs none.
+    from keymint.pictures.report import html_report  # noqa: PLC0415
+    from keymint.pictures.svg import Options, svg  # noqa: PLC0415
+
+    pictures = {"graph.svg": svg(labelled)}
+    for at, name in enumerate(labelled.transports):
+        pictures[f"graph-{_UNSAFE.sub('_', name)}.svg"] = svg(labelled, Options(transport=at))
+    # Also when there is none, so that no picture of an earlier run is taken for one of this.
+    pictures["differences.svg"] = svg(select(labelled, only=DIFFERENCES))
+    return write_outputs(run, folder / PAGE, html_report(labelled, sources(run, labelled)), pictures)
+
+
+def sources(run: Run, labelled: Labelled) -> Mapping[str, bytes]:
+    """Return the files that places in a graph are in, by the names that they have there."""
+    places = {
+        said.where
+        for one in labelled.edges
+        for said in (one.policy, *one.transports)
+        if said is not None and said.where
+    }
+    files = sorted({place.file for place in _with_chains(places)})
+    return {file: read_input(run, Path(file)) for file in files if exists(run, Path(file))}
+
+
+def _with_chains(places: Iterable[Origin]) -> Iterator[Origin]:
+    for place in places:
+        yield place
+        yield from _with_chains(place.chain)

@@ -1,0 +1,193 @@
+"""``keymint why``: explains one decision through all layers."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import click
+
+from keymint.api import AppliedProfile, Tier
+from keymint.commands.common import Run, verb
+from keymint.errors import Diagnostic, ExitCode, Origin, Severity
+from keymint.graph import LABELLED
+from keymint.plan.create import load_policy
+from keymint.report import Report
+from keymint.verify.choose import choose, models
+from keymint.verify.report import HELP, edge_document, place
+from keymint.verify.why import Explanation, Place, explain, request
+from keymint.verify.words import does, in_words, in_words_of_rule, listed, of_document, plain
+from keymint.verify.words import request as shown_request
+from keymint.workspace import shown
+
+_PERMISSIONS = [permission for permissions in LABELLED.values() for permission in permissions]
+
+
+@verb()
+@click.argument("subject")
+@click.argument("permission", shell_complete=lambda _c, _p, text: [p for p in _PERMISSIONS if p.startswith(text)])
+@click.argument("object_name", metavar="OBJECT")
+@click.option("--partition", "partitions", multiple=True, metavar="NAME", help="DDS partition; may be given again.")
+@click.option("--domain", type=click.IntRange(0, 232), default=0, show_default=True, help="DDS domain id.")
+@click.option(
+    "-t",
+    "--transport",
+    "chosen",
+    multiple=True,
+    metavar="NAME",
+    help="Ask this transport; may be given again. By default all that 'keymint transports' says are usable.",
+)
+def why(
+    run: Run,
+    subject: str,
+    permission: str,
+    object_name: str,
+    partitions: tuple[str, ...],
+    domain: int,
+    chosen: tuple[str, ...],
+) -> Report:
+    r"""Explain why SUBJECT has PERMISSION on OBJECT, or has not: policy, package, DDS names, document, transports.
+
+    \b
+    keymint why /talker ros_publish /chatter
+    keymint why /robot1/nav ros_call /map/get
+    keymint why /bridge publish telemetry --partition ops
+
+    The kind of the object is that of the permission. Ends with 3 when a transport decides otherwise than the policy.
+    """
+    workspace = run.workspace()
+    inputs = run.inputs(workspace)
+    loaded = inputs.profile()
+    edge = request(subject, permission, object_name, partitions, domain)
+    transports = choose(run.plugins, chosen, Tier.DECISION)
+    found = explain(inputs, loaded, load_policy(inputs, loaded), edge, transports, lambda: models(run.plugins))
+
+    def typed(file: str) -> str:
+        return shown(Path(file), run.setting.cwd) if file.startswith("/") else file
+
+    for line in _lines(found, typed):
+        run.console.line(line.replace(f"{run.setting.cwd}/", ""))
+    said = _findings(found)
+    result = _document(found, typed)
+    return Report(run.verb, workspace, (), said, result, ExitCode.FINDINGS if said else ExitCode.DONE)
+
+
+def _findings(found: Explanation) -> list[Diagnostic]:
+    """Return what transports decide otherwise than the policy, told together where it is the same."""
+    together: dict[tuple[str, int], list[str]] = {}
+    for name, label in found.wrong.items():
+        together.setdefault((of_document(label), label.document.line), []).append(name)
+    return [
+        Diagnostic(
+            str(label.error),
+            Severity.ERROR,
+            in_words(names, label, here=True),
+            label.policy.where or label.document,
+            HELP[label.error],
+            found.edge.subject,
+        )
+        for names in together.values()
+        for label in [found.wrong[names[0]]]
+    ]
+
+
+def _lines(found: Explanation, typed: Callable[[str], str]) -> Iterator[str]:
+    """Yield the explanation in words, a layer after the other."""
+
+    def rule(each: Place) -> str:
+        decides = "decides: " if each.where == found.policy.where else ""
+        return f"{decides}{in_words_of_rule(each.rule)} ({_at(each.where, typed)})"
+
+    layers: dict[str, list[str]] = {"profiles": [_profile(each, typed) for each in found.profiles]}
+    if not found.profiles:
+        layers["profiles"] = [f"none applies to {found.edge.subject}, so that it may do nothing"]
+    if found.similar:
+        layers["profiles"].append(f"did you mean {found.similar}?")
+    layers["policy"] = [rule(each) for each in found.rules] or [found.policy.reason]
+    if found.near:
+        layers["policy"].append(f"nearest: {rule(found.near)}, but {found.near.note}")
+    layers["package"] = [rule(each) for each in found.package] or ["no rule of it is about this"]
+    if not found.packaged:
+        layers["package"] = ["there is none ('keymint create' makes it)"]
+    layers["needs"] = [f"{each.permission} on the DDS topic {each.object.name!r}" for each in found.endpoints]
+    layers["enclave"] = list(_labels(found, typed))
+    yield f"{shown_request(found.edge)}: the policy {does(found.policy.allowed)} it"
+    for title, lines in layers.items():
+        for index, line in enumerate(lines):
+            yield f"{title if index == 0 else '':<10}{line}"
+
+
+def _at(where: Origin, typed: Callable[[str], str]) -> str:
+    return typed(where.file) + (f":{where.line}" if where.line else "")
+
+
+def _profile(profile: AppliedProfile, typed: Callable[[str], str]) -> str:
+    return f"{profile.name!r} applies ({_at(profile.where, typed)}){' AUDIT' if profile.audit else ''}"
+
+
+def _labels(found: Explanation, typed: Callable[[str], str]) -> Iterator[str]:
+    """Yield what transports decide, told together where it is the same."""
+    if not found.installed:
+        yield "none is installed ('keymint build' and 'keymint install' make it)"
+    together: dict[tuple[bool, str], list[str]] = {}
+    for name, label in found.labels.items():
+        deviation = f"; deviates from the standard: {label.verdict.deviation}" if label.verdict.deviation else ""
+        said = f"{_at(label.document, typed)}: {plain(label.reason) or 'no reason is given'}{deviation}"
+        together.setdefault((label.verdict.allowed, said), []).append(name)
+    for (allowed, said), names in together.items():
+        yield f"{'allowed' if allowed else 'denied'} by {listed(names)} ({said})"
+
+
+def _document(found: Explanation, typed: Callable[[str], str]) -> dict[str, Any]:
+    """Return the explanation as what JSON can hold."""
+
+    def rule(each: Place) -> dict[str, Any]:
+        return {
+            "effect": str(each.rule.effect),
+            "kind": each.rule.kind,
+            "permissions": list(each.rule.permissions),
+            "expressions": list(each.rule.expressions),
+            "partitions": list(each.rule.partitions),
+            "audit": each.rule.audit,
+            "rule": place(each.where, typed),
+            "note": each.note or None,
+        }
+
+    return {
+        "edge": edge_document(found.edge),
+        "profiles": [
+            {"name": each.name, "audit": each.audit, "rule": place(each.where, typed)} for each in found.profiles
+        ],
+        "policy": {
+            "allowed": found.policy.allowed,
+            "reason": found.policy.reason,
+            "rule": place(found.policy.where, typed),
+            "audit": found.policy.audit,
+        },
+        "rules": [rule(each) for each in found.rules],
+        "nearest": rule(found.near) if found.near else None,
+        "similar_subject": found.similar or None,
+        "package": [rule(each) for each in found.package] if found.packaged else None,
+        "endpoints": [
+            {
+                "action": each.permission,
+                "topic": each.object.name,
+                "partitions": list(each.object.partitions),
+            }
+            for each in found.endpoints
+        ],
+        "installed": found.installed,
+        "transports": [
+            {
+                "name": name,
+                "allowed": label.verdict.allowed,
+                "reason": label.reason,
+                "said": label.verdict.reason,
+                "rule": place(label.document, typed),
+                "deviation": label.verdict.deviation or None,
+                "explained_by": label.model or None,
+            }
+            for name, label in found.labels.items()
+        ],
+    }

@@ -1,0 +1,73 @@
+"""Writes labelled graphs in Graphviz' DOT language, for those who lay out graphs themselves."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+from keymint.graph import Object
+from keymint.pictures.model import Labelled, LabelledEdge
+from keymint.pictures.palette import LIGHT
+from keymint.pictures.svg import Options, sentence, shown_edges
+from keymint.pictures.text import INWARD, OUTWARD, object_name, printable, role
+
+
+def dot(labelled: Labelled, options: Options | None = None) -> bytes:
+    """Return a graph as a DOT document in UTF-8; ``dot -Tsvg`` draws it.
+
+    Args:
+        labelled: the graph.
+        options: which transport, and how many edges; the rest is Graphviz' business.
+    """
+    options = options or Options()
+    edges = shown_edges(labelled.edges, options)
+    objects = {key: f"o{at}" for at, key in enumerate(sorted({(one.edge.domain, one.edge.object) for one in edges}))}
+    subjects = {subject: f"s{at}" for at, subject in enumerate(labelled.subjects)}
+    lines = [
+        "digraph keymint {",
+        f"  graph [rankdir=LR, label={_quoted(labelled.title)}, labelloc=t, fontname=monospace]",
+        "  node [style=filled, fontname=monospace]",
+        *(f"  {at} [{_node('subject', printable(name))}]" for name, at in subjects.items()),
+        *(
+            f"  {at} [{_node(found.kind, object_name(found, domain))}{_expression(found, labelled)}]"
+            for (domain, found), at in objects.items()
+        ),
+        *(
+            f"  {subjects[one.edge.subject]} -> {objects[one.edge.domain, one.edge.object]} "
+            f"[{_attributes(one, labelled, options)}]"
+            for one in edges
+        ),
+        "}",
+    ]
+    return ("\n".join(lines) + "\n").encode()
+
+
+def _quoted(text: str) -> str:
+    r"""Return a quoted string of DOT; ``\`` would begin an escape in a label."""
+    return '"' + printable(text).replace("\\", "\\\\").replace('"', '\\"') + '"'
+
+
+def _node(kind: str, label: str) -> str:
+    shape = "ellipse" if kind == "subject" else "box"
+    colours = f'fillcolor="{LIGHT[f"{kind}-fill"]}", color="{LIGHT[kind]}"'
+    return f"label={_quoted(label)}, shape={shape}, {colours}"
+
+
+def _expression(found: Object, labelled: Labelled) -> str:
+    return ', style="filled,dashed"' if found in labelled.patterns else ""
+
+
+def _attributes(one: LabelledEdge, labelled: Labelled, options: Options) -> str:
+    outcome = one.outcome(options.transport)
+    out, into = role(one.edge.permission) in OUTWARD, role(one.edge.permission) in INWARD
+    verdict = "plain" if one.policy is None and not one.transports else "allow" if outcome.allowed else "deny"
+    wanted: Mapping[str, str] = {
+        "dir": "both" if out and into else "forward" if out else "back",
+        "color": LIGHT[verdict],
+        "style": "solid" if outcome.false or not labelled.transports else "dashed",
+        "penwidth": "3" if outcome.false else "1",
+        "arrowhead": "normal" if verdict != "deny" else "teeempty",
+        "arrowtail": "normal" if verdict != "deny" else "teeempty",
+        "label": "AUDIT" if one.audit else "",
+        "tooltip": sentence(one, labelled.transports),
+    }
+    return ", ".join(f"{name}={_quoted(value)}" for name, value in wanted.items() if value)

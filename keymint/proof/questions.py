@@ -1,0 +1,138 @@
+"""The questions: equality, implication, intersection, shadowing; each exact, or unknown."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+
+from keymint.keymake.glob import Glob
+from keymint.proof.arena import Arena
+from keymint.proof.cubes import Escapes
+from keymint.proof.model import (
+    EVERY_WORD,
+    Block,
+    Budget,
+    DecisionList,
+    Equal,
+    Outcome,
+    SpentError,
+    Universe,
+    Unknown,
+    Witness,
+)
+from keymint.proof.plain import permits
+from keymint.proof.product import Product
+
+
+def difference(
+    a: DecisionList, *b: DecisionList, universe: Universe = EVERY_WORD, budget: Budget | None = None
+) -> Outcome:
+    """Tell whether a list permits exactly the words that another one (of several: all the others) permits.
+
+    Args:
+        a: a list.
+        b: lists; together they permit what every one of them permits.
+        universe: the words in question.
+        budget: what the answer may cost.
+
+    Returns:
+        :class:`Equal`, a shortest :class:`Witness`, or :class:`Unknown` when the budget was spent.
+    """
+    budget = budget or Budget()
+    arena = Arena(_patterns((a, *b)), universe)
+    try:
+        word = _by_cubes(a, b, universe, arena, budget)
+    except SpentError as spent:
+        try:
+            word = Product(b, a, universe, arena, budget.meter()).shortest()
+        except SpentError:
+            return Unknown(str(spent))
+    return Equal() if word is None else _judged(a, b, word)
+
+
+def implies(
+    a: DecisionList, b: DecisionList, universe: Universe = EVERY_WORD, budget: Budget | None = None
+) -> Outcome:
+    """Tell whether every word that a list permits is permitted by another one, too.
+
+    Returns:
+        :class:`Equal` if so; else a shortest :class:`Witness` that ``a`` permits and ``b`` does not, or
+        :class:`Unknown`.
+    """
+    return _escape((a,), b, universe, budget)
+
+
+def intersects(
+    a: DecisionList, b: DecisionList, universe: Universe = EVERY_WORD, budget: Budget | None = None
+) -> Outcome:
+    """Tell whether there is a word that both lists permit.
+
+    Returns:
+        a shortest :class:`Witness` if so; else :class:`Equal` (there is none), or :class:`Unknown`.
+    """
+    return _escape((a, b), (), universe, budget)
+
+
+def shadowed(
+    decisions: DecisionList, universe: Universe = EVERY_WORD, budget: Budget | None = None
+) -> Iterator[tuple[int, int, Outcome]]:
+    """Tell, for each pattern, whether the patterns before it match all that it matches.
+
+    Patterns of the same block that come earlier count as well.
+
+    Yields:
+        number of the block, number of the pattern in it, and :class:`Equal` if it is shadowed; else a shortest
+        :class:`Witness` of what it alone decides, or :class:`Unknown`.
+    """
+    before: dict[Glob, None] = {}
+    for at, block in enumerate(decisions):
+        for number, pattern in enumerate(block.patterns):
+            earlier = (Block(True, tuple(before)),)
+            yield at, number, _escape(((Block(True, (pattern,)),),), earlier, universe, budget)
+            before[pattern] = None
+
+
+def _escape(
+    permitting: Sequence[DecisionList], refusing: DecisionList, universe: Universe, budget: Budget | None
+) -> Outcome:
+    budget = budget or Budget()
+    arena = Arena(_patterns((*permitting, refusing)), universe)
+    try:
+        word = Escapes(permitting, refusing, universe, arena, budget.meter()).shortest()
+    except SpentError as spent:
+        return Unknown(str(spent))
+    if word is None:
+        return Equal()
+    if not all(permits(each, word) for each in permitting) or permits(refusing, word):
+        raise AssertionError(f"the word {word!r} is not what was looked for")
+    return Witness(word, left=True)
+
+
+def _by_cubes(
+    a: DecisionList, b: Sequence[DecisionList], universe: Universe, arena: Arena, budget: Budget
+) -> str | None:
+    """Return the shortest word on which a list differs from several others together."""
+    meter = budget.meter()
+    best: str | None = None
+    for each in b:
+        found = Escapes((a,), each, universe, arena, meter).shortest(_length(best))
+        best = best if found is None else found
+    more = Escapes(b[:1], a, universe, arena, meter).shortest(_length(best))
+    if more is not None and not all(permits(each, more) for each in b[1:]):
+        more = Escapes(b, a, universe, arena, meter).shortest(_length(best))
+    return best if more is None else more
+
+
+def _length(word: str | None) -> int | None:
+    return None if word is None else len(word)
+
+
+def _judged(a: DecisionList, b: Sequence[DecisionList], word: str) -> Witness:
+    """Judge a word by plain evaluation: what an engine says is not taken on trust."""
+    left = permits(a, word)
+    if left is all(permits(each, word) for each in b):
+        raise AssertionError(f"the lists do not differ on {word!r}")
+    return Witness(word, left)
+
+
+def _patterns(lists: Sequence[DecisionList]) -> Iterator[Glob]:
+    return (pattern for decisions in lists for block in decisions for pattern in block.patterns)

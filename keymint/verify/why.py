@@ -1,0 +1,193 @@
+"""One decision through all layers: ``keymint why``."""
+
+from __future__ import annotations
+
+import difflib
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import cast
+
+from keymint.api import AppliedProfile, Enclave, LoadedPolicy, PolicyDecision, RulePlaces, Tier, Transport
+from keymint.errors import ExitCode, KeymintError, Origin
+from keymint.graph import LABELLED, Edge, Object
+from keymint.ir import Rule
+from keymint.plan import install
+from keymint.plan.inputs import Inputs, LoadedProfile, Sources
+from keymint.verify.compare import label_enclave
+from keymint.verify.explain import Explainer
+from keymint.verify.judge import RAW, Judge, Naming
+from keymint.verify.matching import about, nearest
+from keymint.verify.model import Finding
+from keymint.verify.scope import naming_of
+from keymint.workspace import packages
+
+_KIND_OF = {permission: kind for kind, permissions in LABELLED.items() for permission in permissions}
+
+
+@dataclass(frozen=True, slots=True)
+class Place:
+    """A rule, where it stands, and whether it was found on a layer to be about the request."""
+
+    rule: Rule
+    where: Origin
+    note: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class Explanation:
+    """What every layer says of a request.
+
+    Attributes:
+        edge: the request.
+        profiles: the profiles of the policy that apply to the subject.
+        policy: what the policy says.
+        rules: the rules of the policy that are about the request, deny first.
+        near: where none is, the rule that comes nearest, with what it lacks.
+        similar: where the policy does not name the subject, one with a similar name that it does.
+        package: the rules of the source package that are about the request.
+        packaged: there is a source package.
+        endpoints: what the subject needs on the transport.
+        installed: there is an enclave.
+        labels: what each transport decides, with the place in the enclave's document.
+    """
+
+    edge: Edge
+    profiles: Sequence[AppliedProfile]
+    policy: PolicyDecision
+    rules: Sequence[Place]
+    near: Place | None
+    similar: str
+    package: Sequence[Place]
+    packaged: bool
+    endpoints: Sequence[Edge]
+    installed: bool
+    labels: Mapping[str, Finding]
+
+    @property
+    def wrong(self) -> Mapping[str, Finding]:
+        """The labels that are not what the policy says."""
+        return {name: each for name, each in self.labels.items() if each.verdict.allowed != self.policy.allowed}
+
+
+def request(subject: str, permission: str, name: str, partitions: Sequence[str], domain: int) -> Edge:
+    """Return the edge that a user asks for; the kind of the object is that of the permission.
+
+    Raises:
+        KeymintError: the permission is not known, or the object is none that it can be about.
+    """
+    if permission.endswith("relay"):
+        raise KeymintError(
+            f"{permission} is of services that route data, and no endpoint of a subject has it",
+            help="ask for publishing or subscribing",
+            code="permission-unasked",
+            exit_code=ExitCode.USAGE,
+        )
+    if permission not in _KIND_OF:
+        near = difflib.get_close_matches(permission, _KIND_OF, n=1)
+        raise KeymintError(
+            f"no permission {permission!r}",
+            help=f"did you mean {near[0]}?" if near else f"permissions are {', '.join(_KIND_OF)}",
+            code="permission-unknown",
+            exit_code=ExitCode.USAGE,
+        )
+    kind = _KIND_OF[permission]
+    if kind != RAW and not name.startswith("/"):
+        raise KeymintError(
+            f"a {kind} has no name {name!r}: ROS names begin with '/'",
+            help=f"did you mean {'/' + name!r}?",
+            code="object-name",
+            exit_code=ExitCode.USAGE,
+        )
+    if kind != RAW and partitions:
+        raise KeymintError(
+            f"{permission} is about a {kind}, and only a topic has partitions",
+            help="leave --partition out, or ask for publish or subscribe",
+            code="partition-unexpected",
+            exit_code=ExitCode.USAGE,
+        )
+    full = subject if subject.startswith("/") else f"/{subject}"
+    return Edge(full, permission, Object(kind, name, tuple(sorted(set(partitions)))), domain)
+
+
+def explain(
+    inputs: Inputs,
+    loaded: LoadedProfile,
+    policy: LoadedPolicy,
+    edge: Edge,
+    transports: Mapping[str, Transport],
+    find_models: Callable[[], Mapping[str, Transport]],
+) -> Explanation:
+    """Ask every layer of a workspace for one request.
+
+    Args:
+        inputs: the workspace.
+        loaded: its profile.
+        policy: its policy.
+        edge: the request.
+        transports: transports to ask, by name, each usable at the tier ``decision``.
+        find_models: returns transports that name the rule that decides.
+
+    Raises:
+        KeymintError: the source package has defects, or a transport does not work.
+    """
+    name = edge.subject.removeprefix("/")
+    package, naming = _package(inputs, loaded, name, edge)
+    judge = Judge(policy, {edge.subject: naming} if naming else {})
+    decision = judge.decide(edge)
+    profiles = policy.profiles(edge.subject)
+    found = policy.rules(edge.subject)
+    rules = found.rules if found else ()
+    asked = (edge, *naming.meanings(edge)) if naming and edge.object.kind == RAW else (edge,)
+    matching = sorted({at for each in asked for at in about(rules, each)}, key=lambda at: rules[at].effect != "DENY")
+    near = None if matching else nearest(rules, edge)
+    known = difflib.get_close_matches(edge.subject, policy.subjects(), n=1)
+    there = name in install.installed(inputs, loaded)
+    labels: dict[str, Finding] = {}
+    if there:
+        folder = inputs.workspace.enclaves(loaded.profile.layout) / name
+        enclave = Enclave(edge.subject, folder, loaded.profile.distro)
+        tell = Explainer(judge, transports, find_models)
+        for each, transport in transports.items():
+            verdicts = list(label_enclave(transport, enclave, [edge], Tier.DECISION))
+            (labels[each],) = tell(each, enclave, verdicts)
+    return Explanation(
+        edge=edge,
+        profiles=profiles,
+        policy=decision,
+        rules=[Place(rules[at], rules[at].origin) for at in matching],
+        near=Place(rules[near.at], rules[near.at].origin, near.lacks) if near else None,
+        similar=known[0] if known and package is None and edge.subject not in policy.subjects() else "",
+        package=package or (),
+        packaged=package is not None,
+        endpoints=naming.endpoints(edge) if naming else (),
+        installed=there,
+        labels=labels,
+    )
+
+
+def _package(
+    inputs: Inputs, loaded: LoadedProfile, name: str, edge: Edge
+) -> tuple[Sequence[Place] | None, Naming | None]:
+    """Return the rules of a source package that are about a request, and how its names are mapped."""
+    if name not in packages(inputs.tree, inputs.workspace.src):
+        return None, None
+    sources = Sources(inputs.plugins)
+    files = sources.files(inputs, name)
+    package = sources.load(inputs, loaded, name, files)
+    rules = package.permissions.rules.rules
+    places = _places(inputs, loaded, name, files, rules)
+    naming = naming_of(inputs, package)
+    asked = (edge, *naming.meanings(edge)) if naming and edge.object.kind == RAW else (edge,)
+    matching = sorted({at for each in asked for at in about(rules, each)}, key=lambda at: rules[at].effect != "DENY")
+    return [Place(rules[at], places[at]) for at in matching], naming
+
+
+def _places(
+    inputs: Inputs, loaded: LoadedProfile, name: str, files: Mapping[str, bytes], rules: Sequence[Rule]
+) -> Sequence[Origin]:
+    """Return where each rule of a package stands in the package, or in the policy where that is not told."""
+    package_type = inputs.plugins.package_type(loaded.profile.package_type, inputs.profile_marker())
+    if not hasattr(package_type, "rule_places"):
+        return [rule.origin for rule in rules]
+    folder = inputs.workspace.shown(inputs.workspace.src / name)
+    return cast("RulePlaces", package_type).rule_places(name, folder, files)

@@ -1,0 +1,90 @@
+"""The middleware of ROS 2 Ardent, on any transport: where it creates the endpoints of services.
+
+It made the endpoints of a service in the empty partition first, and put them into the service's partition afterwards
+(White et al. 2018, "Procedurally Provisioned Access Control for Robotic Systems", section on results). Access control
+looks when an endpoint is created, and the empty partition is the only one that it sees: so the permissions of a service
+deny its own endpoints, and permissions amended by the empty partition admit those of every service of that base name.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass, replace
+
+from keymint.api import Enclave, Tier, Transport, Usable, Verdict
+from keymint.graph import Edge
+from keymint_ros2_dds.endpoints import endpoints
+from keymint_ros2_dds.mapping import ARDENT
+
+_OF_SERVICES = ("rq", "rr")
+DEVIATION = "ardent-services: ROS 2 Ardent creates the endpoints of services in the empty partition first"
+"""How this differs from what the name mapping says; see :attr:`keymint.api.Verdict.deviation`."""
+
+
+def created(distro: str, edge: Edge) -> tuple[Edge, ...]:
+    """Return the endpoints of an edge as they are when the middleware creates them.
+
+    Args:
+        distro: ROS 2 distribution; all but Ardent create endpoints where they belong.
+        edge: an edge of any kind.
+
+    Raises:
+        KeymintError: the distribution or the permission is not known.
+    """
+    needed = endpoints(distro, edge)
+    if distro != ARDENT or edge.object.kind == "topic":
+        return needed
+    return tuple(_in_default_partition(endpoint) if _of_service(endpoint) else endpoint for endpoint in needed)
+
+
+def _of_service(endpoint: Edge) -> bool:
+    return any(partition.split("/")[0] in _OF_SERVICES for partition in endpoint.object.partitions)
+
+
+def _in_default_partition(endpoint: Edge) -> Edge:
+    return replace(endpoint, object=replace(endpoint.object, partitions=()))
+
+
+@dataclass(frozen=True, slots=True)
+class ArdentMiddleware:
+    """Implements :class:`keymint.api.Transport`: what the middleware gets from a transport that is asked for it."""
+
+    transport: Transport
+
+    def usable(self) -> Usable:
+        """Tell whether the transport is; delivery of data is another matter, since partitions change in between."""
+        found = self.transport.usable()
+        tiers = tuple(tier for tier in found.tiers if tier is not Tier.EXCHANGE)
+        return replace(found, tiers=tiers, by_default=False)
+
+    def label(self, enclaves: Sequence[Enclave], edges: Iterable[Edge], tier: Tier) -> Iterator[tuple[Edge, Verdict]]:
+        """See :meth:`keymint.api.Transport.label`."""
+        distros = {enclave.subject: enclave.distro for enclave in enclaves}
+        pending: deque[tuple[Edge, int]] = deque()
+
+        def asked() -> Iterator[Edge]:
+            for edge in edges:
+                needed = created(distros[edge.subject], edge)
+                pending.append((edge, len(needed)))
+                yield from needed
+
+        answers: list[tuple[Edge, Verdict]] = []
+        for answer in self.transport.label(enclaves, asked(), tier):
+            answers.append(answer)
+            edge, count = pending[0]
+            if len(answers) == count:
+                pending.popleft()
+                yield edge, _together(edge, answers)
+                answers = []
+
+
+def _together(edge: Edge, answers: Sequence[tuple[Edge, Verdict]]) -> Verdict:
+    """Return the verdict on all endpoints of an edge: the first denial, else the last one."""
+    endpoint, verdict = next((answer for answer in answers if not answer[1].allowed), answers[-1])
+    if endpoint == edge:
+        return verdict
+    place = " ".join(endpoint.object.partitions) or "the empty partition"
+    reason = f"{endpoint.permission} {endpoint.object.name} in {place}: {verdict.reason}"
+    moved = verdict.deviation or ("" if endpoint.object.partitions else DEVIATION)
+    return replace(verdict, reason=reason, deviation=moved)

@@ -1,0 +1,120 @@
+"""Cyclone DDS 0.10, the real one: its access-control plugin alone, participants, or data between processes."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Sequence
+from contextlib import ExitStack
+from functools import cached_property
+from pathlib import Path
+from typing import cast
+
+from keymint.api import Enclave, Surroundings, Tier, Usable, Verdict
+from keymint.errors import KeymintError, Origin
+from keymint.graph import Edge
+from keymint.pki import smime
+from keymint_ros2_dds import decision
+from keymint_ros2_dds.decision import CYCLONEDDS_0_10
+from keymint_ros2_dds.decision.refusals import stops_cyclone
+from keymint_ros2_dds.endpoints import endpoints
+from keymint_ros2_dds.install import PERMISSIONS_P7S
+from keymint_ros2_dds.transports import files, real
+from keymint_ros2_dds.transports.exchange import exchange
+from keymint_ros2_dds.transports.simulated import Courts
+from keymint_ros2_dds.vendors import probes
+from keymint_ros2_dds.vendors.cyclone_access_control import AccessControl, Direction
+from keymint_ros2_dds.vendors.participants import CycloneDDS
+
+
+class CycloneDDSTransport:
+    """Implements :class:`keymint.api.Transport`."""
+
+    def __init__(self, surroundings: Surroundings) -> None:
+        self._surroundings = surroundings
+
+    def usable(self) -> Usable:
+        """Tell which tiers can be used here: without a compiler and headers, the decision alone."""
+        return self._usable
+
+    @cached_property
+    def _usable(self) -> Usable:
+        environment = self._surroundings.environment
+        try:
+            probes.require_cyclone_plugins()
+        except probes.MissingVendorError as error:
+            return Usable(usable=False, reason=error.reason, help=error.help)
+        version = probes.CYCLONEDDS.version("dds/version.h", "DDS_VERSION", environment) or "0.10"
+        try:
+            probes.CYCLONEDDS.require(environment)
+        except probes.MissingVendorError as error:
+            return Usable(usable=True, version=version, reason=error.reason, help=error.help, tiers=(Tier.DECISION,))
+        return Usable(usable=True, version=version, tiers=tuple(Tier))
+
+    def label(self, enclaves: Sequence[Enclave], edges: Iterable[Edge], tier: Tier) -> Iterator[tuple[Edge, Verdict]]:
+        """See :meth:`keymint.api.Transport.label`."""
+        usable = self.usable()
+        if tier not in usable.tiers:
+            raise real.refused(tier, usable, "cyclonedds")
+        courts = Courts(enclaves, self._surroundings.now)
+        if tier is Tier.DECISION:
+            return _decision(courts, edges)
+        vendor = self._vendor(nonconforming=tier is Tier.EXCHANGE)
+        if tier is Tier.ADMISSION:
+            return real.admission(vendor, CYCLONEDDS_0_10, courts, edges)
+        return exchange(vendor, CYCLONEDDS_0_10, courts, enclaves, edges)
+
+    def _vendor(self, *, nonconforming: bool) -> CycloneDDS:
+        cache, environment = self._surroundings.cache / "probes", probes.inherited(self._surroundings.environment)
+        try:
+            return CycloneDDS(
+                probes.CYCLONEDDS.build(cache, environment),
+                environment,
+                probes.CYCLONEDDS_NONCONFORMING.build(cache, environment) if nonconforming else None,
+            )
+        except (probes.MissingVendorError, OSError) as error:
+            raise KeymintError(str(error), code="transport-unusable") from None
+
+
+def _decision(courts: Courts, edges: Iterable[Edge]) -> Iterator[tuple[Edge, Verdict]]:
+    """Ask the access-control plugin of each subject's enclave; only those of one subject are open at a time."""
+    subject, opened = "", dict[int, "AccessControl | str"]()
+    with ExitStack() as stack:
+        for edge in edges:
+            enclave = courts.enclave(edge.subject)
+            if edge.subject != subject:
+                stack.pop_all().close()
+                subject, opened = edge.subject, {}
+            if edge.domain not in opened:
+                opened[edge.domain] = _open(enclave.folder, edge.domain, stack)
+            access = opened[edge.domain]
+            if isinstance(access, str):
+                yield edge, Verdict(allowed=False, reason=access)
+                continue
+            court = courts.of(edge.subject, edge.domain)
+            needed = endpoints(enclave.distro, edge)
+            yield edge, real.verdict(court, CYCLONEDDS_0_10, needed, _answers(access, needed))
+
+
+def _open(folder: Path, domain: int, stack: ExitStack) -> AccessControl | str:
+    """Return the plugin with an enclave, or why it is refused.
+
+    Some documents stop the process that gives them to Cyclone DDS; they are not given to it.
+    """
+    try:
+        signed = files.content(folder, PERMISSIONS_P7S)
+        stops = stops_cyclone(decision.read(smime.signed_content(signed, Origin(PERMISSIONS_P7S))))
+    except KeymintError as error:
+        return str(error)
+    if stops:
+        return f"permissions.xml: {stops}"
+    access = stack.enter_context(AccessControl.of_enclave(folder, domain))
+    if not access.valid or not access.joins():
+        return f"Cyclone DDS refuses the enclave: {access.reason}"
+    return access
+
+
+def _answers(access: AccessControl, needed: Iterable[Edge]) -> Iterator[tuple[bool, str]]:
+    for endpoint in needed:
+        found = endpoint.object
+        reason = real.unsayable(endpoint)
+        allowed = not reason and access.allows(cast("Direction", endpoint.permission), found.name, found.partitions)
+        yield allowed, "the access-control plugin allows it" if allowed else reason or access.reason

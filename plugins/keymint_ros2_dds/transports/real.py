@@ -1,0 +1,93 @@
+"""What the real transports share: participants of a vendor in processes of their own, one for each enclave."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Sequence
+from itertools import groupby
+from typing import cast
+
+from keymint.api import Tier, Usable, Verdict
+from keymint.errors import KeymintError
+from keymint.graph import Edge
+from keymint_ros2_dds.decision import Variation
+from keymint_ros2_dds.endpoints import endpoints
+from keymint_ros2_dds.transports.simulated import Court, Courts
+from keymint_ros2_dds.vendors.participants import Direction, Participant, ProbeError, RefusedError, System, Vendor
+
+
+def unsayable(endpoint: Edge) -> str:
+    """Return why no participant can be asked for an endpoint, or an empty text."""
+    texts = (endpoint.object.name, *endpoint.object.partitions)
+    if any(not char.isprintable() for text in texts for char in text):
+        return "the name has a character that no DDS topic has"
+    return "" if endpoint.object.name else "no DDS topic has an empty name"
+
+
+def verdict(court: Court, model: Variation, needed: Sequence[Edge], answers: Iterator[tuple[bool, str]]) -> Verdict:
+    """Put answers of a vendor about the endpoints of an edge together: all of them must be allowed.
+
+    Args:
+        court: the enclave, to find the rule that decided, and why the vendor does not decide as the standard does.
+        model: the model of the vendor.
+        needed: the endpoints.
+        answers: whether each is allowed, and what the vendor said; taken as long as they are.
+    """
+    deviation, line, said = "", 0, ""
+    allowed = bool(needed)
+    for endpoint in needed:
+        allowed, said = next(answers)
+        deviation = deviation or court.deviation(model, endpoint, allowed=allowed)
+        modelled = court.decide(model, endpoint)
+        line = modelled.line if modelled.allowed == allowed else 0
+        if not allowed:
+            break
+    return Verdict(allowed, said or ("it is allowed" if allowed else "it is denied"), line, deviation)
+
+
+def refused(tier: Tier, usable: Usable, name: str) -> KeymintError:
+    """Return the error for a tier that cannot be used here."""
+    reason = usable.reason or f"it has no tier {tier}"
+    return KeymintError(
+        f"the transport {name!r} cannot be used at tier {tier}: {reason}", help=usable.help, code="transport-unusable"
+    )
+
+
+def admission(
+    vendor: Vendor, model: Variation, courts: Courts, edges: Iterable[Edge]
+) -> Iterator[tuple[Edge, Verdict]]:
+    """Yield what a vendor lets real participants have: one for each enclave and domain, one at a time.
+
+    Args:
+        vendor: the vendor, its probe built.
+        model: the model of the vendor.
+        courts: the enclaves.
+        edges: grouped by subject.
+
+    Raises:
+        KeymintError: an enclave is missing, or the vendor's process fails.
+    """
+    for (subject, domain), group in groupby(edges, key=lambda edge: (edge.subject, edge.domain)):
+        enclave, court = courts.enclave(subject), courts.of(subject, domain)
+        try:
+            with System(vendor) as system:
+                try:
+                    participant = system.open(enclave.folder, domain)
+                except RefusedError as error:
+                    reason = f"the participant is refused: {error}"
+                    yield from ((edge, Verdict(allowed=False, reason=reason)) for edge in group)
+                    continue
+                for edge in group:
+                    needed = endpoints(enclave.distro, edge)
+                    yield edge, verdict(court, model, needed, _asked(participant, needed))
+        except ProbeError as error:
+            raise KeymintError(f"{subject}: {error}", code="transport-failed") from None
+
+
+def _asked(participant: Participant, needed: Iterable[Edge]) -> Iterator[tuple[bool, str]]:
+    for endpoint in needed:
+        reason = unsayable(endpoint)
+        if reason:
+            yield False, reason
+        else:
+            found = endpoint.object
+            yield participant.ask(cast("Direction", endpoint.permission), found.name, found.partitions)

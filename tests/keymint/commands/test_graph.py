@@ -1,0 +1,111 @@
+"""``keymint graph``."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from keymint import graph_json
+from keymint.graph import Edge, Graph, Object
+from tests.conftest import snapshot
+
+TOPIC = Object("ros_topic", "/chatter")
+
+
+@pytest.fixture
+def captured(tmp_path: Path) -> Path:
+    """A graph of which the policy denies one edge."""
+    edges = [Edge("/talker", "ros_publish", TOPIC), Edge("/talker", "ros_subscribe", TOPIC)]
+    path = tmp_path / "graph.json"
+    path.write_bytes(graph_json.dump(Graph.of(edges)))
+    return path
+
+
+@pytest.mark.parametrize(
+    ("suffix", "start"),
+    [("svg", b"<?xml"), ("png", b"\x89PNG"), ("dot", b"digraph"), ("gv", b"digraph"), ("html", b"<!DOCTYPE html>")],
+)
+def test_every_format(keymint, policy: Path, tmp_path: Path, suffix: str, start: bytes) -> None:
+    outcome = keymint("graph", policy, "-o", f"out.{suffix}")
+    assert outcome.code == 0, outcome.err
+    assert (tmp_path / f"out.{suffix}").read_bytes().startswith(start)
+    assert outcome.out == f"out.{suffix} written\n"
+    assert keymint("graph", policy, "-o", f"out.{suffix}").out == f"out.{suffix} is up to date\n"
+
+
+def test_standard_output(keymint, policy: Path) -> None:
+    assert keymint("graph", policy).out.startswith("<?xml")
+    assert keymint("graph", policy, "--format", "dot").out.startswith("digraph")
+    assert "end it" not in keymint("graph", policy, "--format", "png").err
+    assert keymint("graph", policy, "--format", "png").code == 2
+
+
+def test_the_policy_of_the_workspace(keymint, provisioned: Path) -> None:
+    before = snapshot(provisioned)
+    outcome = keymint("graph", "--json", cwd=provisioned)
+    assert outcome.document["result"]["subjects"] == ["/robot1/listener", "/talker"]
+    assert outcome.document["result"]["edges"]["allow"] > 2
+    assert snapshot(provisioned) == before
+
+
+def test_the_report_has_the_policy(keymint, policy: Path, tmp_path: Path) -> None:
+    keymint("graph", policy.name, "-o", "out.html")
+    text = (tmp_path / "out.html").read_text()
+    assert ">policy.xml</h3>" in text
+    assert '<a href="#f' in text
+    assert str(tmp_path) not in text
+
+
+def test_a_graph(keymint, captured: Path) -> None:
+    assert keymint("graph", captured, "--json").document["result"]["edges"] == {"unlabelled": 2}
+
+
+def test_a_graph_by_a_policy(keymint, captured: Path, policy: Path) -> None:
+    def edges(*options: object) -> dict[str, int]:
+        outcome = keymint("graph", captured, "--policy", policy, "--json", *options)
+        assert outcome.code == 0, outcome.out
+        return outcome.document["result"]["edges"]
+
+    assert edges() == {"allow": 1, "deny": 1}
+    assert edges("--all") == {"allow": 1, "deny": 1}
+    assert edges("--only", "denied") == {"deny": 1}
+
+
+def test_a_capture(keymint, reference: Path) -> None:
+    outcome = keymint("graph", reference / "ppac/talker_listener_discovery_data.xml", "--json")
+    assert outcome.document["result"]["subjects"] == ["/listener", "/talker"]
+
+
+def test_some_subjects(keymint, policy: Path) -> None:
+    by_name = keymint("graph", policy, "--subject", "/talker", "--json").document["result"]
+    by_namespace = keymint("graph", policy, "--namespace", "/robot1", "--json").document["result"]
+    assert by_name["subjects"] == ["/talker"]
+    assert by_namespace["subjects"] == ["/robot1/listener"]
+
+
+@pytest.mark.parametrize(
+    ("arguments", "code", "said"),
+    [
+        (["policy.xml", "-o", "out.jpg"], 2, "ends in no format"),
+        (["policy.xml", "--policy", "policy.xml"], 2, "--policy labels a graph"),
+        (["graph.json", "--all"], 2, "--policy PATH"),
+        (["graph.json", "--subject", "/taker"], 2, "did you mean '/talker'?"),
+        (["policy.xml", "--namespace", "/robot"], 2, "did you mean '/robot1/'?"),
+        (["nothing.xml"], 1, "no such file"),
+    ],
+)
+def test_mistakes(keymint, policy: Path, captured: Path, arguments: list[str], code: int, said: str) -> None:
+    outcome = keymint("graph", *arguments)
+    assert (outcome.code, outcome.out) == (code, "")
+    assert said in outcome.err
+
+
+def test_a_defect_has_its_place(keymint, policy: Path) -> None:
+    policy.write_text("<profiles>")
+    assert "policy.xml:1" in keymint("graph", policy).err
+
+
+def test_dry_run(keymint, policy: Path, tmp_path: Path) -> None:
+    assert keymint("graph", policy, "-o", "out.svg", "--dry-run").out == "out.svg would be written\n"
+    assert not (tmp_path / "out.svg").exists()

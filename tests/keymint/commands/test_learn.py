@@ -1,0 +1,132 @@
+"""``keymint learn``: files, and what stands in the way."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+import comarmor
+from keymint.graph import Edge, Graph, Object
+from keymint.graph_json import dump
+
+
+def does(subject: str, permission: str, name: str) -> Edge:
+    kind = "ros_service" if permission in ("ros_call", "ros_execute") else "ros_topic"
+    return Edge(subject, permission, Object(kind, name))
+
+
+SERVED = ("describe_parameters", "get_parameters", "get_parameter_types", "list_parameters", "set_parameters")
+NODES = [
+    edge
+    for subject in ("/robot1/talker", "/robot1/listener")
+    for edge in (
+        *(does(subject, "ros_execute", f"{subject}/{name}") for name in SERVED),
+        does(subject, "ros_publish", "/rosout"),
+        does(subject, "ros_subscribe", "/clock"),
+    )
+]
+GRAPH = Graph.of(
+    [
+        *NODES,
+        does("/robot1/talker", "ros_publish", "/robot1/chatter"),
+        does("/robot1/listener", "ros_subscribe", "/robot1/chatter"),
+    ]
+)
+
+
+@pytest.fixture(autouse=True)
+def graph(tmp_path: Path) -> None:
+    (tmp_path / "g.json").write_bytes(dump(GRAPH))
+
+
+def test_to_standard_output_it_is_one_document(keymint, tmp_path: Path) -> None:
+    outcome = keymint("learn", "g.json")
+    (tmp_path / "p.xml").write_text(outcome.out)
+    policy = comarmor.load(tmp_path / "p.xml")
+    assert (outcome.code, outcome.err) == (0, "")
+    assert policy.subjects() == GRAPH.subjects
+    assert "include" not in outcome.out
+
+
+def test_to_a_file_that_includes_what_is_common(keymint, tmp_path: Path) -> None:
+    outcome = keymint("learn", "g.json", "-o", "policy.xml")
+    assert outcome.out == "policy.d/common_1.xml written\npolicy.xml written\n"
+    policy = comarmor.load(tmp_path / "policy.xml")
+    for edge in GRAPH.edges:
+        assert policy.decide(edge.subject, edge.object.kind, edge.permission, edge.object.name).allowed
+    assert not policy.decide("/robot1/listener", "ros_topic", "ros_publish", "/robot1/chatter").allowed
+    assert "policy.xml is up to date" in keymint("learn", "g.json", "-o", "policy.xml").out
+
+
+def test_the_policy_provisions(keymint, tmp_path: Path) -> None:
+    keymint("learn", "g.json", "-o", "policy.xml")
+    outcome = keymint("provision", "policy.xml", "-w", "ws")
+    assert (outcome.code, outcome.err) == (0, "")
+    assert (tmp_path / "ws/install/enclaves/robot1/talker/permissions.p7s").exists()
+
+
+def test_another_policy_is_not_replaced_unless_forced(keymint, tmp_path: Path) -> None:
+    (tmp_path / "policy.xml").write_text("<profiles/>")
+    outcome = keymint("learn", "g.json", "-o", "policy.xml")
+    assert (outcome.code, "exists and differs" in outcome.err) == (1, True)
+    assert (tmp_path / "policy.xml").read_text() == "<profiles/>"
+    assert keymint("learn", "g.json", "-o", "policy.xml", "--force").code == 0
+    assert "/clock" in (tmp_path / "policy.d/common_1.xml").read_text()
+
+
+def test_dry_run_writes_nothing(keymint, tmp_path: Path) -> None:
+    assert "policy.xml would be written" in keymint("learn", "g.json", "-o", "policy.xml", "--dry-run").out
+    assert [path.name for path in tmp_path.iterdir()] == ["g.json"]
+
+
+def test_beside_an_existing_policy(keymint, tmp_path: Path) -> None:
+    (tmp_path / "p").mkdir()
+    (tmp_path / "p/own.xml").write_text(
+        '<profile name="t" xmlns:xi="http://www.w3.org/2001/XInclude"><attachment>/robot1/*</attachment>'
+        '<xi:include href="common/node.xml" parse="xml"/>'
+        '<ros_topic qualifier="ALLOW"><attachment>/old</attachment><permissions><ros_publish/></permissions>'
+        "</ros_topic></profile>"
+    )
+    outcome = keymint("learn", "g.json", "--policy", "p", "-o", "p/learned.xml")
+    lines = outcome.out.splitlines()
+    assert [line for line in lines if line.startswith("missing")] == [
+        "missing  /robot1/listener ros_subscribe /robot1/chatter",
+        "missing  /robot1/talker ros_publish /robot1/chatter",
+    ]
+    assert "unused   p/own.xml:1: nobody in the graph uses this rule (ros_publish)" in lines
+    assert keymint("provision", "p", "-w", "ws").code == 0
+    again = keymint("learn", "g.json", "--policy", "p", "-o", "p/learned2.xml", "--json").document["result"]
+    assert (again["missing"], again["file"], again["written"]) == ([], None, [])
+    assert any("own.xml:1" in found["place"] for found in again["unused"])
+    refused = keymint("learn", "g.json", "--policy", "p", "-o", "p/own.xml")
+    assert (refused.code, "part of the existing policy" in refused.err) == (1, True)
+
+
+def test_a_deny_rule_in_the_way_is_a_finding(keymint, tmp_path: Path) -> None:
+    (tmp_path / "own.xml").write_text(
+        '<profile name="t"><attachment>/robot1/*</attachment>\n<ros_topic qualifier="DENY">'
+        "<attachment>*/chatter</attachment><permissions><ros_publish/></permissions></ros_topic></profile>"
+    )
+    outcome = keymint("learn", "g.json", "--policy", "own.xml", "-o", "add.xml")
+    assert outcome.code == 3
+    assert "own.xml:2: warning: this rule denies /robot1/talker the ros_publish on '/robot1/chatter'" in outcome.err
+    assert (tmp_path / "add.xml").exists()
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["missing.json"], "missing.json: error: no such file"),
+        (["junk.json"], "junk.json:1: error: not JSON"),
+        (["g.json", "--policy", "missing.xml"], "does not exist"),
+        (["g.json", "--policy", "junk.json"], "junk.json"),
+        (["g.json", "--distro", "jazy", "--policy", "p.xml"], "did you mean jazzy?"),
+    ],
+)
+def test_what_is_refused(keymint, tmp_path: Path, arguments: list[str], words: str) -> None:
+    (tmp_path / "junk.json").write_text("junk")
+    (tmp_path / "p.xml").write_text("<profiles/>")
+    outcome = keymint("learn", *arguments)
+    assert outcome.code == 1
+    assert words in outcome.err

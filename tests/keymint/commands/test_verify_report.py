@@ -1,0 +1,71 @@
+"""``keymint verify --report``."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from keymint.api import PolicyDecision, Tier, Verdict
+from keymint.commands.verify_report import labelled_edges
+from keymint.errors import Origin
+from keymint.graph import Edge, Object
+from keymint.pictures.model import Confusion, Said
+from keymint.verify.model import Confusion as Counts
+from keymint.verify.model import Error, Finding, Outcome
+
+EDGES = [Edge("/a", "ros_publish", Object("ros_topic", f"/t{at}")) for at in range(4)]
+DENIED = PolicyDecision(False, None, "no rule")
+
+
+def finding(edge: Edge) -> Finding:
+    verdict = Verdict(True, "allowed", deviation="row 5")
+    return Finding(Error.FALSE_POSITIVE, edge, DENIED, verdict, "allow rule 2", Origin("/ws/permissions.xml", 7), "omg")
+
+
+def outcome(name: str, counts: Counts, *findings: Finding) -> Outcome:
+    return Outcome(name, "1", Tier.DECISION, counts, findings, {})
+
+
+def labels(*outcomes: Outcome):
+    return labelled_edges("t", outcomes, EDGES, [0] * 4, lambda _edge: DENIED, lambda file: file.removeprefix("/ws/"))
+
+
+def test_edges_without_findings_are_labelled_as_the_policy_does() -> None:
+    graph = labels(outcome("x", Counts(0, 0, 1, 3), finding(EDGES[1])), outcome("y", Counts(0, 0, 0, 4)))
+    why = "allow rule 2; row 5"
+    assert [one.transports for one in graph.edges] == [
+        (Said(False), Said(False)),
+        (Said(True, why, Origin("permissions.xml", 7)), Said(False)),
+        (Said(False), Said(False)),
+        (Said(False), Said(False)),
+    ]
+    assert [graph.confusion(at) for at in (0, 1)] == [Confusion(0, 0, 1, 3), Confusion(0, 0, 0, 4)]
+
+
+def test_nothing_is_said_after_the_last_finding_that_was_kept() -> None:
+    graph = labels(outcome("x", Counts(0, 0, 2, 2), finding(EDGES[1])))
+    assert [one.transports[0] and one.transports[0].allowed for one in graph.edges] == [False, True, None, None]
+
+
+def test_no_finding_was_kept() -> None:
+    graph = labels(outcome("x", Counts(0, 0, 2, 2)))
+    assert [one.transports for one in graph.edges] == [(None,)] * 4
+
+
+def test_the_report_of_a_workspace(keymint, provisioned: Path) -> None:
+    found = keymint("verify", "-t", "omg", "--report", "report", cwd=provisioned)
+    assert found.code == 0, found.err
+    folder = provisioned / "report"
+    assert {path.name for path in folder.iterdir()} == {"index.html", "graph.svg", "graph-omg.svg", "differences.svg"}
+    assert "allowed, as the policy says" in (folder / "graph.svg").read_text()
+    assert "policy.xml</h3>" in (folder / "index.html").read_text()
+
+
+def test_a_finding_is_in_the_report(keymint, provisioned: Path, policy: Path) -> None:
+    policy.write_text(policy.read_text().replace("<ros_subscribe/>", "<ros_publish/>"))
+    found = keymint("verify", "-t", "omg", "--report", "report", cwd=provisioned)
+    assert found.code == 3
+    text = (provisioned / "report/index.html").read_text()
+    assert 'class="false-allow"' in text
+    assert 'class="false-deny"' in text
+    assert "permissions.xml" in text
+    assert "false positive" in (provisioned / "report/differences.svg").read_text()

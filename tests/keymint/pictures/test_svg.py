@@ -1,0 +1,198 @@
+"""Pictures as SVG."""
+
+from __future__ import annotations
+
+import re
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from lxml import etree
+
+from keymint.graph import Object
+from keymint.pictures.model import DIFFERENCES, Labelled, select
+from keymint.pictures.palette import DARK, KIND_NAMES, LIGHT, Theme
+from keymint.pictures.svg import Options, Split, shown_edges, svg
+from keymint.pictures.text import printable, shorten
+
+from .graphs import ALLOWED, DENIED, HOSTILE, graphs, hostile, labelled, one_of_each
+
+NS = {"s": "http://www.w3.org/2000/svg"}
+
+
+def tree(document: bytes) -> etree._Element:
+    return etree.fromstring(document)
+
+
+def classes(root: etree._Element) -> dict[str, str]:
+    """Return the classes of the drawn edges by what their tooltip begins with."""
+    found = root.xpath("//s:g[contains(concat(' ', @class, ' '), ' edge ')]", namespaces=NS)
+    return {edge.findtext("s:title", namespaces=NS).split(" - ")[0]: edge.get("class") for edge in found}
+
+
+def legend(root: etree._Element) -> list[str]:
+    return root.xpath("//s:g[@class='legend']//s:text/text()", namespaces=NS)
+
+
+def test_labels_are_drawn_as_in_the_paper() -> None:
+    drawn = classes(tree(svg(one_of_each())))
+    assert drawn == {
+        "/talker ros_publish /chatter": "edge allow true",
+        "/talker ros_subscribe /chatter": "edge deny true",
+        "/listener ros_subscribe /chatter": "edge deny false",
+        "/listener ros_call /talker/set_parameters": "edge allow false",
+    }
+    style = tree(svg(one_of_each())).findtext("s:style", namespaces=NS)
+    assert ".keymint .true .curve{stroke-dasharray" in style
+    assert ".keymint .false .curve{stroke-width:3" in style
+
+
+def test_arrows_follow_the_role() -> None:
+    graph = Labelled.of(
+        "t", [labelled("/a", permission, "/t", ALLOWED) for permission in ("ros_publish", "ros_subscribe")], ["/a"]
+    )
+    root = tree(svg(graph))
+    tips = {
+        edge.findtext("s:title", namespaces=NS).split()[1]: float(
+            edge.xpath("s:path[2]/@d", namespaces=NS)[0][1:].split()[0]
+        )
+        for edge in root.xpath("//s:g[starts-with(@class, 'edge')]", namespaces=NS)
+    }
+    right_of_subject = float(root.xpath("//s:g[@class='box subject']/s:rect/@width", namespaces=NS)[-1])
+    left_of_object = float(root.xpath("//s:g[@class='box ros_topic']/s:rect/@x", namespaces=NS)[-1])
+    assert tips == {"ros_publish": left_of_object, "ros_subscribe": right_of_subject}
+
+
+def test_the_legend_says_what_is_drawn_and_no_more() -> None:
+    assert legend(tree(svg(one_of_each()))) == [
+        "subject",
+        "topic",
+        "service",
+        "to the object: publish",
+        "to the subject: subscribe, call",
+        "allowed, as the policy says",
+        "denied, as the policy says",
+        "allowed against the policy (false positive)",
+        "denied against the policy (false negative)",
+    ]
+    plain = Labelled.of("t", [labelled("/a", "ros_request", "/go", None)])
+    assert legend(tree(svg(plain))) == ["subject", "action", "to the subject: request"]
+
+
+def test_expressions_and_audit_are_marked() -> None:
+    audited = labelled("/a", "ros_publish", "/robot/*", DENIED)
+    found = type(audited)(audited.edge, audited.policy, (), audit=True)
+    graph = Labelled.of("t", [found], patterns=[Object("ros_topic", "/robot/*")])
+    root = tree(svg(graph))
+    assert {"expression", "AUDIT: to be watched"} <= set(legend(root))
+    assert root.xpath("//s:g[contains(@class, 'pattern') and contains(@class, 'ros_topic')]", namespaces=NS)
+    assert root.xpath("//s:g[@class='edge deny']/s:circle", namespaces=NS)
+
+
+def test_differences_only() -> None:
+    graph = select(one_of_each(), only=DIFFERENCES)
+    assert set(classes(tree(svg(graph))).values()) == {"edge deny false", "edge allow false"}
+
+
+def test_a_panel_for_each() -> None:
+    graph = Labelled.of("t", [labelled(name, "ros_publish", "/t", ALLOWED) for name in ("/r1/a", "/r1/b", "/r2/a")])
+    headings = "//s:text[@class='heading']/text()"
+    by_subject = tree(svg(graph, Options(split=Split.SUBJECT)))
+    assert by_subject.xpath(headings, namespaces=NS) == ["/r1/a", "/r1/b", "/r2/a"]
+    assert tree(svg(graph, Options(split=Split.NAMESPACE))).xpath(headings, namespaces=NS) == ["/r1/", "/r2/"]
+
+
+def test_alike_objects_are_folded() -> None:
+    names = [f"/a/{name}" for name in "bcd"]
+    graph = Labelled.of("t", [labelled("/a", "ros_execute", name, ALLOWED) for name in (*names, "/other")])
+    root = tree(svg(graph, Options(fold=True)))
+    labels = root.xpath("//s:g[@class='box ros_service']/s:text/text()", namespaces=NS)
+    assert sorted(labels)[:2] == ["/a/… (3 services)", "/other"]
+    assert "/a/b\n/a/c\n/a/d" in root.xpath("//s:g[@class='box ros_service']/s:title/text()", namespaces=NS)
+    assert "drawn as one" in root.findtext("s:desc", namespaces=NS)
+
+
+def test_what_tells_objects_apart_keeps_them_apart() -> None:
+    graph = Labelled.of(
+        "t",
+        [
+            labelled("/a", "ros_execute", "/a/b", ALLOWED, ALLOWED),
+            labelled("/a", "ros_execute", "/a/c", ALLOWED, DENIED),
+        ],
+        transports=["t"],
+    )
+    assert len(classes(tree(svg(graph, Options(fold=True))))) == 2
+
+
+def test_beyond_the_limit_what_matters_stays() -> None:
+    denied = [labelled("/a", "ros_publish", f"/d{at}", DENIED, DENIED) for at in range(20)]
+    wrong = [labelled("/a", "ros_publish", f"/w{at}", DENIED, ALLOWED) for at in range(3)]
+    graph = Labelled.of("t", [*denied, *wrong], transports=["t"])
+    assert {one.edge.object.name for one in shown_edges(graph.edges, Options(limit=10))} == {"/w0", "/w1", "/w2"}
+    assert len(shown_edges(graph.edges, Options(limit=2))) == 2
+    root = tree(svg(graph, Options(limit=10, fold=False)))
+    assert "20 of 23 lines left out" in root.findtext("s:desc", namespaces=NS)
+
+
+@given(graphs(), st.sampled_from(Theme), st.sampled_from(Split), st.sampled_from([None, True, False]))
+def test_every_graph_is_a_well_formed_picture(graph: Labelled, theme: Theme, split: Split, fold: bool | None) -> None:
+    root = tree(svg(graph, Options(theme, split, 0, fold=fold)))
+    assert root.tag == "{http://www.w3.org/2000/svg}svg"
+    if fold is False:
+        assert len(root.xpath("//s:g[starts-with(@class, 'edge')]", namespaces=NS)) == len(graph.edges)
+
+
+def test_hostile_names_are_text() -> None:
+    root = tree(svg(hostile()))
+    assert {etree.QName(node).localname for node in root.iter()} <= {
+        *("svg", "title", "desc", "style", "rect", "text", "g", "path", "circle"),
+    }
+    assert "\u202e" not in svg(hostile()).decode()
+
+
+def test_an_empty_graph_is_a_picture() -> None:
+    assert tree(svg(Labelled.of("nothing", []))).findtext("s:desc", namespaces=NS).startswith("0 subjects")
+
+
+def test_nothing_is_fetched() -> None:
+    document = svg(one_of_each()).decode().replace('xmlns="http://www.w3.org/2000/svg"', "")
+    assert not re.search(r"https?:|href|url\(|@import", document)
+
+
+@pytest.mark.parametrize(("text", "shown"), [("/a_b", "/a_b"), ("a\u202eb\x01", "a\\u202eb\\x01"), ("漢", "漢")])
+def test_what_cannot_be_seen_is_spelled(text: str, shown: str) -> None:
+    assert printable(text) == shown
+
+
+@given(st.text(max_size=200), st.integers(3, 60))
+def test_shortened(text: str, longest: int) -> None:
+    found = shorten(text, longest)
+    assert len(found) <= longest
+    assert found == text or (text.startswith(found.split("…")[0]) and "…" in found)
+
+
+def luminance(colour: str) -> float:
+    """Relative luminance (WCAG 2.2)."""
+    parts = [int(colour[at : at + 2], 16) / 255 for at in (1, 3, 5)]
+    linear = [part / 12.92 if part <= 0.04045 else ((part + 0.055) / 1.055) ** 2.4 for part in parts]
+    return 0.2126 * linear[0] + 0.7152 * linear[1] + 0.0722 * linear[2]
+
+
+def contrast(one: str, other: str) -> float:
+    light, dark = sorted((luminance(one), luminance(other)), reverse=True)
+    return (light + 0.05) / (dark + 0.05)
+
+
+@pytest.mark.parametrize("palette", [LIGHT, DARK], ids=["light", "dark"])
+def test_contrast(palette: dict[str, str]) -> None:
+    background = palette["background"]
+    assert contrast(palette["muted"], background) >= 4.5
+    for kind in KIND_NAMES:
+        assert contrast(palette["text"], palette[f"{kind}-fill"]) >= 4.5
+        assert contrast(palette[kind], background) >= 3
+    for line in ("allow", "deny", "plain", "audit"):
+        assert contrast(palette[line], background) >= 3
+
+
+def test_hostile_is_hostile() -> None:
+    assert {"<", ">", '"', "'", "&", "\x01", "\u202e"} <= set(HOSTILE)

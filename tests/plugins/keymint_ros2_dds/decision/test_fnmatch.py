@@ -1,0 +1,79 @@
+"""The dialects against what they model: the C library's matcher and, where it is installed, Cyclone DDS's."""
+
+from __future__ import annotations
+
+import ctypes
+import re
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from keymint_ros2_dds.decision import fnmatch
+from keymint_ros2_dds.vendors import probes
+from keymint_ros2_dds.vendors.cyclone_access_control import ac_fnmatch
+
+PIECES = st.sampled_from([*"ab-]/*?[!^\\", "[ab]", "[!a]", "[a-b]", "[^a]", "[[:alpha:]]", "[]a]", "[!]", "rt/"])
+PATTERNS = st.lists(PIECES, max_size=6).map("".join)
+NAMES = st.text(alphabet="abrt/-]![^\\c", max_size=6)
+NOESCAPE = 2
+
+libc = ctypes.CDLL(None)
+thorough = settings(max_examples=600, deadline=None)
+
+
+def matches(dialect: fnmatch.Dialect, pattern: str, name: str) -> bool:
+    return re.fullmatch(dialect(pattern), name, re.DOTALL) is not None
+
+
+@thorough
+@given(PATTERNS, NAMES)
+def test_fast_dds_is_the_c_library_without_escapes(pattern: str, name: str) -> None:
+    expected = libc.fnmatch(pattern.encode(), name.encode(), NOESCAPE) == 0
+    assert matches(fnmatch.noescape, pattern, name) == expected
+
+
+@thorough
+@given(PATTERNS, NAMES)
+def test_the_standard_is_the_c_library(pattern: str, name: str) -> None:
+    expected = libc.fnmatch(pattern.encode(), name.encode(), 0) == 0
+    assert matches(fnmatch.posix, pattern, name) == expected
+
+
+@pytest.mark.cyclonedds
+def test_cyclone_dds_has_a_matcher_of_its_own() -> None:
+    try:
+        probes.require_cyclone_plugins()
+    except probes.MissingVendorError as error:
+        pytest.skip(str(error))
+
+    @thorough
+    @given(PATTERNS, NAMES)
+    def check(pattern: str, name: str) -> None:
+        assert matches(fnmatch.cyclone, pattern, name) == ac_fnmatch(pattern, name)
+
+    check()
+
+
+@pytest.mark.parametrize(
+    ("pattern", "standard", "cyclone", "fast"),
+    [
+        (r"\*", ["*"], ["\\", r"\a"], ["\\", r"\a"]),
+        ("[^a]", ["b", "^", "]"], ["a", "^", "]"], ["b", "^", "]"]),
+        ("[a]", ["a"], ["a", "]"], ["a"]),
+        ("[!a]", ["b", "^", "]"], ["b", "^"], ["b", "^", "]"]),
+        ("[a]-x", ["a-x"], ["a", "x"], ["a-x"]),
+        ("[!]", ["[!]"], ["b]"], ["[!]"]),
+    ],
+)
+def test_row_17_where_dialects_differ(pattern: str, standard: list[str], cyclone: list[str], fast: list[str]) -> None:
+    for dialect, found in ((fnmatch.posix, standard), (fnmatch.cyclone, cyclone), (fnmatch.noescape, fast)):
+        names = {*standard, *cyclone, *fast}
+        assert {name for name in names if matches(dialect, pattern, name)} >= set(found)
+        assert [name for name in found if not matches(dialect, pattern, name)] == []
+
+
+@given(st.sampled_from([fnmatch.posix, fnmatch.noescape, fnmatch.cyclone]), st.text(max_size=8), st.text(max_size=8))
+def test_any_text_is_a_pattern(dialect: fnmatch.Dialect, pattern: str, name: str) -> None:
+    found = matches(dialect, fnmatch.in_bytes(pattern), fnmatch.in_bytes(name))
+    if fnmatch.is_plain(pattern):
+        assert found == (pattern == name)

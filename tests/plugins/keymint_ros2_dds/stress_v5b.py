@@ -1,0 +1,88 @@
+"""The law of the compiler: for every name, the standard and the vendors decide as the policy does, or it refuses."""
+
+from __future__ import annotations
+
+import itertools
+
+from hypothesis import event, given, settings
+from hypothesis import strategies as st
+from keymint_ros2_dds import build_type
+
+from keymint.api import BuildOptions
+from keymint.errors import KeymintError
+
+from .oracles import cyclone, fastdds, omg, policy
+from .packages import package, rule
+
+PARTS = st.sampled_from(["a", "b", "/", "*", "?", "[ab]", "[!a]"])
+NAMES = st.lists(PARTS, min_size=1, max_size=4).map("".join)
+ROS = st.one_of(NAMES.map("/{}".format), NAMES)
+RAW = st.one_of(
+    st.sampled_from(["rt/a", "rt/b", "rt/*", "*", "rt*", "r?/a", "rt/ab", "*a", "rq/*", "x"]),
+    NAMES.map("rt/{}".format),
+)
+KINDS = (
+    ("ros_topic", ["ros_publish", "ros_subscribe", "ros_publish ros_subscribe"], ROS),
+    ("ros_service", ["ros_call", "ros_execute"], ROS),
+    ("topic", ["publish", "subscribe", "publish subscribe"], RAW),
+)
+WORDS = ["".join(word) for size in range(4) for word in itertools.product("ab/", repeat=size)]
+TOPICS = (
+    [f"rt/{word}" for word in WORDS]
+    + [f"rq/{word}Request" for word in WORDS if len(word) < 3]
+    + [f"rr/{word}Reply" for word in WORDS if len(word) < 3]
+    + ["rt", "rtx", "rtx/a", "x", "xa", "r", "rt/aaaa", "rt/abab", "rt/baab", "rt/c", "rt/]a", "rt/a]", "rt//", "rq/a"]
+)
+
+NO_PARTITIONS = st.just(())
+
+
+@st.composite
+def rules(draw, partitions=NO_PARTITIONS):
+    kind, permissions, names = draw(st.sampled_from(KINDS))
+    effect = draw(st.sampled_from(["ALLOW", "ALLOW", "DENY"]))
+    expressions = draw(st.lists(names, min_size=1, max_size=2))
+    listed = draw(partitions) if kind == "topic" else ()
+    return rule(effect, kind, draw(st.sampled_from(permissions)), *expressions, partitions=listed)
+
+
+PARTITIONS = st.lists(st.sampled_from(["", "p", "q", "*"]), max_size=2).map(tuple)
+DENIED = st.lists(st.sampled_from(["", "p", "q", "*", "p*", "?"]), max_size=2).map(tuple)
+ASKED = ((), ("",), ("p",), ("q",), ("r",), ("p", "q"), ("", "p"), ("p", "r"), ("*",))
+FEW = tuple(topic for topic in TOPICS if len(topic) < 6)
+
+
+def differences(loaded, document: bytes, topics=TOPICS, asked=((),)):
+    for action, topic, partitions in itertools.product(("publish", "subscribe"), topics, asked):
+        wanted = policy(loaded.permissions.rules, action, topic, partitions)
+        for vendor in (omg, cyclone, fastdds):
+            if vendor(document, action, topic, partitions) != wanted:
+                yield vendor.__name__, action, topic, partitions, wanted
+
+
+def built_or_refused(loaded):
+    """Build a package; a refusal must name portability, a place and a help."""
+    try:
+        return build_type.build(loaded, BuildOptions()).documents["permissions.xml"]
+    except KeymintError as error:
+        refused = error.diagnostics
+    event("refused")
+    assert {found.code.split("-")[0] for found in refused} == {"portability"}
+    assert all(found.where and found.help for found in refused)
+    return None
+
+
+@settings(max_examples=2500, deadline=None)
+@given(st.lists(rules(), min_size=1, max_size=6))
+def test_every_vendor_decides_as_the_policy_does(drawn):
+    loaded = package(*drawn)
+    document = built_or_refused(loaded)
+    assert document is None or list(differences(loaded, document)) == []
+
+
+@settings(max_examples=2500, deadline=None)
+@given(st.lists(st.one_of(rules(), rules(PARTITIONS), rules(DENIED)), min_size=1, max_size=5))
+def test_partitions_are_decided_as_the_policy_does_or_refused(drawn):
+    loaded = package(*drawn)
+    document = built_or_refused(loaded)
+    assert document is None or list(differences(loaded, document, FEW, ASKED)) == []

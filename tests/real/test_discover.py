@@ -1,0 +1,226 @@
+"""A running system is discovered, its policy learned, and the system run secured by it."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack
+from pathlib import Path
+
+import pytest
+from keymint_ros2_dds.discovery import graph_source
+from keymint_ros2_dds.vendors.participants import DeniedError, System
+from keymint_ros2_dds.vendors.ports import Ports
+
+from .provisioning import enclave
+
+pytestmark = pytest.mark.cyclonedds
+
+NODE_SERVICES = (
+    "describe_parameters",
+    "get_parameters",
+    "get_parameter_types",
+    "list_parameters",
+    "set_parameters",
+    "set_parameters_atomically",
+)
+DOMAIN = 0
+Edges = list[tuple[str, str, list[str]]]
+
+
+class Unsecured:
+    """Participants without security that see each other and the observer, on loopback and ports of their own."""
+
+    def __init__(self, stack: ExitStack, first_port: int) -> None:
+        self._stack = stack
+        self.configuration = configuration(first_port)
+        self._environment = {**os.environ, "CYCLONEDDS_URI": self.configuration}
+        self._environment.pop("SOURCE_DATE_EPOCH", None)
+        searched = os.pathsep.join(str(Path(entry).resolve()) for entry in sys.path if entry)
+        self._environment["PYTHONPATH"] = searched
+
+    def begin(self, *, name: str = "", user_data: str = "", edges: Edges) -> subprocess.Popen[str]:
+        """Start a participant; return when it is there."""
+        command = [sys.executable, str(Path(__file__).with_name("unsecured.py")), str(DOMAIN)]
+        process = subprocess.Popen(
+            command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True, env=self._environment
+        )
+        self._stack.callback(end, process)
+        assert process.stdin is not None
+        assert process.stdout is not None
+        process.stdin.write(json.dumps({"name": name, "user_data": user_data, "edges": edges}) + "\n")
+        process.stdin.flush()
+        assert process.stdout.readline() == "READY\n"
+        return process
+
+    def discovering(self, output: Path, *arguments: str, seconds: float = 2.0) -> subprocess.Popen[str]:
+        """Start ``keymint discover``."""
+        command = [sys.executable, "-m", "keymint", "discover", "--domain", str(DOMAIN), "--seconds", str(seconds)]
+        process = subprocess.Popen(
+            [*command, "-o", str(output), *arguments],
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            text=True,
+            env=self._environment,
+        )
+        self._stack.callback(end, process)
+        return process
+
+    def discover(self, output: Path, *arguments: str, seconds: float = 2.0) -> dict[str, list[dict[str, object]]]:
+        """Run ``keymint discover``; return the graph."""
+        return graph(self.discovering(output, *arguments, seconds=seconds), output)
+
+
+def graph(process: subprocess.Popen[str], output: Path) -> dict[str, list[dict[str, object]]]:
+    out, err = process.communicate(timeout=60)
+    assert process.returncode == 0, out + err
+    document: dict[str, list[dict[str, object]]] = json.loads(output.read_text())
+    return document
+
+
+def end(process: subprocess.Popen[str]) -> None:
+    """End a process in good order, or at all."""
+    try:
+        process.communicate(timeout=10)
+    except (subprocess.TimeoutExpired, ValueError):
+        process.kill()
+        process.wait()
+    for stream in (process.stdin, process.stdout, process.stderr):
+        if stream is not None:
+            stream.close()
+
+
+def configuration(first_port: int) -> str:
+    """Return what keeps Cyclone DDS on loopback and on ports of this test."""
+    return (
+        "<CycloneDDS><Domain Id='any'><General><Interfaces>"
+        "<NetworkInterface address='127.0.0.1' multicast='false'/></Interfaces>"
+        "<AllowMulticast>false</AllowMulticast></General><Discovery><Peers><Peer Address='127.0.0.1'/></Peers>"
+        "<ParticipantIndex>auto</ParticipantIndex><MaxAutoParticipantIndex>9</MaxAutoParticipantIndex>"
+        f"<Ports><Base>{first_port}</Base><DomainGain>0</DomainGain></Ports></Discovery></Domain></CycloneDDS>"
+    )
+
+
+@pytest.fixture
+def running() -> Iterator[Unsecured]:
+    usable = graph_source.usable()
+    if not usable.usable:
+        message = f"{usable.reason}; {usable.help}"
+        if os.environ.get("KEYMINT_REQUIRE_VENDORS") == "1":
+            pytest.fail(message, pytrace=False)
+        pytest.skip(message)
+    with Ports() as ports, ExitStack() as stack:
+        yield Unsecured(stack, ports.first)
+
+
+def node(name: str, edges: Edges) -> Edges:
+    """Return what a ROS 2 node does beside its own edges."""
+    served = [
+        edge
+        for service in NODE_SERVICES
+        for edge in (
+            ("subscribe", f"rq{name}/{service}Request", []),
+            ("publish", f"rr{name}/{service}Reply", []),
+        )
+    ]
+    return [*edges, *served, ("publish", "rt/rosout", []), ("publish", "ros_discovery_info", [])]
+
+
+TALKER = node("/talker", [("publish", "rt/chatter", [])])
+LISTENER = node("/listener", [("subscribe", "rt/chatter", [])])
+
+
+def short(document: dict[str, list[dict[str, object]]]) -> set[tuple[object, ...]]:
+    return {(edge["subject"], edge["permission"], edge["object"]) for edge in document["edges"]}
+
+
+def test_names_partitions_types_and_the_user_knows_better(running: Unsecured, tmp_path: Path) -> None:
+    running.begin(name="talker", edges=[("publish", "chatter", ["rt/robot1"])])
+    running.begin(user_data="enclave=/robot1/arm;", edges=[("subscribe", "rt/joints", [])])
+    running.begin(user_data="enclave=/;", edges=node("/robot2/leg", [("publish", "odd", ["b", "a"])]))
+    found = running.discover(tmp_path / "g.json", "-v")
+    assert found["subjects"] == ["/robot1/arm", "/robot2/leg", "/talker"]
+    assert {
+        ("/talker", "ros_publish", "/robot1/chatter"),
+        ("/robot1/arm", "ros_subscribe", "/joints"),
+        ("/robot2/leg", "publish", "odd"),
+        ("/robot2/leg", "publish", "ros_discovery_info"),
+        ("/robot2/leg", "ros_execute", "/robot2/leg/get_parameters"),
+    } <= short(found)
+    (odd,) = [edge for edge in found["edges"] if edge["object"] == "odd"]
+    assert (odd["partitions"], odd["domain"]) == (["a", "b"], DOMAIN)
+    assert {"kind": "ros_topic", "object": "/joints", "type": "std_msgs/msg/String"} in found["types"]
+
+
+def test_who_comes_late_and_who_goes_early(running: Unsecured, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Observed in this process, so that the observer is known to look when others come and go."""
+    monkeypatch.setenv("CYCLONEDDS_URI", running.configuration)
+    early = running.begin(name="early", edges=[("publish", "rt/early", [])])
+
+    def happenings() -> Iterator[None]:
+        started = time.monotonic()
+        while time.monotonic() < started + 1:
+            yield
+        end(early)
+        brief = running.begin(name="brief", edges=[("subscribe", "rt/brief", [])])
+        time.sleep(0.4)  # time to be announced, while nobody asks the observer
+        end(brief)
+        running.begin(name="late", edges=[("publish", "rt/late", [])])
+        started = time.monotonic()
+        while time.monotonic() < started + 1:
+            yield
+
+    happening = happenings()
+    found = graph_source.observe(DOMAIN, lambda: next(happening, False) is None, {})
+    seen = {(edge.subject, edge.permission, edge.object.name) for edge in found.graph.edges}
+    assert seen == {
+        ("/early", "publish", "rt/early"),
+        ("/brief", "subscribe", "rt/brief"),
+        ("/late", "publish", "rt/late"),
+    }
+
+
+def test_nobody(running: Unsecured, tmp_path: Path) -> None:
+    process = running.discovering(tmp_path / "g.json", seconds=0.2)
+    _, err = process.communicate(timeout=60)
+    assert process.returncode == 0
+    assert "no participant was seen in domain 0" in err
+
+
+def test_from_a_running_system_to_the_same_one_secured(
+    running: Unsecured, cyclonedds, provisioned: Callable[[Path], Path], tmp_path: Path, keymint
+) -> None:
+    talker = running.begin(name="talker", edges=TALKER)
+    listener = running.begin(name="listener", edges=LISTENER)
+    found = running.discover(tmp_path / "graph.json")
+    for process in (talker, listener):
+        end(process)
+    assert found["subjects"] == ["/listener", "/talker"]
+    assert len(found["edges"]) == 2 * (1 + len(NODE_SERVICES) + 1 + 1)
+    policy = tmp_path / "policy.xml"
+    assert keymint("learn", tmp_path / "graph.json", "-o", policy).code == 0
+    install = provisioned(policy)
+
+    with System(cyclonedds) as system:
+        first = system.open(enclave(install, "/talker"))
+        second = system.open(enclave(install, "/listener"))
+        for participant, edges in ((first, TALKER), (second, LISTENER)):
+            for permission, topic, partitions in edges:
+                assert participant.allows(permission, topic, partitions), (permission, topic)
+        writer, reader = first.edge("publish", "rt/chatter"), second.edge("subscribe", "rt/chatter")
+        writer.await_match()
+        reader.await_match()
+        writer.write("hello")
+        assert reader.read() == "hello"
+        for participant, permission, topic in (
+            (first, "subscribe", "rt/chatter"),
+            (second, "publish", "rt/chatter"),
+            (first, "publish", "rt/cmd_vel"),
+            (second, "subscribe", "rq/talker/get_parametersRequest"),
+        ):
+            with pytest.raises(DeniedError):
+                participant.edge(permission, topic)

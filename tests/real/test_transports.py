@@ -1,0 +1,206 @@
+"""The real transports, as ``keymint verify`` uses them, and their models held against them."""
+
+from __future__ import annotations
+
+import os
+import runpy
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import pytest
+from keymint_ros2_dds.transports import cyclonedds_0_10, fastdds_2_9, real_cyclonedds, real_fastdds
+
+from keymint.api import Enclave, Surroundings, Tier, Transport, Verdict
+from keymint.errors import KeymintError
+from keymint.graph import Edge, Object
+from keymint.pki import smime
+
+from .conftest import missing_transport
+from .handmade import Authorities, criteria, governance_document, permissions_document, rule
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+MODELS = {"cyclonedds": cyclonedds_0_10, "fastdds": fastdds_2_9}
+X, Y, Z = (Object("topic", f"rt/{name}") for name in "xyz")
+
+
+@pytest.fixture(
+    params=[
+        pytest.param("cyclonedds", marks=pytest.mark.cyclonedds),
+        pytest.param("fastdds", marks=pytest.mark.fastdds),
+    ]
+)
+def vendor_name(request: pytest.FixtureRequest) -> str:
+    return request.param
+
+
+@pytest.fixture
+def surroundings(probe_cache: Path) -> Surroundings:
+    return Surroundings(datetime.now(UTC), probe_cache, {"PATH": os.environ["PATH"]})
+
+
+@pytest.fixture
+def transport(vendor_name: str, surroundings: Surroundings) -> Transport:
+    opened = {"cyclonedds": real_cyclonedds, "fastdds": real_fastdds}[vendor_name].open(surroundings)
+    usable = opened.usable()
+    if Tier.EXCHANGE not in usable.tiers:
+        missing_transport(usable)
+    return opened
+
+
+@pytest.fixture
+def model(vendor_name: str, surroundings: Surroundings) -> Transport:
+    return MODELS[vendor_name].open(surroundings)
+
+
+def enclave(authorities: Authorities, folder: Path, rules: str = "", **more: str) -> Path:
+    """Write an enclave whose documents have the form that Keymint writes."""
+    name, ca = more.get("name", "/talker"), authorities.permissions
+    authorities.enclave(folder, rules, **more)
+    documents = {
+        "permissions.p7s": more.get("permissions") or permissions_document(f"CN={name}", rules),
+        "governance.p7s": more.get("governance") or governance_document(),
+    }
+    for file, content in documents.items():
+        (folder / file).write_bytes(smime.sign(content.encode(), ca.certificate, ca.key))
+    return folder
+
+
+@pytest.fixture
+def pair(authorities: Authorities, tmp_path: Path) -> list[Enclave]:
+    """A talker that may publish x and z, and a listener that may have all."""
+    publish, everything = (criteria("publish", ["rt/x", "rt/z"]), criteria("publish", ["*"]))
+    folders = {
+        "/talker": enclave(authorities, tmp_path / "talker", rule("allow", publish), name="/talker"),
+        "/listener": enclave(
+            authorities,
+            tmp_path / "listener",
+            rule("allow", everything + criteria("subscribe", ["*"])),
+            name="/listener",
+        ),
+    }
+    return [Enclave(subject, folder, "humble") for subject, folder in folders.items()]
+
+
+def labelled(transport: Transport, enclaves: list[Enclave], tier: Tier, *edges: Edge) -> list[Verdict]:
+    found = list(transport.label(enclaves, iter(edges), tier))
+    assert [edge for edge, _ in found] == list(edges)
+    return [verdict for _, verdict in found]
+
+
+def talker(permission: str, found: Object, domain: int = 0) -> Edge:
+    return Edge("/talker", permission, found, domain)
+
+
+EDGES = (talker("publish", X), talker("subscribe", X), talker("publish", Y), talker("publish", Z))
+
+
+@pytest.mark.parametrize("tier", list(Tier))
+def test_every_tier_decides_alike(transport: Transport, pair: list[Enclave], tier: Tier) -> None:
+    found = labelled(transport, pair, tier, *EDGES, Edge("/listener", "publish", Y))
+    assert [verdict.allowed for verdict in found] == [True, False, False, True, True]
+    assert all(verdict.reason for verdict in found)
+    assert found[0].line
+
+
+def test_what_is_allowed_is_delivered_and_an_intruder_is_refused(transport: Transport, pair: list[Enclave]) -> None:
+    found = labelled(transport, pair, Tier.EXCHANGE, *EDGES)
+    assert found[0].reason == "a sample was delivered with /listener"
+    assert all(found[index].reason.endswith("; /listener refuses it as well") for index in (1, 2))
+
+
+def test_a_partition_is_part_of_what_is_exchanged(
+    authorities: Authorities, transport: Transport, tmp_path: Path
+) -> None:
+    both = criteria("publish", ["rt/x"], ["a"]) + criteria("subscribe", ["rt/x"], ["a"])
+    enclaves = [
+        Enclave(f"/{name}", enclave(authorities, tmp_path / name, rule("allow", both), name=f"/{name}"), "humble")
+        for name in ("talker", "listener")
+    ]
+    places = [Object("topic", "rt/x", partitions) for partitions in (("a",), ("b",), ())]
+    found = labelled(transport, enclaves, Tier.EXCHANGE, *(talker("publish", place) for place in places))
+    assert [verdict.allowed for verdict in found] == [True, False, False]
+    assert "delivered" in found[0].reason
+    assert "nothing was sent" in found[1].reason
+
+
+@pytest.mark.parametrize("tier", list(Tier))
+def test_a_refused_enclave_denies_every_edge_and_says_why(
+    authorities: Authorities, transport: Transport, tmp_path: Path, tier: Tier
+) -> None:
+    content = permissions_document("CN=/somebody", rule("allow", criteria("publish", ["rt/x"])))
+    folder = enclave(authorities, tmp_path, name="/talker", permissions=content)
+    [found] = labelled(transport, [Enclave("/talker", folder, "humble")], tier, talker("publish", X))
+    assert not found.allowed
+    assert "refuse" in found.reason
+
+
+def test_domains_are_asked_apart(authorities: Authorities, transport: Transport, tmp_path: Path) -> None:
+    wide = governance_document(domains="<id_range><min>0</min><max>9</max></id_range>")
+    folder = enclave(authorities, tmp_path, rule("allow", criteria("publish", ["rt/x"])), governance=wide)
+    edges = [talker("publish", X, domain) for domain in (0, 1)]
+    found = labelled(transport, [Enclave("/talker", folder, "humble")], Tier.DECISION, *edges)
+    assert found[0].allowed
+    assert found[1].allowed == found[1].deviation.startswith("row 10, domains-unused")
+
+
+@pytest.mark.cyclonedds
+def test_a_document_that_stops_cyclone_dds_is_not_given_to_it(
+    authorities: Authorities, cyclone_plugins: None, surroundings: Surroundings, tmp_path: Path
+) -> None:
+    stopping = rule("allow", criteria("publish", ["rt/x"])).replace("<id>0</id>", "<id_range><max>3</max></id_range>")
+    folder = enclave(authorities, tmp_path, stopping)
+    opened = real_cyclonedds.open(surroundings)
+    [found] = labelled(opened, [Enclave("/talker", folder, "humble")], Tier.DECISION, talker("publish", X))
+    assert (found.allowed, "stops Cyclone DDS" in found.reason) == (False, True)
+
+
+def test_names_that_no_topic_has_are_denied(transport: Transport, pair: list[Enclave]) -> None:
+    edges = [talker("publish", Object("topic", name)) for name in ("", "a\tb", "a\nb")]
+    assert not any(verdict.allowed for verdict in labelled(transport, pair, Tier.ADMISSION, *edges))
+
+
+@pytest.mark.parametrize("vendor_name", ["cyclonedds", "fastdds"])
+def test_without_compiler_and_library_a_transport_says_how_to_install_it(
+    vendor_name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from keymint_ros2_dds.vendors import cyclone_access_control
+
+    def absent() -> None:
+        raise OSError("libddsc.so: cannot open shared object file")
+
+    monkeypatch.setattr(cyclone_access_control, "library", absent)
+    nowhere = Surroundings(datetime.now(UTC), tmp_path, {"PATH": str(tmp_path)})
+    opened = {"cyclonedds": real_cyclonedds, "fastdds": real_fastdds}[vendor_name].open(nowhere)
+    usable = opened.usable()
+    assert (usable.usable, usable.tiers) == (False, ())
+    assert usable.help.startswith("apt-get install ")
+    with pytest.raises(KeymintError, match="cannot be used at tier decision"):
+        opened.label([], [], Tier.DECISION)
+
+
+def test_models_agree_on_random_documents(transport: Transport, vendor_name: str, surroundings: Surroundings) -> None:
+    """A small share of what ``benchmarks/agreement.py`` compares."""
+    from keymint.plugins import Plugins
+
+    benchmark = _benchmark("agreement.py")
+    documents = 100 if vendor_name == "cyclonedds" else 25
+    compared = list(benchmark(Plugins(surroundings=surroundings), vendor_name, documents, 30, 7))
+    assert len(compared) == documents * 30
+    assert [text for _, text in compared if text] == []
+    assert any(allowed for allowed, _ in compared)
+
+
+def _benchmark(name: str) -> Callable[..., object]:
+    import sys
+
+    folder = Path(__file__).resolve().parents[2] / "benchmarks"
+    if not folder.is_dir():
+        pytest.skip("no benchmarks beside these tests")
+    sys.path.insert(0, str(folder))
+    try:
+        return runpy.run_path(str(folder / name))["disagreements"]
+    finally:
+        sys.path.remove(str(folder))

@@ -1,0 +1,66 @@
+"""``keymint verify`` on real vendors: the examples have no error, and an edit by hand is found."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import pytest
+
+from tests.conftest import CHECKOUT
+
+EXAMPLES = ("talker_listener", "add_two_ints", "action", "fleet")
+NEEDED = {"cyclonedds": "cyclone_plugins", "fastdds": "fastdds"}
+
+
+@pytest.fixture(params=[pytest.param(name, marks=getattr(pytest.mark, name)) for name in NEEDED])
+def transport(request: pytest.FixtureRequest) -> str:
+    """The name of a real transport, where it is installed."""
+    request.getfixturevalue(NEEDED[request.param])
+    return request.param
+
+
+@pytest.fixture(autouse=True)
+def real_clock(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Real vendors go by the clock of the machine."""
+    monkeypatch.delenv("SOURCE_DATE_EPOCH")
+
+
+@pytest.mark.parametrize("example", EXAMPLES)
+def test_examples_have_no_error(keymint, tmp_path: Path, example: str, transport: str) -> None:
+    assert keymint("provision", CHECKOUT / "examples" / example, "-w", "ws").code == 0
+    outcome = keymint("verify", "-w", "ws", "-t", transport, "--json")
+    assert outcome.code == 0, outcome.out
+    (found,) = outcome.document["result"]["transports"]
+    counts = found["confusion"]
+    assert counts["false_positive"] == counts["false_negative"] == 0
+    assert counts["true_positive"] > 20
+
+
+def test_an_edit_by_hand_is_found_and_explained_by_the_model(keymint, tmp_path: Path, transport: str) -> None:
+    assert keymint("provision", CHECKOUT / "examples/talker_listener", "-w", "ws").code == 0
+    path = tmp_path / "ws/build/talker/permissions.xml"
+    path.write_text(path.read_text().replace("<topic>rt/chatter<", "<topic>rt/chatter*<"))
+    assert keymint("install", "-w", "ws").code == 0
+    outcome = keymint("verify", "-w", "ws", "-t", transport, "--json")
+    assert outcome.code == 3
+    (found,) = outcome.document["result"]["transports"]
+    first = next(each for each in found["findings"] if each["request"] == "/talker ros_publish /chatterx")
+    assert first["error"] == "false-positive"
+    assert first["transport"]["explained_by"].startswith(f"{transport}-")
+    assert first["transport"]["said"]
+    assert first["transport"]["rule"]["line"] > 0
+
+
+def test_an_expired_grant_refuses_the_whole_enclave(keymint, tmp_path: Path, transport: str) -> None:
+    assert keymint("provision", CHECKOUT / "examples/talker_listener", "-w", "ws").code == 0
+    path = tmp_path / "ws/build/talker/permissions.xml"
+    text = re.sub("<not_before>[^<]*", "<not_before>2020-01-01T00:00:00", path.read_text())
+    path.write_text(re.sub("<not_after>[^<]*", "<not_after>2020-02-01T00:00:00", text))
+    assert keymint("install", "-w", "ws").code == 0
+    outcome = keymint("verify", "-w", "ws", "-t", transport, "--json")
+    assert outcome.code == 3
+    (found,) = outcome.document["result"]["transports"]
+    assert {each["edge"]["subject"] for each in found["findings"]} == {"/talker"}
+    assert found["confusion"]["false_positive"] == 0
+    assert all("expired" in each["transport"]["reason"] for each in found["findings"])
