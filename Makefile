@@ -33,6 +33,9 @@ lint: setup
 
 bench: setup
 	$(BIN)/python benchmarks/provision.py
+	$(BIN)/python benchmarks/verify.py
+	$(BIN)/python benchmarks/decisions.py
+	$(BIN)/python benchmarks/agreement.py
 
 lock: setup
 	$(BIN)/python -m pip install --quiet uv

@@ -23,6 +23,7 @@ VERBS: Mapping[str, str] = {
     "build": "Build unsigned documents.",
     "install": "Sign them, and stage enclaves for deployment.",
     "check": "Hold what is installed against what it should be.",
+    "prove": "Prove that what is installed permits exactly what the policy says, over all names.",
     "status": "Show how far every package has come, and when it expires.",
     "verify": "Compare what transports decide with what the policy says, edge by edge.",
     "why": "Explain one decision through all layers.",

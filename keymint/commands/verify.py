@@ -92,23 +92,24 @@ def verify(
     loaded = inputs.profile()
     found = scope(inputs, loaded, run.names(inputs, names), Sources(run.plugins))
     policy = load_policy(inputs, loaded)
+    subjects = tuple(found.enclaves)
     if graph is None:
         edges = edges_of_policy(policy, found)
     else:
-        edges = edges_of_graph(load(read_input(run, graph), str(graph)), found, only=bool(names))
+        subjects, edges = edges_of_graph(load(read_input(run, graph), str(graph)), found, only=bool(names))
     transports = choose(run.plugins, chosen, Tier(tier))
     judge = Judge(policy, found.namings)
     explain = Explainer(judge, transports, lambda: models(run.plugins))
     outcomes: list[Outcome] = []
-    with run.console.progress((1 + len(transports)) * len(found.enclaves), run.setting.monotonic) as advance:
+    with run.console.progress((1 + len(transports)) * len(subjects), run.setting.monotonic) as advance:
         said = label(judge, edges(), _advancing(advance, "policy"))
         for name, transport in transports.items():
             on_subject = _advancing(advance, name)
             outcomes.append(
                 compare(name, transport, found.enclaves, edges(), said, Tier(tier), explain, limit, on_subject)
             )
-    _show(run, outcomes, len(found.enclaves), len(said))
-    _write(run, outcomes, tuple(found.enclaves), sarif, junit)
+    _show(run, outcomes, len(subjects), len(said))
+    _write(run, outcomes, subjects, sarif, junit)
     if report is not None:
         title = f"{graph or 'The policy'} on {', '.join(transports)}"
         labelled = labelled_edges(title, outcomes, edges(), said, judge.decide, _typed(run))
@@ -120,7 +121,7 @@ def verify(
         workspace,
         (),
         tuple(messages(outcomes)),
-        as_result(outcomes, tuple(found.enclaves), len(said), _typed(run)),
+        as_result(outcomes, subjects, len(said), _typed(run)),
         ExitCode.FINDINGS if wrong else ExitCode.DONE,
     )
 

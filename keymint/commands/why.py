@@ -11,11 +11,11 @@ import click
 from keymint.api import AppliedProfile, Tier
 from keymint.commands.common import Run, verb
 from keymint.errors import Diagnostic, ExitCode, Origin, Severity
-from keymint.graph import LABELLED
+from keymint.graph import LABELLED, Edge
 from keymint.plan.create import load_policy
 from keymint.report import Report
 from keymint.verify.choose import choose, models
-from keymint.verify.report import HELP, edge_document, place
+from keymint.verify.report import edge_document, place, remedy
 from keymint.verify.why import Explanation, Place, explain, request
 from keymint.verify.words import does, in_words, in_words_of_rule, listed, of_document, plain
 from keymint.verify.words import request as shown_request
@@ -84,7 +84,7 @@ def _findings(found: Explanation) -> list[Diagnostic]:
             Severity.ERROR,
             in_words(names, label, here=True),
             label.policy.where or label.document,
-            HELP[label.error],
+            remedy(label),
             found.edge.subject,
         )
         for names in together.values()
@@ -110,12 +110,17 @@ def _lines(found: Explanation, typed: Callable[[str], str]) -> Iterator[str]:
     layers["package"] = [rule(each) for each in found.package] or ["no rule of it is about this"]
     if not found.packaged:
         layers["package"] = ["there is none ('keymint create' makes it)"]
-    layers["needs"] = [f"{each.permission} on the DDS topic {each.object.name!r}" for each in found.endpoints]
+    layers["needs"] = [_need(each) for each in found.endpoints]
     layers["enclave"] = list(_labels(found, typed))
     yield f"{shown_request(found.edge)}: the policy {does(found.policy.allowed)} it"
     for title, lines in layers.items():
         for index, line in enumerate(lines):
             yield f"{title if index == 0 else '':<10}{line}"
+
+
+def _need(endpoint: Edge) -> str:
+    partitions = "".join(f" in partition {name!r}" for name in endpoint.object.partitions)
+    return f"{endpoint.permission} on the DDS topic {endpoint.object.name!r}{partitions}"
 
 
 def _at(where: Origin, typed: Callable[[str], str]) -> str:

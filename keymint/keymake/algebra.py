@@ -110,6 +110,30 @@ def disjoint(left: Glob, right: Glob) -> bool:
     return _disjoint(left, right)
 
 
+def all_disjoint(lefts: Iterable[Glob], rights: Iterable[Glob]) -> bool:
+    """Tell whether no name is matched by one of the first and one of the second; quick for many literals."""
+    exact, wild = _parted(lefts)
+    exact2, wild2 = _parted(rights)
+    if not exact.isdisjoint(exact2):
+        return False
+    pairs = ((glob, names) for globs, names in ((wild, exact2), (wild2, exact)) for glob in globs)
+    if any(accepts(name) for glob, names in pairs for accepts in (matcher(glob),) for name in names):
+        return False
+    return all(disjoint(left, right) for left in wild for right in wild2)
+
+
+def _parted(globs: Iterable[Glob]) -> tuple[set[str], list[Glob]]:
+    """Return the names of literal globs, and the other globs."""
+    exact: set[str] = set()
+    wild: list[Glob] = []
+    for glob in globs:
+        if (text := literal(glob)) is None:
+            wild.append(glob)
+        else:
+            exact.add(text)
+    return exact, wild
+
+
 @lru_cache(maxsize=1 << 14)
 def _disjoint(left: Glob, right: Glob) -> bool:
     """Search the product of the two for a pair of ends."""

@@ -7,8 +7,9 @@ from collections.abc import Mapping
 from keymint.graph import Object
 from keymint.pictures.model import Labelled, LabelledEdge
 from keymint.pictures.palette import LIGHT
-from keymint.pictures.svg import Options, sentence, shown_edges
+from keymint.pictures.svg import Options, shown_edges
 from keymint.pictures.text import INWARD, OUTWARD, object_name, printable, role
+from keymint.pictures.words import sentence
 
 
 def dot(labelled: Labelled, options: Options | None = None) -> bytes:

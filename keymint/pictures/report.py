@@ -11,7 +11,7 @@ import base64
 import hashlib
 from collections import Counter, defaultdict
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import astuple, dataclass, replace
 from typing import Any
 
 from markupsafe import Markup
@@ -20,8 +20,9 @@ from keymint.errors import Origin
 from keymint.pictures.layout import Domain, Key
 from keymint.pictures.model import Labelled, LabelledEdge, Outcome, Said
 from keymint.pictures.palette import Theme, style_sheet
-from keymint.pictures.svg import Embedding, Options, counted, draw, environment, weight
+from keymint.pictures.svg import Embedding, Options, draw, environment, weight
 from keymint.pictures.text import KINDS, object_name, printable
+from keymint.pictures.words import counted
 
 MOST_ROWS = 10_000
 """Edges that a report lists; it says how many it leaves out. False labels come first, then what is allowed."""
@@ -48,6 +49,9 @@ def html_report(labelled: Labelled, sources: Mapping[str, bytes], picture: Optio
     script = _text("report.js")
     rows = page.rows()
     listed = [row for found in rows.values() for row in found]
+    counts = Counter(row["outcome"] for row in listed)
+    compared = [sum(astuple(found)) for found in labelled.confusions]
+    total = max(len(labelled.edges), *compared) if compared else len(labelled.edges)
     context = {
         "title": printable(labelled.title),
         "style": Markup(style),  # noqa: S704 - ours
@@ -55,11 +59,11 @@ def html_report(labelled: Labelled, sources: Mapping[str, bytes], picture: Optio
         "policy": f"default-src 'none'; style-src {_digest(style)}; script-src {_digest(script)}; "
         "base-uri 'none'; form-action 'none'",
         "size": f"{counted(len(labelled.subjects), 'subject')}, {counted(len(page.objects), 'object')}, "
-        f"{counted(len(labelled.edges), 'edge')}",
+        f"{counted(total, 'edge')}",
         "verdicts": [
-            {"value": str(outcome), "words": words, "count": labelled.counts[outcome]}
+            {"value": str(outcome), "words": words, "count": counts[str(outcome)]}
             for outcome, words in _WORDS.items()
-            if labelled.counts[outcome]
+            if counts[str(outcome)]
         ],
         "transports": [printable(name) for name in labelled.transports],
         "has_policy": any(one.policy for one in labelled.edges),
@@ -70,7 +74,7 @@ def html_report(labelled: Labelled, sources: Mapping[str, bytes], picture: Optio
             {"name": printable(name), "number": page.number(name), "rows": rows[name]} for name in labelled.subjects
         ],
         "objects": page.object_rows(),
-        "unlisted": len(labelled.edges) - len(listed),
+        "unlisted": total - len(listed),
         "sources": [
             {"name": printable(name), "at": at, "lines": [*_lines(content)]}
             for at, (name, content) in enumerate(sources.items())

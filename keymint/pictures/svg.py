@@ -5,22 +5,23 @@ from __future__ import annotations
 import math
 from collections import defaultdict
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from enum import StrEnum
 from functools import cache
 from typing import TYPE_CHECKING
 
 from keymint.pictures.fold import fold, folded_name
 from keymint.pictures.layout import CHARACTER, Box, Domain, Key, Line, Panel, lay_out
-from keymint.pictures.model import Labelled, LabelledEdge, Outcome, Said, namespace
+from keymint.pictures.legend import LINE, edge_classes, flowed, legend
+from keymint.pictures.model import Labelled, LabelledEdge, Outcome, namespace
 from keymint.pictures.palette import Theme, style_sheet
-from keymint.pictures.text import INWARD, KINDS, OUTWARD, columns, object_name, printable, role, shorten
+from keymint.pictures.text import columns, object_name, printable, shorten
+from keymint.pictures.words import counted, sentence
 
 if TYPE_CHECKING:
     from jinja2 import Environment
 
 MARGIN = 24.0
-_LINE = 22.0
 _PANEL_GAP = 48.0
 _SHEET = 1500.0
 """Panels stand beside one another up to that width, in pixels."""
@@ -73,17 +74,6 @@ class Embedding:
     number: Callable[[Key], int]
 
 
-@dataclass(frozen=True, slots=True)
-class _Sample:
-    """An entry of the legend."""
-
-    text: str
-    classes: str
-    form: str
-    x: float = 0.0
-    y: float = 0.0
-
-
 @cache
 def environment() -> Environment:
     """Return the templates; everything that they print is escaped."""
@@ -116,12 +106,12 @@ def draw(labelled: Labelled, options: Options, embedding: Embedding | None) -> s
     edges = shown_edges(edges, options)
     names = {key[1]: folded_name(found) for key, found in members.items() if len(found) > 1}
     panels = [lay_out(*part, names) for part in _parts(labelled, edges, options.split)]
-    samples = list(_legend(labelled, edges, panels, options))
+    samples = list(legend(labelled, edges, panels, options.transport))
     width = max(_LEAST_WIDTH, *(panel.width for panel in panels)) if panels else _LEAST_WIDTH
     placed, sheet_width, sheet_height = _placed(panels, max(width, _SHEET) if len(panels) > 1 else width)
     width = max(sheet_width, _LEAST_WIDTH)
-    samples, legend_height = _flowed(samples, width)
-    top = MARGIN + 2 * _LINE
+    samples, legend_height = flowed(samples, width)
+    top = MARGIN + 2 * LINE
     legend_top = top + 4
     panel_top = legend_top + legend_height + 18
     left = MARGIN + (max(0.0, width - sheet_width) / 2)
@@ -215,7 +205,7 @@ def _placed(panels: Sequence[Panel], most: float) -> tuple[list[tuple[Panel, flo
         width = max(panel.width, columns(panel.heading) * CHARACTER * 13 / 12)
         if x and x + width > most:
             x, y, tallest = 0.0, y + tallest + _PANEL_GAP, 0.0
-        heading = _LINE if panel.heading else 0.0
+        heading = LINE if panel.heading else 0.0
         placed.append((panel, x, y + heading))
         widest = max(widest, x + width)
         tallest = max(tallest, panel.height + heading)
@@ -243,79 +233,7 @@ def _subtitle(labelled: Labelled, options: Options, members: _Members, drawn: in
     return "; ".join(said)
 
 
-def counted(number: int, noun: str) -> str:
-    """Return a number with its noun: ``1 edge``, ``2 edges``."""
-    return f"{number} {noun}" + ("" if number == 1 else "s")
-
-
-def sentence(labelled: LabelledEdge, transports: Sequence[str]) -> str:
-    """Return an edge and all that is said about it on one line."""
-    edge = labelled.edge
-    layers = [("policy", labelled.policy), *zip(transports, labelled.transports, strict=True)]
-    said = "; ".join(f"{name}: {_said(one)}" for name, one in layers if one is not None)
-    text = f"{edge.subject} {edge.permission} {object_name(edge.object, edge.domain)}"
-    return printable(text + (f" - {said}" if said else "") + (" (AUDIT)" if labelled.audit else ""))
-
-
-def _said(said: Said) -> str:
-    because = ": ".join(filter(None, (str(said.where) if said.where else "", said.reason)))
-    return ("allowed" if said.allowed else "denied") + (f" ({because})" if because else "")
-
-
-def _legend(
-    labelled: Labelled, edges: Sequence[LabelledEdge], panels: Sequence[Panel], options: Options
-) -> Iterator[_Sample]:
-    """Yield what a reader needs to know of this picture, and no more."""
-    kinds = {box.kind for panel in panels for box in panel.boxes}
-    yield _Sample("subject", "subject", "box")
-    for kind, name in KINDS.items():
-        if kind in kinds:
-            yield _Sample(name, kind, "box")
-    if any(one.edge.object in labelled.patterns for one in edges):
-        yield _Sample("expression", "pattern neutral", "box")
-    roles = {role(one.edge.permission) for one in edges}
-    for direction, form in ((OUTWARD, "out"), (INWARD, "in")):
-        named = [name for name in direction if name in roles and name != "relay"]
-        if named:
-            towards = "object" if form == "out" else "subject"
-            yield _Sample(f"to the {towards}: {', '.join(named)}", "plain", "arrow")
-    if "relay" in roles:
-        yield _Sample("both ways: relay", "plain", "both")
-    outcomes = {one.outcome(options.transport) for one in edges}
-    labels = bool(labelled.transports)
-    words = {
-        Outcome.ALLOW: "allowed, as the policy says" if labels else "allowed",
-        Outcome.DENY: "denied, as the policy says" if labels else "denied",
-        Outcome.FALSE_ALLOW: "allowed against the policy (false positive)",
-        Outcome.FALSE_DENY: "denied against the policy (false negative)",
-    }
-    for outcome, text in words.items():
-        if outcome in outcomes:
-            yield _Sample(text, _classes(outcome, labels=labels), "arrow" if outcome.allowed else "barred")
-    if any(one.audit for one in edges):
-        yield _Sample("AUDIT: to be watched", "audited", "dot")
-
-
-def _flowed(samples: Sequence[_Sample], width: float) -> tuple[list[_Sample], float]:
-    x = y = 0.0
-    placed = []
-    for sample in samples:
-        needed = 40 + columns(sample.text) * CHARACTER + 18
-        if x and x + needed > width:
-            x, y = 0.0, y + _LINE
-        placed.append(replace(sample, x=round(x, 1), y=y))
-        x += needed
-    return placed, y + _LINE
-
-
 # -- shapes ----------------------------------------------------------------------------------------------------------
-
-
-def _classes(outcome: Outcome, *, labels: bool) -> str:
-    if outcome is Outcome.UNLABELLED:
-        return "plain"
-    verdict = "allow" if outcome.allowed else "deny"
-    return f"{verdict} {'false' if outcome.false else 'true'}" if labels else verdict
 
 
 def _box(box: Box, labelled: Labelled, members: _Members, embedding: Embedding | None) -> dict[str, object]:
@@ -362,7 +280,7 @@ def _line(
     at = 0.11
     return {
         "outcome": str(outcome),
-        "classes": f"edge {_classes(outcome, labels=bool(labelled.transports))}",
+        "classes": f"edge {edge_classes(outcome, labels=bool(labelled.transports))}",
         "title": sentence(line.labelled, labelled.transports),
         "curve": curve,
         "heads": "".join(heads),

@@ -140,9 +140,7 @@ def _plan_authority(
     return MintedAuthority(loaded, certificate + (above.chain if above else b""), keyed), tuple(changes), said
 
 
-def _kept_elsewhere(
-    inputs: Inputs, authority: Authority, pem: bytes, above: MintedAuthority | None
-) -> MintedAuthority:
+def _kept_elsewhere(inputs: Inputs, authority: Authority, pem: bytes, above: MintedAuthority | None) -> MintedAuthority:
     """Return an authority whose private key is not here, as that of an offline root.
 
     Raises:
@@ -158,6 +156,8 @@ def _kept_elsewhere(
         code="authority-key-missing",
     )
     public_key = certificates.public_key(certificate)
-    if not keys.fits(public_key, spec.key) or not satisfies(pem, spec, public_key, above.certificate if above else None):
+    if not keys.fits(public_key, spec.key) or not satisfies(
+        pem, spec, public_key, above.certificate if above else None
+    ):
         raise missing
     return MintedAuthority(certificate, pem + (above.chain if above else b""), missing)

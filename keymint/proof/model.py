@@ -104,14 +104,14 @@ class Budget:
 
         It raises :class:`SpentError` when the budget is spent.
         """
-        left = self.states
+        visited = 0
 
         def count() -> None:
-            nonlocal left
-            left -= 1
-            if left < 0:
+            nonlocal visited
+            if visited >= self.states:
                 raise SpentError(f"not decided within {self.states:,} states")
-            if not left % 256 and not self.go_on():
+            if not visited % 256 and not self.go_on():
                 raise SpentError("not decided in time")
+            visited += 1
 
         return count

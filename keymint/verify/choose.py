@@ -13,11 +13,18 @@ def choose(plugins: Plugins, chosen: Sequence[str], tier: Tier) -> dict[str, Tra
     """Return the transports to ask, by name: those that are named, or all that can be asked this way here.
 
     Raises:
-        KeymintError: one that is named is not known, or not usable.
+        KeymintError: one that is named is not known or not usable, or none is named and none is usable.
     """
     if not chosen:
         known = plugins.transports().items()
-        return {name: each for name, each in known if usable_by_default(each.usable(), tier)}
+        found = {name: each for name, each in known if usable_by_default(each.usable(), tier)}
+        if not found:
+            raise KeymintError(
+                f"no transport can be asked at the tier {tier} on this machine",
+                help="'keymint transports' says how to install one",
+                code="transport-none",
+            )
+        return found
     asked = {name: plugins.transport(name) for name in dict.fromkeys(chosen)}
     for name, transport in asked.items():
         usable = transport.usable()

@@ -99,9 +99,7 @@ def _apart(endpoint: Edge) -> Sequence[Edge]:
     names = endpoint.object.partitions
     if len(names) < 2:  # noqa: PLR2004 - nothing to take apart
         return (endpoint,)
-    return [
-        replace(endpoint, object=replace(endpoint.object, partitions=(name,) if name else ())) for name in names
-    ]
+    return [replace(endpoint, object=replace(endpoint.object, partitions=(name,) if name else ())) for name in names]
 
 
 def label(judge: Judge, edges: Iterable[Edge], on_subject: Callable[[str], None] = lambda _subject: None) -> bytearray:

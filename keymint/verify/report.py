@@ -11,10 +11,16 @@ from keymint.verify.model import Confusion, Error, Finding, Outcome
 from keymint.verify.words import in_words, request
 
 _EXAMPLES = 3
-HELP = {
-    Error.FALSE_POSITIVE: "the enclave permits more than the policy: build and install it from the policy",
-    Error.FALSE_NEGATIVE: "the enclave permits less than the policy: build and install it from the policy",
-}
+
+
+def remedy(finding: Finding) -> str:
+    """Return how to mend what a finding is about."""
+    name = finding.edge.subject.removeprefix("/")
+    much = "more" if finding.error is Error.FALSE_POSITIVE else "less"
+    return (
+        f"the enclave permits {much} than the policy; to make it anew: "
+        f"keymint create {name}; keymint build -f {name}; keymint install {name}"
+    )
 
 
 def messages(outcomes: Sequence[Outcome]) -> Iterator[Diagnostic]:
@@ -33,7 +39,7 @@ def messages(outcomes: Sequence[Outcome]) -> Iterator[Diagnostic]:
             Severity.ERROR,
             in_words(transports, first, here=True) + (also if others else ""),
             first.policy.where or first.document,
-            HELP[first.error],
+            remedy(first),
             first.edge.subject,
         )
     for outcome in outcomes:

@@ -34,7 +34,6 @@ def sarif(outcomes: Sequence[Outcome], typed: Callable[[str], str]) -> bytes:
         "name": "keymint verify",
         "version": __version__,
         "semanticVersion": __version__,
-        "informationUri": "https://arxiv.org/abs/1810.08125",
         "rules": rules,
     }
     results = [_result(outcome, finding, typed) for outcome in outcomes for finding in outcome.findings]

@@ -35,8 +35,10 @@ def scope(inputs: Inputs, loaded: LoadedProfile, names: Sequence[str], sources: 
     """Return what there is to verify of some packages.
 
     Raises:
-        KeymintError: a package is not installed, or has defects.
+        KeymintError: there is none, one is not installed, or has defects.
     """
+    if not names:
+        raise KeymintError("there is no package to verify", help="run 'keymint create --all'", code="packages-none")
     there = set(install.installed(inputs, loaded))
     missing = [name for name in names if name not in there]
     if missing:
@@ -69,8 +71,8 @@ def naming_of(inputs: Inputs, package: Package) -> Naming | None:
     return None
 
 
-def edges_of_graph(graph: Graph, found: Scope, *, only: bool) -> Callable[[], Iterator[Edge]]:
-    """Return a function that yields the completion of a graph, for the subjects that there is to verify.
+def edges_of_graph(graph: Graph, found: Scope, *, only: bool) -> tuple[tuple[str, ...], Callable[[], Iterator[Edge]]]:
+    """Return the subjects of a graph that there is to verify, and a function that yields its completion for them.
 
     Args:
         graph: the graph.
@@ -78,13 +80,12 @@ def edges_of_graph(graph: Graph, found: Scope, *, only: bool) -> Callable[[], It
         only: leave subjects out that are not to be verified.
 
     Raises:
-        KeymintError: a subject of the graph has no enclave here.
+        KeymintError: a subject of the graph has no enclave here, or the graph is empty.
     """
     missing = [subject for subject in graph.subjects if subject not in found.enclaves]
-    if missing and only:
-        kept = replace(graph, subjects=tuple(subject for subject in graph.subjects if subject in found.enclaves))
-        return lambda: complete(kept)
-    if missing:
+    if not graph.edges:
+        raise KeymintError("the graph has no edge, so that there is nothing to verify", code="graph-empty")
+    if missing and not only:
         import difflib  # noqa: PLC0415 - only for the message
 
         near = difflib.get_close_matches(missing[0], found.enclaves, n=1)
@@ -93,7 +94,8 @@ def edges_of_graph(graph: Graph, found: Scope, *, only: bool) -> Callable[[], It
             help=f"did you mean {near[0]}?" if near else f"'keymint create {missing[0]}', build and install it",
             code="enclave-missing",
         )
-    return lambda: complete(graph)
+    kept = tuple(subject for subject in graph.subjects if subject in found.enclaves)
+    return kept, lambda: complete(replace(graph, subjects=kept))
 
 
 def edges_of_policy(policy: LoadedPolicy, found: Scope) -> Callable[[], Iterator[Edge]]:

@@ -4,7 +4,18 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 
-from keymint.api import API_VERSION, Artifact, BuildOptions, Built, Credentials, Enclave, Inspection, Package
+from keymint.api import (
+    API_VERSION,
+    Artifact,
+    BuildOptions,
+    Built,
+    Claim,
+    Credentials,
+    Enclave,
+    Inspection,
+    Obligation,
+    Package,
+)
 from keymint.errors import Diagnostic
 from keymint.graph import Edge
 
@@ -64,6 +75,18 @@ class DdsSecurity:
         from keymint_ros2_dds.endpoints import meanings  # noqa: PLC0415
 
         return meanings(distro, endpoint)
+
+    def assumptions(self) -> Mapping[str, Sequence[str]]:
+        """See :data:`keymint_ros2_dds.proving.ASSUMPTIONS`."""
+        from keymint_ros2_dds.proving import ASSUMPTIONS  # noqa: PLC0415
+
+        return ASSUMPTIONS
+
+    def prove(self, obligation: Obligation) -> Sequence[Claim]:
+        """See :func:`keymint_ros2_dds.proving.prove`."""
+        from keymint_ros2_dds.proving import prove  # noqa: PLC0415
+
+        return prove(obligation)
 
     def mentioned(self, enclave: Enclave) -> Sequence[tuple[str, Sequence[str]]]:
         """See :func:`keymint_ros2_dds.mentioned.mentioned`."""

@@ -9,8 +9,9 @@ partitions to be about the default partition, Fast DDS ignores those it has).
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Collection, Iterable, Iterator, Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 
 from keymint.ir import Effect
 from keymint.keymake import glob as globs
@@ -109,7 +110,8 @@ def _plain(partitions: Partitions) -> Partitions:
     return _reduced(partitions) if partitions else DEFAULT
 
 
-def _reduced(partitions: Iterable[str]) -> Partitions:
+@lru_cache(maxsize=4096)
+def _reduced(partitions: Collection[str]) -> Partitions:
     """Leave out the partitions that another one covers; sorted, in normal form."""
     names = sorted({faithful(globs.parse(expression)) for expression in partitions})
     wild = [(name, globs.parse(name)) for name in names if "*" in name]
@@ -118,6 +120,7 @@ def _reduced(partitions: Iterable[str]) -> Partitions:
     )
 
 
+@lru_cache(maxsize=4096)
 def _within(inner: Partitions, outer: Partitions) -> bool:
     """Tell whether one list of partitions has nothing that another one lacks."""
     return all(name in outer or any(covers(globs.parse(o), globs.parse(name)) for o in outer) for name in inner)
@@ -167,9 +170,11 @@ def _closed(steps: Sequence[tuple[Glob, Partitions]]) -> Iterator[tuple[Glob, Pa
     Where the topic matches and the partition does not, the standard and Cyclone DDS go on to the next rule. On Fast
     DDS the first rule that names the topic decides alone, so the denial changes nothing there.
     """
+    wild = [(at, step) for at, step in enumerate(steps) if literal(step[0]) is None]
     for at, (pattern, listed) in enumerate(steps):
         yield pattern, listed
-        wider = (other for other, later in steps[at + 1 :] if not _within(later, listed))
+        # Literals come first and once, so that only wildcards can be about the same names later.
+        wider = (other for place, (other, later) in wild if place > at and not _within(later, listed))
         if listed and listed != EVERY and any(not disjoint(pattern, other) for other in wider):
             yield pattern, ()
 
@@ -192,7 +197,7 @@ def _effective(
     pattern: Glob, allow: Iterable[tuple[Glob, Partitions]], deny: Iterable[tuple[Glob, Partitions]]
 ) -> Partitions:
     try:
-        listed = {name for other, names in allow if surely_covers(other, pattern) for name in names}
+        listed = frozenset(name for other, names in allow if surely_covers(other, pattern) for name in names)
         denied = [(other, names) for other, names in deny if surely_covers(other, pattern)]
     except TooComplexError:
         raise PartitionError(pattern, "how it overlaps with others is too hard to find out") from None

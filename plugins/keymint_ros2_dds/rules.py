@@ -22,7 +22,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
 from keymint.ir import Effect
-from keymint.keymake.algebra import TooComplexError, disjoint, intersection, union_covers
+from keymint.keymake.algebra import TooComplexError, all_disjoint, intersection, union_covers
 from keymint.keymake.glob import Glob
 from keymint.keymake.order import Rescue, mentioned_first
 from keymint_ros2_dds.lower import Lowered, Partitions
@@ -198,7 +198,7 @@ def _joinable(found: list[Block], action: Action, entry: Entry) -> int | None:
             return at
         if block.effect is not entry.effect:
             return None
-        if any(not disjoint(old, new) for old in block.topics.get(action, ()) for new in entry.globs):
+        if not all_disjoint(block.topics.get(action, ()), entry.globs):
             return None
     return None
 

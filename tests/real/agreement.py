@@ -12,6 +12,8 @@ from typing import TYPE_CHECKING
 
 from keymint_ros2_comarmor import policy_type
 from keymint_ros2_dds import build_type
+from keymint_ros2_dds.vendors.cyclone_access_control import AccessControl
+from keymint_ros2_dds.vendors.participants import RefusedError, System
 
 from keymint.api import (
     BuildOptions,
@@ -28,18 +30,16 @@ from keymint.api import (
 )
 from keymint.errors import Origin
 
-from keymint_ros2_dds.vendors.cyclone_access_control import AccessControl
-from keymint_ros2_dds.vendors.participants import RefusedError, System
-
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
     from pathlib import Path
 
+    from keymint_ros2_dds.vendors.cyclone_access_control import Direction
+    from keymint_ros2_dds.vendors.participants import Participant, Vendor
+
     import comarmor
 
-    from keymint_ros2_dds.vendors.cyclone_access_control import Direction
     from .handmade import Authorities
-    from keymint_ros2_dds.vendors.participants import Participant, Vendor
 
 _HERE = Origin("test")
 _SERVICE_PARTS = {

@@ -9,12 +9,12 @@ import os
 from typing import TYPE_CHECKING, NoReturn
 
 import pytest
-
 from keymint_ros2_dds.vendors import probes
+from keymint_ros2_dds.vendors.participants import CycloneDDS, FastDDS, System, Vendor
+
 from keymint.api import Usable
 
 from .handmade import Authorities
-from keymint_ros2_dds.vendors.participants import CycloneDDS, FastDDS, System, Vendor
 from .provisioning import provision
 
 if TYPE_CHECKING:

@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING
 
 import pytest
 from cryptography.x509.oid import NameOID
-
 from keymint_ros2_dds.vendors.cyclone_access_control import AccessControl, Direction, ac_fnmatch
+
 from .handmade import Authorities, criteria, governance_document, rule
 
 if TYPE_CHECKING:

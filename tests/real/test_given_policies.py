@@ -7,11 +7,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import pytest
+from keymint_ros2_dds.vendors.cyclone_access_control import AccessControl
 
 import comarmor
 
 from .agreement import REQUESTS, meanings, operations, said_of
-from keymint_ros2_dds.vendors.cyclone_access_control import AccessControl
 from .provisioning import enclave
 
 if TYPE_CHECKING:

@@ -8,10 +8,10 @@ import stat
 from typing import TYPE_CHECKING
 
 import pytest
-
 from keymint_ros2_dds.vendors import participants, probes
-from .conftest import missing
 from keymint_ros2_dds.vendors.participants import FastDDS, ProbeError, System
+
+from .conftest import missing
 
 if TYPE_CHECKING:
     from pathlib import Path

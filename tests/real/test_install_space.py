@@ -7,8 +7,8 @@ import time
 from typing import TYPE_CHECKING
 
 import pytest
-
 from keymint_ros2_dds.vendors.participants import DeniedError, Direction, Edge, RefusedError, System
+
 from .provisioning import enclave
 
 if TYPE_CHECKING:

@@ -8,12 +8,12 @@ from typing import TYPE_CHECKING
 import pytest
 from hypothesis import HealthCheck, event, example, given, reject, settings
 from hypothesis import strategies as st
+from keymint_ros2_dds.vendors.participants import System, Vendor
 
 import comarmor
 from keymint.errors import KeymintError
 
 from .agreement import REQUESTS, access, allowed, compiled, operations, participant, said_of
-from keymint_ros2_dds.vendors.participants import System, Vendor
 from .policies import (
     ENDPOINTS,
     NAMES,

@@ -6,9 +6,9 @@ from typing import TYPE_CHECKING
 
 import pytest
 from cryptography.x509.oid import NameOID
+from keymint_ros2_dds.vendors.participants import DeniedError, Direction, RefusedError, System, Vendor
 
 from .handmade import Authorities, criteria, rule
-from keymint_ros2_dds.vendors.participants import DeniedError, Direction, RefusedError, System, Vendor
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

@@ -14,6 +14,7 @@ Dialect = Callable[[str], str]
 """Turns a pattern (in bytes) into a regular expression (without anchors)."""
 
 _NEVER = "(?!)"
+_STAR = ".*"
 _SPECIAL = frozenset("*?[\\")
 _CLASSES = {
     "alnum": "0-9A-Za-z",
@@ -63,7 +64,7 @@ def cyclone(pattern: str) -> str:
     There is no escape; only ``!`` negates; and the bracket that ends a set is taken to be one of its members, so that
     it begins a range where ``-`` follows it.
     """
-    out = ""
+    out: list[str] = []
     at = 0
     while at < len(pattern):
         char = pattern[at]
@@ -71,12 +72,12 @@ def cyclone(pattern: str) -> str:
         if char == "[":
             found = _cyclone_set(pattern, at)
             if found is None:
-                return out + _NEVER
+                return _NEVER
             piece, at = found
-            out += piece
+            out.append(piece)
         else:
-            out += _one(char)
-    return out
+            out.append(_one(char))
+    return _joined(out)
 
 
 def _cyclone_set(pattern: str, at: int) -> tuple[str, int] | None:
@@ -103,22 +104,22 @@ def _cyclone_set(pattern: str, at: int) -> tuple[str, int] | None:
 
 
 def _translate(pattern: str, *, escapes: bool) -> str:
-    out = ""
+    out: list[str] = []
     at = 0
     while at < len(pattern):
         char = pattern[at]
         at += 1
         if char == "\\" and escapes:
             if at == len(pattern):
-                return out + _NEVER
-            out += re.escape(pattern[at])
+                return _NEVER
+            out.append(re.escape(pattern[at]))
             at += 1
         elif char == "[" and (found := _bracket(pattern, at, escapes=escapes)) is not None:
             piece, at = found
-            out += piece
+            out.append(piece)
         else:
-            out += _one(char)
-    return out
+            out.append(_one(char))
+    return _joined(out)
 
 
 def _bracket(pattern: str, at: int, *, escapes: bool) -> tuple[str, int] | None:
@@ -161,7 +162,24 @@ def _set(body: str, *, negated: bool) -> str:
     return f"[{'^' * negated}{body}]"
 
 
+def _joined(pieces: list[str]) -> str:
+    """Return pieces as one expression that is matched in linear time: what lies between two ``*`` is tried once.
+
+    The first place where it matches is as good as any later one, so that nothing is lost by not trying those.
+    """
+    chunks = [""]
+    for piece in pieces:
+        if piece == _STAR:
+            chunks.append("")
+        else:
+            chunks[-1] += piece
+    if len(chunks) == 1:
+        return chunks[0]
+    first, *middle, last = chunks
+    return first + "".join(f"(?>.*?{chunk})" for chunk in middle if chunk) + _STAR + last
+
+
 def _one(char: str) -> str:
     if char == "*":
-        return ".*"
+        return _STAR
     return "." if char == "?" else re.escape(char)

@@ -192,7 +192,7 @@ def test_without_the_password_of_an_authority(keymint, provisioned: Path) -> Non
     path = provisioned / "profile/authorities.xml"
     root = (
         '<authority name="root"><cert><issuer_name/></cert>'
-        "<key><encryption_algorithm>BestAvailableEncryption</encryption_algorithm>"
+        "<key><asymmetric_type><ec><curve>SECP256R1</curve></ec></asymmetric_type><encryption_algorithm>BestAvailableEncryption</encryption_algorithm>"
         "<password_env>ROOT_PASSWORD</password_env></key></authority>"
     )
     path.write_text(

@@ -217,7 +217,7 @@ class TestAuthorities:
         return keymint("install", cwd=ws, env=env)
 
     def test_an_encrypted_key_takes_its_password_from_the_environment(self, keymint, ws: Path) -> None:
-        for path in (ws / "private").glob("*.pem"):
+        for path in [*(ws / "private").glob("*.pem"), *(ws / "public").glob("*.pem")]:
             path.unlink()
         defaults = ws / "profile/profile.defaults/authorities.xml"
         text = defaults.read_text()
@@ -309,7 +309,9 @@ def test_an_authority_is_not_replaced_because_its_key_is_not_here(keymint, provi
     (provisioned / f"private/{name}.key.pem").unlink()
     for part in ("identities", "permissions", "governance"):  # so that everything is to be signed anew
         path = provisioned / f"profile/package.defaults/{part}.xml"
-        path.write_text(path.read_text().replace("<not_after>2028-01-14", "<not_after>2028-01-10").replace(">SIGN<", ">ENCRYPT<"))
+        path.write_text(
+            path.read_text().replace("<not_after>2028-01-14", "<not_after>2028-01-10").replace(">SIGN<", ">ENCRYPT<")
+        )
     path = provisioned / "profile/profile.defaults/authorities.xml"
     path.write_text(path.read_text().replace("<hash_algorithm>SHA256", "<hash_algorithm>SHA512"))
     assert keymint("build", cwd=provisioned).code == 0

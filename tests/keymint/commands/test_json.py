@@ -37,6 +37,7 @@ CALLS = {
     "learn": ["learn", "graph.json"],
     "verify": ["verify", "-w", "ws", "-t", "omg"],
     "why": ["why", "/talker", "ros_publish", "/chatter", "-w", "ws", "-t", "omg"],
+    "graph": ["graph", "policy.xml"],
     "plugins": ["plugins"],
     "completion": ["completion", "bash"],
 }

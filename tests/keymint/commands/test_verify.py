@@ -217,6 +217,24 @@ class TestEditsByHand:
         assert requests(outcome, "cyclonedds-0.10")["false-positive"]
         assert requests(outcome, "fastdds-2.9")["false-positive"] == set()
 
+    def test_what_one_vendor_reads_differently(self, edited) -> None:
+        """Cyclone's check of a topic ignores the direction: "deny subscribe" of a topic also stops publishing it."""
+
+        def deny_first(text: str) -> str:
+            deny = (
+                "      <deny_rule><domains><id>0</id></domains><subscribe><topics>"
+                "<topic>rt/cell/state</topic></topics></subscribe></deny_rule>\n"
+            )
+            return text.replace("      <allow_rule>", f"{deny}      <allow_rule>", 1)
+
+        outcome = edited("cell/arm", deny_first)
+        assert findings(outcome, "omg") == findings(outcome, "fastdds-2.9") == []
+        lost = requests(outcome, "cyclonedds-0.10")
+        assert "/cell/arm ros_publish /cell/state" in lost["false-negative"]
+        finding = findings(outcome, "cyclonedds-0.10")[0]
+        assert "9" in finding["transport"]["deviation"]
+        assert "deviates from the standard" in outcome.document["diagnostics"][0]["message"]
+
     def test_a_rule_for_a_name_that_no_policy_mentions(self, edited) -> None:
         outcome = edited(
             "cell/arm", lambda text: text.replace("<topic>rt/cell/state<", "<topic>rt/spy</topic><topic>rt/cell/state<")
@@ -312,6 +330,16 @@ class TestGraph:
         assert outcome.code == 1
         assert "did you mean /cell/arm?" in outcome.err
 
+    def test_without_an_edge(self, keymint, cell: Path, tmp_path: Path) -> None:
+        outcome = keymint("verify", "--graph", self.graph(tmp_path, []), *ASKED, cwd=cell)
+        assert outcome.code == 1
+        assert "nothing to verify" in outcome.err
+
+    def test_only_the_packages_that_are_named(self, keymint, cell: Path, tmp_path: Path) -> None:
+        path = self.graph(tmp_path, [("/cell/arm", "ros_publish", "/x"), ("/elsewhere", "ros_publish", "/y")])
+        result = keymint("verify", "--json", "--graph", path, "cell/arm", *ASKED, cwd=cell).document["result"]
+        assert (result["subjects"], result["edges"]) == (["/cell/arm"], 4)
+
     def test_that_is_missing(self, keymint, cell: Path) -> None:
         assert keymint("verify", "--graph", "nowhere.json", cwd=cell).code == 1
 
@@ -335,3 +363,15 @@ class TestUsage:
         outcome = keymint("verify", *ASKED, cwd=cell)
         assert outcome.code == 1
         assert "no enclave of /cell/bridge is installed" in outcome.err
+
+    def test_a_workspace_without_packages(self, keymint) -> None:
+        assert keymint("init", "empty").code == 0
+        outcome = keymint("verify", *ASKED, "-w", "empty")
+        assert outcome.code == 1
+        assert "there is no package to verify" in outcome.err
+
+    def test_nothing_to_ask_is_no_success(self, keymint, cell: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+        monkeypatch.setattr("keymint.plugins.Plugins.transports", lambda _self: {})
+        outcome = keymint("verify", cwd=cell)
+        assert outcome.code == 1
+        assert "no transport can be asked" in outcome.err

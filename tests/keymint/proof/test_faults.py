@@ -20,8 +20,8 @@ from keymint.proof.plain import Evaluator
 from keymint.proof.product import Product
 
 PAIRS = Universe(charset([(65, 65), (97, 98), (47, 47)]), fields=2)
-TOPICS = ["".join(word) for length in range(5) for word in product("abA/", repeat=length)]
-PARTITIONS = ["", *"abA"]
+TOPICS = ["".join(word) for length in range(4) for word in product("abA/", repeat=length)]
+PARTITIONS = ["", "a", "b"]
 WORDS = sorted((f"{p}\0{t}" for p in PARTITIONS for t in TOPICS), key=len)
 """What is tried, shorter words first."""
 

@@ -136,6 +136,17 @@ def test_expiry_of_the_certificate(files):
     assert codes(files, now=VALIDITY.not_before + timedelta(hours=1)) == ["grant-slack"]
 
 
+def test_an_authority_that_expired_hides_nothing_else(files):
+    long_after = VALIDITY.not_after + timedelta(days=36_500)
+    drifted = package(CHATTER, rule("ALLOW", "ros_topic", "ros_publish", "/new"))
+    found = codes(files, drifted, now=long_after)
+    assert {"smime-authority-expired", "grant-expired", "drift"} <= set(found)
+    altered = {**files, "permissions.p7s": files["permissions.p7s"].replace(b"rt/chatter", b"rt/chattex", 1)}
+    found = codes(altered, now=long_after)
+    assert "smime-altered" in found
+    assert "grant-expired" not in found
+
+
 def test_sizes_are_judged_on_the_signed_files():
     many = package(rule("ALLOW", "ros_topic", "ros_publish", *(f"/robot/topic_number_{n}" for n in range(900))))
     assert codes(installed(many), many) == ["size-permissions"]

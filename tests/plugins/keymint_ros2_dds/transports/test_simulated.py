@@ -14,8 +14,8 @@ from keymint.errors import KeymintError
 from keymint.graph import Edge, Graph, Object, complete
 from keymint.pki import smime
 
-from ..enclaves import NOW, authority, installed
-from ..packages import package, rule
+from ..enclaves import NOW, authority, installed  # noqa: TID252 - helpers of the folder above
+from ..packages import package, rule  # noqa: TID252 - helpers of the folder above
 
 OPENERS = {"omg": omg, "cyclonedds-0.10": cyclonedds_0_10, "fastdds-2.9": fastdds_2_9}
 CHATTER = Object("ros_topic", "/chatter")

@@ -1,0 +1,82 @@
+"""Decisions a second: the policy, the simulated decision points, and the real vendors. As ratios to the policy.
+
+usage: python benchmarks/decisions.py [--edges N] [--policy PATH]
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Iterable
+from datetime import UTC, datetime
+from itertools import cycle, islice
+from pathlib import Path
+
+from keymint.api import Enclave, PolicySource, Surroundings, Tier
+from keymint.errors import Origin
+from keymint.graph import Edge, Graph, Object, complete
+from keymint.plugins import Plugins
+
+EXAMPLES = Path(__file__).resolve().parent.parent / "examples"
+
+
+def objects(subjects: Iterable[str]) -> list[Object]:
+    """Return objects of which some are allowed and most are not."""
+    names = ["/chatter", "/rosout", "/clock", "/parameter_events", "/tf", "/scan", "/map", "/odom", "/cmd_vel"]
+    services = [f"{subject}/{verb}_parameters" for subject in subjects for verb in ("get", "set", "list")]
+    return [Object("ros_topic", name) for name in names] + [Object("ros_service", name) for name in services]
+
+
+def rate(edges: list[Edge], decided: Iterable[object]) -> float:
+    """Return how many decisions are made in a second."""
+    begin = time.perf_counter()
+    count = sum(1 for _ in decided)
+    elapsed = time.perf_counter() - begin
+    if count != len(edges):
+        raise SystemExit(f"{count} decisions on {len(edges)} edges")
+    return count / elapsed
+
+
+def main() -> int:
+    """Measure, print, and return the exit code."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--edges", type=int, default=10_000)
+    parser.add_argument("--policy", type=Path, default=EXAMPLES / "talker_listener")
+    options = parser.parse_args()
+    with tempfile.TemporaryDirectory() as scratch:
+        workspace = Path(scratch) / "ws"
+        command = [sys.executable, "-m", "keymint", "provision", str(options.policy), "-w", str(workspace), "-q"]
+        subprocess.run(command, check=True)
+        root = workspace / "install" / "enclaves"
+        enclaves = [
+            Enclave(f"/{found.parent.relative_to(root)}", found.parent, "humble") for found in root.rglob("cert.pem")
+        ]
+        plugins = Plugins(surroundings=Surroundings(datetime.now(UTC), Path(scratch) / "cache", dict(os.environ)))
+        subjects = sorted(enclave.subject for enclave in enclaves)
+        ends = [
+            Edge(subject, "ros_publish" if found.kind == "ros_topic" else "ros_call", found)
+            for subject in subjects
+            for found in objects(subjects)
+        ]
+        edges = sorted(islice(cycle(complete(Graph.of(ends))), options.edges))
+        source = PolicySource("policy", options.policy.resolve(), Origin("benchmark"))
+        policy = plugins.policy_type("keymint_ros2_comarmor").load([source], workspace / "profile" / "comarmor.d")
+        base = rate(edges, map(policy.decide, edges))
+        print(f"{'policy':24} {base:10,.0f}/s   1.00   {len(edges)} edges of {len(subjects)} subjects")
+        for name, transport in plugins.transports().items():
+            usable = transport.usable()
+            if not usable.usable:
+                print(f"{name:24} not usable: {usable.reason}")
+                continue
+            list(transport.label(enclaves, edges[:1], Tier.DECISION))  # builds what has to be built
+            found = rate(edges, transport.label(enclaves, iter(edges), Tier.DECISION))
+            print(f"{name:24} {found:10,.0f}/s {found / base:6.2f}")
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,209 @@
+"""``keymint prove``: over all names, the installed documents permit exactly what the policy says."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping
+from typing import Any
+
+import click
+
+from keymint.api import Claim, Counterexample, Proof
+from keymint.commands.common import Run, complete_package, verb
+from keymint.errors import Diagnostic, ExitCode, Origin, Severity
+from keymint.graph import Edge
+from keymint.plan.create import load_policy
+from keymint.plan.inputs import Inputs, Sources
+from keymint.plan.model import Action, Plan, Step
+from keymint.plan.prove import STAGE, Effort, Findings, Proven
+from keymint.plan.prove import prove as find
+from keymint.report import Report
+
+
+@verb(writes=True)
+@click.argument("names", nargs=-1, metavar="[ENCLAVE]...", shell_complete=complete_package)
+@click.option(
+    "--seconds",
+    type=click.FloatRange(0),
+    default=10.0,
+    show_default=True,
+    help="Give an enclave up after this time; what is not decided is unknown.",
+)
+@click.option(
+    "--states",
+    type=click.IntRange(1),
+    default=500_000,
+    show_default=True,
+    help="Give a question up after so many states.",
+)
+def prove(run: Run, names: tuple[str, ...], seconds: float, states: int) -> Report:
+    """Prove that installed documents permit exactly what the policy says, for every name there is.
+
+    The signed documents in install/ are read again, by the DDS Security standard and as each vendor reads them, and
+    compared with the policy over all names at once. Where they differ a shortest name is shown, with the rule of the
+    policy and the rule of the document.
+
+    Ends with 3 when a claim is refuted or unknown. What was proven is recorded, and not proven again until something
+    changes. -v says what the proof takes for granted. ENCLAVE is a package; by default all of them.
+    """
+    workspace = run.workspace()
+    known: list[Findings] = []
+
+    def make_plan(inputs: Inputs) -> Plan:
+        loaded = inputs.profile()
+        chosen = run.names(inputs, names)
+        effort = Effort(states, lambda: _deadline(run.setting.monotonic, seconds))
+        with run.console.progress(len(chosen), run.setting.monotonic) as advance:
+            policy = load_policy(inputs, loaded)
+            found = find(
+                inputs, loaded, chosen, Sources(run.plugins), policy, effort,
+                lambda name: advance(Step(STAGE, name, Action.UNCHANGED)),
+            )  # fmt: skip
+        known.append(found)
+        return Plan((), found.state)
+
+    run.carry_out(workspace, make_plan)
+    found = known[-1]
+    claims = [claim for enclave in found.enclaves for claim in enclave.claims]
+    _summary(run, found)
+    proven = all(claim.proof is Proof.PROVEN for claim in claims)
+    unread = any(enclave.diagnostics for enclave in found.enclaves)
+    return Report(
+        run.verb,
+        workspace,
+        (),
+        [*_assumptions(found), *(said for enclave in found.enclaves for said in _diagnostics(enclave))],
+        {
+            "assumptions": {model: list(lines) for model, lines in found.assumptions.items()},
+            "enclaves": [_enclave(enclave) for enclave in found.enclaves],
+        },
+        ExitCode.DONE if proven and not unread else ExitCode.FINDINGS,
+        run.dry_run,
+    )
+
+
+def _deadline(clock: Callable[[], float], seconds: float) -> Callable[[], bool]:
+    end = clock() + seconds
+    return lambda: clock() < end
+
+
+def _summary(run: Run, found: Findings) -> None:
+    count, say = len(found.enclaves), run.console.line
+    total = sum(enclave.counted for enclave in found.enclaves)
+    open_ = [claim for enclave in found.enclaves for claim in enclave.claims if claim.proof is not Proof.PROVEN]
+    refuted = sum(claim.proof is Proof.COUNTEREXAMPLE for claim in open_)
+    unread = sum(bool(enclave.diagnostics) for enclave in found.enclaves)
+    remembered = sum(enclave.remembered for enclave in found.enclaves)
+    parts = [f"{total - len(open_)} of {total} claims proven"]
+    parts += [f"{refuted} refuted"] * bool(refuted)
+    parts += [f"{len(open_) - refuted} unknown"] * (len(open_) > refuted)
+    parts += [f"{unread} enclave{'' if unread == 1 else 's'} could not be read"] * bool(unread)
+    parts += [f"{remembered} unchanged since proven"] * bool(remembered)
+    models = ", ".join(found.assumptions)
+    say(f"proved {count} enclave{'' if count == 1 else 's'}{f' for {models}' if models else ''}: {', '.join(parts)}")
+
+
+def _assumptions(found: Findings) -> Iterator[Diagnostic]:
+    """Yield what the claims take for granted, each line once, with the models that do."""
+    lines: dict[str, list[str]] = {}
+    for model, assumed in found.assumptions.items():
+        for line in assumed:
+            lines.setdefault(line, []).append(model)
+    for line, models in lines.items():
+        yield Diagnostic("assumption", Severity.NOTE, f"assumed for {', '.join(models)}: {line}")
+
+
+def _diagnostics(enclave: Proven) -> Iterator[Diagnostic]:
+    """Yield what is to be said of an enclave; what several models have in common once."""
+    yield from enclave.diagnostics
+    together: dict[tuple[object, ...], list[Claim]] = {}
+    for claim in enclave.claims:
+        if claim.counterexample is not None:
+            found = claim.counterexample
+            key = (found.endpoint, found.policy, found.document.allowed, found.document.line)
+            together.setdefault(key, []).append(claim)
+        elif claim.proof is Proof.UNKNOWN:
+            together.setdefault((claim.action, claim.reason), []).append(claim)
+    for claims in together.values():
+        models = ", ".join(dict.fromkeys(claim.model for claim in claims))
+        counterexample = claims[0].counterexample
+        if counterexample is None:
+            message = f"{enclave.subject}, {claims[0].action}: not proven for {models}: {claims[0].reason}"
+            help_ = "give it more with --seconds or --states, or say the rules in a simpler way"
+            yield Diagnostic("not-proven", Severity.ERROR, message, None, help_, enclave.subject)
+        else:
+            yield _refutation(enclave.subject, counterexample, models)
+
+
+def _refutation(subject: str, found: Counterexample, models: str) -> Diagnostic:
+    endpoint, policy, document = found.endpoint, found.policy, found.document
+    may = "permits" if document.allowed else "does not permit"
+    says = "allows" if policy.allowed else "does not allow"
+    name = f"{endpoint.object.name!r}" + "".join(f" in the partition {p!r}" for p in endpoint.object.partitions)
+    ros = f" ({_entity(found.meaning)})" if found.meaning else ""
+    domain = f" in domain {endpoint.domain}" if endpoint.domain else ""
+    message = (
+        f"{subject}: the document {may} it to {endpoint.permission} {name}{ros}{domain}, the policy {says} it: "
+        f"{policy.reason}{f' ({policy.where})' if policy.where else ''}; {document.reason} [{models}]"
+    )
+    deviation = f"; {document.deviation}" if document.deviation else ""
+    return Diagnostic(
+        "counterexample", Severity.ERROR, message, policy.where, f"no shorter name differs{deviation}", subject
+    )
+
+
+def _entity(meaning: Edge) -> str:
+    return f"the {meaning.object.kind.replace('ros_', 'ROS ')} {meaning.object.name}"
+
+
+def _enclave(enclave: Proven) -> dict[str, Any]:
+    return {
+        "subject": enclave.subject,
+        "proof": str(_whole(enclave)),
+        "claims_counted": enclave.counted,
+        "unchanged": enclave.remembered,
+        "claims": [_claim(claim) for claim in enclave.claims],
+    }
+
+
+def _whole(enclave: Proven) -> Proof:
+    proofs = {claim.proof for claim in enclave.claims}
+    if Proof.COUNTEREXAMPLE in proofs:
+        return Proof.COUNTEREXAMPLE
+    return Proof.UNKNOWN if enclave.diagnostics or Proof.UNKNOWN in proofs else Proof.PROVEN
+
+
+def _claim(claim: Claim) -> dict[str, Any]:
+    return {
+        "model": claim.model,
+        "action": claim.action,
+        "domains": [{"first": each.first, "last": each.last} for each in claim.domains],
+        "universe": claim.universe,
+        "proof": str(claim.proof),
+        "reason": claim.reason,
+        "counterexample": None if claim.counterexample is None else _counterexample(claim.counterexample),
+    }
+
+
+def _counterexample(found: Counterexample) -> dict[str, Any]:
+    meaning = found.meaning
+    return {
+        "dds_name": found.endpoint.object.name,
+        "partitions": list(found.endpoint.object.partitions),
+        "domain": found.endpoint.domain,
+        "ros": None if meaning is None else _ros(meaning),
+        "policy": {"allowed": found.policy.allowed, "reason": found.policy.reason, **_place(found.policy.where)},
+        "document": {
+            "allowed": found.document.allowed,
+            "reason": found.document.reason,
+            "line": found.document.line or None,
+            "deviation": found.document.deviation,
+        },
+    }
+
+
+def _ros(meaning: Edge) -> Mapping[str, str]:
+    return {"kind": meaning.object.kind, "permission": meaning.permission, "name": meaning.object.name}
+
+
+def _place(where: Origin | None) -> Mapping[str, Any]:
+    return {"file": where.file if where else None, "line": where.line if where else None}

@@ -1,0 +1,94 @@
+"""The legend of a picture: what a reader needs to know of it, and no more."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+
+from keymint.pictures.layout import CHARACTER, Panel
+from keymint.pictures.model import Labelled, LabelledEdge, Outcome
+from keymint.pictures.text import INWARD, KINDS, OUTWARD, columns, role
+
+LINE = 22.0
+"""Height of a line of text, in pixels."""
+
+
+@dataclass(frozen=True, slots=True)
+class Sample:
+    """An entry of the legend.
+
+    Attributes:
+        text: what it says.
+        classes: of the style sheet.
+        form: ``box``, ``dot``, ``arrow``, ``barred`` or ``both``: what is drawn beside it.
+        x: in pixels.
+        y: in pixels.
+    """
+
+    text: str
+    classes: str
+    form: str
+    x: float = 0.0
+    y: float = 0.0
+
+
+def legend(
+    labelled: Labelled, edges: Sequence[LabelledEdge], panels: Sequence[Panel], transport: int | None
+) -> Iterator[Sample]:
+    """Yield the entries of a legend.
+
+    Args:
+        labelled: the graph.
+        edges: those of its edges that are drawn.
+        panels: what is drawn.
+        transport: index of the transport whose labels are drawn; None for all together.
+    """
+    kinds = {box.kind for panel in panels for box in panel.boxes}
+    yield Sample("subject", "subject", "box")
+    for kind, name in KINDS.items():
+        if kind in kinds:
+            yield Sample(name, kind, "box")
+    if any(one.edge.object in labelled.patterns for one in edges):
+        yield Sample("expression", "pattern neutral", "box")
+    roles = {role(one.edge.permission) for one in edges}
+    for direction, form in ((OUTWARD, "out"), (INWARD, "in")):
+        named = [name for name in direction if name in roles and name != "relay"]
+        if named:
+            towards = "object" if form == "out" else "subject"
+            yield Sample(f"to the {towards}: {', '.join(named)}", "plain", "arrow")
+    if "relay" in roles:
+        yield Sample("both ways: relay", "plain", "both")
+    outcomes = {one.outcome(transport) for one in edges}
+    labels = bool(labelled.transports)
+    words = {
+        Outcome.ALLOW: "allowed, as the policy says" if labels else "allowed",
+        Outcome.DENY: "denied, as the policy says" if labels else "denied",
+        Outcome.FALSE_ALLOW: "allowed against the policy (false positive)",
+        Outcome.FALSE_DENY: "denied against the policy (false negative)",
+    }
+    for outcome, text in words.items():
+        if outcome in outcomes:
+            yield Sample(text, edge_classes(outcome, labels=labels), "arrow" if outcome.allowed else "barred")
+    if any(one.audit for one in edges):
+        yield Sample("AUDIT: to be watched", "audited", "dot")
+
+
+def flowed(samples: Sequence[Sample], width: float) -> tuple[list[Sample], float]:
+    """Place entries in lines of that width, in pixels; return them, and the height of all."""
+    x = y = 0.0
+    placed = []
+    for sample in samples:
+        needed = 40 + columns(sample.text) * CHARACTER + 18
+        if x and x + needed > width:
+            x, y = 0.0, y + LINE
+        placed.append(replace(sample, x=round(x, 1), y=y))
+        x += needed
+    return placed, y + LINE
+
+
+def edge_classes(outcome: Outcome, *, labels: bool) -> str:
+    """Return the classes of an edge in the style sheet; with ``labels`` of transports they are true or false."""
+    if outcome is Outcome.UNLABELLED:
+        return "plain"
+    verdict = "allow" if outcome.allowed else "deny"
+    return f"{verdict} {'false' if outcome.false else 'true'}" if labels else verdict

@@ -1,0 +1,66 @@
+"""Expressions of a permissions document as data, in the dialect of ``fnmatch`` of each implementation."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from types import MappingProxyType
+
+from keymint.keymake import glob
+from keymint.keymake.glob import ANY, STAR, Charset, Glob, Token, charset
+from keymint_ros2_dds.decision import fnmatch
+
+Reader = Callable[[str], Glob]
+_NOTHING: Glob = (Charset(()),)
+
+
+def _noescape(expression: str) -> Glob:
+    """``fnmatch`` with FNM_NOESCAPE: a backslash is an ordinary character."""
+    return glob.parse(expression.replace("\\", "\\\\"))
+
+
+def _cyclone(expression: str) -> Glob:
+    """``ac_fnmatch`` of Cyclone DDS 0.10; see :func:`keymint_ros2_dds.decision.fnmatch.cyclone`."""
+    tokens: list[Token] = []
+    at = 0
+    while at < len(expression):
+        char = expression[at]
+        at += 1
+        if char == "*":
+            tokens.append(STAR)
+        elif char == "?":
+            tokens.append(ANY)
+        elif char == "[":
+            found = _cyclone_set(expression, at)
+            if found is None:
+                return _NOTHING
+            members, at = found
+            tokens.append(members)
+        else:
+            tokens.append(char)
+    return glob.normalise(tokens)
+
+
+def _cyclone_set(expression: str, at: int) -> tuple[Charset, int] | None:
+    """Return a set, of which the bracket that ends it is a member, and where it ends; None if it has no end."""
+    negated = expression.startswith("!", at)
+    at += negated
+    ranges: list[tuple[int, int]] = []
+    while at < len(expression):
+        first = last = expression[at]
+        at += 1
+        if expression.startswith("-", at):
+            last = expression[at + 1 : at + 2]
+            if last in {"", "]"}:
+                return None
+            at += 2
+        ranges.append((ord(first), ord(last)))
+        if first == "]":
+            members = charset(ranges)
+            return (members.complement() if negated else members), at
+    return None
+
+
+READERS: Mapping[fnmatch.Dialect, Reader] = MappingProxyType(
+    {fnmatch.posix: glob.parse, fnmatch.noescape: _noescape, fnmatch.cyclone: _cyclone}
+)
+"""How the expressions of each dialect become tokens."""

@@ -1,0 +1,119 @@
+"""From a grant, and from a policy, to decision lists: by the standard, and by the model of each vendor.
+
+Where partitions matter, a word is ``partition NUL topic``, and a rule is the product of its partitions and topics; so
+what a rule lets in beyond what was meant shows itself as a word. Else a word is a topic in the default partition.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Sequence
+
+from keymint.ir import Effect
+from keymint.keymake.algebra import matches
+from keymint.keymake.glob import EVERYTHING, Glob, normalise, parse
+from keymint.proof import Block, DecisionList
+from keymint_ros2_dds.decision.document import Criteria, Grant, Rule
+from keymint_ros2_dds.decision.refusals import covers
+from keymint_ros2_dds.decision.semantics import Semantics
+from keymint_ros2_dds.lower import Lowered
+from keymint_ros2_dds.mapping import Action
+from keymint_ros2_dds.proving.dialects import READERS
+
+SEPARATOR = "\0"
+_DEFAULT: Glob = ()
+
+
+def has_partitions(lowered: Lowered, grants: Iterable[Grant]) -> bool:
+    """Tell whether anything may be allowed outside of the default partition, by the policy or by a document."""
+    return any(listed not in {(), ("",)} for side in lowered.allow.values() for _, listed in side) or any(
+        criteria.partitions not in {None, ("",)}
+        for grant in grants
+        for rule in grant.rules
+        if rule.allows
+        for criteria in rule.criteria
+    )
+
+
+def of_policy(lowered: Lowered, action: str, *, pairs: bool) -> DecisionList:
+    """Return what a policy says of an action: deny overrides allow."""
+    found = []
+    for effect, sides in ((Effect.DENY, lowered.deny), (Effect.ALLOW, lowered.allow)):
+        every = (EVERYTHING,) if effect is Effect.DENY else (_DEFAULT,)
+        patterns: dict[Glob, None] = {}
+        for topic, listed in sides[Action(action)]:
+            partitions = tuple(map(parse, listed)) or every
+            patterns.update(dict.fromkeys(_words(partitions, (topic,), pairs=pairs)))
+        found.append(Block(effect is Effect.ALLOW, tuple(patterns)))
+    return tuple(found)
+
+
+def of_grant(
+    grant: Grant, domain: int, action: str, semantics: Semantics, *, pairs: bool
+) -> tuple[DecisionList, ...]:
+    """Return decision lists of which all must permit a word: the endpoint's, and the topic's where it is checked.
+
+    Args:
+        grant: the grant.
+        domain: DDS domain id.
+        action: ``publish`` or ``subscribe``.
+        semantics: how the grant is read.
+        pairs: words have partitions.
+
+    Raises:
+        GlobError: an expression means nothing.
+    """
+    rules = [rule for rule in grant.rules if holds(rule, domain, semantics)]
+    default = (Block(True, (EVERYTHING,)),) if semantics.default_counts and grant.default == "ALLOW" else ()
+    lists = [(*_endpoints(rules, action, semantics, pairs=pairs), *default)]
+    if semantics.topic_check:
+        lists.append((*_topics(rules, semantics, pairs=pairs), *default))
+    return tuple(lists)
+
+
+def holds(rule: Rule, domain: int, semantics: Semantics) -> bool:
+    """Tell whether a rule is about a domain."""
+    if not semantics.domains_count:
+        return True
+    return any(covers(each, domain, min_only_is_exact=semantics.min_only_is_exact) for each in rule.domains)
+
+
+def _endpoints(rules: Iterable[Rule], action: str, semantics: Semantics, *, pairs: bool) -> Iterator[Block]:
+    for rule in rules:
+        own = [criteria for criteria in rule.criteria if criteria.action == action]
+        for together in [own] if semantics.pools_criteria and own else [[criteria] for criteria in own]:
+            if not rule.allows and semantics.tags_count and all(criteria.tags is not None for criteria in together):
+                continue  # a denial of data tags is about no endpoint without them
+            topics = _read((topic for criteria in together for topic in criteria.topics), semantics)
+            yield Block(rule.allows, tuple(_words(_partitions(rule, together, semantics), topics, pairs=pairs)))
+            if semantics.first_topic_decides:
+                yield Block(False, tuple(_words((EVERYTHING,), topics, pairs=pairs)))
+
+
+def _topics(rules: Iterable[Rule], semantics: Semantics, *, pairs: bool) -> Iterator[Block]:
+    """Yield the steps of the topic check: by the first criteria that name the topic, whatever their direction."""
+    for rule in rules:
+        for criteria in rule.criteria:
+            if criteria.action != Action.RELAY:
+                topics = _read(criteria.topics, semantics)
+                yield Block(rule.allows, tuple(_words((EVERYTHING,), topics, pairs=pairs)))
+
+
+def _partitions(rule: Rule, together: Sequence[Criteria], semantics: Semantics) -> tuple[Glob, ...]:
+    if not rule.allows:
+        unlisted = any(criteria.partitions is None for criteria in together)
+        if semantics.deny_topic or (unlisted and not semantics.deny_default):
+            return (EVERYTHING,)
+    listed = (p for criteria in together for p in (("",) if criteria.partitions is None else criteria.partitions))
+    return _read(listed, semantics)
+
+
+def _read(expressions: Iterable[str], semantics: Semantics) -> tuple[Glob, ...]:
+    read = READERS[semantics.fnmatch]
+    return tuple(dict.fromkeys(read(each.strip() if semantics.trims else each) for each in expressions))
+
+
+def _words(partitions: Sequence[Glob], topics: Sequence[Glob], *, pairs: bool) -> Iterator[Glob]:
+    if pairs:
+        yield from (normalise((*partition, SEPARATOR, *topic)) for partition in partitions for topic in topics)
+    elif any(matches(partition, "") for partition in partitions):
+        yield from topics

@@ -1,0 +1,51 @@
+"""What a policy says of one endpoint, by going through its rules: the plain evaluator, beside the compiler's mapping.
+
+An endpoint means something as a raw topic, and as a part of ROS entities; a rule that is about any of these counts.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+from keymint.graph import Edge, Object
+from keymint.ir import Effect, Rule, SubjectRules
+from keymint.keymake import glob
+from keymint.keymake.algebra import matches
+from keymint.keymake.composites import parts
+from keymint_ros2_dds.endpoints import meanings
+from keymint_ros2_dds.mapping import ARDENT
+
+
+def decide(rules: SubjectRules, distro: str, action: str, topic: str, partition: str) -> Rule | None:
+    """Return the rule that decides about an endpoint, of several the first denial; None if no rule is about it."""
+    edges = endpoint_edges(rules.subject, distro, action, topic, partition)
+    about = [rule for rule in rules.rules if any(_is_about(rule, edge, partition) for edge in edges)]
+    return next((rule for rule in about if rule.effect is Effect.DENY), about[0] if about else None)
+
+
+def endpoint_edges(subject: str, distro: str, action: str, topic: str, partition: str) -> tuple[Edge, ...]:
+    """Return the edge of an endpoint, and those on ROS names that need it."""
+    partitions = (partition,) if partition or distro == ARDENT else ()
+    endpoint = Edge(subject, action, Object("topic", topic, partitions))
+    return (endpoint, *meanings(distro, endpoint))
+
+
+def _is_about(rule: Rule, edge: Edge, partition: str) -> bool:
+    if not _in_partition(rule, edge, partition):
+        return False
+    return any(matches(glob.parse(expression), name) for name in _names(rule, edge) for expression in rule.expressions)
+
+
+def _names(rule: Rule, edge: Edge) -> Iterator[str]:
+    """Yield the names that a rule must match to be about an edge; for a composite, what its part belongs to."""
+    for permission in rule.permissions:
+        for kind, part, suffix in parts(rule.kind, permission):
+            if (kind, part) == (edge.object.kind, edge.permission) and edge.object.name.endswith(suffix):
+                yield edge.object.name[: len(edge.object.name) - len(suffix)]
+
+
+def _in_partition(rule: Rule, edge: Edge, partition: str) -> bool:
+    if rule.partitions:
+        return any(matches(glob.parse(expression), partition) for expression in rule.partitions)
+    # An edge on a ROS name of Ardent has its partition in its name.
+    return rule.effect is Effect.DENY or not any(edge.object.partitions)
