@@ -9,7 +9,7 @@ cd "$(dirname "$0")/.."
 packages=(
     libddsc0debian cyclonedds-dev                # Cyclone DDS and its security plugins
     libfastrtps-dev libfastcdr-dev               # Fast DDS, with security compiled in
-    gcc g++                                      # the probes in tests/real
+    gcc g++                                      # the probes of the real transports
     openssl strace                               # what other tests run
     chromium chromium-driver fonts-dejavu-core   # what the tests of pictures and reports look at them with
 )

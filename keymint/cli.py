@@ -103,6 +103,9 @@ def main(arguments: list[str] | None = None) -> int:
     except BrokenPipeError:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return int(ExitCode.FAILURE)
+    except OSError as error:  # a path that the system does not even look at, e.g. since it is too long
+        message = f"{error.filename or 'keymint'}: error: {error.strerror or error}"
+        return _fail(given, "system", message, ExitCode.FAILURE, lambda: sys.stderr.write(f"{message}\n"))
     except Exception as error:  # the user gets one line for our bugs as well
         if os.environ.get("KEYMINT_TRACEBACK"):
             raise

@@ -151,11 +151,14 @@ def _show(run: Run, outcomes: Sequence[Outcome], subjects: int, edges: int) -> N
     ]
     run.console.table(columns, rows)
     wrong = sum(outcome.confusion.errors for outcome in outcomes)
-    plural = "" if subjects == 1 else "s"
     run.console.line(
-        f"verified {subjects} enclave{plural}, {edges} edges on {len(outcomes)} transports: {wrong or 'no'} "
-        f"edge{'' if wrong == 1 else 's'} decided otherwise than the policy says"
+        f"verified {_counted(subjects, 'enclave')}, {_counted(edges, 'edge')} on "
+        f"{_counted(len(outcomes), 'transport')}: {_counted(wrong, 'edge')} decided otherwise than the policy says"
     )
+
+
+def _counted(number: int, noun: str) -> str:
+    return f"{number or 'no'} {noun}{'' if number == 1 else 's'}"
 
 
 def _write(

@@ -44,7 +44,7 @@ class Escapes:
         permitting: the lists that permit.
         refusing: the list that refuses.
         universe: the words in question.
-        arena: with an alphabet for all patterns of the lists.
+        arena: returns the arena, with an alphabet for all patterns of the lists; called only when it is needed.
         meter: called for every state.
     """
 
@@ -53,7 +53,7 @@ class Escapes:
         permitting: Sequence[DecisionList],
         refusing: DecisionList,
         universe: Universe,
-        arena: Arena,
+        arena: Callable[[], Arena],
         meter: Meter,
     ) -> None:
         self._permitting = permitting
@@ -89,13 +89,15 @@ class Escapes:
             for decisions in (*self._permitting, self._refusing)
             for block in decisions
             for pattern in block.patterns
-            if (text := literal(pattern)) is not None and text in self._universe
+            if (text := literal(pattern)) is not None
         }
-        if not texts:
-            return None
         permit = [Evaluator(each) for each in self._permitting]
         refuse = Evaluator(self._refusing)
-        return shortest(t for t in texts if all(each.permits(t) for each in permit) and not refuse.permits(t))
+        return shortest(
+            text
+            for text in texts
+            if all(each.permits(text) for each in permit) and not refuse.permits(text) and text in self._universe
+        )
 
     def _cubes(self, bound: int | None) -> Iterator[tuple[list[Glob], list[Limit]]]:
         """Yield cubes of words that no pattern names exactly: positive patterns, and those that must not match.
@@ -146,7 +148,7 @@ class Escapes:
             return None
         excluded: dict[Glob, None] = {}
         for _ in range(ROUNDS):
-            word = _Search(self._arena, positives, excluded, self._meter).shortest(bound)
+            word = _Search(self._arena(), positives, excluded, self._meter).shortest(bound)
             if word is None:
                 return None
             against = [pattern for patterns, blocks in limits for pattern in patterns.matching(word, blocks)]
@@ -154,7 +156,7 @@ class Escapes:
                 return word
             excluded.update(dict.fromkeys(against))
         everything = (p for patterns, blocks in limits for p in patterns.meeting(positives, blocks))
-        return _Search(self._arena, positives, _thinned(everything), self._meter).shortest(bound)
+        return _Search(self._arena(), positives, _thinned(everything), self._meter).shortest(bound)
 
 
 Limit = tuple["_Patterns", int]

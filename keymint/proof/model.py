@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from functools import lru_cache
 
 from keymint.keymake.glob import ANY, Charset, Glob
 
@@ -44,8 +46,13 @@ class Universe:
 
     def __contains__(self, word: str) -> bool:
         """Tell whether a word is one of the universe."""
-        parts = word.split(self.separator) if self.fields > 1 else [word]
-        return len(parts) == self.fields and all(char in self.alphabet for part in parts for char in part)
+        return _form(self).fullmatch(word) is not None
+
+
+@lru_cache(maxsize=64)
+def _form(universe: Universe) -> re.Pattern[str]:
+    field_ = "".join(rf"\U{low:08x}-\U{high:08x}" for low, high in universe.alphabet.ranges)
+    return re.compile(re.escape(universe.separator).join([f"[{field_}]*"] * universe.fields))
 
 
 EVERY_WORD = Universe(ANY)

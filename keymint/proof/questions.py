@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from functools import cache
 
 from keymint.keymake.glob import Glob
 from keymint.proof.arena import Arena
@@ -38,12 +39,12 @@ def difference(
         :class:`Equal`, a shortest :class:`Witness`, or :class:`Unknown` when the budget was spent.
     """
     budget = budget or Budget()
-    arena = Arena(_patterns((a, *b)), universe)
+    arena = cache(lambda: Arena(_patterns((a, *b)), universe))
     try:
         word = _by_cubes(a, b, universe, arena, budget)
     except SpentError as spent:
         try:
-            word = Product(b, a, universe, arena, budget.meter()).shortest()
+            word = Product(b, a, universe, arena(), budget.meter()).shortest()
         except SpentError:
             return Unknown(str(spent))
     return Equal() if word is None else _judged(a, b, word)
@@ -95,7 +96,7 @@ def _escape(
     permitting: Sequence[DecisionList], refusing: DecisionList, universe: Universe, budget: Budget | None
 ) -> Outcome:
     budget = budget or Budget()
-    arena = Arena(_patterns((*permitting, refusing)), universe)
+    arena = cache(lambda: Arena(_patterns((*permitting, refusing)), universe))
     try:
         word = Escapes(permitting, refusing, universe, arena, budget.meter()).shortest()
     except SpentError as spent:
@@ -108,7 +109,7 @@ def _escape(
 
 
 def _by_cubes(
-    a: DecisionList, b: Sequence[DecisionList], universe: Universe, arena: Arena, budget: Budget
+    a: DecisionList, b: Sequence[DecisionList], universe: Universe, arena: Callable[[], Arena], budget: Budget
 ) -> str | None:
     """Return the shortest word on which a list differs from several others together."""
     meter = budget.meter()

@@ -9,9 +9,10 @@ partitions to be about the default partition, Fast DDS ignores those it has).
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterable, Iterator, Sequence
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
+from typing import Self
 
 from keymint.ir import Effect
 from keymint.keymake import glob as globs
@@ -156,7 +157,8 @@ def decision_list(
     patterns = dict.fromkeys(pattern for pattern, _ in (*allow, *deny))
     literals = sorted(pattern for pattern in patterns if literal(pattern) is not None)
     wild = _specific_first(_closure([pattern for pattern in patterns if literal(pattern) is None]))
-    needed = _needed([(pattern, _effective(pattern, allow, deny)) for pattern in (*literals, *wild)])
+    allowed, denied = _Side.of(allow), _Side.of(deny)
+    needed = _needed([(pattern, _effective(pattern, allowed, denied)) for pattern in (*literals, *wild)])
     steps = list(_closed(needed))
     denies = [pattern for pattern, listed in steps if not listed]
     free = [step for step in steps if step[1] and all(disjoint(step[0], other) for other in denies)]
@@ -193,12 +195,42 @@ def _needed(steps: Sequence[tuple[Glob, Partitions]]) -> list[tuple[Glob, Partit
     return kept[::-1]
 
 
-def _effective(
-    pattern: Glob, allow: Iterable[tuple[Glob, Partitions]], deny: Iterable[tuple[Glob, Partitions]]
-) -> Partitions:
+@dataclass(frozen=True, slots=True)
+class _Side:
+    """Patterns with their partitions; the literal ones by themselves, since there may be many."""
+
+    exact: Mapping[Glob, Sequence[Partitions]]
+    wild: Sequence[tuple[Glob, Partitions]]
+
+    @classmethod
+    def of(cls, items: Iterable[tuple[Glob, Partitions]]) -> Self:
+        """Return the side that has these items."""
+        exact: dict[Glob, list[Partitions]] = {}
+        wild: list[tuple[Glob, Partitions]] = []
+        for pattern, listed in items:
+            if literal(pattern) is None:
+                wild.append((pattern, listed))
+            else:
+                exact.setdefault(pattern, []).append(listed)
+        return cls(exact, wild)
+
+    def covering(self, pattern: Glob) -> Iterator[tuple[Glob, Partitions]]:
+        """Yield the items that cover a pattern: a literal one covers only itself.
+
+        Raises:
+            TooComplexError: that was not found out.
+        """
+        for listed in self.exact.get(pattern, ()):
+            yield pattern, listed
+        for item in self.wild:
+            if surely_covers(item[0], pattern):
+                yield item
+
+
+def _effective(pattern: Glob, allow: _Side, deny: _Side) -> Partitions:
     try:
-        listed = frozenset(name for other, names in allow if surely_covers(other, pattern) for name in names)
-        denied = [(other, names) for other, names in deny if surely_covers(other, pattern)]
+        listed = frozenset(name for _, names in allow.covering(pattern) for name in names)
+        denied = list(deny.covering(pattern))
     except TooComplexError:
         raise PartitionError(pattern, "how it overlaps with others is too hard to find out") from None
     left = _reduced(listed)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ctypes
 import os
 import runpy
 from datetime import UTC, datetime
@@ -155,6 +156,23 @@ def test_a_document_that_stops_cyclone_dds_is_not_given_to_it(
     opened = real_cyclonedds.open(surroundings)
     [found] = labelled(opened, [Enclave("/talker", folder, "humble")], Tier.DECISION, talker("publish", X))
     assert (found.allowed, "stops Cyclone DDS" in found.reason) == (False, True)
+
+
+@pytest.mark.cyclonedds
+def test_cyclone_dds_prints_nothing_on_our_standard_output(
+    authorities: Authorities,
+    cyclone_plugins: None,
+    surroundings: Surroundings,
+    tmp_path: Path,
+    capfd: pytest.CaptureFixture,
+) -> None:
+    """Its parser does, for each document that it refuses; that would end up in the middle of ``--json``."""
+    folder = enclave(authorities, tmp_path, rule("allow", criteria("publish", ["rt/x"]), domain=231))
+    opened = real_cyclonedds.open(surroundings)
+    [found] = labelled(opened, [Enclave("/talker", folder, "humble")], Tier.DECISION, talker("publish", X))
+    ctypes.CDLL(None).fflush(None)
+    assert not found.allowed
+    assert capfd.readouterr().out == ""
 
 
 def test_names_that_no_topic_has_are_denied(transport: Transport, pair: list[Enclave]) -> None:

@@ -7,10 +7,10 @@ that is seen counts, also one that vanishes again. What a domain hides by discov
 from __future__ import annotations
 
 import ctypes
-import time
 from collections.abc import Callable, Iterator
 from ctypes import POINTER, Structure, byref, c_bool, c_char_p, c_int32, c_int64, c_size_t, c_uint32, c_uint64, c_void_p
 from functools import cache, partial
+from threading import Event
 from typing import Any, Self
 
 from keymint.api import Usable
@@ -136,8 +136,9 @@ def observe(domain: int, go_on: Callable[[], bool]) -> Capture:
     except OSError as error:
         raise KeymintError(str(error), help=INSTALL, code="discovery-unusable") from None
     with _Observer(dds, domain) as observer:
+        pause = Event()
         while go_on():
-            time.sleep(_PAUSE)
+            pause.wait(_PAUSE)
         return observer.capture()
 
 

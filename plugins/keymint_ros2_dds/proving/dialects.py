@@ -20,6 +20,8 @@ def _noescape(expression: str) -> Glob:
 
 def _cyclone(expression: str) -> Glob:
     """``ac_fnmatch`` of Cyclone DDS 0.10; see :func:`keymint_ros2_dds.decision.fnmatch.cyclone`."""
+    if fnmatch.is_plain(expression):
+        return glob.parse(expression)
     tokens: list[Token] = []
     at = 0
     while at < len(expression):

@@ -13,8 +13,10 @@ from __future__ import annotations
 
 import ctypes
 import functools
+import os
 import weakref
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
 from ctypes import POINTER, Structure, byref, c_char_p, c_int, c_int32, c_int64, c_ubyte, c_uint32, c_void_p
 from dataclasses import dataclass
 from pathlib import Path
@@ -189,9 +191,10 @@ class AccessControl:
         }
         self._references = (byref(self._qos), byref(_EmptySeq()), byref(self._exception))
         any_authentication_plugin, any_identity = self._plugin, 1
-        self._handle: int = table.validate_local_permissions(
-            self._plugin, any_authentication_plugin, any_identity, domain, self._qos, self._exception
-        )
+        with _silent():
+            self._handle: int = table.validate_local_permissions(
+                self._plugin, any_authentication_plugin, any_identity, domain, self._qos, self._exception
+            )
         self._noted(self._handle != 0)
 
     @classmethod
@@ -270,6 +273,23 @@ class AccessControl:
             self._library.core.ddsrt_free(message)
             self._exception.message = None
         return bool(answer)
+
+
+@contextmanager
+def _silent() -> Iterator[None]:
+    """Keep what the plugin's parser prints on standard output out of what this process has to say there."""
+    libc = ctypes.CDLL(None)
+    libc.fflush(None)
+    kept = os.dup(1)
+    nowhere = os.open(os.devnull, os.O_WRONLY)
+    try:
+        os.dup2(nowhere, 1)
+        yield
+    finally:
+        libc.fflush(None)
+        os.dup2(kept, 1)
+        os.close(nowhere)
+        os.close(kept)
 
 
 def _uri(document: Document) -> bytes:

@@ -129,3 +129,14 @@ def test_an_error_of_our_own_is_one_line(tmp_path: Path) -> None:
     assert done.returncode == 1
     assert done.stderr.count("\n") == 1
     assert "internal error: ZeroDivisionError: oops" in done.stderr
+
+
+@pytest.mark.parametrize(
+    "arguments", [("init", "{}"), ("status", "-w", "{}"), ("provision", "{}"), ("init", "--policy", "{}")]
+)
+def test_a_name_that_is_too_long_is_one_clear_line(keymint, arguments: tuple[str, ...], tmp_path: Path) -> None:
+    outcome = keymint(*(argument.format("a" * 300) for argument in arguments))
+    assert (outcome.code, outcome.out) == (1, "")
+    assert outcome.err.count("\n") == 1
+    assert outcome.err.endswith("error: File name too long\n")
+    assert not any(tmp_path.iterdir())

@@ -39,6 +39,7 @@ CALLS = {
     "why": ["why", "/talker", "ros_publish", "/chatter", "-w", "ws", "-t", "omg"],
     "graph": ["graph", "policy.xml"],
     "plugins": ["plugins"],
+    "transports": ["transports"],
     "completion": ["completion", "bash"],
 }
 

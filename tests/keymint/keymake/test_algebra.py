@@ -13,6 +13,7 @@ from hypothesis import strategies as st
 from keymint.keymake import glob
 from keymint.keymake.algebra import (
     TooComplexError,
+    all_disjoint,
     covers,
     disjoint,
     intersection,
@@ -105,3 +106,9 @@ def test_long_hostile_expressions_end_soon():
     assert not disjoint(left, right)
     assert not covers(left, right)
     assert time.perf_counter() - begin < 2
+
+
+@unhurried
+@given(st.lists(GLOBS, max_size=4), st.lists(GLOBS, max_size=4))
+def test_lists_are_disjoint_when_all_of_their_pairs_are(lefts, rights):
+    assert all_disjoint(lefts, rights) is all(disjoint(left, right) for left in lefts for right in rights)
