@@ -49,4 +49,5 @@ def load_all(paths: Iterable[str | Path], *, library: str | Path | None = None) 
     files = {file: digest for policy in policies for file, digest in policy.files.items()}
     seen = {path: fingerprint for policy in policies for path, fingerprint in policy.seen.items()}
     profiles = tuple(profile for policy in policies for profile in policy.profiles)
-    return Policy(profiles, MappingProxyType(files), MappingProxyType(seen))
+    unused = tuple(tunable for policy in policies for tunable in policy.unused_tunables)
+    return Policy(profiles, MappingProxyType(files), MappingProxyType(seen), unused)

@@ -247,7 +247,8 @@ def parse(sources: Sources) -> Policy:
     profiles = tuple(profile for document in sources.roots for profile in parser.root(document))
     if parser.found:
         raise ComArmorError.of(parser.found)
-    return Policy(profiles, sources.files, sources.seen)
+    unused = tuple(parser.budget.unused_tunables.values())
+    return Policy(profiles, sources.files, sources.seen, unused)
 
 
 def _unique(expressions: list[Expression]) -> tuple[Expression, ...]:

@@ -8,7 +8,7 @@ from pathlib import Path
 
 from comarmor.decide import decide
 from comarmor.expression import literal, matches
-from comarmor.model import Decision, Profile, Rule
+from comarmor.model import Decision, Profile, Rule, Tunable
 
 _MOST_REMEMBERED = 4096
 """Subjects whose rules a policy remembers."""
@@ -64,11 +64,13 @@ class Policy:
         files: every file that was read, by its resolved path, with the SHA-256 of its bytes.
         seen: every path that was looked at, also those that were not there, with their fingerprints
             (:func:`comarmor.source.fingerprint`): as long as these are the same, so is the policy.
+        unused_tunables: tunables that no attachment and no other tunable refers to.
     """
 
     profiles: tuple[Profile, ...]
     files: Mapping[Path, bytes] = field(default_factory=dict)
     seen: Mapping[Path, bytes] = field(default_factory=dict)
+    unused_tunables: tuple[Tunable, ...] = ()
     _level: _Level = field(init=False, repr=False)
     _remembered: dict[str, tuple[Rule, ...]] = field(init=False, repr=False, default_factory=dict)
 

@@ -16,9 +16,29 @@ MOST_CHARACTERS = 32 * 2**20
 
 @dataclass(slots=True)
 class Budget:
-    """What the expressions of a policy have used of :data:`MOST_CHARACTERS`."""
+    """What the expressions of a policy have used: of :data:`MOST_CHARACTERS`, and of its tunables.
+
+    A file that is included several times declares a tunable once.
+    """
 
     used: int = 0
+    unused_tunables: dict[tuple[str, int, str], Tunable] = field(default_factory=dict)
+    used_tunables: set[tuple[str, int, str]] = field(default_factory=set)
+
+    def declared(self, tunable: Tunable) -> None:
+        """Note a tunable that is declared."""
+        if (key := _key(tunable)) not in self.used_tunables:
+            self.unused_tunables.setdefault(key, tunable)
+
+    def asked(self, tunable: Tunable) -> None:
+        """Note a tunable that is used."""
+        key = _key(tunable)
+        self.used_tunables.add(key)
+        self.unused_tunables.pop(key, None)
+
+
+def _key(tunable: Tunable) -> tuple[str, int, str]:
+    return tunable.where.file, tunable.where.line, tunable.name
 
 
 @dataclass(slots=True)
@@ -59,6 +79,7 @@ class Scope:
                 )
         self.spend(expanded)
         self.own[name] = Tunable(name, tuple(expanded), where)
+        self.budget.declared(self.own[name])
 
     def values(self, name: str) -> tuple[Value, ...]:
         """Return the values of a tunable.
@@ -70,6 +91,7 @@ class Scope:
         known: dict[str, None] = {}
         while scope is not None:
             if name in scope.own:
+                self.budget.asked(scope.own[name])
                 return scope.own[name].values
             known |= dict.fromkeys(scope.own)
             scope = scope.outer

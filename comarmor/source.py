@@ -23,10 +23,12 @@ from lxml import etree
 from comarmor.errors import ComArmorError, Location, did_you_mean, quoted
 from comarmor.reader import LIMITS, Limits, line, parse
 
-__all__ = ["INCLUDE", "LIMITS", "XINCLUDE", "Document", "Limits", "Sources", "line", "load_tree", "parse"]
+__all__ = ["INCLUDE", "LIMITS", "TESTS", "XINCLUDE", "Document", "Limits", "Sources", "line", "load_tree", "parse"]
 
 XINCLUDE = "http://www.w3.org/2001/XInclude"
 INCLUDE = f"{{{XINCLUDE}}}include"
+TESTS = ".test.xml"
+"""How the names of files end that hold tests of a policy, which lie beside its roots."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -126,11 +128,14 @@ def fingerprint(path: Path) -> bytes:
 
 
 def _roots(folder: Path) -> list[str]:
-    """Return the names of the files that are a directory's roots, sorted."""
+    """Return the names of the files that are a directory's roots, sorted: its tests are none."""
     return sorted(
         name
         for name in (entry.name for entry in folder.iterdir())
-        if name.endswith(".xml") and not name.startswith(".") and not (folder / name).is_dir()
+        if name.endswith(".xml")
+        and not name.endswith(TESTS)
+        and not name.startswith(".")
+        and not (folder / name).is_dir()
     )
 
 

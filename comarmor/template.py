@@ -143,7 +143,18 @@ def for_subject(value: Value, subject: str) -> str:
     ``/foo/bar/``.
     """
     head, slash, name = subject.rpartition("/")
-    text = {Placeholder.NAME: escape(name), Placeholder.NAMESPACE: escape(head + slash)}
+    return for_parts(value, escape(head + slash), escape(name))
+
+
+def for_parts(value: Value, namespace: str, name: str) -> str:
+    """Return the expression that an attachment is for expressions of a namespace and of a name.
+
+    Args:
+        value: the attachment.
+        namespace: expression that begins and ends with ``/``.
+        name: expression of the last segment.
+    """
+    text = {Placeholder.NAME: name, Placeholder.NAMESPACE: namespace}
     (joined,) = _join((text[p], True) if isinstance(p, Placeholder) else (p, False) for p in value) or ("",)
     return joined
 

@@ -27,7 +27,7 @@ from typing import Protocol
 
 from keymint.errors import Diagnostic, Origin
 from keymint.graph import Edge, Graph
-from keymint.ir import SubjectRules
+from keymint.ir import Rule, SubjectRules
 
 API_VERSION = "1.0"
 
@@ -421,6 +421,94 @@ class LoadedPolicy(Protocol):
 
         Raises:
             KeymintError: the kind or the permission is not known.
+        """
+
+
+@dataclass(frozen=True, slots=True)
+class AttachedProfile:
+    """A profile as it is written.
+
+    Attributes:
+        name: its label.
+        where: where it is written.
+        around: expressions of the profiles around it, outermost first: a subject must match one of each.
+        attachments: its own expressions, each with its place.
+    """
+
+    name: str
+    where: Origin
+    around: tuple[tuple[str, ...], ...]
+    attachments: tuple[tuple[str, Origin], ...]
+
+
+@dataclass(frozen=True, slots=True)
+class Clause:
+    """A rule as it is written, before it is expanded for a subject.
+
+    Attributes:
+        profiles: expressions of the profiles that it stands in, outermost first: a subject must match one of each.
+        rule: the rule; its expressions may hold ``{name}`` and ``{namespace}``.
+        expand: returns its expressions for expressions of a namespace (with its last ``/``) and of a name.
+    """
+
+    profiles: tuple[tuple[str, ...], ...]
+    rule: Rule
+    expand: Callable[[str, str], tuple[str, ...]] = field(repr=False, compare=False)
+
+
+@dataclass(frozen=True, slots=True)
+class Structure:
+    """A policy as it is written.
+
+    Attributes:
+        profiles: its profiles, outer ones first.
+        clauses: its rules, in the order of the policy.
+        unused: name and place of the variables that nothing uses.
+    """
+
+    profiles: tuple[AttachedProfile, ...]
+    clauses: tuple[Clause, ...]
+    unused: tuple[tuple[str, Origin], ...] = ()
+
+
+class StructuredPolicy(Protocol):
+    """What a policy may offer beside :class:`LoadedPolicy`: itself as it is written, for subjects it does not name."""
+
+    def structure(self) -> Structure:
+        """Return the policy as it is written."""
+
+
+@dataclass(frozen=True, slots=True)
+class Expectation:
+    """What a unit test of a policy expects.
+
+    Attributes:
+        test: name of the test.
+        allowed: every request that matches is allowed; else none is.
+        subject: ``fnmatch`` expression of subjects.
+        permission: a permission; ``ros_`` may be missing.
+        object: ``fnmatch`` expression of objects.
+        partition: DDS partition; empty for the default one.
+        where: where it is written.
+    """
+
+    test: str
+    allowed: bool
+    subject: str
+    permission: str
+    object: str
+    partition: str
+    where: Origin
+
+
+class TestedPolicyType(Protocol):
+    """What a policy type may offer beside :class:`PolicyType`: reading of a policy's own unit tests."""
+
+    def expectations(self, path: Path) -> Mapping[Path, Sequence[Expectation]]:
+        """Return the expectations in the test files beside a policy, by file.
+
+        Raises:
+            KeymintError: with ``file:line`` of each defect.
         """
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from itertools import groupby
 from operator import attrgetter
 
@@ -81,7 +81,7 @@ def _by_subject(
     refused says nothing of the others.
     """
     if tier is Tier.EXCHANGE:
-        labelled = transport.label(tuple(enclaves.values()), edges, tier)
+        labelled = _answers(transport, tuple(enclaves.values()), edges, tier, deque())
         for subject, group in groupby(labelled, key=lambda item: item[0].subject):
             yield subject, group
         return
@@ -97,22 +97,44 @@ def label_enclave(
     Raises:
         KeymintError: the transport does not work.
     """
+    waiting = iter(edges)
     unanswered: deque[Edge] = deque()
-
-    def asked() -> Iterator[Edge]:
-        for edge in edges:
-            unanswered.append(edge)
-            yield edge
-
-    source = asked()
     try:
-        for edge, verdict in transport.label((enclave,), source, tier):
-            unanswered.popleft()
-            yield edge, verdict
+        yield from _answers(transport, (enclave,), waiting, tier, unanswered)
     except KeymintError as error:
         found = error.diagnostics[0]
         if found.code != ENCLAVE_REFUSED:
             raise
         refused = Verdict(allowed=False, reason=f"the enclave is refused: {found.message}")
         yield from ((edge, refused) for edge in unanswered)
-        yield from ((edge, refused) for edge in edges)
+        yield from ((edge, refused) for edge in waiting)
+
+
+def _answers(
+    transport: Transport, enclaves: Sequence[Enclave], edges: Iterable[Edge], tier: Tier, unanswered: deque[Edge]
+) -> Iterator[tuple[Edge, Verdict]]:
+    """Yield what a transport decides, as long as it answers what it is asked: each edge once, in their order.
+
+    Args:
+        transport: the transport.
+        enclaves: the enclaves of all subjects of the edges.
+        edges: edges to decide.
+        tier: how deep to ask.
+        unanswered: holds the edges that it took and did not answer yet.
+
+    Raises:
+        KeymintError: it leaves an edge out, or answers another one; also as :meth:`keymint.api.Transport.label`.
+    """
+    waiting = iter(edges)
+
+    def asked() -> Iterator[Edge]:
+        for edge in waiting:
+            unanswered.append(edge)
+            yield edge
+
+    for edge, verdict in transport.label(enclaves, asked(), tier):
+        if not unanswered or unanswered.popleft() != edge:
+            raise KeymintError("the transport answers what it was not asked", code="transport-answers")
+        yield edge, verdict
+    if unanswered or next(waiting, None) is not None:
+        raise KeymintError("the transport leaves edges unanswered", code="transport-answers")

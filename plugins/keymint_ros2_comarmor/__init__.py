@@ -8,7 +8,7 @@ from pathlib import Path
 
 import comarmor
 import comarmor.source
-from keymint.api import AppliedProfile, Learned, LoadedPolicy, PolicyDecision, PolicySource
+from keymint.api import AppliedProfile, Expectation, Learned, LoadedPolicy, PolicyDecision, PolicySource, Structure
 from keymint.errors import Diagnostic, KeymintError, Origin, Severity
 from keymint.graph import Edge, Graph
 from keymint.ir import Effect, Rule, SubjectRules
@@ -65,6 +65,12 @@ class _LoadedPolicy:
             for profile in self.policy.applicable(subject)
         )
 
+    def structure(self) -> Structure:
+        """Return the policy as it is written."""
+        from keymint_ros2_comarmor.structure import structure  # noqa: PLC0415 - few verbs need it
+
+        return structure(self.policy, _origin, _rule)
+
     def decide(self, edge: Edge) -> PolicyDecision:
         """Return what the policy says about an edge; errors as :meth:`keymint.api.LoadedPolicy.decide`."""
         found = edge.object
@@ -107,6 +113,28 @@ class ComArmorPolicyType:
     def fingerprint(self, path: Path) -> bytes:
         """Return what tells whether a path is still what it was when a policy was loaded."""
         return comarmor.source.fingerprint(path)
+
+    def expectations(self, path: Path) -> Mapping[Path, Sequence[Expectation]]:
+        """Return the expectations in the ``*.test.xml`` files beside a policy, or in one such file.
+
+        Raises:
+            KeymintError: with ``file:line`` of each defect.
+        """
+        from comarmor.tested import expectations  # noqa: PLC0415 - only one verb needs it
+
+        try:
+            found = expectations(path)
+        except comarmor.ComArmorError as error:
+            raise KeymintError.of(map(_diagnostic, error.diagnostics)) from error
+        return {
+            file: tuple(
+                Expectation(
+                    one.test, one.allowed, one.subject, one.permission, one.object, one.partition, _origin(one.where)
+                )
+                for one in listed
+            )
+            for file, listed in found.items()
+        }
 
     def learn(self, graph: Graph, existing: LoadedPolicy | None, fragments: str) -> Learned:
         """See :func:`keymint_ros2_comarmor.learn.learn`.

@@ -2,9 +2,9 @@
 
 Cyclone DDS matches with a function of its own, Fast DDS with ``fnmatch(FNM_NOESCAPE)``. They agree on literals, ``*``
 and ``?``. They disagree on bracket expressions, since for Cyclone DDS a bracket expression always holds ``]`` as
-well, one that is followed by ``-`` is misread, and neither has escapes. So small sets become alternatives, and the
-complement of a small set is written as a bracket expression that leaves out ``\\``, ``]`` and ``^`` by a range, beside
-alternatives that bring them back. Names are taken to be ASCII, as those of DDS topics are.
+well, one that is followed by ``-`` is misread, and neither has escapes. The standard has: there, and for OpenDDS, a
+backslash escapes, so that none is ever written. So small sets become alternatives, and the complement of a small set is
+written as a bracket expression beside the alternative ``]``. Names are taken to be ASCII, as those of DDS topics are.
 """
 
 from __future__ import annotations
@@ -13,14 +13,14 @@ import re
 from functools import lru_cache
 from itertools import pairwise, product
 
-from keymint.keymake.glob import ANY, Charset, Glob, Star, charset, literal
+from keymint.keymake.glob import ANY, Charset, Glob, Star, literal
 
 MAX_ALTERNATIVES = 64
 """How many expressions one glob may become."""
 
-_UNSAFE = re.compile(r"[^ -~]|[*?\[]")
+_UNSAFE = re.compile(r"[^ -~]|[*?\[\\]")
 _ASCII = Charset(((0, 127),))
-_TRAP = Charset(((0x5C, 0x5E),))  # \ ] ^
+_TRAPS = "\\]"
 
 
 class InexpressibleError(Exception):
@@ -77,9 +77,9 @@ def _escaped(char: str) -> str:
 def _literal(text: str) -> str:
     if found := _UNSAFE.search(text):
         char = found.group()
-        if char in "*?[":
+        if char in "*?[\\":
             raise InexpressibleError(
-                f"the name has a literal {char!r}, for which Cyclone DDS and Fast DDS have no common escape"
+                f"the name has a literal {char!r}, for which the standard, Cyclone DDS and Fast DDS have no common escape"
             )
         raise InexpressibleError(f"the name has the character {char!r}, which is not printable ASCII")
     _check_ends(text)
@@ -106,15 +106,8 @@ def _choices(token: str | Charset | Star) -> list[str]:
         raise InexpressibleError(
             f"a bracket expression holds more than {MAX_ALTERNATIVES} characters, and on Cyclone DDS ']' matches it too"
         )
-    barred = charset((*excluded.ranges, *_TRAP.ranges)).intersection(_ASCII)
-    return [_bracket(barred.complement()), *token.intersection(_TRAP).chars()]
-
-
-def _bracket(token: Charset) -> str:
-    """Return a bracket expression in which every member is a range, so that no character has a second meaning."""
-    negated = token.ranges[-1][1] == ANY.ranges[0][1]
-    members = token.complement() if negated else token
-    outside = members.intersection(_TRAP.complement())
-    trap = members.intersection(_TRAP)
-    ranges = [*trap.ranges, *outside.ranges]
-    return "[" + "!" * negated + "".join(f"{chr(low)}-{chr(high)}" for low, high in ranges) + "]"
+    for char in _TRAPS:
+        if char in excluded:
+            raise InexpressibleError(f"a bracket expression leaves out {char!r}, which vendors read differently there")
+    # Every member is a range, so that no character has a second meaning. Cyclone DDS leaves out the "]" as well.
+    return ["[!" + "".join(f"{chr(low)}-{chr(high)}" for low, high in excluded.ranges) + "]", "]"]

@@ -13,6 +13,15 @@ Reader = Callable[[str], Glob]
 _NOTHING: Glob = (Charset(()),)
 
 
+def _posix(expression: str) -> Glob:
+    """``fnmatch`` with flags 0; a backslash at the end that escapes nothing makes an expression that matches nothing."""
+    try:
+        return glob.parse(expression)
+    except glob.GlobError:
+        glob.parse(expression + "\\")
+        return _NOTHING
+
+
 def _noescape(expression: str) -> Glob:
     """``fnmatch`` with FNM_NOESCAPE: a backslash is an ordinary character."""
     return glob.parse(expression.replace("\\", "\\\\"))
@@ -63,6 +72,6 @@ def _cyclone_set(expression: str, at: int) -> tuple[Charset, int] | None:
 
 
 READERS: Mapping[fnmatch.Dialect, Reader] = MappingProxyType(
-    {fnmatch.posix: glob.parse, fnmatch.noescape: _noescape, fnmatch.cyclone: _cyclone}
+    {fnmatch.posix: _posix, fnmatch.noescape: _noescape, fnmatch.cyclone: _cyclone}
 )
 """How the expressions of each dialect become tokens."""

@@ -11,8 +11,8 @@ from keymint.api import Claim, Counterexample, DomainRange, Obligation, PolicyDe
 from keymint.errors import KeymintError, Origin
 from keymint.graph import Edge
 from keymint.ir import Effect, SubjectRules
-from keymint.keymake.glob import GlobError
-from keymint.proof import PRINTABLE, Budget, DecisionList, Equal, Outcome, Universe, Unknown, difference
+from keymint.keymake.glob import GlobError, charset
+from keymint.proof import Budget, DecisionList, Equal, Outcome, Universe, Unknown, difference
 from keymint_ros2_dds import decision
 from keymint_ros2_dds.build import PERMISSIONS_XML
 from keymint_ros2_dds.decision import OMG, VARIATIONS, Decision, Judge, Variation
@@ -25,8 +25,14 @@ from keymint_ros2_dds.transports.files import subject_name
 ACTIONS = ("publish", "subscribe")
 LAST_DOMAIN = 232
 """The highest domain id whose ports exist for any participant (DDSI-RTPS 2.3, 9.6.1.1)."""
-TOPICS = "every topic name of printable ASCII, in the default partition; nothing is permitted outside of it"
-PAIRS = "every pair of a partition and a topic name of printable ASCII"
+ALPHABET = charset([(0x20, 0x5B), (0x5D, 0x7E)])
+"""Printable ASCII without the backslash, which is an escape for the standard and a character for Cyclone and Fast DDS:
+no expression about a name that has one is read alike."""
+TOPICS = (
+    "every topic name of printable ASCII without a backslash, in the default partition; nothing is permitted outside "
+    "of it"
+)
+PAIRS = "every pair of a partition and a topic name of printable ASCII without a backslash"
 
 _ALWAYS = (
     "the governance document puts every topic under access control, and its domain rules let the subject join",
@@ -89,7 +95,7 @@ class _Enclave:
 
     @property
     def universe(self) -> Universe:
-        return Universe(PRINTABLE.alphabet, fields=2, separator=lists.SEPARATOR) if self.pairs else PRINTABLE
+        return Universe(ALPHABET, fields=2 if self.pairs else 1, separator=lists.SEPARATOR)
 
     def compare(self, said: DecisionList, permitted: tuple[DecisionList, ...]) -> Outcome:
         """Compare, once for all models that read the document alike."""

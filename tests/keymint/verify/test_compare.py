@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 from keymint.api import Enclave, PolicyDecision, Tier, Usable, Verdict
 from keymint.errors import KeymintError, Origin
 from keymint.graph import Edge, Graph, Object, complete
-from keymint.verify.compare import ENCLAVE_REFUSED, compare, error_of
+from keymint.verify.compare import ENCLAVE_REFUSED, compare, error_of, label_enclave
 from keymint.verify.model import Confusion, Finding
 
 ENCLAVES = {name: Enclave(name, Path("/nowhere") / name[1:], "humble") for name in ("/a", "/b", "/c")}
@@ -128,3 +128,28 @@ def test_memory_does_not_grow_with_the_edges() -> None:
     _, peak = tracemalloc.get_traced_memory()
     tracemalloc.stop()
     assert peak < 1_000_000
+
+
+@pytest.mark.parametrize("tier", [Tier.DECISION, Tier.EXCHANGE])
+@pytest.mark.parametrize("fault", ["leaves one out", "stops early", "answers twice"])
+def test_a_transport_that_does_not_answer_what_it_is_asked_is_an_error(tier: Tier, fault: str) -> None:
+    """Labels that slip by one would be held against the wrong edges."""
+
+    class Faulty(Transport):
+        def label(self, enclaves, edges, tier):
+            for at, each in enumerate(super().label(enclaves, edges, tier)):
+                if at == 1 and fault == "stops early":
+                    return
+                if at != 1 or fault != "leaves one out":
+                    yield each
+                if at == 1 and fault == "answers twice":
+                    yield each
+
+    with pytest.raises(KeymintError, match="the transport"):
+        held(Faulty(), [0] * len(EDGES), tier)
+
+
+def test_a_refused_enclave_answers_each_edge_once() -> None:
+    edges = [edge for edge in EDGES if edge.subject == "/b"]
+    found = list(label_enclave(Transport(refuses="/b"), ENCLAVES["/b"], edges, Tier.DECISION))
+    assert [edge for edge, _ in found] == edges

@@ -1,0 +1,269 @@
+"""What in a policy is in vain, or is likely not meant: rules without effect, and names that nothing has.
+
+A rule is in vain only if it is so for every subject that it applies to: those that the policy names, and one example of
+each pattern of subjects that its profiles match.
+"""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+
+from keymint.algebra.lists import Key, allowed, keys, meet, names, patterns, universe
+from keymint.algebra.similar import similar_names
+from keymint.algebra.subjects import can_be, examples, reached, rules_of, structure
+from keymint.api import LoadedPolicy, Structure
+from keymint.errors import Diagnostic, Origin, Severity
+from keymint.ir import Effect, Rule
+from keymint.keymake.algebra import TooComplexError, disjoint
+from keymint.keymake.glob import Glob, literal, parse
+from keymint.proof import Block, Equal, implies
+
+CODES: Mapping[str, str] = {
+    "rule-shadowed": "An ALLOW rule allows nothing, because DENY rules deny all of it.",
+    "rule-redundant": "What an ALLOW rule allows is allowed by other rules as well.",
+    "deny-redundant": "What a DENY rule denies is denied by other rules as well.",
+    "deny-nothing": "A DENY rule denies nothing that any rule allows.",
+    "object-never": "No object can have a name that an expression matches.",
+    "subject-never": "No subject can have a name that an attachment matches.",
+    "profile-never": "A profile never applies together with the profiles around it.",
+    "rule-unused": "A rule applies to no subject that the policy names.",
+    "tunable-unused": "A tunable is declared, and nothing uses it.",
+    "name-similar": "A name is nearly, but not quite, one that would fit.",
+}
+"""The findings of this room, each with one line that says what it means."""
+
+_Place = tuple[str, int]
+
+
+@dataclass(frozen=True, slots=True)
+class _Unit:
+    """An expression of a rule that is written at a place: the same one for every subject that it is expanded for.
+
+    The expression is told by its number, since its text may differ from subject to subject.
+    """
+
+    place: _Place
+    effect: Effect
+    number: int
+
+
+@dataclass(slots=True)
+class _Applied:
+    """What the units say for one subject: by kind and permission, the patterns of each."""
+
+    patterns: dict[Key, dict[tuple[_Unit, int], tuple[Glob, ...]]] = field(default_factory=lambda: defaultdict(dict))
+    units: dict[_Unit, tuple[Rule, str]] = field(default_factory=dict)
+
+
+def lint(policy: LoadedPolicy) -> list[Diagnostic]:
+    """Return findings on a policy, by place.
+
+    Args:
+        policy: the policy.
+    """
+    written = structure(policy)
+    named = policy.subjects()
+    extra = examples([written], named) if written else {}
+    subjects = {subject: rules_of(policy, subject) for subject in (*named, *extra)}
+    found = [*_names(subjects), *(_structure(written) if written else ())]
+    never = {diagnostic.where for diagnostic in found if diagnostic.code == "object-never"}
+    found += (each for each in _Vain(subjects).findings() if each.where not in never)
+    found += similar_names({subject: subjects[subject] for subject in named})
+    return sorted(
+        dict.fromkeys(found), key=lambda each: (str(each.where.file) if each.where else "", each.where.line if each.where else 0, each.code)
+    )
+
+
+def _structure(found: Structure) -> Iterator[Diagnostic]:
+    """Yield what can be seen of profiles and tunables as they are written."""
+    for name, where in found.unused:
+        yield _warning("tunable-unused", f"nothing uses the tunable @{{{name}}}", where, "remove it")
+    for profile in found.profiles:
+        possible = False
+        for expression, where in profile.attachments:
+            if not can_be(parse(expression)):
+                message = f"no subject can be named as the attachment {expression!r} of profile {profile.name!r} says"
+                yield _warning("subject-never", message, where, "a subject is named like /robot1/talker")
+                continue
+            try:
+                inside = [one for one in reached((*profile.around, (expression,))) if can_be(one)]
+            except TooComplexError:
+                possible = True
+                continue
+            possible = possible or bool(inside)
+            if not inside and len(profile.attachments) > 1:
+                message = (
+                    f"profile {profile.name!r} never applies to {expression!r}: "
+                    f"the profiles around it apply to {_several(profile.around[-1])} only"
+                )
+                yield _warning("profile-never", message, where, "mend the attachment, or move the profile out")
+        if not possible and profile.around and len(profile.attachments) == 1:
+            message = (
+                f"profile {profile.name!r} never applies: no subject matches both its attachment "
+                f"{profile.attachments[0][0]!r} and the profiles around it ({_several(profile.around[-1])})"
+            )
+            yield _warning("profile-never", message, profile.where, "mend the attachment, or move the profile out")
+
+
+def _several(expressions: Sequence[str]) -> str:
+    shown = ", ".join(map(repr, expressions[:3]))
+    return shown + (", …" if len(expressions) > 3 else "")  # noqa: PLR2004 - as many as a line takes
+
+
+def _names(subjects: Mapping[str, tuple[Rule, ...]]) -> Iterator[Diagnostic]:
+    """Yield expressions that no object can match, whatever the subject."""
+    verdicts: dict[tuple[_Place, str], tuple[bool, Rule]] = {}
+    for rules in subjects.values():
+        for rule in rules:
+            for expression in rule.expressions:
+                key = ((rule.origin.file, rule.origin.line), expression)
+                if key not in verdicts:
+                    verdicts[key] = (_is_name(rule, expression), rule)
+    for (_, expression), (fine, rule) in verdicts.items():
+        if not fine:
+            if rule.kind == "topic":
+                help_ = "remove it"
+            elif expression.startswith("/"):
+                help_ = "segments are letters, digits and '_', do not begin with a digit, and none is empty"
+            else:
+                help_ = f"write {'/' + expression!r}: every ROS name begins with '/'"
+            message = f"no object can be named as {expression!r} says in this {rule.effect} {rule.kind} rule"
+            yield _warning("object-never", message, rule.origin, help_)
+
+
+def _is_name(rule: Rule, expression: str) -> bool:
+    return any(
+        not isinstance(meet(key[0], allowed(pattern)), Equal)
+        for key in keys(rule)
+        for pattern in patterns(rule, expression, key)
+    )
+
+
+class _Vain:
+    """Looks for rules without effect.
+
+    Args:
+        subjects: rules of each subject.
+    """
+
+    def __init__(self, subjects: Mapping[str, tuple[Rule, ...]]) -> None:
+        self._applied = {subject: _applied(rules) for subject, rules in subjects.items()}
+        self._by_unit: dict[_Unit, list[str]] = defaultdict(list)
+        for subject, applied in self._applied.items():
+            for unit in applied.units:
+                self._by_unit[unit].append(subject)
+        self._gone: set[_Unit] = set()
+
+    def findings(self) -> Iterator[Diagnostic]:
+        """Yield what is found, the expressions of a rule together."""
+        found: dict[tuple[_Place, str], list[_Unit]] = defaultdict(list)
+        # From the last: of two that say the same the later one goes; and what went is no reason for another to go.
+        for unit in sorted(self._by_unit, key=lambda each: (each.place, each.number), reverse=True):
+            code = self._code(unit)
+            if code:
+                self._gone.add(unit)
+                found[unit.place, code].append(unit)
+        for (place, code), units in found.items():
+            yield self._said(place, code, units[::-1])
+
+    def _code(self, unit: _Unit) -> str:
+        subjects = self._by_unit[unit]
+        if unit.effect is Effect.DENY:
+            if all(self._meets_nothing(subject, unit) for subject in subjects):
+                return "deny-nothing"
+            return "deny-redundant" if all(self._within(subject, unit, Effect.DENY) for subject in subjects) else ""
+        if all(self._within(subject, unit, Effect.DENY) for subject in subjects):
+            return "rule-shadowed"
+        return "rule-redundant" if all(self._within(subject, unit, Effect.ALLOW) for subject in subjects) else ""
+
+    def _own(self, subject: str, unit: _Unit) -> Iterator[tuple[Key, tuple[Glob, ...]]]:
+        for key, by_unit in self._applied[subject].patterns.items():
+            for (each, _), found in by_unit.items():
+                if each == unit:
+                    yield key, found
+
+    def _others(self, subject: str, key: Key, unit: _Unit, effect: Effect) -> Iterator[Glob]:
+        for (each, _), found in self._applied[subject].patterns[key].items():
+            if each != unit and each.effect is effect and each not in self._gone:
+                yield from found
+
+    def _within(self, subject: str, unit: _Unit, effect: Effect) -> bool:
+        """Tell whether other rules of an effect are about all that an expression is about."""
+        for key, found in self._own(subject, unit):
+            others = tuple(self._others(subject, key, unit, effect))
+            for pattern in found:
+                near = tuple(other for other in others if not disjoint(other, pattern))
+                if not near:
+                    return False
+                mine = (*(block for block in names(key[0]) if not block.allows), Block(True, (pattern,)))
+                if not isinstance(implies(mine, (Block(True, near),), universe(key[0])), Equal):
+                    return False
+        return True
+
+    def _meets_nothing(self, subject: str, unit: _Unit) -> bool:
+        """Tell whether no rule allows anything of what an expression denies."""
+        for key, found in self._own(subject, unit):
+            others = tuple(self._others(subject, key, unit, Effect.ALLOW))
+            for pattern in found:
+                near = tuple(other for other in others if not disjoint(other, pattern))
+                if near and not isinstance(meet(key[0], allowed(pattern), (Block(True, near),)), Equal):
+                    return False
+        return True
+
+    def _said(self, place: _Place, code: str, units: Sequence[_Unit]) -> Diagnostic:
+        subject = self._by_unit[units[0]][0]
+        rule = self._applied[subject].units[units[0]][0]
+        texts = [self._applied[self._by_unit[unit][0]].units[unit][1] for unit in units]
+        whole = sum(unit.place == place and unit.effect is rule.effect for unit in self._by_unit) == len(units)
+        about = f"this {rule.effect} {rule.kind} rule" if whole else f"{_several(texts)} in this {rule.effect} {rule.kind} rule"
+        verb = "says" if whole or len(texts) == 1 else "say"
+        held = ", ".join(rule.permissions)
+        said = {
+            "rule-shadowed": f"{about} ({held}) allows nothing: DENY rules deny all of it{self._by(units, Effect.DENY)}",
+            "rule-redundant": f"{about} ({held}) adds nothing: other rules allow all of it{self._by(units, Effect.ALLOW)}",
+            "deny-redundant": f"{about} ({held}) adds nothing: other rules deny all of it{self._by(units, Effect.DENY)}",
+            "deny-nothing": f"{about} ({held}) denies nothing: no rule allows any of it",
+        }[code]
+        del verb
+        helps = {
+            "rule-shadowed": "remove it, or narrow the DENY: a DENY wins over every ALLOW",
+            "rule-redundant": "remove it, or narrow the other",
+            "deny-redundant": "remove it, or narrow the other",
+            "deny-nothing": "remove it, or mend its attachment: what nothing allows is denied anyway",
+        }
+        return _warning(code, said, rule.origin, helps[code])
+
+    def _by(self, units: Iterable[_Unit], effect: Effect) -> str:
+        """Return the place of a rule of an effect that is about what an expression is about, in words."""
+        for unit in units:
+            subject = self._by_unit[unit][0]
+            for key, found in self._own(subject, unit):
+                for (other, _), theirs in self._applied[subject].patterns[key].items():
+                    if other == unit or other.effect is not effect or other in self._gone:
+                        continue
+                    if any(not disjoint(one, pattern) for one in theirs for pattern in found):
+                        origin = self._applied[subject].units[other][0].origin
+                        return f", e.g. at {Origin(origin.file, origin.line)}"
+        return ""
+
+
+def _applied(rules: Sequence[Rule]) -> _Applied:
+    found = _Applied()
+    for at, rule in enumerate(rules):
+        place = (rule.origin.file, rule.origin.line)
+        for number, expression in enumerate(rule.expressions):
+            unit = _Unit(place, rule.effect, number)
+            found.units.setdefault(unit, (rule, expression))
+            for key in keys(rule):
+                if about := patterns(rule, expression, key):
+                    found.patterns[key][unit, at] = about
+    return found
+
+
+def _warning(code: str, message: str, where: Origin, help_: str) -> Diagnostic:
+    return Diagnostic(code, Severity.WARNING, message, where, help_)
+
+
+__all__ = ["CODES", "lint", "literal"]

@@ -1,0 +1,203 @@
+"""Subjects that a policy does not name: which rules reach them, and whom to take as an example.
+
+A subject's rules depend on the profiles that match it, and on its namespace and name where ``{namespace}`` and
+``{name}`` stand for them. What is said here of a whole pattern of subjects errs on one side only: it permits at least
+what the policy permits to any of them.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable, Iterator, Sequence
+from functools import lru_cache
+
+from keymint.algebra.lists import Key, allowed, decisions, keys, names, patterns, text, universe
+from keymint.api import Clause, LoadedPolicy, Structure
+from keymint.ir import Effect, Rule
+from keymint.keymake.algebra import TooComplexError, covers, intersection, matches
+from keymint.keymake.glob import Charset, Glob, Star, literal, normalise, parse, units
+from keymint.proof import Block, DecisionList, Equal, difference
+
+EVERY = parse("/*")
+"""What every subject matches."""
+_LEGAL = re.compile(r"(/[A-Za-z_][A-Za-z0-9_]*)+")
+_MOST_EXAMPLES = 400
+_NODE = "ros_parameter"
+
+
+def structure(policy: LoadedPolicy) -> Structure | None:
+    """Return a policy as it is written, or None if its type does not tell."""
+    of = getattr(policy, "structure", None)
+    found = of() if of else None
+    return found if isinstance(found, Structure) else None
+
+
+def rules_of(policy: LoadedPolicy, subject: str) -> tuple[Rule, ...]:
+    """Return the rules of a subject; none when no profile applies to it."""
+    found = policy.rules(subject)
+    return found.rules if found else ()
+
+
+@lru_cache(maxsize=1 << 12)
+def reached(profiles: tuple[tuple[str, ...], ...], within: Glob = EVERY) -> tuple[Glob, ...]:
+    """Return patterns that together match the subjects to which nested profiles apply.
+
+    Args:
+        profiles: expressions of each profile, outermost first.
+        within: only subjects that this matches.
+
+    Raises:
+        TooComplexError: there are too many.
+    """
+    found: tuple[Glob, ...] = (within,)
+    for level in profiles:
+        wanted = [parse(expression) for expression in level]
+        exact = {each for each in wanted if literal(each) is not None}
+        wild = [each for each in wanted if literal(each) is None]
+        new: dict[Glob, None] = {}
+        for each in found:
+            name = literal(each)
+            if name is not None:
+                if each in exact or any(matches(one, name) for one in wild):
+                    new[each] = None
+                continue
+            new |= dict.fromkeys(one for one in wanted if one in exact and matches(each, literal(one) or ""))
+            for one in wild:
+                new |= dict.fromkeys(intersection(each, one))
+        found = tuple(new)
+    return found
+
+
+def can_be(pattern: Glob) -> bool:
+    """Tell whether a subject can have a name that a pattern matches; True where that is not decided."""
+    found = difference((), allowed(pattern), names(_NODE), universe=universe(_NODE))
+    return not isinstance(found, Equal)
+
+
+def example(pattern: Glob) -> str | None:
+    """Return a subject that a pattern matches, or None when none is found."""
+    name = literal(pattern)
+    if name is not None:
+        return name if _LEGAL.fullmatch(name) else None
+    for filling in ("x", "", "x/y", "/x", "x/", "_"):
+        filled = "".join(
+            filling if isinstance(token, Star) else token if isinstance(token, str) else _member(token)
+            for token in pattern
+        )
+        if _LEGAL.fullmatch(filled):
+            return filled
+    found = difference((), allowed(pattern), names(_NODE), universe=universe(_NODE))
+    return getattr(found, "word", None)
+
+
+def _member(members: Charset) -> str:
+    return next((char for char in "xyzabcdefghijklmnopqrstuvw0123456789_/ABCDEFGHIJKLMNOPQRSTUVWXYZ" if char in members), "")
+
+
+def examples(structures: Iterable[Structure], known: Iterable[str]) -> dict[str, str]:
+    """Return a subject for each class of subjects that profiles match by a pattern: pattern by subject.
+
+    Args:
+        structures: policies as they are written.
+        known: subjects that need no example.
+    """
+    wild: dict[Glob, None] = {}
+    for each in structures:
+        for profile in each.profiles:
+            chain = (*profile.around, tuple(expression for expression, _ in profile.attachments))
+            try:
+                wild |= dict.fromkeys(one for one in reached(chain) if literal(one) is None)
+            except TooComplexError:
+                continue
+    found: dict[str, str] = {}
+    taken = set(known)
+    for pattern in _with_overlaps(tuple(wild)):
+        subject = example(pattern)
+        if subject is not None and subject not in taken:
+            taken.add(subject)
+            found[subject] = text(pattern)
+    return found
+
+
+def _with_overlaps(wild: Sequence[Glob]) -> Iterator[Glob]:
+    """Yield patterns, and what two of them have in common, up to a number."""
+    yield from wild
+    left = _MOST_EXAMPLES
+    for at, one in enumerate(wild):
+        for other in wild[:at]:
+            if not left:
+                return
+            try:
+                both = intersection(one, other)
+            except TooComplexError:
+                continue
+            for each in both:
+                if each not in (one, other) and left:
+                    left -= 1
+                    yield each
+
+
+def at_most(found: Structure, within: Glob, key: Key) -> Iterator[tuple[Glob, DecisionList]]:
+    """Yield, for patterns of subjects, a list that permits at least what any subject of that pattern may do.
+
+    Args:
+        found: a policy as it is written.
+        within: the subjects in question.
+        key: a kind, and a permission without parts.
+
+    Raises:
+        TooComplexError: the subjects cannot be told apart within bounds.
+    """
+    about = [clause for clause in found.clauses if key in keys(clause.rule)]
+    denials = [clause for clause in about if clause.rule.effect is Effect.DENY]
+    for clause in about:
+        if clause.rule.effect is not Effect.ALLOW:
+            continue
+        for subjects in reached(clause.profiles, within):
+            granted: dict[Glob, None] = {}
+            for namespace, name in splits(subjects):
+                for expression in clause.expand(text(namespace), text(name)):
+                    granted |= dict.fromkeys(patterns(clause.rule, expression, key))
+            yield subjects, decisions(_surely_denied(denials, subjects, key), granted)
+
+
+def _surely_denied(denials: Sequence[Clause], subjects: Glob, key: Key) -> Iterator[Glob]:
+    """Yield what is denied to every subject that a pattern matches."""
+    for clause in denials:
+        if not any(covers(each, subjects) for each in reached(clause.profiles)):
+            continue
+        name = literal(subjects)
+        if name is not None:
+            head, _, last = name.rpartition("/")
+            surely = clause.expand(text((f"{head}/",)), text((last,)))
+        else:
+            surely = tuple(
+                one for one, other in zip(clause.expand("/a/", "a"), clause.expand("/b/", "b"), strict=True) if one == other
+            )
+        for expression in surely:
+            yield from patterns(clause.rule, expression, key)
+
+
+def splits(subjects: Glob) -> Iterator[tuple[Glob, Glob]]:
+    """Yield patterns of namespace and name so that each subject that a pattern matches is of one of them."""
+    flat = units(subjects)
+    for at, token in enumerate(flat):
+        rest = flat[at + 1 :]
+        if "/" in rest:
+            continue
+        if token == "/":
+            yield normalise(flat[: at + 1]), normalise(rest)
+        elif isinstance(token, Star):
+            yield normalise((*flat[: at + 1], "/")), normalise((token, *rest))
+        elif isinstance(token, Charset) and "/" in token:
+            yield normalise((*flat[:at], "/")), normalise(rest)
+
+
+def matching(policy: LoadedPolicy, pattern: Glob) -> tuple[str, ...]:
+    """Return the subjects that a policy names exactly and a pattern matches."""
+    return tuple(subject for subject in policy.subjects() if matches(pattern, subject))
+
+
+def only(pattern: Glob, decided: DecisionList) -> DecisionList:
+    """Return a list that permits what another one permits, of what a pattern matches; the pattern is one of its own."""
+    return (*(block for block in decided if not block.allows), Block(True, (pattern,)))

@@ -1,0 +1,108 @@
+"""Decision lists of documents and policies, held against the decision point and against the definition."""
+
+from __future__ import annotations
+
+import itertools
+import re
+
+import pytest
+from hypothesis import example, given, settings
+from hypothesis import strategies as st
+from keymint_ros2_dds import decision
+from keymint_ros2_dds.decision import VARIATIONS, Judge, fnmatch
+from keymint_ros2_dds.lower import lower
+from keymint_ros2_dds.proving import lists, policy
+from keymint_ros2_dds.proving.dialects import READERS
+
+from keymint.ir import SubjectRules
+from keymint.keymake.algebra import matches
+from keymint.keymake.glob import GlobError
+from keymint.proof import permits
+
+from ..decision import documents as xml
+from ..oracles import policy as oracle
+from ..test_decisions import DENIED, PARTITIONS, rules
+
+EXPRESSIONS = st.lists(
+    st.sampled_from(["a", "b", "*", "?", "[a]", "[!a]", "[a-b]", "[ab", "\\a", "]", "a"]), min_size=1, max_size=4
+).map("".join)
+NAMES = ["".join(word) for size in range(1, 4) for word in itertools.product("ab]", repeat=size)] + ["\\a", "a\\ab"]
+ASKED = ["", "p", "q", "*"]
+
+
+@st.composite
+def grants(draw):
+    def criteria():
+        action = draw(st.sampled_from(["publish", "subscribe", "publish", "relay"]))
+        partitions = draw(st.sampled_from([None, None, ("",), ("p",), ("p", "q"), ("*",), ("?",)]))
+        topics = draw(st.lists(EXPRESSIONS, min_size=1, max_size=2))
+        return xml.criteria(action, *topics, partitions=partitions, tags=draw(st.sampled_from(["", "", "", "t"])))
+
+    def rule():
+        effect = draw(st.sampled_from(["allow", "allow", "deny"]))
+        bodies = [criteria() for _ in range(draw(st.integers(1, 2)))]
+        return xml.rule(effect, *bodies, domains=draw(st.sampled_from(["<id>0</id>", "<id>0</id>", "<id>1</id>"])))
+
+    drawn = [rule() for _ in range(draw(st.integers(1, 4)))]
+    return xml.document(xml.grant(*drawn, default=draw(st.sampled_from(["DENY", "DENY", "ALLOW"]))))
+
+
+@pytest.mark.parametrize("model", ["omg", "cyclonedds-0.10", "fastdds-2.9"])
+@settings(max_examples=150, deadline=None)
+@given(grants())
+def test_lists_of_a_grant_say_what_the_decision_point_says(model, content):
+    document = decision.read(content)
+    variation = VARIATIONS[model]
+    judge = Judge(document, xml.SUBJECT, xml.NOW, 0, variation)
+    for action in ("publish", "subscribe"):
+        found = lists.of_grant(document.grants[0], 0, action, variation.semantics, pairs=True)
+        plain = lists.of_grant(document.grants[0], 0, action, variation.semantics, pairs=False)
+        for name, partition in itertools.product(NAMES, ASKED):
+            expected = judge.decide(action, name, (partition,)).allowed
+            assert all(permits(each, f"{partition}\0{name}") for each in found) == expected, (action, name, partition)
+            if not partition:
+                assert all(permits(each, name) for each in plain) == expected, (action, name)
+
+
+@pytest.mark.parametrize("dialect", READERS, ids=lambda dialect: dialect.__name__)
+@settings(max_examples=300, deadline=None)
+@given(st.text(alphabet="ab*?[]!-\\", max_size=7))
+@example("[a]-b")
+@example("[!]a]")
+@example("[c-a]")
+def test_expressions_become_what_the_dialect_matches(dialect, expression):
+    try:
+        pattern = READERS[dialect](expression)
+    except GlobError:
+        return  # what means nothing in POSIX is not read
+    expected = re.compile(dialect(expression), re.DOTALL)
+    for name in (*NAMES, "", "-", "!", "[", "a-", "]-b", "a-b", "b!", "[a", "^", "\\"):
+        assert matches(pattern, name) == bool(expected.fullmatch(name)), name
+
+
+def test_cyclone_brackets():
+    read = READERS[fnmatch.cyclone]
+    assert matches(read("[a]"), "]")
+    assert not matches(read("[!a]"), "]")
+
+
+TOPICS = [f"rt/{name}" for name in ("", "a", "b", "ab", "a/b", "/", "aab")] + [
+    "rq/aRequest", "rr/aReply", "rq/Request", "rt", "rtx/a", "x", "rq/a/bRequest", "rt/c",
+]  # fmt: skip
+
+
+@settings(max_examples=200, deadline=None)
+@given(st.lists(st.one_of(rules(), rules(PARTITIONS), rules(DENIED)), max_size=4))
+def test_lists_of_a_policy_say_what_its_rules_say(drawn):
+    told = SubjectRules("/talker", tuple(drawn))
+    lowered = lower(told, "jazzy")
+    for action in ("publish", "subscribe"):
+        found = lists.of_policy(lowered, action, pairs=True)
+        plain = lists.of_policy(lowered, action, pairs=False)
+        for topic, partition in itertools.product(TOPICS, ("", "p", "r", "*")):
+            expected = oracle(told, action, topic, (partition,) if partition else ())
+            rule = policy.decide(told, "jazzy", action, topic, partition)
+            assert (rule is not None and rule.effect == "ALLOW") == expected
+            assert permits(found, f"{partition}\0{topic}") == expected
+            if not partition:
+                assert permits(plain, topic) == expected

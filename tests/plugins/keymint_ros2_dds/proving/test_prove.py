@@ -1,0 +1,291 @@
+"""Claims about enclaves: what is installed is proven, and what is broken gets the right shortest counterexample."""
+
+from __future__ import annotations
+
+import shutil
+import subprocess
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from keymint_ros2_dds import build_type
+
+from keymint.api import BuildOptions, DomainRange, Obligation, Proof
+from keymint.errors import KeymintError
+from keymint.pki import certificates, keys, smime
+
+from ..enclaves import authority, installed
+from ..oracles import policy as oracle
+from ..packages import DOMAIN, package, rule
+from ..test_decisions import DENIED, PARTITIONS, rules
+
+MODELS = ("omg", "cyclonedds-0.10", "fastdds-2.9")
+PLAIN = package(
+    rule("ALLOW", "ros_topic", "ros_publish", "/chatter", "/camera/*", line=3),
+    rule("DENY", "ros_topic", "ros_publish ros_subscribe", "/camera/private", line=4),
+    rule("ALLOW", "ros_topic", "ros_subscribe", "/clock", line=5),
+    rule("ALLOW", "ros_service", "ros_call", "/add", line=6),
+)
+
+
+def sign(content: bytes) -> bytes:
+    ca = authority("permissions_ca")
+    return smime.sign(content, ca.certificate, ca.key)
+
+
+def claims(loaded, files, **fields):
+    given_ = {
+        "rules": loaded.permissions.rules, "distro": loaded.distro, "domains": loaded.permissions.domains,
+        "files": files, "folder": "install/talker", "states": 200_000, "go_on": lambda: True,
+    }  # fmt: skip
+    return build_type.prove(Obligation(**{**given_, **fields}))
+
+
+def after(loaded, old: str, new: str, count: int = -1, **fields):
+    """Return the claims about an enclave whose document has a text replaced, signed again."""
+    files = installed(loaded)
+    content = files["permissions.xml"].decode()
+    assert old in content, content
+    files["permissions.p7s"] = sign(content.replace(old, new, count).encode())
+    return claims(loaded, files, **fields)
+
+
+def refuted(found):
+    """Return the counterexamples by model and action, as (topic, partitions, policy, document)."""
+    return {
+        (claim.model, claim.action): (
+            claim.counterexample.endpoint.object.name,
+            claim.counterexample.endpoint.object.partitions,
+            claim.counterexample.policy.allowed,
+            claim.counterexample.document.allowed,
+        )
+        for claim in found
+        if claim.proof is Proof.COUNTEREXAMPLE
+    }
+
+
+def test_what_is_installed_is_proven_for_every_model():
+    found = claims(PLAIN, installed(PLAIN))
+    assert {claim.proof for claim in found} == {Proof.PROVEN}
+    assert [(claim.model, claim.action) for claim in found] == [
+        (model, action) for model in MODELS for action in ("publish", "subscribe")
+    ]
+    assert all(claim.domains == DOMAIN for claim in found)
+    assert set(build_type.assumptions()) == set(MODELS)
+
+
+@settings(max_examples=60, deadline=None)
+@given(st.lists(st.one_of(rules(), rules(), rules(PARTITIONS), rules(DENIED)), min_size=1, max_size=5))
+def test_what_the_compiler_does_not_refuse_is_proven(drawn):
+    loaded = package(*drawn)
+    try:
+        content = build_type.build(loaded, BuildOptions()).documents["permissions.xml"]
+    except KeymintError:
+        return
+    files = {**ENCLAVE, "permissions.p7s": sign(content)}
+    assert {claim.proof for claim in claims(loaded, files)} == {Proof.PROVEN}
+
+
+@settings(max_examples=60, deadline=None)
+@given(st.lists(rules(), min_size=1, max_size=4), st.lists(rules(), min_size=1, max_size=4))
+def test_a_document_of_another_policy_is_refuted_where_a_name_tells_them_apart(drawn, other):
+    loaded, wrong = package(*drawn), package(*other)
+    try:
+        content = build_type.build(wrong, BuildOptions()).documents["permissions.xml"]
+    except KeymintError:
+        return
+    for claim in claims(loaded, {**ENCLAVE, "permissions.p7s": sign(content)}):
+        names = ("rt/a", "rt/b", "rt/ab", "rt/", "x", "rt", "rq/aRequest", "rr/aReply")
+
+        def differ(name: str, action: str = claim.action) -> bool:
+            told, said = loaded.permissions.rules, wrong.permissions.rules
+            return oracle(told, action, name, ()) != oracle(said, action, name, ())
+
+        if claim.proof is Proof.PROVEN:
+            assert not any(map(differ, names))
+        else:
+            assert claim.counterexample is not None
+            found = claim.counterexample.endpoint.object.name
+            assert differ(found)
+            assert all(len(name) >= len(found) for name in names if differ(name))
+
+
+ENCLAVE = installed(PLAIN)
+
+
+def test_a_name_that_is_missing():
+    found = after(PLAIN, "<topic>rt/chatter</topic>", "")
+    assert refuted(found) == {(model, "publish"): ("rt/chatter", (), True, False) for model in MODELS}
+    example = found[0].counterexample
+    assert example is not None
+    assert str(example.policy.where) == "policy.xml:3"
+    assert example.meaning is not None
+    assert (example.meaning.object.kind, example.meaning.object.name) == ("ros_topic", "/chatter")
+
+
+def test_a_glob_that_is_too_wide_and_the_line_that_is():
+    files = installed(PLAIN)
+    content = files["permissions.xml"].decode().replace("rt/clock", "rt/cloc?")
+    files["permissions.p7s"] = sign(content.encode())
+    found = claims(PLAIN, files)
+    assert refuted(found) == {(model, "subscribe"): ("rt/cloca", (), False, True) for model in MODELS}
+    example = found[1].counterexample
+    assert example is not None
+    lines = content.splitlines()
+    criteria = max(at for at, line in enumerate(lines[: _line(lines, "rt/cloc?")]) if "<subscribe>" in line)
+    assert example.document.line == criteria + 1
+    assert f"install/talker/permissions.p7s:{criteria + 1}" in example.document.reason
+
+
+def _line(lines: list[str], text: str) -> int:
+    return next(at for at, line in enumerate(lines) if text in line)
+
+
+def test_a_denial_that_is_dropped():
+    files = installed(PLAIN)
+    before, _, rest = files["permissions.xml"].decode().partition("<deny_rule>")
+    files["permissions.p7s"] = sign((before + rest.partition("</deny_rule>")[2]).encode())
+    found = claims(PLAIN, files)
+    assert refuted(found)["omg", "publish"] == ("rt/camera/private", (), False, True)
+    example = found[0].counterexample
+    assert example is not None
+    assert str(example.policy.where) == "policy.xml:4"
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "action", "name"),
+    [
+        ("rt/chatter", "rt/Chatter", "publish", {"rt/chatter", "rt/Chatter"}),
+        ("rq/addRequest", "rq/addReques", "publish", {"rq/addReques"}),
+        ("rr/addReply", "rt/addReply", "subscribe", {"rr/addReply", "rt/addReply"}),
+        ("rt/camera/*", "rt*/camera/*", "publish", {"rtx/camera/", "rta/camera/", "rt//camera/", "rtb/camera/"}),
+        ("rt/camera/*", "rt/camera/?*", "publish", {"rt/camera/"}),
+    ],
+)
+def test_wrong_names_are_found_with_a_shortest_one(old, new, action, name):
+    found = refuted(after(PLAIN, old, new))
+    assert found
+    for (_, asked), (topic, *_) in found.items():
+        assert asked == action
+        assert len(topic) == len(min(name, key=len))
+        assert topic in name or old == "rt/camera/*"
+
+
+def test_the_topic_check_of_cyclone_is_part_of_its_model():
+    loaded = package(
+        rule("DENY", "ros_topic", "ros_subscribe", "/x", line=3),
+        rule("ALLOW", "ros_topic", "ros_subscribe", "/*", line=4),
+        rule("ALLOW", "ros_topic", "ros_publish", "/x", line=5),
+    )
+    files = installed(loaded)
+    content = files["permissions.xml"].decode()
+    head, rest = content.split("<allow_rule>", 1)
+    body, tail = rest.split("</grant>", 1)
+    parts = ["<allow_rule>" + each for each in body.replace("<default>DENY</default>", "").split("<allow_rule>")]
+    first, *later = parts
+    # What Keymint says first, because of that check, is said last.
+    moved = head + "".join(later) + first
+    denial = moved.find("<deny_rule>")
+    if denial < 0 or denial > moved.find("<allow_rule>"):
+        start, end = moved.find("<deny_rule>"), moved.find("</deny_rule>") + len("</deny_rule>")
+        moved = head + moved[start:end] + moved[len(head) : start] + moved[end:]
+    files["permissions.p7s"] = sign((moved + "<default>DENY</default></grant>" + tail).encode())
+    found = claims(loaded, files)
+    assert refuted(found) == {("cyclonedds-0.10", "publish"): ("rt/x", (), True, False)}
+    example = next(claim.counterexample for claim in found if claim.counterexample)
+    assert "topic-check" in example.document.deviation
+
+
+def test_partitions_and_topics_that_a_vendor_pools():
+    loaded = package(
+        rule("ALLOW", "topic", "publish", "bar", partitions=("foo",), line=3),
+        rule("ALLOW", "topic", "publish", "spam", partitions=("baz",), line=4),
+    )
+    files = installed(loaded)
+    assert {claim.proof for claim in claims(loaded, files)} == {Proof.PROVEN}
+    content = files["permissions.xml"].decode()
+    between = content[content.index("</publish>") + len("</publish>") :]
+    between = between[: between.index("<publish>")]
+    files["permissions.p7s"] = sign(content.replace(between, "", 1).encode())
+    found = refuted(claims(loaded, files))
+    assert set(found) == {("fastdds-2.9", "publish")}
+    assert found["fastdds-2.9", "publish"][:2] in {("bar", ("baz",)), ("spam", ("foo",))}
+
+
+def test_a_partition_that_is_missing():
+    loaded = package(rule("ALLOW", "topic", "publish", "bar", partitions=("p", "q")))
+    found = refuted(after(loaded, "<partition>q</partition>", ""))
+    assert found == {(model, "publish"): ("bar", ("q",), True, False) for model in MODELS}
+
+
+def test_domains_where_the_policy_does_not_hold():
+    found = after(PLAIN, "<id>0</id>", "<id_range><min>0</min><max>3</max></id_range>")
+    outside = [claim for claim in found if claim.proof is Proof.COUNTEREXAMPLE]
+    assert {claim.model for claim in outside} == {"omg", "cyclonedds-0.10"}
+    assert {claim.domains for claim in outside} == {(DomainRange(1, 3),)}
+    assert all(claim.counterexample and claim.counterexample.endpoint.domain == 1 for claim in outside)
+    inside = [claim for claim in found if claim.domains == DOMAIN]
+    assert {claim.proof for claim in inside} == {Proof.PROVEN}
+
+
+def test_a_document_that_a_vendor_refuses_permits_nothing():
+    found = after(PLAIN, "<id>0</id>", "<id>0</id><id>231</id>")
+    example = next(claim.counterexample for claim in found if claim.model == "cyclonedds-0.10")
+    assert example is not None
+    assert "refuses" in example.document.reason
+
+
+def test_a_grant_of_another_subject_permits_nothing():
+    found = after(PLAIN, "CN=/talker", "CN=/other")
+    assert len(refuted(found)) == 2 * len(MODELS)
+    example = found[0].counterexample
+    assert example is not None
+    assert "no valid grant is about" in example.document.reason
+
+
+def test_default_allow_permits_every_name_but_on_fast_dds():
+    found = refuted(after(PLAIN, "<default>DENY", "<default>ALLOW"))
+    assert found["omg", "publish"] == ("", (), False, True)
+    assert ("fastdds-2.9", "publish") not in found
+
+
+def test_an_expression_that_means_nothing_is_unknown():
+    found = after(PLAIN, "rt/chatter", "rt/[[:nothing:]]")
+    assert {claim.model for claim in found if claim.proof is Proof.UNKNOWN} == {"omg", "fastdds-2.9"}
+    assert all(claim.reason for claim in found if claim.proof is Proof.UNKNOWN)
+
+
+def test_a_spent_budget_is_unknown():
+    found = after(PLAIN, "rt/camera/*", "rt/camera/?*", states=1)
+    assert {claim.proof for claim in found if claim.action == "publish"} == {Proof.UNKNOWN}
+
+
+@pytest.mark.parametrize("missing", ["permissions.p7s", "cert.pem", "permissions_ca.cert.pem"])
+def test_a_file_that_is_missing(missing):
+    files = {name: content for name, content in ENCLAVE.items() if name != missing}
+    with pytest.raises(KeymintError, match="missing"):
+        claims(PLAIN, files)
+
+
+def test_a_signature_that_does_not_hold():
+    signed = ENCLAVE["permissions.p7s"].replace(b"rt/chatter", b"rt/chattex")
+    with pytest.raises(KeymintError):
+        claims(PLAIN, {**ENCLAVE, "permissions.p7s": signed})
+
+
+@pytest.mark.skipif(shutil.which("openssl") is None, reason="needs openssl")
+@pytest.mark.parametrize("altered", [False, True])
+def test_a_document_that_openssl_signed_is_read_as_vendors_do(tmp_path, altered):
+    ca = authority("permissions_ca")
+    (tmp_path / "ca.pem").write_bytes(certificates.to_pem(ca.certificate))
+    (tmp_path / "key.pem").write_bytes(keys.to_pem(ca.key))
+    (tmp_path / "in.xml").write_bytes(ENCLAVE["permissions.xml"].replace(b"rt/chatter", b"rt/chatte"))
+    arguments = ("-text", "-in", "in.xml", "-out", "out.p7s", "-signer", "ca.pem", "-inkey", "key.pem")
+    subprocess.run(["openssl", "smime", "-sign", *arguments], cwd=tmp_path, check=True, capture_output=True)
+    signed = (tmp_path / "out.p7s").read_bytes()
+    if altered:
+        with pytest.raises(KeymintError):
+            claims(PLAIN, {**ENCLAVE, "permissions.p7s": signed.replace(b"rt/chatte<", b"rt/chattX<")})
+    else:
+        found = refuted(claims(PLAIN, {**ENCLAVE, "permissions.p7s": signed}))
+        assert found["omg", "publish"] == ("rt/chatte", (), False, True)
