@@ -36,6 +36,7 @@ bench: setup
 	$(BIN)/python benchmarks/verify.py
 	$(BIN)/python benchmarks/decisions.py
 	$(BIN)/python benchmarks/agreement.py
+	$(BIN)/python benchmarks/proof.py
 
 lock: setup
 	$(BIN)/python -m pip install --quiet uv

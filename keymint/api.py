@@ -200,6 +200,7 @@ class Package:
         build_type: name of the plugin that builds it.
         distro: ROS 2 distribution whose name mapping applies.
         identity: the certificate of the subject.
+        issuers: the authorities above the identity, from its issuer up to the root.
     """
 
     name: str
@@ -209,6 +210,7 @@ class Package:
     identity: CertificateSpec
     permissions: Permissions
     governance: Governance
+    issuers: tuple[Authority, ...] = ()
     diagnostics: tuple[Diagnostic, ...] = ()
 
 

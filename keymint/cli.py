@@ -27,6 +27,9 @@ VERBS: Mapping[str, str] = {
     "status": "Show how far every package has come, and when it expires.",
     "verify": "Compare what transports decide with what the policy says, edge by edge.",
     "why": "Explain one decision through all layers.",
+    "lint": "Find what in a policy is in vain, or is likely not meant.",
+    "diff": "Compare two policies by meaning: who gains, and who loses what.",
+    "query": "Ask a policy who can do what, also of subjects that it does not name.",
     "provision": "All of it in one go: what a CI job calls.",
     "discover": "Find the graph of a running system, or of captures of one.",
     "learn": "Make the smallest policy that a graph needs.",
@@ -103,14 +106,24 @@ def main(arguments: list[str] | None = None) -> int:
     except BrokenPipeError:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return int(ExitCode.FAILURE)
-    except OSError as error:  # a path that the system does not even look at, e.g. since it is too long
-        message = f"{error.filename or 'keymint'}: error: {error.strerror or error}"
-        return _fail(given, "system", message, ExitCode.FAILURE, lambda: sys.stderr.write(f"{message}\n"))
     except Exception as error:  # the user gets one line for our bugs as well
-        if os.environ.get("KEYMINT_TRACEBACK"):
+        # A path that the system does not even look at, e.g. since it is too long, is no bug of ours.
+        of_system = isinstance(error, OSError) and error.filename is not None and error.strerror is not None
+        if os.environ.get("KEYMINT_TRACEBACK") and not of_system:
             raise
-        message = f"internal error: {type(error).__name__}: {error} (KEYMINT_TRACEBACK=1 shows where; please report)"
-        return _fail(given, "internal", message, ExitCode.FAILURE, lambda: sys.stderr.write(f"keymint: {message}\n"))
+        if isinstance(error, OSError) and of_system:
+            code, message, shown = (
+                "system",
+                f"{error.filename}: {error.strerror}",
+                f"{error.filename}: error: {error.strerror}",
+            )
+        else:
+            code = "internal"
+            message = (
+                f"internal error: {type(error).__name__}: {error} (KEYMINT_TRACEBACK=1 shows where; please report)"
+            )
+            shown = f"keymint: {message}"
+        return _fail(given, code, message, ExitCode.FAILURE, lambda: sys.stderr.write(f"{shown}\n"))
     return result if isinstance(result, int) else int(ExitCode.DONE)
 
 

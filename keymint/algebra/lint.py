@@ -17,7 +17,7 @@ from keymint.api import LoadedPolicy, Structure
 from keymint.errors import Diagnostic, Origin, Severity
 from keymint.ir import Effect, Rule
 from keymint.keymake.algebra import TooComplexError, disjoint
-from keymint.keymake.glob import Glob, literal, parse
+from keymint.keymake.glob import Glob, parse
 from keymint.proof import Block, Equal, implies
 
 CODES: Mapping[str, str] = {
@@ -28,7 +28,6 @@ CODES: Mapping[str, str] = {
     "object-never": "No object can have a name that an expression matches.",
     "subject-never": "No subject can have a name that an attachment matches.",
     "profile-never": "A profile never applies together with the profiles around it.",
-    "rule-unused": "A rule applies to no subject that the policy names.",
     "tunable-unused": "A tunable is declared, and nothing uses it.",
     "name-similar": "A name is nearly, but not quite, one that would fit.",
 }
@@ -71,8 +70,14 @@ def lint(policy: LoadedPolicy) -> list[Diagnostic]:
     never = {diagnostic.where for diagnostic in found if diagnostic.code == "object-never"}
     found += (each for each in _Vain(subjects).findings() if each.where not in never)
     found += similar_names({subject: subjects[subject] for subject in named})
+    return in_order(found)
+
+
+def in_order(found: Iterable[Diagnostic]) -> list[Diagnostic]:
+    """Return diagnostics by place, without doubles."""
+    nowhere = Origin("")
     return sorted(
-        dict.fromkeys(found), key=lambda each: (str(each.where.file) if each.where else "", each.where.line if each.where else 0, each.code)
+        dict.fromkeys(found), key=lambda each: ((where := each.where or nowhere).file, where.line, each.code, each.message)
     )
 
 
@@ -218,7 +223,6 @@ class _Vain:
         texts = [self._applied[self._by_unit[unit][0]].units[unit][1] for unit in units]
         whole = sum(unit.place == place and unit.effect is rule.effect for unit in self._by_unit) == len(units)
         about = f"this {rule.effect} {rule.kind} rule" if whole else f"{_several(texts)} in this {rule.effect} {rule.kind} rule"
-        verb = "says" if whole or len(texts) == 1 else "say"
         held = ", ".join(rule.permissions)
         said = {
             "rule-shadowed": f"{about} ({held}) allows nothing: DENY rules deny all of it{self._by(units, Effect.DENY)}",
@@ -226,7 +230,6 @@ class _Vain:
             "deny-redundant": f"{about} ({held}) adds nothing: other rules deny all of it{self._by(units, Effect.DENY)}",
             "deny-nothing": f"{about} ({held}) denies nothing: no rule allows any of it",
         }[code]
-        del verb
         helps = {
             "rule-shadowed": "remove it, or narrow the DENY: a DENY wins over every ALLOW",
             "rule-redundant": "remove it, or narrow the other",
@@ -265,5 +268,3 @@ def _applied(rules: Sequence[Rule]) -> _Applied:
 def _warning(code: str, message: str, where: Origin, help_: str) -> Diagnostic:
     return Diagnostic(code, Severity.WARNING, message, where, help_)
 
-
-__all__ = ["CODES", "lint", "literal"]

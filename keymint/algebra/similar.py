@@ -54,11 +54,13 @@ def similar_names(subjects: Mapping[str, tuple[Rule, ...]]) -> Iterator[Diagnost
         other = _SIDES[permission][1]
         return name not in exact[other] and not any(matches(pattern, name) for pattern in wild[other])
 
+    told: set[frozenset[str]] = set()
     for permission, (kind, other) in _SIDES.items():
         candidates = [name for name in exact[other] if alone(other, name)]
         for name, (subject, rule) in exact[permission].items():
             near = _nearest(name, candidates) if alone(permission, name) else None
-            if near:
+            if near and frozenset((name, near)) not in told:
+                told.add(frozenset((name, near)))
                 whose, theirs = exact[other][near]
                 yield Diagnostic(
                     "name-similar",
@@ -72,7 +74,8 @@ def similar_names(subjects: Mapping[str, tuple[Rule, ...]]) -> Iterator[Diagnost
 
 
 def _plain(permission: str) -> str:
-    return permission.removeprefix("ros_")
+    plain = permission.removeprefix("ros_")
+    return f"{plain} to" if plain == "subscribe" else plain
 
 
 def _nearest(name: str, candidates: list[str]) -> str | None:

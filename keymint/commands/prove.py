@@ -16,7 +16,10 @@ from keymint.plan.inputs import Inputs, Sources
 from keymint.plan.model import Action, Plan, Step
 from keymint.plan.prove import STAGE, Effort, Findings, Proven
 from keymint.plan.prove import prove as find
-from keymint.report import Report
+from keymint.report import Report, as_typed
+
+SECONDS = 10.0
+STATES = 500_000
 
 
 @verb(writes=True)
@@ -24,14 +27,14 @@ from keymint.report import Report
 @click.option(
     "--seconds",
     type=click.FloatRange(0),
-    default=10.0,
+    default=SECONDS,
     show_default=True,
     help="Give an enclave up after this time; what is not decided is unknown.",
 )
 @click.option(
     "--states",
     type=click.IntRange(1),
-    default=500_000,
+    default=STATES,
     show_default=True,
     help="Give a question up after so many states.",
 )
@@ -51,7 +54,7 @@ def prove(run: Run, names: tuple[str, ...], seconds: float, states: int) -> Repo
     def make_plan(inputs: Inputs) -> Plan:
         loaded = inputs.profile()
         chosen = run.names(inputs, names)
-        effort = Effort(states, lambda: _deadline(run.setting.monotonic, seconds))
+        effort = effort_of(run, states, seconds)
         with run.console.progress(len(chosen), run.setting.monotonic) as advance:
             policy = load_policy(inputs, loaded)
             found = find(
@@ -71,14 +74,19 @@ def prove(run: Run, names: tuple[str, ...], seconds: float, states: int) -> Repo
         run.verb,
         workspace,
         (),
-        [*_assumptions(found), *(said for enclave in found.enclaves for said in _diagnostics(enclave))],
+        [*_assumptions(found), *(said for enclave in found.enclaves for said in diagnostics_of(enclave))],
         {
             "assumptions": {model: list(lines) for model, lines in found.assumptions.items()},
-            "enclaves": [_enclave(enclave) for enclave in found.enclaves],
+            "enclaves": [_enclave(enclave, run) for enclave in found.enclaves],
         },
         ExitCode.DONE if proven and not unread else ExitCode.FINDINGS,
         run.dry_run,
     )
+
+
+def effort_of(run: Run, states: int = STATES, seconds: float = SECONDS) -> Effort:
+    """Return how much may be spent: states for a question, seconds for an enclave."""
+    return Effort(states, lambda: _deadline(run.setting.monotonic, seconds))
 
 
 def _deadline(clock: Callable[[], float], seconds: float) -> Callable[[], bool]:
@@ -112,7 +120,7 @@ def _assumptions(found: Findings) -> Iterator[Diagnostic]:
         yield Diagnostic("assumption", Severity.NOTE, f"assumed for {', '.join(models)}: {line}")
 
 
-def _diagnostics(enclave: Proven) -> Iterator[Diagnostic]:
+def diagnostics_of(enclave: Proven) -> Iterator[Diagnostic]:
     """Yield what is to be said of an enclave; what several models have in common once."""
     yield from enclave.diagnostics
     together: dict[tuple[object, ...], list[Claim]] = {}
@@ -155,13 +163,13 @@ def _entity(meaning: Edge) -> str:
     return f"the {meaning.object.kind.replace('ros_', 'ROS ')} {meaning.object.name}"
 
 
-def _enclave(enclave: Proven) -> dict[str, Any]:
+def _enclave(enclave: Proven, run: Run) -> dict[str, Any]:
     return {
         "subject": enclave.subject,
         "proof": str(_whole(enclave)),
         "claims_counted": enclave.counted,
         "unchanged": enclave.remembered,
-        "claims": [_claim(claim) for claim in enclave.claims],
+        "claims": [_claim(claim, run) for claim in enclave.claims],
     }
 
 
@@ -172,7 +180,7 @@ def _whole(enclave: Proven) -> Proof:
     return Proof.UNKNOWN if enclave.diagnostics or Proof.UNKNOWN in proofs else Proof.PROVEN
 
 
-def _claim(claim: Claim) -> dict[str, Any]:
+def _claim(claim: Claim, run: Run) -> dict[str, Any]:
     return {
         "model": claim.model,
         "action": claim.action,
@@ -180,18 +188,18 @@ def _claim(claim: Claim) -> dict[str, Any]:
         "universe": claim.universe,
         "proof": str(claim.proof),
         "reason": claim.reason,
-        "counterexample": None if claim.counterexample is None else _counterexample(claim.counterexample),
+        "counterexample": None if claim.counterexample is None else _counterexample(claim.counterexample, run),
     }
 
 
-def _counterexample(found: Counterexample) -> dict[str, Any]:
+def _counterexample(found: Counterexample, run: Run) -> dict[str, Any]:
     meaning = found.meaning
     return {
         "dds_name": found.endpoint.object.name,
         "partitions": list(found.endpoint.object.partitions),
         "domain": found.endpoint.domain,
         "ros": None if meaning is None else _ros(meaning),
-        "policy": {"allowed": found.policy.allowed, "reason": found.policy.reason, **_place(found.policy.where)},
+        "policy": {"allowed": found.policy.allowed, "reason": found.policy.reason, **_place(found.policy.where, run)},
         "document": {
             "allowed": found.document.allowed,
             "reason": found.document.reason,
@@ -205,5 +213,8 @@ def _ros(meaning: Edge) -> Mapping[str, str]:
     return {"kind": meaning.object.kind, "permission": meaning.permission, "name": meaning.object.name}
 
 
-def _place(where: Origin | None) -> Mapping[str, Any]:
-    return {"file": where.file if where else None, "line": where.line if where else None}
+def _place(where: Origin | None, run: Run) -> Mapping[str, Any]:
+    if where is None:
+        return {"file": None, "line": None}
+    typed = as_typed(Diagnostic("", Severity.NOTE, "", where), run.setting.cwd).where or where
+    return {"file": typed.file, "line": typed.line or None}

@@ -56,7 +56,8 @@ def plan_build(
             stamps[name] = stamp
     if errors:
         raise KeymintError.of(errors)
-    return Plan(tuple(steps), inputs.state.updated(STAGE, stamps), tuple(diagnostics))
+    # What is said of an authority is said once, not for each of the packages below it.
+    return Plan(tuple(steps), inputs.state.updated(STAGE, stamps), tuple(dict.fromkeys(diagnostics)))
 
 
 def is_current(inputs: Inputs, loaded: LoadedProfile, name: str, files: dict[str, bytes]) -> bool:

@@ -1,9 +1,7 @@
-"""The first engine: names that should not be, in cubes, each searched breadth first with antichains.
+"""The first engine: names that should not be, in cubes.
 
-What some lists permit and another one refuses is a union of cubes "matches p, and q, and …, and none of these". In a
-cube the positive patterns are walked through one place at a time, and beside them the set of places that the others
-can be at. Of two such states with the same positive places the one with fewer others has all the words of the other
-one (M. De Wulf et al., "Antichains: a new algorithm for checking universality of finite automata", 2006).
+What some lists permit and another one refuses is a union of cubes "matches p, and q, and none of these". They are
+made here; :mod:`keymint.proof.search` searches each.
 """
 
 from __future__ import annotations
@@ -11,15 +9,14 @@ from __future__ import annotations
 from bisect import bisect_left
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
-from itertools import product
 
 from keymint.keymake.algebra import disjoint, matcher
 from keymint.keymake.glob import Glob, literal
 from keymint.proof.arena import Arena
 from keymint.proof.model import DecisionList, Universe
 from keymint.proof.plain import Evaluator, Index, shortest
+from keymint.proof.search import Meter, Search
 
-Meter = Callable[[], None]
 ROUNDS = 16
 """Searches of a cube with some of the patterns that must not match, before all of them are taken."""
 
@@ -148,7 +145,7 @@ class Escapes:
             return None
         excluded: dict[Glob, None] = {}
         for _ in range(ROUNDS):
-            word = _Search(self._arena(), positives, excluded, self._meter).shortest(bound)
+            word = Search(self._arena(), positives, excluded, self._meter).shortest(bound)
             if word is None:
                 return None
             against = [pattern for patterns, blocks in limits for pattern in patterns.matching(word, blocks)]
@@ -156,7 +153,7 @@ class Escapes:
                 return word
             excluded.update(dict.fromkeys(against))
         everything = (p for patterns, blocks in limits for p in patterns.meeting(positives, blocks))
-        return _Search(self._arena(), positives, _thinned(everything), self._meter).shortest(bound)
+        return Search(self._arena(), positives, _thinned(everything), self._meter).shortest(bound)
 
 
 Limit = tuple["_Patterns", int]
@@ -170,9 +167,7 @@ def _thinned(patterns: Iterable[Glob]) -> tuple[Glob, ...]:
         return found
     wild = [matcher(pattern) for pattern in found if literal(pattern) is None]
     return tuple(
-        pattern
-        for pattern in found
-        if (text := literal(pattern)) is None or not any(matches(text) for matches in wild)
+        pattern for pattern in found if (text := literal(pattern)) is None or not any(matches(text) for matches in wild)
     )
 
 
@@ -258,60 +253,3 @@ def _apart(one: Glob, other: Glob) -> bool:
         return True
     head, head2 = _head(one), _head(other)
     return not (head.startswith(head2) or head2.startswith(head))
-
-
-class _Search:
-    """The search of one cube."""
-
-    def __init__(self, arena: Arena, positives: Iterable[Glob], excluded: Iterable[Glob], meter: Meter) -> None:
-        self._arena = arena
-        self._meter = meter
-        self._start = (arena.universe, *(arena.node(pattern) for pattern in dict.fromkeys(positives)))
-        self._excluded = frozenset(arena.node(pattern) for pattern in excluded)
-        self._seen: dict[tuple[int, ...], list[frozenset[int]]] = {}
-
-    def shortest(self, limit: int | None) -> str | None:
-        """Return the shortest word of the cube that is shorter than a limit, or None."""
-        accepts = self._arena.accepts
-        level: list[tuple[tuple[int, ...], frozenset[int], str]] = []
-        length = 0
-        if self._is_new(self._start, self._excluded):
-            level.append((self._start, self._excluded, ""))
-        while level and (limit is None or length < limit):
-            for places, excluded, word in level:
-                if all(accepts[place] for place in places) and not any(accepts[node] for node in excluded):
-                    return word
-            level = list(self._following(level))
-            length += 1
-        return None
-
-    def _following(
-        self, level: Iterable[tuple[tuple[int, ...], frozenset[int], str]]
-    ) -> Iterator[tuple[tuple[int, ...], frozenset[int], str]]:
-        arena = self._arena
-        for places, excluded, word in level:
-            for letter in arena.worth_trying((*places, *excluded)):
-                choices = [arena.step(place, letter) for place in places]
-                if not all(choices):
-                    continue
-                others = arena.steps(excluded, letter)
-                if arena.everything in others:
-                    continue
-                for after in product(*choices):
-                    if self._is_new(after, others):
-                        yield after, others, word + letter
-
-    def _is_new(self, places: tuple[int, ...], excluded: frozenset[int]) -> bool:
-        """Tell whether a state may lead to a word that no state before it leads to as soon."""
-        self._meter()
-        simulates = self._arena.simulates
-        if any(simulates(node, place) for place in places for node in excluded):
-            return False
-        minimal = self._seen.get(places)
-        if minimal is None:
-            self._seen[places] = [excluded]
-            return True
-        if any(known <= excluded for known in minimal):
-            return False
-        self._seen[places] = [*(known for known in minimal if not excluded <= known), excluded]
-        return True

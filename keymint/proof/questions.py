@@ -50,9 +50,7 @@ def difference(
     return Equal() if word is None else _judged(a, b, word)
 
 
-def implies(
-    a: DecisionList, b: DecisionList, universe: Universe = EVERY_WORD, budget: Budget | None = None
-) -> Outcome:
+def implies(a: DecisionList, b: DecisionList, universe: Universe = EVERY_WORD, budget: Budget | None = None) -> Outcome:
     """Tell whether every word that a list permits is permitted by another one, too.
 
     Returns:

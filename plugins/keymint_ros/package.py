@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, TypeVar
 
-from keymint.api import CertificateSpec, Governance, Package, Permissions, Profile
+from keymint.api import Authority, CertificateSpec, Governance, Package, Permissions, Profile
 from keymint.errors import Diagnostic, KeymintError, Origin
 from keymint_ros import certificate, governance, manifest, permissions, placeholders, validity
 from keymint_ros.document import Reader, confined, did_you_mean, file_in, line, place, text
@@ -216,7 +216,16 @@ def load(profile: Profile, name: str, folder: str, files: Mapping[str, bytes]) -
         identity=identity,
         permissions=grant,
         governance=protection,
+        issuers=tuple(_issuers(profile, identity.issuer)),
     )
+
+
+def _issuers(profile: Profile, name: str) -> Iterator[Authority]:
+    """Yield an authority and those above it; the profile has no cycle."""
+    known = {authority.name: authority for authority in profile.authorities}
+    while name in known:
+        yield known[name]
+        name = known[name].certificate.issuer
 
 
 def rule_places(name: str, folder: str, files: Mapping[str, bytes]) -> tuple[Origin, ...]:

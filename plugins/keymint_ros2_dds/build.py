@@ -24,6 +24,7 @@ def build(package: Package, options: BuildOptions) -> Built:
     lenient = options.allow_vendor_specific
     problems: list[Diagnostic] = []
     found = [*_check(package), *limits.check_key(package.identity.key, package, allow_vendor_specific=lenient)]
+    found += limits.check_issuers(package)
     documents: dict[str, bytes] = {}
     notes: tuple[Diagnostic, ...] = ()
     lowered = None

@@ -79,7 +79,7 @@ def _literal(text: str) -> str:
         char = found.group()
         if char in "*?[\\":
             raise InexpressibleError(
-                f"the name has a literal {char!r}, for which the standard, Cyclone DDS and Fast DDS have no common escape"
+                f"the name has a literal {char!r}, for which the standard and the vendors have no common escape"
             )
         raise InexpressibleError(f"the name has the character {char!r}, which is not printable ASCII")
     _check_ends(text)

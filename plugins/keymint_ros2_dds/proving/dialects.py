@@ -14,7 +14,7 @@ _NOTHING: Glob = (Charset(()),)
 
 
 def _posix(expression: str) -> Glob:
-    """``fnmatch`` with flags 0; a backslash at the end that escapes nothing makes an expression that matches nothing."""
+    """``fnmatch`` with flags 0; an expression that ends in a backslash that escapes nothing matches nothing."""
     try:
         return glob.parse(expression)
     except glob.GlobError:
@@ -55,6 +55,8 @@ def _cyclone_set(expression: str, at: int) -> tuple[Charset, int] | None:
     """Return a set, of which the bracket that ends it is a member, and where it ends; None if it has no end."""
     negated = expression.startswith("!", at)
     at += negated
+    if expression.startswith("]", at):  # a set without members; its bracket is then read a second time, as itself
+        return (ANY, at) if negated else None
     ranges: list[tuple[int, int]] = []
     while at < len(expression):
         first = last = expression[at]

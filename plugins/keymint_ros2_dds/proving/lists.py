@@ -47,9 +47,7 @@ def of_policy(lowered: Lowered, action: str, *, pairs: bool) -> DecisionList:
     return tuple(found)
 
 
-def of_grant(
-    grant: Grant, domain: int, action: str, semantics: Semantics, *, pairs: bool
-) -> tuple[DecisionList, ...]:
+def of_grant(grant: Grant, domain: int, action: str, semantics: Semantics, *, pairs: bool) -> tuple[DecisionList, ...]:
     """Return decision lists of which all must permit a word: the endpoint's, and the topic's where it is checked.
 
     Args:

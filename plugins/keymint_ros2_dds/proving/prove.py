@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from datetime import datetime
+from itertools import pairwise
 from types import MappingProxyType
 
 from keymint.api import Claim, Counterexample, DomainRange, Obligation, PolicyDecision, Proof, Verdict
@@ -37,8 +38,7 @@ PAIRS = "every pair of a partition and a topic name of printable ASCII without a
 _ALWAYS = (
     "the governance document puts every topic under access control, and its domain rules let the subject join",
     "the grant is valid at the time, and ROS names are mapped as the distribution documents it",
-    "an endpoint has one partition, whose name is text, and no data tags; one with several partitions is permitted only "
-    "where each of them is",
+    "an endpoint has one partition, whose name is text, and no data tags (of several, each must be permitted)",
     "relay is not asked about",
 )
 ASSUMPTIONS: Mapping[str, tuple[str, ...]] = MappingProxyType(
@@ -158,7 +158,7 @@ class _Model:
             edges |= {first, first + 1, *(() if each.last is None else (each.last + 1,))}
         cuts = [*sorted(edge for edge in edges if 0 <= edge <= LAST_DOMAIN), LAST_DOMAIN + 1]
         groups: dict[tuple[bool, ...], list[DomainRange]] = {}
-        for first, following in zip(cuts, cuts[1:], strict=False):
+        for first, following in pairwise(cuts):
             inside = any(d.first <= first <= d.last for d in wanted)
             if inside or self._semantics.domains_count:
                 kind = (inside, *(lists.holds(rule, first, self._semantics) for rule in rules))
@@ -204,7 +204,9 @@ class _Model:
         rule = policy.decide(rules, asked.distro, action, topic, partition)
         if rule is not None:
             verb = "allows" if rule.effect is Effect.ALLOW else "denies"
-            said = PolicyDecision(rule.effect is Effect.ALLOW, rule.origin, f"the {rule.kind} rule {verb} it", rule.audit)
+            said = PolicyDecision(
+                rule.effect is Effect.ALLOW, rule.origin, f"the {rule.kind} rule {verb} it", rule.audit
+            )
         else:
             said = PolicyDecision(allowed=False, where=None, reason="no rule allows it" if inside else "not its domain")
         return Counterexample(
@@ -219,12 +221,11 @@ class _Model:
         enclave = self._enclave
         if self._refused:
             return Verdict(allowed=False, reason=self._refused)
-        if self._now is None:
+        if (now := self._now) is None:
             return Verdict(allowed=False, reason=f"no valid grant is about {enclave.subject_name!r}")
 
         def ask(variation: Variation) -> Decision:
-            assert self._now is not None
-            judge = Judge(enclave.document, enclave.subject_name, self._now, domain, variation)
+            judge = Judge(enclave.document, enclave.subject_name, now, domain, variation)
             return judge.decide(action, topic, (partition,) if partition else ())
 
         found = ask(self._variation)

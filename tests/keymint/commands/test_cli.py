@@ -29,7 +29,7 @@ def test_help_lists_every_verb(keymint) -> None:
     assert all(verb in outcome.out for verb in VERBS)
 
 
-WRITING = {"init", "create", "build", "install", "provision", "discover", "learn", "graph"}
+WRITING = {"init", "create", "build", "install", "prove", "provision", "discover", "learn", "graph"}
 """Verbs that write files, so that they have ``--dry-run``."""
 
 

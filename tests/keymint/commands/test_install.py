@@ -246,6 +246,33 @@ class TestAuthorities:
         assert "battery" not in wrong.err + wrong.out
         assert "private/identity_ca.key.pem" in wrong.err
 
+    def test_what_one_vendor_refuses_of_it_is_said_once(self, keymint, ws: Path) -> None:
+        """Measured with participants: an intermediate authority, its key, and the hash of the identity."""
+        self.profile(
+            ws,
+            '<authority name="root"><cert><serial_number/><issuer_name/></cert></authority>'
+            '<authority name="identity_ca"><cert><serial_number/><issuer_name>root</issuer_name></cert></authority>'
+            '<authority name="permissions_ca"><cert><serial_number/><issuer_name/></cert></authority>',
+        )
+        for file in ("profile.defaults/authorities.xml", "package.defaults/identities.xml"):
+            path = ws / "profile" / file
+            text = path.read_text()
+            path.write_text(
+                text.replace("SECP256R1", "SECP384R1") if "authorities" in file else text.replace("SHA256", "SHA384")
+            )
+        for path in (ws / "private").glob("*.key.pem"):
+            path.unlink()
+            (ws / "public" / path.name.replace(".key.", ".cert.")).unlink()
+        assert keymint("create", "--all", cwd=ws).code == 0
+        outcome = keymint("build", "--json", cwd=ws)
+        assert outcome.code == 0
+        codes = sorted(code for code in outcome.codes() if code.startswith("portability"))
+        # The hash is said at each package's identity; the authorities once for all packages.
+        assert codes.count("portability-chain") == 1
+        assert codes.count("portability-authority-key") == 2
+        assert "portability-hash" in codes
+        assert all(found["severity"] == "warning" for found in outcome.document["diagnostics"])
+
     def test_a_hierarchy_verifies_up_to_its_root(self, keymint, ws: Path) -> None:
         self.profile(
             ws,

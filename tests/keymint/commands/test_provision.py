@@ -63,7 +63,8 @@ def test_a_file_that_comes_into_being_beside_the_policy_is_seen(keymint, provisi
     own = policy.parent / "common"
     own.mkdir()
     (own / "node.xml").write_text(
-        "<ros_topic qualifier='ALLOW'><attachment>/mine</attachment><permissions><ros_publish/></permissions></ros_topic>"
+        "<ros_topic qualifier='ALLOW'><attachment>/mine</attachment>"
+        "<permissions><ros_publish/></permissions></ros_topic>"
     )
     assert keymint("provision", policy, "-w", "ws").code == 0
     document = (provisioned / "install/enclaves/talker/permissions.xml").read_text()

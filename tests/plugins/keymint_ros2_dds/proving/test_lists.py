@@ -18,10 +18,9 @@ from keymint.ir import SubjectRules
 from keymint.keymake.algebra import matches
 from keymint.keymake.glob import GlobError
 from keymint.proof import permits
-
-from ..decision import documents as xml
-from ..oracles import policy as oracle
-from ..test_decisions import DENIED, PARTITIONS, rules
+from tests.plugins.keymint_ros2_dds.decision import documents as xml
+from tests.plugins.keymint_ros2_dds.oracles import policy as oracle
+from tests.plugins.keymint_ros2_dds.test_decisions import DENIED, PARTITIONS, rules
 
 EXPRESSIONS = st.lists(
     st.sampled_from(["a", "b", "*", "?", "[a]", "[!a]", "[a-b]", "[ab", "\\a", "]", "a"]), min_size=1, max_size=4
@@ -40,7 +39,8 @@ def grants(draw):
 
     def rule():
         effect = draw(st.sampled_from(["allow", "allow", "deny"]))
-        bodies = [criteria() for _ in range(draw(st.integers(1, 2)))]
+        bodies = sorted(criteria() for _ in range(draw(st.integers(1, 2))))
+        bodies.sort(key=lambda body: ["<pub", "<sub", "<rel"].index(body.strip()[:4]))
         return xml.rule(effect, *bodies, domains=draw(st.sampled_from(["<id>0</id>", "<id>0</id>", "<id>1</id>"])))
 
     drawn = [rule() for _ in range(draw(st.integers(1, 4)))]

@@ -13,11 +13,10 @@ from keymint_ros2_dds import build_type
 from keymint.api import BuildOptions, DomainRange, Obligation, Proof
 from keymint.errors import KeymintError
 from keymint.pki import certificates, keys, smime
-
-from ..enclaves import authority, installed
-from ..oracles import policy as oracle
-from ..packages import DOMAIN, package, rule
-from ..test_decisions import DENIED, PARTITIONS, rules
+from tests.plugins.keymint_ros2_dds.enclaves import authority, installed
+from tests.plugins.keymint_ros2_dds.oracles import policy as oracle
+from tests.plugins.keymint_ros2_dds.packages import DOMAIN, package, rule
+from tests.plugins.keymint_ros2_dds.test_decisions import DENIED, PARTITIONS, rules
 
 MODELS = ("omg", "cyclonedds-0.10", "fastdds-2.9")
 PLAIN = package(

@@ -1,0 +1,168 @@
+"""What proofs cost: equality of lists of K patterns, families that are hard, and the enclaves of a fleet.
+
+usage: python benchmarks/proof.py [--sizes 10,100,1000,5000] [--fleet 1000]
+
+Of K patterns 80 % are exact names, the rest begin, end, or begin and end with a wildcard, or have one inside; one in
+five is denied. The other list says the same with no wildcard pattern in common: ``u*v`` as ``uv`` and ``u?*v``. The
+times are of the machine at hand; memory is the peak of the whole process so far.
+"""
+
+from __future__ import annotations
+
+import argparse
+import random
+import resource
+import sys
+import tempfile
+import time
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from itertools import product
+from pathlib import Path
+
+import provision
+
+from keymint.keymake.glob import parse
+from keymint.proof import PRINTABLE, Block, Budget, DecisionList, Equal, Outcome, Unknown, Witness, difference
+
+WORDS = (  # noqa: SIM905 - a list of so many strings would be harder to read
+    "arm base camera chatter cmd depth drive estop fleet gripper image imu joint lidar map motor nav odom plan pose "
+    "scan state status task twist wheel"
+).split()
+LIMIT = 10.0
+"""Seconds for a question."""
+EXACT = 0.8
+"""How many of the patterns are exact names."""
+
+
+def patterns(size: int) -> list[str]:
+    """Return as many different expressions, the same on every run."""
+    dice = random.Random(size)
+    found: dict[str, None] = {}
+    while len(found) < size:
+        name = "/".join(f"{dice.choice(WORDS)}{dice.randrange(100)}" for _ in range(dice.randint(2, 4)))
+        forms = [f"rt/{name}/*", f"rt/*/{name}", f"*{name}", f"*{name}*"]
+        found[f"rt/{name}" if dice.random() < EXACT else dice.choice(forms)] = None
+    return list(found)
+
+
+def rewritten(expressions: Iterable[str]) -> Iterator[str]:
+    """Yield expressions for the same names, none of which has a wildcard pattern in common with those given."""
+    for expression in expressions:
+        if expression.startswith("*") and expression.endswith("*"):
+            yield from (expression[1:], f"?{expression}", f"{expression[1:-1]}?*")
+        elif "*" in expression:
+            head, _, tail = expression.partition("*")
+            yield from (head + tail, f"{head}?*{tail}")
+        else:
+            yield expression
+
+
+def decisions(denied: Iterable[str], allowed: Iterable[str]) -> DecisionList:
+    """Return the list of a policy: denials first."""
+    return Block(False, tuple(map(parse, denied))), Block(True, tuple(map(parse, allowed)))
+
+
+def measured(a: DecisionList, b: DecisionList) -> tuple[Outcome, float]:
+    """Return the outcome of a comparison, and the seconds that it took."""
+    start = time.perf_counter()
+    budget = Budget(5_000_000, lambda: time.perf_counter() - start < LIMIT)
+    found = difference(a, b, universe=PRINTABLE, budget=budget)
+    return found, time.perf_counter() - start
+
+
+def memory() -> str:
+    """Return the peak of this process's memory."""
+    return f"{resource.getrusage(resource.RUSAGE_SELF).ru_maxrss // 1024} MB"
+
+
+def equality(sizes: Sequence[int]) -> None:
+    print(f"{'K':>6}  {'equal':>9}  {'one changed':>11}  memory")
+    for size in sizes:
+        drawn = patterns(size)
+        denied, allowed = drawn[::5], [each for at, each in enumerate(drawn) if at % 5]
+        a, b = decisions(denied, allowed), decisions(rewritten(denied), rewritten(allowed))
+        equal, seconds = measured(a, b)
+        last = next(each for each in reversed(allowed) if "*" not in each)
+        changed, seconds2 = measured(a, decisions(rewritten(denied), [*rewritten(e for e in allowed if e != last)]))
+        assert isinstance(equal, Equal), equal
+        assert not isinstance(changed, Unknown), changed
+        print(f"{size:>6}  {seconds:>8.2f}s  {seconds2:>10.2f}s  {memory()}")
+
+
+def _allow(*expressions: str) -> DecisionList:
+    return (Block(True, tuple(map(parse, expressions))),)
+
+
+TEXTS = ["".join(pair) for pair in product("abcdefghij", "klmnopqrst")]
+BITS = ["".join(bits) for bits in product("ab", repeat=7)][:100]
+HARD: dict[str, Callable[[], tuple[DecisionList, DecisionList]]] = {
+    "100 overlapping infixes": lambda: (
+        _allow(*(f"*{t}*" for t in BITS)),
+        _allow(*(p for t in BITS for p in (f"*{t}", f"*{t}?*"))),
+    ),
+    "100 denied infixes": lambda: (
+        decisions((f"*{t}*" for t in TEXTS), ["*"]),
+        decisions((p for t in TEXTS for p in (f"*{t}", f"*{t}?*")), ["*"]),
+    ),
+    "100 pairs of infixes": lambda: (
+        _allow(*(f"*{t}*{u}*" for t, u in zip(TEXTS, TEXTS[1:] + TEXTS[:1], strict=True))),
+        _allow(*(p for t, u in zip(TEXTS, TEXTS[1:] + TEXTS[:1], strict=True) for p in (f"*{t}{u}*", f"*{t}?*{u}*"))),
+    ),
+    "100 steps in turn": lambda: (
+        tuple(Block(at % 2 == 0, (parse(f"*{t}*"),)) for at, t in enumerate(TEXTS)),
+        tuple(Block(at % 2 == 0, (parse(f"*{t}"), parse(f"*{t}?*"))) for at, t in enumerate(TEXTS)),
+    ),
+    "100 far from the end": lambda: (
+        _allow(*(f"*{t}{'?' * 24}" for t in TEXTS)),
+        _allow(*(f"*{t}{'?' * 23}{last}" for t in TEXTS for last in ("b", "[!b]"))),
+    ),
+    "100 words of one length": lambda: (
+        _allow("?" * 100),
+        _allow("a" * 100, *("?" * at + "[!a]" + "?" * (99 - at) for at in range(100))),
+    ),
+    "100 pigeonholes": lambda: (
+        _allow("*"),
+        _allow(*(f"*{'?' * at}a{'?' * at}a*" for at in range(100)), "*[!a]*", "", "a"),
+    ),
+    "100 lengths": lambda: (_allow("?" * 100 + "*"), _allow(*("?" * at for at in range(100, 200)), "?" * 200 + "*")),
+    "100 mixed, far letters": lambda: (
+        _allow(*(f"*a{'?' * at}b*" for at in range(100))),
+        _allow(*(p for at in range(100) for p in (f"*a{'?' * at}b", f"*a{'?' * at}b?*"))),
+    ),
+}
+
+
+def hard() -> None:
+    for name, make in HARD.items():
+        found, seconds = measured(*make())
+        said = found.reason if isinstance(found, Unknown) else ""
+        said = f"a difference: {found.word!r}" if isinstance(found, Witness) else said
+        print(f"{name:>24}  {type(found).__name__.lower():>8}  {seconds:>6.2f}s  {said}")
+
+
+def fleet(size: int) -> None:
+    with tempfile.TemporaryDirectory() as folder:
+        root = Path(folder)
+        (root / "policy.xml").write_text(provision.policy(size))
+        provision.run("provision", str(root / "policy.xml"), "-w", str(root / "ws"), "-q")
+        for label in ("proven", "unchanged"):
+            start = time.perf_counter()
+            provision.run("prove", "-w", str(root / "ws"))
+            print(f"{size} enclaves {label}: {time.perf_counter() - start:.1f}s")
+        peak = resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss // 1024
+        print(f"memory of the largest run: {peak} MB")
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--sizes", default="10,100,1000,5000")
+    parser.add_argument("--fleet", type=int, default=1000)
+    chosen = parser.parse_args()
+    equality([int(each) for each in chosen.sizes.split(",")])
+    hard()
+    if chosen.fleet:
+        fleet(chosen.fleet)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

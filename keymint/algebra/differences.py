@@ -1,0 +1,114 @@
+"""What changed between two policies, as text, as Markdown for a code review, and as data."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from typing import Any
+
+from keymint.algebra.diff import Change, Changed
+from keymint.errors import Origin
+
+Typed = Callable[[Origin], str]
+
+
+def as_text(found: Sequence[Changed], place: Typed) -> Iterator[str]:
+    """Yield the lines that tell what changed; a gain begins with ``+``, a loss with ``-``.
+
+    Args:
+        found: what changed.
+        place: returns a place as the user would type it.
+    """
+    for each in found:
+        yield _subject(each)
+        for change in each.changes:
+            yield f"  {'+' if change.gains else '-'} {change.permission} {_objects(change, str)} ({place(change.where)})"
+
+
+def as_markdown(found: Sequence[Changed], place: Typed, titles: tuple[str, str]) -> Iterator[str]:
+    """Yield the lines of a comment on a code review.
+
+    Args:
+        found: what changed.
+        place: returns a place as the user would type it.
+        titles: names of the older and of the newer policy.
+    """
+    yield f"### Access control: {_code(titles[0])} → {_code(titles[1])}"
+    yield ""
+    if not found:
+        yield "**Equivalent**: no subject gains or loses anything."
+        return
+    yield f"{summary(found)}."
+    for each in found:
+        yield ""
+        yield f"#### {_subject(each, _code).rstrip(':')}"
+        if each.changes:
+            yield ""
+            yield "| | permission | objects | rule |"
+            yield "|---|---|---|---|"
+        for change in each.changes:
+            sign = "gains" if change.gains else "loses"
+            objects = _objects(change, _code)
+            yield f"| {sign} | {_code(change.permission)} | {objects} | {_code(place(change.where))} |"
+
+
+def as_data(found: Sequence[Changed], place: Callable[[Origin], dict[str, Any]]) -> list[dict[str, Any]]:
+    """Return what changed as what JSON can hold."""
+    return [
+        {
+            "subject": each.subject,
+            "stands_for": each.like or None,
+            "applies": {"before": each.before, "after": each.after},
+            "changes": [
+                {
+                    "change": "gains" if change.gains else "loses",
+                    "kind": change.kind,
+                    "permission": change.permission,
+                    "pattern": change.pattern,
+                    "whole": change.whole,
+                    "example": change.example or None,
+                    "rule": place(change.where),
+                    "unknown": change.unknown or None,
+                }
+                for change in each.changes
+            ],
+        }
+        for each in found
+    ]
+
+
+def summary(found: Sequence[Changed]) -> str:
+    """Return on one line how many subjects gain, and how many lose."""
+    if not found:
+        return "equivalent: no subject gains or loses anything"
+    gaining = sum(any(change.gains for change in each.changes) for each in found)
+    losing = sum(any(not change.gains for change in each.changes) for each in found)
+    unknown = sum(any(change.unknown for change in each.changes) for each in found)
+    said = f"{_several(gaining)}, {losing or 'none'} lose{'s' if losing == 1 else ''}"
+    return said + (f"; not decided for {unknown}" if unknown else "")
+
+
+def _several(gaining: int) -> str:
+    return f"{gaining or 'no'} subject{'' if gaining == 1 else 's'} gain{'s' if gaining <= 1 else ''}"
+
+
+def _subject(each: Changed, code: Callable[[str], str] = str) -> str:
+    subject = code(each.subject)
+    name = f"subjects like {code(each.like)} (e.g. {subject})" if each.like else subject
+    if each.before and each.after:
+        return f"{name}:"
+    which = "new" if each.after else "no profile applies any more"
+    return f"{name} ({which}):" if each.changes else f"{name} ({which}), without any permission"
+
+
+def _objects(change: Change, code: Callable[[str], str]) -> str:
+    pattern = code(change.pattern)
+    if change.unknown:
+        return f"perhaps on {pattern}: {change.unknown}"
+    if change.whole:
+        return pattern if change.example == change.pattern else f"{pattern}, e.g. {code(change.example)}"
+    return f"on part of {pattern}, e.g. {code(change.example)}"
+
+
+def _code(text: str) -> str:
+    fence = "``" if "`" in text else "`"
+    return f"{fence}{text}{fence}".replace("|", "\\|")

@@ -1,0 +1,90 @@
+"""What a build type says of the rules of a policy, before there is any package."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+from dataclasses import replace
+from datetime import datetime, timedelta
+
+from keymint.api import (
+    BuildOptions,
+    BuildType,
+    CertificateSpec,
+    DomainRange,
+    DomainRule,
+    Governance,
+    KeySpec,
+    Package,
+    Permissions,
+    Validity,
+)
+from keymint.errors import Diagnostic, KeymintError, Origin, Severity
+from keymint.ir import Rule, SubjectRules
+
+_RELAYS = ("relay", "ros_relay")
+
+
+def portability(
+    build_type: BuildType, name: str, distro: str, subjects: Iterable[tuple[str, tuple[Rule, ...]]], now: datetime
+) -> Iterator[Diagnostic]:
+    """Yield what cannot be built of the rules of subjects so that all vendors read it alike, or is built to nothing.
+
+    Args:
+        build_type: compiles rules.
+        name: its name.
+        distro: ROS 2 distribution whose name mapping applies.
+        subjects: subjects with their rules.
+        now: the clock, UTC; nothing that is said depends on it.
+    """
+    said: set[tuple[str, Origin | None, str]] = set()
+    for subject, rules in subjects:
+        places = {(rule.origin.file, rule.origin.line) for rule in rules}
+        for found in (*_relaying(rules), *_built(build_type, _package(name, distro, subject, rules, now))):
+            where = found.where
+            if found.severity is Severity.NOTE or where is None or (where.file, where.line) not in places:
+                continue  # it is about what only a package has
+            key = (found.code, Origin(where.file, where.line), found.message if found.code == "never-matches" else "")
+            if key not in said:
+                said.add(key)
+                yield replace(found, severity=Severity.WARNING, subject=found.subject or subject)
+
+
+def _built(build_type: BuildType, package: Package) -> tuple[Diagnostic, ...]:
+    try:
+        return build_type.build(package, BuildOptions()).diagnostics
+    except KeymintError as error:
+        return error.diagnostics
+
+
+def _relaying(rules: Iterable[Rule]) -> Iterator[Diagnostic]:
+    for rule in rules:
+        if rule.permissions and all(permission in _RELAYS for permission in rule.permissions):
+            yield Diagnostic(
+                "portability-relay",
+                Severity.WARNING,
+                f"this {rule.effect} {rule.kind} rule is about relaying only, which no vendor of DDS decides",
+                rule.origin,
+                "say who may publish and subscribe instead",
+            )
+
+
+def _package(name: str, distro: str, subject: str, rules: tuple[Rule, ...], now: datetime) -> Package:
+    """Return a package that has nothing to complain of but its rules."""
+    origin = Origin(subject)
+    validity = Validity(now, now + timedelta(days=365))
+    common_name = f"CN={subject}"
+    everywhere = (DomainRange(0, 0),)
+    protection = DomainRule(everywhere, False, True, "ENCRYPT", "ENCRYPT", "ENCRYPT", (), origin)
+    return Package(
+        name=subject.removeprefix("/"),
+        subject=subject,
+        build_type=name,
+        distro=distro,
+        identity=CertificateSpec(
+            common_name, validity, None, "identity", "SHA256", KeySpec("ec", "SECP256R1"), (), origin
+        ),
+        permissions=Permissions(
+            "permissions", subject, common_name, validity, everywhere, SubjectRules(subject, rules), origin
+        ),
+        governance=Governance("permissions", (protection,)),
+    )

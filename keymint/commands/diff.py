@@ -1,0 +1,94 @@
+"""``keymint diff``: compares two policies by meaning."""
+
+from __future__ import annotations
+
+from contextlib import ExitStack
+from pathlib import Path
+from typing import Any
+
+import click
+
+from keymint.algebra.diff import diff as compare
+from keymint.algebra.diff import gains
+from keymint.algebra.differences import as_data, as_markdown, as_text, summary
+from keymint.api import LoadedPolicy
+from keymint.commands.common import Run, verb
+from keymint.commands.policies import Policies, place, policy_options
+from keymint.console import Console
+from keymint.errors import Diagnostic, ExitCode, KeymintError, Origin
+from keymint.report import Report
+from keymint.revision import at_revision, is_revision
+
+FORMATS = ("text", "markdown", "json")
+
+
+@verb()
+@click.argument("old", metavar="A")
+@click.argument("new", metavar="B")
+@click.option("-f", "--format", "kind", type=click.Choice(FORMATS), default="text", show_default=True)
+@policy_options
+def diff(
+    run: Run, old: str, new: str, kind: str, distro: str | None, profile_type: str, policy_type: str
+) -> Report:
+    r"""Compare the policies A and B by meaning: what each subject gains and loses, over all names there are.
+
+    A and B are ComArmor files or folders, workspaces, or any of these at a revision of git: REV:PATH. Subjects are
+    those that a policy names, and one example of each pattern of subjects that profiles match. Kinds are compared each
+    by itself. Ends with 3 when a subject gains something, so that it can guard a merge.
+
+    \b
+    keymint diff old.xml new.xml
+    keymint diff HEAD~1:policy policy --format markdown
+    """
+    if kind == "json":
+        run.console = Console(run.setting.streams, as_json=True)
+    policies = Policies(run, distro, profile_type, policy_type)
+    with ExitStack() as stack:
+        trees: dict[str, str] = {}
+        one, other = (_loaded(run, policies, text, stack, trees) for text in (old, new))
+        found = compare(one, other)
+
+    def said(where: Origin) -> str:
+        in_tree = where.file.startswith(tuple(trees))
+        return _renamed(str(Origin(where.file, where.line)) if in_tree else place(run, where), trees)
+
+    lines = as_markdown(found, said, (old, new)) if kind == "markdown" else as_text(found, said)
+    for line in lines:
+        run.console.line(line)
+    if kind != "markdown":
+        run.console.line(summary(found))
+
+    def placed(where: Origin) -> dict[str, Any]:
+        file, _, line = said(where).rpartition(":") if where.line else (said(where), "", "0")
+        return {"file": file, "line": int(line) or None}
+
+    result = {"equivalent": not found, "subjects": as_data(found, placed)}
+    return Report(run.verb, None, (), (), result, ExitCode.FINDINGS if gains(found) else ExitCode.DONE)
+
+
+def _loaded(run: Run, policies: Policies, text: str, stack: ExitStack, trees: dict[str, str]) -> LoadedPolicy:
+    """Return the policy that an argument names; notes under which name the user knows a temporary folder."""
+    if not is_revision(text, run.setting.cwd):
+        return policies.load(Path(text))
+    found = stack.enter_context(at_revision(text, run.setting.cwd, run.setting.environment))
+    trees[f"{found.root}/"] = f"{found.name}:"
+    try:
+        return policies.load(found.path)
+    except KeymintError as error:
+        renamed = [_as_known(diagnostic, trees) for diagnostic in error.diagnostics]
+        raise KeymintError.of(renamed, error.exit_code) from None
+
+
+def _as_known(found: Diagnostic, trees: dict[str, str]) -> Diagnostic:
+    def origin(where: Origin) -> Origin:
+        return Origin(_renamed(where.file, trees), where.line, tuple(map(origin, where.chain)))
+
+    where = origin(found.where) if found.where else None
+    message, help_ = (_renamed(text, trees) for text in (found.message, found.help))
+    return Diagnostic(found.code, found.severity, message, where, help_, found.subject)
+
+
+def _renamed(text: str, trees: dict[str, str]) -> str:
+    for folder, name in trees.items():
+        text = text.replace(folder, name)
+    return text

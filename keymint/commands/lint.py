@@ -1,0 +1,65 @@
+"""``keymint lint``: finds what in a policy is in vain, or is likely not meant."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import click
+
+from keymint.algebra.lint import CODES, in_order
+from keymint.algebra.lint import lint as look
+from keymint.algebra.portable import portability
+from keymint.algebra.sarif import sarif as as_sarif
+from keymint.algebra.subjects import rules_of
+from keymint.commands.common import Run, verb
+from keymint.commands.files import write_outputs
+from keymint.commands.policies import Policies, policy_options, typed
+from keymint.report import Report, findings_exit
+
+_PATH = click.Path(path_type=Path)
+
+
+@verb()
+@click.argument("policy", required=False, type=_PATH)
+@click.option("--sarif", type=click.Path(path_type=Path, dir_okay=False), metavar="FILE", help="Write SARIF 2.1.0.")
+@click.option("--build-type", default="keymint_ros2_dds", metavar="NAME", help="Plugin that compiles rules.")
+@policy_options
+def lint(
+    run: Run,
+    policy: Path | None,
+    sarif: Path | None,
+    build_type: str,
+    distro: str | None,
+    profile_type: str,
+    policy_type: str,
+) -> Report:
+    r"""Find what in POLICY is in vain, or is likely not meant.
+
+    \b
+    rules that nothing is left of, or that add nothing; denials that deny nothing
+    attachments that no subject or object can match; profiles that never apply
+    tunables that nothing uses; names that are nearly, but not quite, alike
+    rules that cannot be compiled so that every vendor of DDS reads them alike
+
+    POLICY is a ComArmor file or folder, or a workspace; by default the policy of the workspace. A finding holds for all
+    names there are, and for every subject that the rule applies to. Ends with 3 when there is any.
+    """
+    policies = Policies(run, distro, profile_type, policy_type)
+    loaded = policies.load(policy)
+    subjects = [(subject, rules_of(loaded, subject)) for subject in loaded.subjects()]
+    compiler = run.plugins.build_type(build_type)
+    found = look(loaded)
+    known = {(each.where.file, each.where.line) for each in found if each.where and each.code == "object-never"}
+    found += (
+        each
+        for each in portability(compiler, build_type, policies.distro, subjects, run.setting.now)
+        if each.where and (each.code != "never-matches" or (each.where.file, each.where.line) not in known)
+    )
+    found = in_order(found)
+    if sarif is not None:
+        write_outputs(run, sarif, as_sarif("keymint lint", CODES, found, typed(run)))
+    number, several = len(found), "" if len(subjects) == 1 else "s"
+    findings = "no finding" if not number else f"{number} finding{'' if number == 1 else 's'}"
+    run.console.line(f"{findings} in the rules of {len(subjects)} subject{several}")
+    result = {"subjects": [subject for subject, _ in subjects], "findings": number}
+    return Report(run.verb, None, (), found, result, findings_exit(found))

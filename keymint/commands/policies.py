@@ -1,0 +1,116 @@
+"""Policies that a user names on the command line: files, folders, workspaces, and revisions of them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any, TypeVar
+
+import click
+
+from keymint.api import LoadedPolicy, PolicySource
+from keymint.commands.common import Run
+from keymint.errors import Origin
+from keymint.plan.create import load_policy
+from keymint.workspace import Workspace, shown
+
+Function = TypeVar("Function", bound=Callable[..., Any])
+_DEFAULT_DISTRO = "jazzy"
+
+
+def policy_options(function: Function) -> Function:
+    """Add the options that say how a policy outside of a workspace is read."""
+    for option in reversed(
+        (
+            click.option(
+                "--distro",
+                metavar="NAME",
+                help="ROS 2 distribution of what a policy includes [that of the workspace, else $ROS_DISTRO, else jazzy].",
+            ),
+            click.option(
+                "--profile-type", default="keymint_ros", metavar="NAME", help="Plugin that has what a policy includes."
+            ),
+            click.option(
+                "--policy-type", default="keymint_ros2_comarmor", metavar="NAME", help="Plugin that reads a policy."
+            ),
+        )
+    ):
+        function = option(function)
+    return function
+
+
+class Policies:
+    """Reads the policies that a command line names.
+
+    Args:
+        run: the verb under way.
+        distro: ROS 2 distribution, or None.
+        profile_type: plugin that has what a policy includes.
+        policy_type: plugin that reads a policy outside of a workspace.
+    """
+
+    def __init__(self, run: Run, distro: str | None, profile_type: str, policy_type: str) -> None:
+        self._run = run
+        self._profile_type = profile_type
+        self.policy_type = policy_type
+        self.distro = distro or run.setting.environment.get("ROS_DISTRO") or _DEFAULT_DISTRO
+        self._named = distro
+
+    def load(self, path: Path | None) -> LoadedPolicy:
+        """Return the policy at a path, or of the workspace there; of the current workspace where none is named.
+
+        Raises:
+            KeymintError: there is none, or it has defects.
+        """
+        if path is None:
+            return self._of_workspace(self._run.workspace())
+        folder = self._run.setting.cwd / path
+        workspace = Workspace.at(folder, {}, self._run.setting.cwd)
+        return self._of_workspace(workspace) if workspace.exists() else self.at(folder, str(path))
+
+    def at(self, path: Path, typed: str) -> LoadedPolicy:
+        """Return the policy at a path.
+
+        Args:
+            path: file or folder.
+            typed: the path as the user typed it.
+
+        Raises:
+            KeymintError: there is none, or it has defects.
+        """
+        library = self._run.plugins.profile_type(self._profile_type).library(self.distro)
+        source = PolicySource(typed, path, Origin(typed))
+        return self._run.plugins.policy_type(self.policy_type).load([source], library)
+
+    def _of_workspace(self, workspace: Workspace) -> LoadedPolicy:
+        inputs = self._run.inputs(workspace)
+        loaded = inputs.profile()
+        if self._named is None:
+            self.distro = loaded.profile.distro
+        return load_policy(inputs, loaded)
+
+    def folders(self, path: Path | None) -> Sequence[Path]:
+        """Return the policies that :meth:`load` reads, by resolved path."""
+        if path is not None:
+            folder = self._run.setting.cwd / path
+            workspace = Workspace.at(folder, {}, self._run.setting.cwd)
+            if not workspace.exists():
+                return (folder.resolve(),)
+        else:
+            workspace = self._run.workspace()
+        inputs = self._run.inputs(workspace)
+        return tuple(source.path.resolve() for source in inputs.profile().profile.policies)
+
+
+def typed(run: Run) -> Callable[[str], str]:
+    """Return a function that shortens absolute paths to what the user would type."""
+    return lambda file: shown(Path(file), run.setting.cwd) if file.startswith("/") else file
+
+
+def place(run: Run, where: Origin | None) -> str:
+    """Return a place as the user would type it: ``file:line``."""
+    if where is None:
+        return ""
+    file = typed(run)(where.file)
+    return f"{file}:{where.line}" if where.line else file
+

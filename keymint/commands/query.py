@@ -1,0 +1,258 @@
+"""``keymint query``: answers questions about a policy, for all names and subjects there are."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
+
+import click
+
+from keymint.algebra.abilities import abilities
+from keymint.algebra.channels import Channel, Channels
+from keymint.algebra.holders import Held, holders
+from keymint.algebra.lists import asked, word
+from keymint.algebra.question import FORMS, HEADS, Question, read
+from keymint.algebra.subjects import rules_of
+from keymint.api import LoadedPolicy
+from keymint.commands.common import Run, verb
+from keymint.commands.policies import Policies, place, policy_options
+from keymint.errors import Diagnostic, ExitCode, KeymintError, Severity
+from keymint.keymake.glob import literal, parse
+from keymint.report import Report
+
+_MOST = 20
+_Answer = tuple[str, dict[str, Any]]
+"""``yes``, ``no`` or ``unknown``, and what else there is to say."""
+
+
+@verb()
+@click.argument("words", nargs=-1, metavar="[POLICY] QUESTION...")
+@click.option("--except", "but", multiple=True, metavar="OBJECT", help="flows, isolated: leave these out of account.")
+@click.option("--partition", default="", metavar="NAME", help="DDS partition of a raw topic [the default one].")
+@policy_options
+def query(
+    run: Run,
+    words: tuple[str, ...],
+    but: tuple[str, ...],
+    partition: str,
+    distro: str | None,
+    profile_type: str,
+    policy_type: str,
+) -> Report:
+    r"""Ask a policy a question. SUBJECT and OBJECT may be patterns; a permission may lack its 'ros_'.
+
+    \b
+    keymint query who can publish /safety/estop
+    keymint query what can /amr1/nav do
+    keymint query can '/amr*/nav' ever subscribe '/amr2/*'
+    keymint query flows /amr1/camera /cloud/uplink
+    keymint query isolated '/amr1/*' '/amr2/*' --except '/fleet/*'
+
+    POLICY is a ComArmor file or folder, or a workspace; by default the workspace that the current folder lies in.
+    'no' is proven for all names, and for all subjects, also those that the policy does not name. 'flows' takes the
+    subjects that the policy names for steps on the way; 'isolated' asks for channels without anybody between. Ends with
+    3 when subjects are not isolated, or an answer is not known for certain.
+    """
+    path, question = _read(words, run.setting.cwd)
+    if but and question.head not in ("flows", "isolated"):
+        raise KeymintError(
+            f"'{question.head}' takes no --except",
+            help="it is about 'flows' and 'isolated'",
+            code="usage",
+            exit_code=ExitCode.USAGE,
+        )
+    for expression in but:
+        read(["who", "can", "publish", expression])  # an expression like any other
+    policy = Policies(run, distro, profile_type, policy_type).load(path)
+    answer: Callable[[], _Answer] = {
+        "who": lambda: _who(run, policy, question, partition),
+        "can": lambda: _can(run, policy, question, partition),
+        "what": lambda: _what(run, policy, question),
+        "flows": lambda: _flows(run, policy, question, but),
+        "isolated": lambda: _isolated(run, policy, question, but),
+    }[question.head]
+    verdict, more = answer()
+    said: list[Diagnostic] = []
+    if verdict == "unknown":
+        said.append(Diagnostic("query-unknown", Severity.WARNING, "the answer is not known for certain"))
+    bad = verdict == "unknown" or (question.head == "isolated" and verdict == "no")
+    result = {"question": question.head, "answer": verdict, **more}
+    return Report(run.verb, None, (), said, result, ExitCode.FINDINGS if bad else ExitCode.DONE)
+
+
+def _read(words: Sequence[str], folder: Path) -> tuple[Path | None, Question]:
+    """Return the policy that is named, and the question; a question in one argument is taken apart."""
+    path: Path | None = None
+    rest = list(words)
+    if rest and rest[0].split(" ")[0] not in HEADS and (len(rest) > 1 or (folder / rest[0]).exists()):
+        path = Path(rest.pop(0))
+    if not rest:
+        raise KeymintError(
+            "there is no question", help=f"ask one of: {'; '.join(FORMS)}", code="usage", exit_code=ExitCode.USAGE
+        )
+    return path, read([each for one in rest for each in one.split()])
+
+
+def _who(run: Run, policy: LoadedPolicy, question: Question, partition: str) -> _Answer:
+    name = asked(question.kind, question.object, partition)
+    found = list(holders(policy, parse("*"), question.kind, question.permission, name))
+    for each in found:
+        run.console.line(_holder(run, each, question))
+    if not found:
+        run.console.line(f"nobody: no subject can {question.permission} {question.object}, whatever its name")
+    return _verdict(found), {"holders": [_as_data(each, question) for each in found]}
+
+
+def _can(run: Run, policy: LoadedPolicy, question: Question, partition: str) -> _Answer:
+    name = asked(question.kind, question.object, partition)
+    (subject,) = question.subjects
+    found = list(holders(policy, parse(subject), question.kind, question.permission, name))
+    certain = next((each for each in found if not each.unknown), None)
+    shown = certain or (found[0] if found else None)
+    if certain:
+        run.console.line(f"yes: {_holder(run, certain, question)}")
+    elif shown:
+        run.console.line(f"not known: {_holder(run, shown, question)}")
+    else:
+        run.console.line(f"no: {subject} can never {question.permission} {question.object}")
+    return _verdict(found), {"witness": _as_data(shown, question) if shown else None}
+
+
+def _verdict(found: Sequence[Held]) -> str:
+    if any(not each.unknown for each in found):
+        return "yes"
+    return "unknown" if found else "no"
+
+
+def _holder(run: Run, each: Held, question: Question) -> str:
+    """Return who holds a permission, on which name, and by which rule."""
+    like = f" (like {each.like})" if each.like and each.like != each.subject else ""
+    if each.unknown:
+        return f"perhaps {each.subject or f'subjects like {each.like}'}: {each.unknown}"
+    name = word(question.kind, each.word)
+    return f"{each.subject}{like} {question.permission} {name} ({place(run, each.where)})"
+
+
+def _as_data(each: Held, question: Question) -> dict[str, Any]:
+    return {
+        "subject": each.subject or None,
+        "like": each.like or None,
+        "permission": question.permission,
+        "object": word(question.kind, each.word) or None,
+        "rule": {"file": each.where.file, "line": each.where.line} if each.where else None,
+        "unknown": each.unknown or None,
+    }
+
+
+def _what(run: Run, policy: LoadedPolicy, question: Question) -> _Answer:
+    channels = Channels(policy, ())
+    (expression,) = question.subjects
+    told: list[dict[str, Any]] = []
+    rows: list[list[str]] = []
+    subjects = channels.named(expression)
+    for subject in subjects:
+        for each in abilities(rules_of(policy, subject)):
+            audit = "  AUDIT" if each.audit else ""
+            partitions = "".join(f" in partition {one!r}" for one in each.partitions)
+            but = f" but {', '.join(each.but)}" if each.but else ""
+            objects = f"{each.expression}{partitions}{but}{audit}"
+            rows.append([*([subject] if len(subjects) > 1 else []), each.permission, objects, place(run, each.where)])
+            told.append(
+                {
+                    "subject": subject,
+                    "permission": each.permission,
+                    "expression": each.expression,
+                    "partitions": list(each.partitions),
+                    "except": list(each.but),
+                    "audit": each.audit,
+                    "rule": {"file": each.where.file, "line": each.where.line},
+                }
+            )
+    if rows:
+        run.console.table([*(["SUBJECT"] if len(subjects) > 1 else []), "PERMISSION", "OBJECTS", "RULE"], rows)
+    elif not subjects:
+        run.console.line(f"the policy names no subject that {expression} matches")
+    else:
+        applies = any(policy.rules(subject) is not None for subject in subjects)
+        why = "no rule allows it anything" if applies else "no profile of the policy applies to it"
+        run.console.line(f"{expression} can do nothing: {why}")
+    return "yes" if rows else "no", {"subjects": list(subjects), "abilities": told}
+
+
+def _flows(run: Run, policy: LoadedPolicy, question: Question, but: Sequence[str]) -> _Answer:
+    channels = Channels(policy, but)
+    one, other = question.subjects
+    sources, targets = channels.named(one), channels.named(other)
+    for expression, found in ((one, sources), (other, targets)):
+        if not found:
+            run.console.line(f"the policy names no subject that {expression} matches")
+    path = channels.path(sources, targets) if sources and targets else None
+    if path is None:
+        run.console.line(f"no: nothing flows from {one} to {other}")
+        return "no", {"path": None}
+    run.console.line(f"yes: in {len(path)} step{'' if len(path) == 1 else 's'}")
+    for step in path:
+        run.console.line(f"  {_step(step)}")
+    return "yes" if all(step.word for step in path) else "unknown", {"path": [_channel(step) for step in path]}
+
+
+def _isolated(run: Run, policy: LoadedPolicy, question: Question, but: Sequence[str]) -> _Answer:
+    channels = Channels(policy, but)
+    one, other = question.subjects
+    certain: list[Channel] = []
+    perhaps: list[Channel] = []
+    for first, second in ((one, other), (other, one)):
+        for writer in channels.named(first):
+            for reader in channels.named(second):
+                found = channels.between(writer, reader) if writer != reader else ()
+                certain += (channel for channel in found if channel.word)
+        perhaps += _unnamed(channels, first, second)
+    known = {(channel.kind, channel.word) for channel in certain}
+    perhaps = [channel for channel in perhaps if (channel.kind, channel.word) not in known]
+    together: dict[tuple[str, str], list[Channel]] = {}
+    for channel in certain:
+        together.setdefault((channel.kind, channel.word), []).append(channel)
+    for shared in list(together.values())[:_MOST]:
+        more = len(shared) - 1
+        also = f" (and {more} other pair{'' if more == 1 else 's'})" if more else ""
+        run.console.line(f"{_step(shared[0])}{also}")
+    if len(together) > _MOST:
+        run.console.line(f"… and {len(together) - _MOST} other channels")
+    for channel in perhaps[:_MOST]:
+        run.console.line(f"perhaps: {_step(channel)}")
+    verdict = "no" if certain else "unknown" if perhaps else "yes"
+    apart = f"{one} and {other}"
+    run.console.line(
+        {
+            "yes": f"isolated: nothing flows between {apart}" + (f", but for {', '.join(but)}" if but else ""),
+            "no": f"not isolated: {len(together)} channel{'' if len(together) == 1 else 's'} between {apart}",
+            "unknown": f"not known: no subject that the policy names breaks it, but others of {apart} may",
+        }[verdict]
+    )
+    return verdict, {"channels": [_channel(each) for each in certain], "perhaps": [_channel(each) for each in perhaps]}
+
+
+def _unnamed(channels: Channels, first: str, second: str) -> list[Channel]:
+    """Return what there may be between subjects that the policy does not name, each channel once."""
+    writers, readers = parse(first), parse(second)
+    if literal(writers) is not None and literal(readers) is not None:
+        return []
+    found = {(each.kind, each.permissions, each.word): each for each in channels.possible(writers, readers)}
+    return list(found.values())
+
+
+def _step(channel: Channel) -> str:
+    mine, theirs = channel.permissions
+    name = word(channel.kind, channel.word) or "a name that was not found"
+    return f"{channel.writer} → {channel.reader} by {channel.kind} {name} ({mine}, {theirs})"
+
+
+def _channel(channel: Channel) -> dict[str, Any]:
+    return {
+        "writer": channel.writer,
+        "reader": channel.reader,
+        "kind": channel.kind,
+        "permissions": list(channel.permissions),
+        "object": word(channel.kind, channel.word) or None,
+    }

@@ -1,0 +1,95 @@
+"""Trees of files as they were at a revision: the one module that asks git."""
+
+from __future__ import annotations
+
+import io
+import subprocess
+import tarfile
+import tempfile
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+
+from keymint.errors import KeymintError
+
+_SECONDS = 120
+
+
+@dataclass(frozen=True, slots=True)
+class Revision:
+    """A path at a revision.
+
+    Attributes:
+        name: name of the revision, as the user typed it.
+        path: the path in the extracted tree.
+        root: folder of the extracted tree.
+    """
+
+    name: str
+    path: Path
+    root: Path
+
+
+def is_revision(text: str, folder: Path) -> bool:
+    """Tell whether a text is ``REV:path`` and not a file that has such a name."""
+    return ":" in text and not (folder / text).exists()
+
+
+@contextmanager
+def at_revision(text: str, folder: Path, environment: Mapping[str, str]) -> Iterator[Revision]:
+    """Yield a path as it was at a revision, in a temporary folder that goes afterwards.
+
+    Args:
+        text: ``REV:path``; as with git the path is relative to the repository, or with ``./`` to the folder.
+        folder: a folder of the repository.
+        environment: environment variables for git.
+
+    Raises:
+        KeymintError: there is no git, no repository, no such revision, or no such path at it.
+    """
+    name, _, path = text.partition(":")
+    if not name or name.startswith("-"):
+        raise KeymintError(f"{text!r} names no revision", help="write REV:path, e.g. HEAD~1:policy", code="revision")
+    top = Path(_git(("rev-parse", "--show-toplevel"), folder, environment).decode().rstrip("\n"))
+    if path.startswith(("./", "../")):
+        prefix = _git(("rev-parse", "--show-prefix"), folder, environment).decode().rstrip("\n")
+        path = f"{prefix}{path}"
+    commit = _git(("rev-parse", "--verify", "--quiet", "--end-of-options", f"{name}^{{commit}}"), top, environment, name)
+    archive = _git(("archive", "--format=tar", commit.decode().strip()), top, environment)
+    with tempfile.TemporaryDirectory(prefix="keymint-") as made:
+        root = Path(made).resolve()
+        with tarfile.open(fileobj=io.BytesIO(archive)) as tar:
+            tar.extractall(root, filter="data")
+        found = (root / path).resolve()
+        if not found.is_relative_to(root) or not found.exists():
+            raise KeymintError(
+                f"there is no {path!r} at {name!r}",
+                help="the path is relative to the repository; with ./ to the current folder",
+                code="revision",
+            )
+        yield Revision(name, found, root)
+
+
+def _git(arguments: tuple[str, ...], folder: Path, environment: Mapping[str, str], revision: str = "") -> bytes:
+    """Return what git writes to standard output; run without a shell."""
+    try:
+        done = subprocess.run(  # noqa: S603 - the program is fixed, and an argument cannot become an option
+            ["git", *arguments],  # noqa: S607 - the user's own git
+            cwd=folder,
+            env=dict(environment),
+            stdin=subprocess.DEVNULL,
+            capture_output=True,
+            check=False,
+            timeout=_SECONDS,
+        )
+    except (OSError, subprocess.TimeoutExpired) as error:
+        raise KeymintError(f"git cannot be run: {error}", help="install git", code="revision") from None
+    if done.returncode:
+        if revision:
+            raise KeymintError(
+                f"there is no revision {revision!r}", help="'git log --oneline' lists them", code="revision"
+            )
+        said = (done.stderr.decode(errors="replace").strip().splitlines() or ["it failed"])[-1]
+        raise KeymintError(f"git says: {said}", help="run this in a checkout of git", code="revision")
+    return done.stdout

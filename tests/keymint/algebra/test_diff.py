@@ -1,0 +1,117 @@
+"""Two policies compared by meaning."""
+
+from __future__ import annotations
+
+from itertools import product
+from pathlib import Path
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from keymint.algebra.diff import changes_of, diff, gains
+from keymint.errors import Origin
+from keymint.ir import Effect, Rule
+from keymint.keymake.algebra import matches
+from keymint.keymake.glob import parse
+from tests.keymint.algebra.policies import deny, loaded, profile, rule
+
+PUB = ("ros_topic", "ros_publish")
+CALL = ("ros_service", "ros_call")
+
+
+def changed(folder: Path, old: str, new: str) -> list[tuple[str, str]]:
+    one, other = (loaded(folder, text, name=f"{name}.xml") for name, text in (("old", old), ("new", new)))
+    return [
+        (each.subject, f"{'+' if it.gains else '-'} {it.permission} {'' if it.whole else 'part of '}{it.pattern}")
+        for each in diff(one, other)
+        for it in each.changes
+    ]
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "expected"),
+    [
+        ([rule(*PUB, "/a")], [rule(*PUB, "/a")], []),
+        ([rule(*PUB, "/[ab]")], [rule(*PUB, "/a"), rule(*PUB, "/b")], []),
+        ([rule(*PUB, "/a/*")], [rule(*PUB, "/a/*"), rule(*PUB, "/a/b")], []),
+        ([rule(*PUB, "/a")], [rule(*PUB, "/a"), deny(*PUB, "/b")], []),
+        ([rule(*PUB, "chatter")], [], []),
+        ([], [rule(*PUB, "/a")], ["+ ros_publish /a"]),
+        ([rule(*PUB, "/a"), deny(*PUB, "/a")], [rule(*PUB, "/a")], ["+ ros_publish /a"]),
+        ([rule(*PUB, "/a/*"), deny(*PUB, "/a/b*")], [rule(*PUB, "/a/*")], ["+ ros_publish /a/b*"]),
+        ([rule(*PUB, "/a/*")], [rule(*PUB, "/a/*"), deny(*PUB, "/a/b")], ["- ros_publish /a/b"]),
+        ([rule(*PUB, "/a/b")], [rule(*PUB, "/a/*")], ["+ ros_publish part of /a/*"]),
+        ([rule(*PUB, "/a")], [rule(*PUB, "/b")], ["+ ros_publish /b", "- ros_publish /a"]),
+        ([], [rule("ros_action", "ros_request", "/go")], ["+ ros_request /go"]),
+        (
+            [rule("ros_action", "ros_request", "/go")],
+            [rule("ros_action", "ros_request", "/go"), deny(*CALL, "/go/_action/cancel_goal")],
+            ["- ros_call /go/_action/cancel_goal", "- ros_request /go"],
+        ),
+        ([], [rule(*CALL, "/n/get_*")], ["+ ros_call /n/get_*"]),
+        ([], [rule("topic", "publish", "a")], ["+ publish a"]),
+    ],
+)
+def test_of_a_subject(tmp_path: Path, old: list[str], new: list[str], expected: list[str]) -> None:
+    said = changed(tmp_path, profile("/s", *old), profile("/s", *new))
+    assert sorted(each for _, each in said) == sorted(expected)
+
+
+def test_partitions(tmp_path: Path) -> None:
+    narrowed = rule("topic", "publish", "a").replace("</topic>", "<partitions><partition>p*</partition></partitions></topic>")
+    said = changed(tmp_path, profile("/s", rule("topic", "publish", "a")), profile("/s", narrowed))
+    assert said == [("/s", "+ publish a in partition 'p*'"), ("/s", "- publish a")]
+
+
+def test_subjects_that_come_go_or_are_not_named(tmp_path: Path) -> None:
+    said = changed(tmp_path, profile("/old", rule(*PUB, "/a")), profile("/guest/*", rule(*PUB, "{namespace}{name}")))
+    assert said == [("/old", "- ros_publish /a"), ("/guest/x", "+ ros_publish /guest/x")]
+    one, other = (loaded(tmp_path, profile(name)) for name in ("/a", "/b"))
+    assert [(each.subject, each.before, each.after) for each in diff(one, other)] == [
+        ("/a", True, False),
+        ("/b", False, True),
+    ]
+    assert not gains(diff(one, other))
+
+
+def test_an_example_is_shortest_and_has_its_rule(tmp_path: Path) -> None:
+    one, other = loaded(tmp_path, profile("/s")), loaded(tmp_path, profile("/s", rule(*PUB, "/x/*"), deny(*PUB, "/x/?")))
+    (found,) = diff(one, other)
+    (change,) = found.changes
+    assert (change.example, change.where.line, change.whole) == ("/x/aa", 3, False)
+    assert gains([found])
+    assert not gains(diff(other, one))
+
+
+ATOMS = ("/", "a", "b", "*", "?", "[!a]")
+NAMES = ["".join(letters) for length in (2, 3, 4) for letters in product("ab/", repeat=length)]
+LEGAL = [name for name in NAMES if name[0] == "/" and "//" not in name and name[-1] != "/"]
+RULES = st.lists(
+    st.builds(
+        lambda effect, atoms: Rule(effect, *PUB[:1], PUB[1:], ("/" + "".join(atoms),), (), False, Origin("p", 1)),
+        st.sampled_from(list(Effect)),
+        st.lists(st.sampled_from(ATOMS), min_size=1, max_size=3),
+    ),
+    max_size=4,
+)
+
+
+def permitted(rules: list[Rule], name: str) -> bool:
+    about = {each.effect for each in rules if any(matches(parse(one), name) for one in each.expressions)}
+    return about == {Effect.ALLOW}
+
+
+@given(RULES, RULES)
+def test_what_changes_is_covered_and_what_is_said_is_so(old: list[Rule], new: list[Rule]) -> None:
+    found = list(changes_of(old, new))
+    for name in LEGAL:
+        before, after = permitted(old, name), permitted(new, name)
+        if before is not after:
+            assert any(each.gains is after and matches(parse(each.pattern), name) for each in found)
+        for each in found:
+            if each.whole and matches(parse(each.pattern), name):
+                assert (before, after) == (not each.gains, each.gains)
+    for each in found:
+        assert matches(parse(each.pattern), each.example)
+        assert (permitted(old, each.example), permitted(new, each.example)) == (not each.gains, each.gains)

@@ -1,0 +1,55 @@
+"""``keymint lint``."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+
+from tests.conftest import CHECKOUT
+
+BAD = """<profiles><profile name="a"><attachment>/a</attachment>
+<ros_topic qualifier="ALLOW"><attachment>/x</attachment><permissions><ros_publish/></permissions></ros_topic>
+<ros_topic qualifier="DENY"><attachment>/y</attachment><permissions><ros_publish/></permissions></ros_topic>
+<ros_topic qualifier="ALLOW"><attachment>/z</attachment><permissions><ros_relay/></permissions></ros_topic>
+</profile></profiles>"""
+
+
+@pytest.mark.parametrize("name", ["fleet", "action", "add_two_ints", "talker_listener"])
+def test_the_examples_have_no_finding(keymint, name: str) -> None:
+    outcome = keymint("lint", CHECKOUT / "examples" / name, "--json")
+    assert (outcome.code, outcome.codes()) == (0, [])
+
+
+def test_findings(keymint, tmp_path: Path) -> None:
+    (tmp_path / "p.xml").write_text(BAD)
+    outcome = keymint("lint", "p.xml", "--json", "--sarif", "out.sarif")
+    assert outcome.code == 3
+    listed = [(each["code"], each["file"], each["line"]) for each in outcome.document["diagnostics"]]
+    assert listed == [("deny-nothing", "p.xml", 3), ("portability-relay", "p.xml", 4)]
+    run = json.loads((tmp_path / "out.sarif").read_text())["runs"][0]
+    rules = [each["id"] for each in run["tool"]["driver"]["rules"]]
+    for result in run["results"]:
+        assert rules[result["ruleIndex"]] == result["ruleId"]
+    place = run["results"][0]["locations"][0]["physicalLocation"]
+    assert place == {"artifactLocation": {"uri": "p.xml"}, "region": {"startLine": 3}}
+
+
+def test_what_the_compiler_refuses(keymint, tmp_path: Path) -> None:
+    (tmp_path / "p.xml").write_text(BAD.replace("/y", "/[!x]"))
+    codes = keymint("lint", "p.xml", "--json").codes()
+    assert any(code.startswith("portability") for code in codes)
+
+
+def test_the_policy_of_a_workspace(keymint, provisioned: Path) -> None:
+    assert keymint("lint", cwd=provisioned).code == 0
+    assert keymint("lint", provisioned).code == 0
+
+
+@pytest.mark.parametrize(("path", "said"), [("nothing.xml", "does not exist"), ("p.xml", "p.xml:1")])
+def test_mistakes(keymint, tmp_path: Path, path: str, said: str) -> None:
+    (tmp_path / "p.xml").write_text("<profiles>")
+    outcome = keymint("lint", path)
+    assert (outcome.code, outcome.out) == (1, "")
+    assert said in outcome.err

@@ -1,0 +1,123 @@
+"""``keymint prove``: proven, refuted, unknown; and what the record saves."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from keymint.pki import certificates, keys, smime
+
+
+def resign(workspace: Path, name: str, old: str, new: str) -> None:
+    """Replace a text of an installed document, and sign it again."""
+    folder = workspace / "install/enclaves" / name
+    content = (folder / "permissions.xml").read_text()
+    assert old in content
+    certificate = certificates.load((workspace / "public/permissions_ca.cert.pem").read_bytes())
+    key = keys.from_pem((workspace / "private/permissions_ca.key.pem").read_bytes(), None)
+    (folder / "permissions.p7s").write_bytes(smime.sign(content.replace(old, new).encode(), certificate, key))
+
+
+def test_what_was_provisioned_is_proven(keymint: Callable, provisioned: Path):
+    outcome = keymint("prove", "-w", provisioned)
+    assert outcome.code == 0
+    assert "12 of 12 claims proven" in outcome.out
+    document = keymint("prove", "-w", provisioned, "--json").document
+    assert set(document["result"]["assumptions"]) == {"omg", "cyclonedds-0.10", "fastdds-2.9"}
+    assert [one["proof"] for one in document["result"]["enclaves"]] == ["proven", "proven"]
+
+
+def test_a_counterexample_names_the_rule_the_line_and_both_names(keymint: Callable, provisioned: Path):
+    resign(provisioned, "talker", "<topic>rt/chatter</topic>", "")
+    outcome = keymint("prove", "-w", provisioned, "talker", "--json")
+    assert outcome.code == 3
+    assert "counterexample" in outcome.codes()
+    (enclave,) = outcome.document["result"]["enclaves"]
+    assert enclave["proof"] == "counterexample"
+    found = [claim["counterexample"] for claim in enclave["claims"] if claim["proof"] == "counterexample"]
+    assert len(found) == 3
+    for one in found:
+        assert one["dds_name"] == "rt/chatter"
+        assert one["ros"] == {"kind": "ros_topic", "permission": "ros_publish", "name": "/chatter"}
+        assert one["policy"]["allowed"] is True
+        assert (one["policy"]["file"], one["policy"]["line"]) == ("policy.xml", 5)
+        assert one["document"]["allowed"] is False
+        assert one["document"]["line"] > 0
+    said = keymint("prove", "-w", provisioned, "talker").err
+    assert "policy.xml:5: error: /talker: the document does not permit it to publish 'rt/chatter'" in said
+    assert said.count("error:") == 1, "what all models have in common is said once"
+
+
+def test_what_was_proven_is_not_proven_again_until_something_changes(keymint: Callable, provisioned: Path):
+    keymint("prove", "-w", provisioned)
+
+    def unchanged() -> list[bool]:
+        found = keymint("prove", "-w", provisioned, "--json").document["result"]["enclaves"]
+        return [one["unchanged"] for one in found]
+
+    assert unchanged() == [True, True]
+    resign(provisioned, "talker", "rt/chatter", "rt/chatte?")
+    assert unchanged() == [True, False]
+    assert unchanged() == [True, False], "what is refuted is not remembered"
+    keymint("install", "-w", provisioned)
+    keymint("prove", "-w", provisioned)
+    assert unchanged() == [True, True]
+
+
+def test_the_policy_is_what_counts_and_not_what_was_built(keymint: Callable, provisioned: Path, policy: Path):
+    keymint("prove", "-w", provisioned)
+    policy.write_text(policy.read_text().replace("/chatter", "/chat*"))
+    outcome = keymint("prove", "-w", provisioned)
+    assert outcome.code == 3
+    assert "'rt/chat'" in outcome.err
+
+
+@pytest.mark.parametrize("option", ["--states=1", "--seconds=0"])
+def test_what_is_not_decided_is_unknown_and_a_finding(keymint: Callable, provisioned: Path, policy: Path, option: str):
+    policy.write_text(policy.read_text().replace("/chatter", "/chat*"))
+    outcome = keymint("prove", "-w", provisioned, option, "--json")
+    assert outcome.code == 3
+    assert "not-proven" in outcome.codes()
+
+
+def test_an_enclave_that_cannot_be_read(keymint: Callable, provisioned: Path):
+    (provisioned / "install/enclaves/talker/permissions.p7s").write_bytes(b"nonsense")
+    outcome = keymint("prove", "-w", provisioned)
+    assert outcome.code == 3
+    assert "could not be read" in outcome.out
+    assert "Traceback" not in outcome.err
+
+
+def test_an_enclave_that_is_not_installed(keymint: Callable, provisioned: Path):
+    for path in (provisioned / "install/enclaves/talker").iterdir():
+        path.unlink()
+    outcome = keymint("prove", "-w", provisioned, "talker", "--json")
+    assert outcome.code == 3
+    assert "enclave-missing" in outcome.codes()
+
+
+def test_a_dry_run_records_nothing(keymint: Callable, provisioned: Path):
+    before = (provisioned / ".keymint/state.json").read_bytes()
+    assert keymint("prove", "-w", provisioned, "--dry-run").code == 0
+    assert (provisioned / ".keymint/state.json").read_bytes() == before
+
+
+def test_install_refuses_what_is_not_proven(keymint: Callable, provisioned: Path):
+    document = provisioned / "build/talker/permissions.xml"
+    document.write_text(document.read_text().replace("rt/chatter", "rt/chatter*"))
+    installed = provisioned / "install/enclaves/talker/permissions.p7s"
+    before = installed.read_bytes()
+    outcome = keymint("install", "--prove", "-w", provisioned)
+    assert outcome.code == 3
+    assert "permits it to publish 'rt/chattera'" in outcome.err
+    assert installed.read_bytes() == before, "nothing is installed"
+    assert keymint("install", "-w", provisioned).code == 0
+    assert installed.read_bytes() != before, "unless nobody asked"
+
+
+def test_what_install_proved_is_known_to_prove(keymint: Callable, provisioned: Path):
+    assert keymint("install", "--prove", "-w", provisioned).code == 0
+    found = keymint("prove", "-w", provisioned, "--json").document["result"]["enclaves"]
+    assert [one["unchanged"] for one in found] == [True, True]

@@ -1,0 +1,88 @@
+"""``keymint query``."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from tests.conftest import CHECKOUT
+
+FLEET = CHECKOUT / "examples/fleet"
+SHARED = ["--except", "/parameter_events", "--except", "ros_discovery_info"]
+
+
+@pytest.mark.parametrize(
+    ("question", "code", "said"),
+    [
+        ("who can publish /fleet/emergency_stop", 0, "/fleet/dispatcher ros_publish /fleet/emergency_stop"),
+        ("who can ros_subscribe /robot1/private/*", 0, "nobody: no subject can ros_subscribe /robot1/private/*"),
+        ("what can /robot1/base do", 0, "ros_subscribe  /robot1/cmd_vel"),
+        ("what can /fleet/dashboard do", 0, "/robot1/* but /robot1/private/*"),
+        ("what can /nobody do", 0, "no profile of the policy applies to it"),
+        ("can /robot*/navigator ever publish /robot2/*", 0, "yes: /robot2/navigator ros_publish /robot2/cmd_vel"),
+        ("can /robot1/* ever publish /robot2/*", 0, "no: /robot1/* can never ros_publish /robot2/*"),
+        ("can /fleet/dispatcher request /robot1/navigate", 0, "yes: /fleet/dispatcher ros_request /robot1/navigate"),
+        ("flows /robot1/lidar /robot1/navigator", 0, "yes: in 1 step"),
+        ("isolated /robot1/* /robot2/*", 3, "not isolated: 2 channels"),
+    ],
+)
+def test_answers_on_the_fleet(keymint, question: str, code: int, said: str) -> None:
+    outcome = keymint("query", FLEET, *question.split())
+    assert outcome.code == code, outcome.err
+    assert said in outcome.out
+    assert keymint("query", FLEET, question).out == outcome.out
+
+
+def test_what_is_shared_on_purpose(keymint) -> None:
+    outcome = keymint("query", FLEET, "isolated", "/robot1/*", "/robot2/*", *SHARED)
+    assert outcome.code == 0
+    assert outcome.out.startswith("isolated: nothing flows between /robot1/* and /robot2/*, but for /parameter_events")
+    steps = keymint("query", FLEET, "flows", "/robot1/lidar", "/robot2/base", *SHARED).out.splitlines()
+    assert steps[0] == "yes: in 3 steps"
+    assert steps[3] == (
+        "  /fleet/dispatcher → /robot2/base by ros_topic /fleet/emergency_stop (ros_publish, ros_subscribe)"
+    )
+
+
+def test_the_policy_of_the_workspace(keymint, provisioned: Path) -> None:
+    outcome = keymint("query", "who", "can", "publish", "/chatter", "--json", cwd=provisioned)
+    assert outcome.document["result"]["answer"] == "yes"
+    (holder,) = outcome.document["result"]["holders"]
+    assert (holder["subject"], holder["object"]) == ("/talker", "/chatter")
+    assert keymint("query", provisioned, "who can publish /chatter").code == 0
+
+
+def test_partitions(keymint, tmp_path: Path) -> None:
+    (tmp_path / "p.xml").write_text(
+        '<profiles><profile name="a"><attachment>/a</attachment><topic qualifier="ALLOW"><attachment>t</attachment>'
+        "<permissions><publish/></permissions><partitions><partition>ops</partition></partitions></topic>"
+        "</profile></profiles>"
+    )
+    question = ["query", "p.xml", "can", "/a", "publish", "t"]
+    assert keymint(*question).out.startswith("no:")
+    assert "t in partition 'ops'" in keymint(*question, "--partition", "o*").out
+
+
+@pytest.mark.parametrize(
+    ("question", "said"),
+    [
+        ("who kan publish /x", "expected 'can', not 'kan'"),
+        ("who can publsh /x", "did you mean 'publish'?"),
+        ("can robot1 publish /x", "did you mean '/robot1'?"),
+        ("whom can publish /x", "did you mean 'who'?"),
+        ("what can /a", "expected 'do'"),
+        ("flows /a", "too few words"),
+        ("who can publish \\", "backslash"),
+        ("who can publish /x --except /y", "takes no --except"),
+    ],
+)
+def test_mistakes(keymint, policy: Path, question: str, said: str) -> None:
+    outcome = keymint("query", policy, *question.split())
+    assert (outcome.code, outcome.out) == (2, "")
+    assert said in outcome.err
+
+
+def test_no_question(keymint, policy: Path) -> None:
+    assert "there is no question" in keymint("query", policy).err
+    assert "there is no question" in keymint("query").err
