@@ -503,7 +503,7 @@ class Expectation:
     where: Origin
 
 
-class TestedPolicyType(Protocol):
+class ExpectingPolicyType(Protocol):
     """What a policy type may offer beside :class:`PolicyType`: reading of a policy's own unit tests."""
 
     def expectations(self, path: Path) -> Mapping[Path, Sequence[Expectation]]:

@@ -30,6 +30,7 @@ VERBS: Mapping[str, str] = {
     "lint": "Find what in a policy is in vain, or is likely not meant.",
     "diff": "Compare two policies by meaning: who gains, and who loses what.",
     "query": "Ask a policy who can do what, also of subjects that it does not name.",
+    "test": "Run a policy's own unit tests.",
     "provision": "All of it in one go: what a CI job calls.",
     "discover": "Find the graph of a running system, or of captures of one.",
     "learn": "Make the smallest policy that a graph needs.",

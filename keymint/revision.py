@@ -55,7 +55,9 @@ def at_revision(text: str, folder: Path, environment: Mapping[str, str]) -> Iter
     if path.startswith(("./", "../")):
         prefix = _git(("rev-parse", "--show-prefix"), folder, environment).decode().rstrip("\n")
         path = f"{prefix}{path}"
-    commit = _git(("rev-parse", "--verify", "--quiet", "--end-of-options", f"{name}^{{commit}}"), top, environment, name)
+    commit = _git(
+        ("rev-parse", "--verify", "--quiet", "--end-of-options", f"{name}^{{commit}}"), top, environment, name
+    )
     archive = _git(("archive", "--format=tar", commit.decode().strip()), top, environment)
     with tempfile.TemporaryDirectory(prefix="keymint-") as made:
         root = Path(made).resolve()

@@ -57,7 +57,7 @@ def _taken(rule: Rule, expression: str, permission: str, denials: Sequence[Rule]
     keys = [(kind, part) for kind, part, _ in parts(rule.kind, permission)]
     return tuple(
         dict.fromkeys(
-            theirs
+            theirs + "".join(f" in partition {each!r}" for each in denial.partitions)
             for denial in denials
             for theirs in denial.expressions
             for key in keys

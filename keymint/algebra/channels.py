@@ -11,7 +11,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 
 from keymint.algebra.lists import RAW, Key, asked, in_partition, listed, meet, text
-from keymint.algebra.subjects import EVERY, at_most, can_be, matching, only, rules_of, structure
+from keymint.algebra.subjects import EVERY, at_most, can_be, inside, only, rules_of, structure
 from keymint.api import LoadedPolicy
 from keymint.keymake.algebra import TooComplexError, intersection
 from keymint.keymake.glob import EVERYTHING, Glob, literal, parse
@@ -123,10 +123,8 @@ class Channels:
                         yield Channel(text(subject), text(other), send[0], (send[1], receive[1]), word)
 
     def named(self, expression: str) -> tuple[str, ...]:
-        """Return the subjects that an expression is about: those that the policy names, or the one that it is."""
-        pattern = parse(expression)
-        exact = literal(pattern)
-        return (exact,) if exact is not None else matching(self.policy, pattern)
+        """Return the subjects that an expression is about; see :func:`keymint.algebra.subjects.inside`."""
+        return inside(self.policy, parse(expression))
 
     def _listed(self, subject: str, key: Key) -> DecisionList:
         if (subject, key) not in self._known:

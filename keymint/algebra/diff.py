@@ -78,16 +78,16 @@ def diff(old: LoadedPolicy, new: LoadedPolicy) -> list[Changed]:
     Subjects are those that either policy names, and one example of each pattern of subjects that profiles match.
     """
     named = sorted({*old.subjects(), *new.subjects()})
-    written = [found for policy in (old, new) if (found := structure(policy))]
+    written = [each for policy in (old, new) if (each := structure(policy))]
     like = examples(written, named)
-    found: list[Changed] = []
+    changed: list[Changed] = []
     for subject in (*named, *like):
         before, after = old.rules(subject), new.rules(subject)
         mine, theirs = (each.rules if each else () for each in (before, after))
         changes = () if _same(mine, theirs) else tuple(changes_of(mine, theirs))
         if changes or (subject not in like and (before is None) is not (after is None)):
-            found.append(Changed(subject, like.get(subject, ""), before is not None, after is not None, changes))
-    return found
+            changed.append(Changed(subject, like.get(subject, ""), before is not None, after is not None, changes))
+    return changed
 
 
 def gains(found: Iterable[Changed]) -> bool:

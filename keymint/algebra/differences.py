@@ -21,7 +21,8 @@ def as_text(found: Sequence[Changed], place: Typed) -> Iterator[str]:
     for each in found:
         yield _subject(each)
         for change in each.changes:
-            yield f"  {'+' if change.gains else '-'} {change.permission} {_objects(change, str)} ({place(change.where)})"
+            sign = "+" if change.gains else "-"
+            yield f"  {sign} {change.permission} {_objects(change, str)} ({place(change.where)})"
 
 
 def as_markdown(found: Sequence[Changed], place: Typed, titles: tuple[str, str]) -> Iterator[str]:

@@ -85,9 +85,7 @@ def granting(rules: Sequence[Rule], kind: str, permission: str, word: str) -> Ru
     return None
 
 
-def _said(
-    subject: str, like: str, found: Witness | Unknown, policy: LoadedPolicy, kind: str, permission: str
-) -> Held:
+def _said(subject: str, like: str, found: Witness | Unknown, policy: LoadedPolicy, kind: str, permission: str) -> Held:
     if isinstance(found, Unknown):
         return Held(subject, like, "", None, found.reason)
     rule = granting(rules_of(policy, subject), kind, permission, found.word)
@@ -153,6 +151,8 @@ def _candidates(subjects: Glob, word: str, kind: str) -> Iterator[str]:
             for around in (surround(f"{head}/", (STAR,), ""), (head,) if head else None):
                 if around is not None:
                     near += intersection(subjects, around)
+        for segment in segments[:0:-1]:
+            near += intersection(subjects, surround("", (STAR,), f"/{segment}"))
     for pattern in near:
         subject = example(pattern)
         if subject is not None and subject not in seen:

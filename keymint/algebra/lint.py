@@ -77,7 +77,8 @@ def in_order(found: Iterable[Diagnostic]) -> list[Diagnostic]:
     """Return diagnostics by place, without doubles."""
     nowhere = Origin("")
     return sorted(
-        dict.fromkeys(found), key=lambda each: ((where := each.where or nowhere).file, where.line, each.code, each.message)
+        dict.fromkeys(found),
+        key=lambda each: ((where := each.where or nowhere).file, where.line, each.code, each.message),
     )
 
 
@@ -222,13 +223,14 @@ class _Vain:
         rule = self._applied[subject].units[units[0]][0]
         texts = [self._applied[self._by_unit[unit][0]].units[unit][1] for unit in units]
         whole = sum(unit.place == place and unit.effect is rule.effect for unit in self._by_unit) == len(units)
-        about = f"this {rule.effect} {rule.kind} rule" if whole else f"{_several(texts)} in this {rule.effect} {rule.kind} rule"
+        about = f"{'' if whole else f'{_several(texts)} in '}this {rule.effect} {rule.kind} rule"
         held = ", ".join(rule.permissions)
+        by = self._by(units, Effect.ALLOW if code == "rule-redundant" else Effect.DENY)
         said = {
-            "rule-shadowed": f"{about} ({held}) allows nothing: DENY rules deny all of it{self._by(units, Effect.DENY)}",
-            "rule-redundant": f"{about} ({held}) adds nothing: other rules allow all of it{self._by(units, Effect.ALLOW)}",
-            "deny-redundant": f"{about} ({held}) adds nothing: other rules deny all of it{self._by(units, Effect.DENY)}",
-            "deny-nothing": f"{about} ({held}) denies nothing: no rule allows any of it",
+            "rule-shadowed": f"allows nothing: DENY rules deny all of it{by}",
+            "rule-redundant": f"adds nothing: other rules allow all of it{by}",
+            "deny-redundant": f"adds nothing: other rules deny all of it{by}",
+            "deny-nothing": "denies nothing: no rule allows any of it",
         }[code]
         helps = {
             "rule-shadowed": "remove it, or narrow the DENY: a DENY wins over every ALLOW",
@@ -236,7 +238,7 @@ class _Vain:
             "deny-redundant": "remove it, or narrow the other",
             "deny-nothing": "remove it, or mend its attachment: what nothing allows is denied anyway",
         }
-        return _warning(code, said, rule.origin, helps[code])
+        return _warning(code, f"{about} ({held}) {said}", rule.origin, helps[code])
 
     def _by(self, units: Iterable[_Unit], effect: Effect) -> str:
         """Return the place of a rule of an effect that is about what an expression is about, in words."""
@@ -267,4 +269,3 @@ def _applied(rules: Sequence[Rule]) -> _Applied:
 
 def _warning(code: str, message: str, where: Origin, help_: str) -> Diagnostic:
     return Diagnostic(code, Severity.WARNING, message, where, help_)
-

@@ -12,7 +12,20 @@ from functools import lru_cache
 
 from keymint.ir import Effect, Rule
 from keymint.keymake.composites import PARTS, parts
-from keymint.keymake.glob import ANY, STAR, Charset, Glob, Star, after, charset, literal, normalise, parse, surround, units
+from keymint.keymake.glob import (
+    ANY,
+    STAR,
+    Charset,
+    Glob,
+    Star,
+    after,
+    charset,
+    literal,
+    normalise,
+    parse,
+    surround,
+    units,
+)
 from keymint.proof import PRINTABLE, Block, DecisionList, Outcome, Universe, difference
 
 RAW = "topic"

@@ -52,9 +52,7 @@ def _result(found: Diagnostic, index: int, typed: Callable[[str], str]) -> dict[
 
 def _location(where: Origin, typed: Callable[[str], str]) -> dict[str, Any]:
     path = typed(where.file)
-    place: dict[str, Any] = {
-        "artifactLocation": {"uri": ("file://" if path.startswith("/") else "") + quote(path)}
-    }
+    place: dict[str, Any] = {"artifactLocation": {"uri": ("file://" if path.startswith("/") else "") + quote(path)}}
     if where.line:
         place["region"] = {"startLine": where.line}
     return {"physicalLocation": place}

@@ -35,20 +35,7 @@ def similar_names(subjects: Mapping[str, tuple[Rule, ...]]) -> Iterator[Diagnost
     Args:
         subjects: the rules of each subject that a policy names.
     """
-    exact: dict[str, dict[str, tuple[str, Rule]]] = defaultdict(dict)
-    wild: dict[str, dict[Glob, None]] = defaultdict(dict)
-    for subject, rules in subjects.items():
-        for rule in rules:
-            if rule.effect is not Effect.ALLOW:
-                continue
-            for expression in rule.expressions:
-                pattern = parse(expression)
-                name = literal(pattern)
-                for permission in rule.permissions:
-                    if name is None:
-                        wild[permission][pattern] = None
-                    else:
-                        exact[permission].setdefault(name, (subject, rule))
+    exact, wild = _allowed(subjects)
 
     def alone(permission: str, name: str) -> bool:
         other = _SIDES[permission][1]
@@ -65,12 +52,33 @@ def similar_names(subjects: Mapping[str, tuple[Rule, ...]]) -> Iterator[Diagnost
                 yield Diagnostic(
                     "name-similar",
                     Severity.WARNING,
-                    f"{subject} may {_plain(permission)} the {kind} {name!r} and nobody may {_plain(other)} it, but {whose} "
-                    f"may {_plain(other)} {near!r} ({theirs.origin.file}:{theirs.origin.line})",
+                    f"{subject} may {_plain(permission)} the {kind} {name!r} and nobody may {_plain(other)} it, "
+                    f"but {whose} may {_plain(other)} {near!r} ({theirs.origin.file}:{theirs.origin.line})",
                     rule.origin,
                     f"did you mean {near!r}?",
                     subject,
                 )
+
+
+def _allowed(
+    subjects: Mapping[str, tuple[Rule, ...]],
+) -> tuple[dict[str, dict[str, tuple[str, Rule]]], dict[str, dict[Glob, None]]]:
+    """Return, by permission, the names that are allowed exactly, with who and by which rule, and the patterns."""
+    exact: dict[str, dict[str, tuple[str, Rule]]] = defaultdict(dict)
+    wild: dict[str, dict[Glob, None]] = defaultdict(dict)
+    for subject, rules in subjects.items():
+        for rule in rules:
+            if rule.effect is not Effect.ALLOW:
+                continue
+            for expression in rule.expressions:
+                pattern = parse(expression)
+                name = literal(pattern)
+                for permission in rule.permissions:
+                    if name is None:
+                        wild[permission][pattern] = None
+                    else:
+                        exact[permission].setdefault(name, (subject, rule))
+    return exact, wild
 
 
 def _plain(permission: str) -> str:

@@ -21,6 +21,7 @@ from keymint.proof import Block, DecisionList, Equal, difference
 EVERY = parse("/*")
 """What every subject matches."""
 _LEGAL = re.compile(r"(/[A-Za-z_][A-Za-z0-9_]*)+")
+_PREFERRED = "xyzabcdefghijklmnopqrstuvw0123456789_/ABCDEFGHIJKLMNOPQRSTUVWXYZ"
 _MOST_EXAMPLES = 400
 _NODE = "ros_parameter"
 
@@ -91,7 +92,7 @@ def example(pattern: Glob) -> str | None:
 
 
 def _member(members: Charset) -> str:
-    return next((char for char in "xyzabcdefghijklmnopqrstuvw0123456789_/ABCDEFGHIJKLMNOPQRSTUVWXYZ" if char in members), "")
+    return next((char for char in _PREFERRED if char in members), "")
 
 
 def examples(structures: Iterable[Structure], known: Iterable[str]) -> dict[str, str]:
@@ -172,7 +173,9 @@ def _surely_denied(denials: Sequence[Clause], subjects: Glob, key: Key) -> Itera
             surely = clause.expand(text((f"{head}/",)), text((last,)))
         else:
             surely = tuple(
-                one for one, other in zip(clause.expand("/a/", "a"), clause.expand("/b/", "b"), strict=True) if one == other
+                one
+                for one, other in zip(clause.expand("/a/", "a"), clause.expand("/b/", "b"), strict=True)
+                if one == other
             )
         for expression in surely:
             yield from patterns(clause.rule, expression, key)
@@ -181,21 +184,37 @@ def _surely_denied(denials: Sequence[Clause], subjects: Glob, key: Key) -> Itera
 def splits(subjects: Glob) -> Iterator[tuple[Glob, Glob]]:
     """Yield patterns of namespace and name so that each subject that a pattern matches is of one of them."""
     flat = units(subjects)
-    for at, token in enumerate(flat):
+    for at, unit in enumerate(flat):
         rest = flat[at + 1 :]
         if "/" in rest:
             continue
-        if token == "/":
+        if unit == "/":
             yield normalise(flat[: at + 1]), normalise(rest)
-        elif isinstance(token, Star):
-            yield normalise((*flat[: at + 1], "/")), normalise((token, *rest))
-        elif isinstance(token, Charset) and "/" in token:
+        elif isinstance(unit, Star):
+            yield normalise((*flat[: at + 1], "/")), normalise((unit, *rest))
+        elif isinstance(unit, Charset) and "/" in unit:
             yield normalise((*flat[:at], "/")), normalise(rest)
 
 
 def matching(policy: LoadedPolicy, pattern: Glob) -> tuple[str, ...]:
     """Return the subjects that a policy names exactly and a pattern matches."""
     return tuple(subject for subject in policy.subjects() if matches(pattern, subject))
+
+
+def inside(policy: LoadedPolicy, pattern: Glob) -> tuple[str, ...]:
+    """Return the subject that a pattern is, or those that a policy names, or else an example for each profile."""
+    exact = literal(pattern)
+    named = (exact,) if exact is not None else matching(policy, pattern)
+    written = None if named else structure(policy)
+    found: dict[str, None] = {}
+    for profile in written.profiles if written else ():
+        chain = (*profile.around, tuple(expression for expression, _ in profile.attachments))
+        try:
+            reachable = [one for piece in intersection(pattern, EVERY) for one in reached(chain, piece)]
+        except TooComplexError:
+            continue
+        found |= dict.fromkeys(subject for one in reachable if (subject := example(one)) is not None)
+    return named or tuple(found)
 
 
 def only(pattern: Glob, decided: DecisionList) -> DecisionList:

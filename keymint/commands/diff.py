@@ -27,10 +27,8 @@ FORMATS = ("text", "markdown", "json")
 @click.argument("new", metavar="B")
 @click.option("-f", "--format", "kind", type=click.Choice(FORMATS), default="text", show_default=True)
 @policy_options
-def diff(
-    run: Run, old: str, new: str, kind: str, distro: str | None, profile_type: str, policy_type: str
-) -> Report:
-    r"""Compare the policies A and B by meaning: what each subject gains and loses, over all names there are.
+def diff(run: Run, old: str, new: str, kind: str, distro: str | None, profile_type: str, policy_type: str) -> Report:
+    """Compare the policies A and B by meaning: what each subject gains and loses, over all names there are.
 
     A and B are ComArmor files or folders, workspaces, or any of these at a revision of git: REV:PATH. Subjects are
     those that a policy names, and one example of each pattern of subjects that profiles match. Kinds are compared each

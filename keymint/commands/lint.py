@@ -33,7 +33,7 @@ def lint(
     profile_type: str,
     policy_type: str,
 ) -> Report:
-    r"""Find what in POLICY is in vain, or is likely not meant.
+    """Find what in POLICY is in vain, or is likely not meant.
 
     \b
     rules that nothing is left of, or that add nothing; denials that deny nothing

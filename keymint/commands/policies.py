@@ -25,7 +25,7 @@ def policy_options(function: Function) -> Function:
             click.option(
                 "--distro",
                 metavar="NAME",
-                help="ROS 2 distribution of what a policy includes [that of the workspace, else $ROS_DISTRO, else jazzy].",
+                help="ROS 2 distribution of what a policy includes [of the workspace, else $ROS_DISTRO, else jazzy].",
             ),
             click.option(
                 "--profile-type", default="keymint_ros", metavar="NAME", help="Plugin that has what a policy includes."
@@ -89,17 +89,15 @@ class Policies:
             self.distro = loaded.profile.distro
         return load_policy(inputs, loaded)
 
-    def folders(self, path: Path | None) -> Sequence[Path]:
-        """Return the policies that :meth:`load` reads, by resolved path."""
-        if path is not None:
-            folder = self._run.setting.cwd / path
-            workspace = Workspace.at(folder, {}, self._run.setting.cwd)
-            if not workspace.exists():
-                return (folder.resolve(),)
-        else:
-            workspace = self._run.workspace()
-        inputs = self._run.inputs(workspace)
-        return tuple(source.path.resolve() for source in inputs.profile().profile.policies)
+    def places(self, path: Path | None) -> tuple[Sequence[Path], Path]:
+        """Return where the policies are that :meth:`load` reads, and the library that they include from; resolved."""
+        folder = self._run.setting.cwd / path if path is not None else None
+        workspace = Workspace.at(folder, {}, self._run.setting.cwd) if folder else self._run.workspace()
+        shipped = self._run.plugins.profile_type(self._profile_type).library(self.distro)
+        if folder and not workspace.exists():
+            return (folder.resolve(),), shipped.resolve()
+        profile = self._run.inputs(workspace).profile().profile
+        return tuple(source.path.resolve() for source in profile.policies), (profile.library or shipped).resolve()
 
 
 def typed(run: Run) -> Callable[[str], str]:
@@ -113,4 +111,3 @@ def place(run: Run, where: Origin | None) -> str:
         return ""
     file = typed(run)(where.file)
     return f"{file}:{where.line}" if where.line else file
-

@@ -40,7 +40,7 @@ def query(
     profile_type: str,
     policy_type: str,
 ) -> Report:
-    r"""Ask a policy a question. SUBJECT and OBJECT may be patterns; a permission may lack its 'ros_'.
+    """Ask a policy a question. SUBJECT and OBJECT may be patterns; a permission may lack its 'ros_'.
 
     \b
     keymint query who can publish /safety/estop
@@ -172,7 +172,7 @@ def _what(run: Run, policy: LoadedPolicy, question: Question) -> _Answer:
     if rows:
         run.console.table([*(["SUBJECT"] if len(subjects) > 1 else []), "PERMISSION", "OBJECTS", "RULE"], rows)
     elif not subjects:
-        run.console.line(f"the policy names no subject that {expression} matches")
+        run.console.line(f"no profile of the policy applies to any subject that {expression} matches")
     else:
         applies = any(policy.rules(subject) is not None for subject in subjects)
         why = "no rule allows it anything" if applies else "no profile of the policy applies to it"
@@ -186,7 +186,7 @@ def _flows(run: Run, policy: LoadedPolicy, question: Question, but: Sequence[str
     sources, targets = channels.named(one), channels.named(other)
     for expression, found in ((one, sources), (other, targets)):
         if not found:
-            run.console.line(f"the policy names no subject that {expression} matches")
+            run.console.line(f"no profile of the policy applies to any subject that {expression} matches")
     path = channels.path(sources, targets) if sources and targets else None
     if path is None:
         run.console.line(f"no: nothing flows from {one} to {other}")

@@ -61,7 +61,7 @@ def check_issuers(package: Package) -> Iterator[Diagnostic]:
             yield Diagnostic(
                 "portability-chain",
                 Severity.WARNING,
-                f"the authority {authority.name!r} is an intermediate one; Cyclone DDS refuses the identities it issues",
+                f"the authority {authority.name!r} is an intermediate one; Cyclone DDS refuses identities of its",
                 spec.origin,
                 "let a self-signed authority issue identities",
             )

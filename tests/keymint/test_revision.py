@@ -29,7 +29,9 @@ def git(folder: Path, *arguments: str) -> None:
     subprocess.run(["git", *arguments], cwd=folder, check=True, capture_output=True)
 
 
-@pytest.mark.parametrize(("text", "inside"), [("HEAD~1:d/f.xml", "."), ("HEAD~1:./f.xml", "d"), ("HEAD~1:d/f.xml", "d")])
+@pytest.mark.parametrize(
+    ("text", "inside"), [("HEAD~1:d/f.xml", "."), ("HEAD~1:./f.xml", "d"), ("HEAD~1:d/f.xml", "d")]
+)
 def test_a_file_as_it_was(repository: Path, text: str, inside: str) -> None:
     with at_revision(text, repository / inside, os.environ) as found:
         assert found.path.read_text() == "old"

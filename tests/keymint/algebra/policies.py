@@ -6,6 +6,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 import keymint_ros2_comarmor
+
 from keymint.api import LoadedPolicy, PolicySource
 from keymint.errors import Origin
 

@@ -59,7 +59,9 @@ def test_of_a_subject(tmp_path: Path, old: list[str], new: list[str], expected: 
 
 
 def test_partitions(tmp_path: Path) -> None:
-    narrowed = rule("topic", "publish", "a").replace("</topic>", "<partitions><partition>p*</partition></partitions></topic>")
+    narrowed = rule("topic", "publish", "a").replace(
+        "</topic>", "<partitions><partition>p*</partition></partitions></topic>"
+    )
     said = changed(tmp_path, profile("/s", rule("topic", "publish", "a")), profile("/s", narrowed))
     assert said == [("/s", "+ publish a in partition 'p*'"), ("/s", "- publish a")]
 
@@ -76,7 +78,10 @@ def test_subjects_that_come_go_or_are_not_named(tmp_path: Path) -> None:
 
 
 def test_an_example_is_shortest_and_has_its_rule(tmp_path: Path) -> None:
-    one, other = loaded(tmp_path, profile("/s")), loaded(tmp_path, profile("/s", rule(*PUB, "/x/*"), deny(*PUB, "/x/?")))
+    one, other = (
+        loaded(tmp_path, profile("/s")),
+        loaded(tmp_path, profile("/s", rule(*PUB, "/x/*"), deny(*PUB, "/x/?"))),
+    )
     (found,) = diff(one, other)
     (change,) = found.changes
     assert (change.example, change.where.line, change.whole) == ("/x/aa", 3, False)

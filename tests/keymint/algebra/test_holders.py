@@ -37,8 +37,12 @@ def who(folder: Path, policy: str, permission: str, name: str, within: str = "*"
         (profile("/g/*", rule(*PUB, "/x")), ("publish", "/x"), [("/g/x", "/x")]),
         (profile("/g/*", rule(*PUB, "{namespace}x")), ("publish", "/g/h/x"), [("/g/h/x", "/g/h/x")]),
         (profile("/g/*", rule(*PUB, "{namespace}x")), ("publish", "/safety/*"), []),
-        (profile("*/talker", rule(*PUB, "{namespace}estop")), ("publish", "/safety/estop"), [("/safety/talker", "/safety/estop")]),
-        (profile("*", rule(*PUB, "/own/{name}")), ("publish", "/own/arm"), [("/arm", "/own/arm")]),
+        (
+            profile("*/talker", rule(*PUB, "{namespace}estop")),
+            ("publish", "/safety/estop"),
+            [("/safety/talker", "/safety/estop")],
+        ),
+        (profile("*", rule(*PUB, "/own/{name}")), ("publish", "/own/arm"), [("/x/arm", "/own/arm")]),
         (profile("/g/*", rule(*PUB, "/x"), deny(*PUB, "/*")), ("publish", "/x"), []),
         (profile("/g/*", rule(*PUB, "/x")) + profile("*", deny(*PUB, "/x")), ("publish", "/x"), []),
         (profile("/a", rule("ros_action", "ros_request", "/go")), ("request", "/go"), [("/a", "/go")]),
@@ -53,12 +57,7 @@ def who(folder: Path, policy: str, permission: str, name: str, within: str = "*"
     ],
 )
 def test_who(tmp_path: Path, policy: str, question: tuple[str, str], expected: list[tuple[str, str]]) -> None:
-    found = who(tmp_path, policy, *question)
-    if len(expected) == 1 and expected[0][0] == "/g/h/x":
-        assert found
-        assert found[0][1] == "/g/h/x"
-    else:
-        assert found == expected
+    assert who(tmp_path, policy, *question) == expected
 
 
 def test_within_a_pattern_of_subjects(tmp_path: Path) -> None:
@@ -67,7 +66,9 @@ def test_within_a_pattern_of_subjects(tmp_path: Path) -> None:
     assert who(tmp_path, policy, "subscribe", "/amr2/*", "/amr3/*") == []
 
 
-EXPRESSIONS = st.sampled_from(["/a", "/a/b", "/a/*", "/*", "*/b", "/[ab]", "/?", "{namespace}b", "/a/{name}", "{namespace}*"])
+EXPRESSIONS = st.sampled_from(
+    ["/a", "/a/b", "/a/*", "/*", "*/b", "/[ab]", "/?", "{namespace}b", "/a/{name}", "{namespace}*"]
+)
 ATTACHED = st.sampled_from(["/a", "/a/b", "/a/*", "*/b", "/*", "/[ab]/b"])
 SUBJECTS = ["/a", "/b", "/a/b", "/a/c", "/b/b", "/a/b/b", "/c/d/b"]
 NAMES = ["/a", "/b", "/a/b", "/a/a", "/b/b", "/a/b/b", "/c/d/b"]

@@ -51,7 +51,9 @@ def test_rules(tmp_path: Path, rules: list[str], expected: list[tuple[str, int]]
 
 
 def test_partitions_are_part_of_what_a_rule_is_about(tmp_path: Path) -> None:
-    narrowed = rule("topic", "publish", "a").replace("</topic>", "<partitions><partition>p</partition></partitions></topic>")
+    narrowed = rule("topic", "publish", "a").replace(
+        "</topic>", "<partitions><partition>p</partition></partitions></topic>"
+    )
     assert found(tmp_path, profile("/s", rule("topic", "publish", "a"), narrowed)) == []
     assert found(tmp_path, profile("/s", narrowed, narrowed)) == [("rule-redundant", 4)]
 

@@ -41,6 +41,7 @@ CALLS = {
     "lint": ["lint", "policy.xml"],
     "diff": ["diff", "policy.xml", "policy.xml"],
     "query": ["query", "policy.xml", "who", "can", "publish", "/chatter"],
+    "test": ["test", "policy.xml"],
     "graph": ["graph", "policy.xml"],
     "plugins": ["plugins"],
     "transports": ["transports"],
@@ -53,6 +54,9 @@ def graph(tmp_path: Path) -> None:
     """A graph for the verbs that take one."""
     edge = Edge("/talker", "ros_publish", Object("ros_topic", "/chatter"))
     (tmp_path / "graph.json").write_bytes(dump(Graph.of([edge])))
+    (tmp_path / "policy.test.xml").write_text(
+        '<tests><test name="t"><allow subject="/talker" permission="publish" object="/chatter"/></test></tests>'
+    )
 
 
 def test_every_verb_has_it() -> None:

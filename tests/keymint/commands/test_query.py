@@ -62,6 +62,7 @@ def test_partitions(keymint, tmp_path: Path) -> None:
     question = ["query", "p.xml", "can", "/a", "publish", "t"]
     assert keymint(*question).out.startswith("no:")
     assert "t in partition 'ops'" in keymint(*question, "--partition", "o*").out
+    assert "publish     t in partition 'ops'" in keymint("query", "p.xml", "what can /a do").out
 
 
 @pytest.mark.parametrize(
@@ -81,6 +82,22 @@ def test_mistakes(keymint, policy: Path, question: str, said: str) -> None:
     outcome = keymint("query", policy, *question.split())
     assert (outcome.code, outcome.out) == (2, "")
     assert said in outcome.err
+
+
+def test_subjects_that_the_policy_does_not_name(keymint, tmp_path: Path) -> None:
+    (tmp_path / "p.xml").write_text(
+        '<profiles><profile name="g"><attachment>/guest/*</attachment><ros_topic qualifier="ALLOW"><attachment>'
+        "{namespace}say</attachment><permissions><ros_publish/><ros_subscribe/></permissions></ros_topic></profile>"
+        "</profiles>"
+    )
+    told = keymint("query", "p.xml", "what", "can", "/guest/*", "do", "--json").document["result"]
+    assert told["subjects"] == ["/guest/x"]
+    assert told["abilities"][0]["expression"] == "/guest/say"
+    assert keymint("query", "p.xml", "what", "can", "/host/*", "do").out == (
+        "no profile of the policy applies to any subject that /host/* matches\n"
+    )
+    assert keymint("query", "p.xml", "isolated", "/guest/a/*", "/guest/b/*").code == 0
+    assert keymint("query", "p.xml", "isolated", "/guest/*", "/guest/b").code == 3
 
 
 def test_no_question(keymint, policy: Path) -> None:

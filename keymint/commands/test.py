@@ -1,0 +1,135 @@
+"""``keymint test``: runs a policy's own unit tests."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+import click
+
+from keymint.algebra.expected import Checked, Checks, Place, diagnostics
+from keymint.algebra.junit import junit as as_junit
+from keymint.api import Expectation
+from keymint.commands.common import Run, verb
+from keymint.commands.files import write_outputs
+from keymint.commands.policies import Policies, policy_options, typed
+from keymint.errors import Diagnostic, ExitCode, KeymintError, Origin, Severity
+from keymint.ir import Rule
+from keymint.report import Report
+
+_PATH = click.Path(path_type=Path)
+
+
+@verb()
+@click.argument("policy", required=False, type=_PATH)
+@click.option("--junit", type=click.Path(path_type=Path, dir_okay=False), metavar="FILE", help="Write JUnit XML.")
+@click.option(
+    "--min-coverage",
+    type=click.FloatRange(0, 100),
+    default=0.0,
+    metavar="PERCENT",
+    help="So many of the policy's rules must be exercised by an expectation [0].",
+)
+@policy_options
+def test(
+    run: Run,
+    policy: Path | None,
+    junit: Path | None,
+    min_coverage: float,
+    distro: str | None,
+    profile_type: str,
+    policy_type: str,
+) -> Report:
+    """Run the unit tests of POLICY: NAME.test.xml beside NAME.xml, or all *.test.xml in its folder.
+
+    \b
+    <tests>
+      <test name="guests stay away from safety">
+        <allow subject="/guest/ui" permission="subscribe" object="/status"/>
+        <deny subject="/guest/*" permission="call" object="/safety/*"/>
+      </test>
+    </tests>
+
+    A denial holds for every subject and every name that the expressions match, also for those that the policy does not
+    name. An allowance holds for every name, and for every subject that the policy names. -v lists the rules that no
+    expectation is about. Ends with 3 when an expectation does not hold.
+    """
+    policies = Policies(run, distro, profile_type, policy_type)
+    read = getattr(run.plugins.policy_type(policies.policy_type), "expectations", None)
+    if read is None:
+        raise KeymintError(f"the policy type {policies.policy_type} has no unit tests", code="tests-none")
+    folders, library = policies.places(policy)
+    files: dict[Path, Sequence[Expectation]] = {}
+    for folder in folders:
+        files |= read(folder)
+    if not any(files.values()):
+        shown = typed(run)(str(folders[0]))
+        beside = f"{shown}/*.test.xml" if folders[0].is_dir() else f"{shown.removesuffix('.xml')}.test.xml"
+        raise KeymintError("the policy has no tests", where=Origin(shown), help=f"write {beside}", code="tests-none")
+    checks = Checks(policies.load(policy))
+    found = {typed(run)(str(file)): _checked(checks, expected) for file, expected in files.items()}
+    every = [each for checked in found.values() for each in checked]
+    rules = _own(checks.rules(), folders, library)
+    exercised = {place for each in every for place in each.exercised}
+    idle = [rule for place, rule in rules.items() if place not in exercised]
+    percent = 100 * (len(rules) - len(idle)) / len(rules) if rules else 100.0
+    said = [*diagnostics(every), *_idle(idle)]
+    if percent < min_coverage:
+        message = f"{percent:.0f} % of the rules are exercised, expected are {min_coverage:g} %"
+        said.append(Diagnostic("coverage-low", Severity.ERROR, message, help="'keymint test -v' lists the others"))
+    if junit is not None:
+        write_outputs(run, junit, as_junit(found))
+    broken = sum(bool(each.failure) for each in every)
+    run.console.line(
+        f"{len(every) - broken} of {len(every)} expectations hold; "
+        f"{len(rules) - len(idle)} of {len(rules)} rules are exercised ({percent:.0f} %)"
+    )
+    result = {
+        "files": {
+            file: {"expectations": len(each), "failed": sum(bool(one.failure) for one in each)}
+            for file, each in found.items()
+        },
+        "expectations": len(every),
+        "failed": broken,
+        "rules": len(rules),
+        "exercised": len(rules) - len(idle),
+    }
+    bad = broken or percent < min_coverage
+    return Report(run.verb, None, (), said, result, ExitCode.FINDINGS if bad else ExitCode.DONE)
+
+
+def _checked(checks: Checks, expected: Sequence[Expectation]) -> list[Checked]:
+    """Check the expectations of a file; all that make no sense are said together."""
+    found: list[Checked] = []
+    defects: list[Diagnostic] = []
+    for each in expected:
+        try:
+            found.append(checks.check(each))
+        except KeymintError as error:
+            defects += error.diagnostics
+    if defects:
+        raise KeymintError.of(defects)
+    return found
+
+
+def _own(rules: Mapping[Place, Rule], folders: Sequence[Path], library: Path) -> dict[Place, Rule]:
+    """Return the rules of the policy itself: those of the library are not for its tests."""
+    own = [folder if folder.is_dir() else folder.parent for folder in folders]
+    found: dict[Place, Rule] = {}
+    for place in sorted(rules):
+        file = Path(place[0]).resolve()
+        if any(file.is_relative_to(folder) for folder in own) and not file.is_relative_to(library):
+            found[place] = rules[place]
+    return found
+
+
+def _idle(rules: Sequence[Rule]) -> list[Diagnostic]:
+    return [
+        Diagnostic(
+            "rule-untested",
+            Severity.NOTE,
+            f"no expectation is about this {rule.effect} {rule.kind} rule ({', '.join(rule.permissions)})",
+            Origin(rule.origin.file, rule.origin.line),
+        )
+        for rule in rules
+    ]
