@@ -47,7 +47,7 @@ def why(
     domain: int,
     chosen: tuple[str, ...],
 ) -> Report:
-    r"""Explain why SUBJECT has PERMISSION on OBJECT, or has not: policy, package, DDS names, document, transports.
+    """Explain why SUBJECT has PERMISSION on OBJECT, or has not: policy, package, DDS names, document, transports.
 
     \b
     keymint why /talker ros_publish /chatter

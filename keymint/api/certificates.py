@@ -1,0 +1,85 @@
+"""Certificates, as a profile or a package asks for them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from datetime import datetime
+
+from keymint.errors import Origin
+
+
+@dataclass(frozen=True, slots=True)
+class Validity:
+    """A period of validity, in UTC, both ends included (RFC 5280, 4.1.2.5)."""
+
+    not_before: datetime
+    not_after: datetime
+
+
+@dataclass(frozen=True, slots=True)
+class KeySpec:
+    """An asymmetric key to mint.
+
+    Attributes:
+        algorithm: ``"ec"`` or ``"rsa"``.
+        curve: for EC, upper case SEC name, e.g. ``SECP256R1``; else empty.
+        size: for RSA, bits; else 0.
+        password_env: name of the environment variable that holds the password the stored key is encrypted with;
+            empty for a key stored unencrypted (mode 0600).
+    """
+
+    algorithm: str
+    curve: str = ""
+    size: int = 0
+    password_env: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class Extension:
+    """An X.509 v3 extension in the notation of OpenSSL's ``x509v3_config``.
+
+    Attributes:
+        name: short name (``basicConstraints``, ``keyUsage``, ``extendedKeyUsage``, ``subjectAltName``, …).
+        value: e.g. ``CA:TRUE, pathlen:0`` or ``digitalSignature, keyCertSign``.
+        critical: marks the extension critical.
+        origin: where a person wrote it.
+    """
+
+    name: str
+    value: str
+    critical: bool
+    origin: Origin
+
+
+@dataclass(frozen=True, slots=True)
+class CertificateSpec:
+    """A certificate to issue.
+
+    Attributes:
+        subject_name: distinguished name as text (RFC 4514 or OpenSSL's one-line form), placeholders expanded, in
+            certificate order: ``CN=/talker,OU=2f…``.
+        validity: what is asked for; it is clamped to the issuer's when issued.
+        serial: serial number, or None for a random one.
+        issuer: name of the issuing authority; empty for a self-signed certificate.
+        hash_algorithm: ``SHA256``, ``SHA384`` or ``SHA512``.
+        key: the key pair.
+        extensions: extensions beside, or in place of, the defaults of its role (authority or identity).
+        origin: where a person asked for it.
+    """
+
+    subject_name: str
+    validity: Validity
+    serial: int | None
+    issuer: str
+    hash_algorithm: str
+    key: KeySpec
+    extensions: tuple[Extension, ...]
+    origin: Origin
+
+
+@dataclass(frozen=True, slots=True)
+class Authority:
+    """A certificate authority of the workspace: its name in the profile, and its certificate."""
+
+    name: str
+    certificate: CertificateSpec

@@ -1,0 +1,105 @@
+"""What a package asks of its transport, and the package itself."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from keymint.api.certificates import Authority, CertificateSpec, Validity
+from keymint.errors import Diagnostic, Origin
+from keymint.ir import SubjectRules
+
+
+@dataclass(frozen=True, slots=True, order=True)
+class DomainRange:
+    """DDS domain ids from ``first`` to ``last``, both included."""
+
+    first: int
+    last: int
+
+
+@dataclass(frozen=True, slots=True)
+class TopicProtection:
+    """A rule of a governance document for the topics that match (DDS Security 1.1, 9.4.1.2.5).
+
+    Attributes:
+        kind: ``topic`` for a raw DDS topic expression, or ``ros_topic``, ``ros_service``, ``ros_action``,
+            ``ros_parameter`` for an expression over ROS names.
+        expression: POSIX ``fnmatch`` expression.
+        metadata_protection_kind: NONE, SIGN, ENCRYPT, SIGN_WITH_ORIGIN_AUTHENTICATION, ENCRYPT_WITH_….
+        data_protection_kind: NONE, SIGN or ENCRYPT.
+    """
+
+    kind: str
+    expression: str
+    enable_discovery_protection: bool
+    enable_liveliness_protection: bool
+    enable_read_access_control: bool
+    enable_write_access_control: bool
+    metadata_protection_kind: str
+    data_protection_kind: str
+    origin: Origin
+
+
+@dataclass(frozen=True, slots=True)
+class DomainRule:
+    """A domain rule of a governance document (DDS Security 1.1, 9.4.1.2.4)."""
+
+    domains: tuple[DomainRange, ...]
+    allow_unauthenticated_participants: bool
+    enable_join_access_control: bool
+    discovery_protection_kind: str
+    liveliness_protection_kind: str
+    rtps_protection_kind: str
+    topic_rules: tuple[TopicProtection, ...]
+    origin: Origin
+
+
+@dataclass(frozen=True, slots=True)
+class Governance:
+    """Protection of domains and topics, signed by ``issuer``, an authority's name."""
+
+    issuer: str
+    domain_rules: tuple[DomainRule, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class Permissions:
+    """The grant of a subject: what it may do, where and how long, signed by ``issuer``, an authority's name.
+
+    Attributes:
+        grant_name: the grant's name attribute.
+        subject_name: distinguished name as text; must be that of the identity.
+        domains: domains in which the grant holds.
+    """
+
+    issuer: str
+    grant_name: str
+    subject_name: str
+    validity: Validity
+    domains: tuple[DomainRange, ...]
+    rules: SubjectRules
+    origin: Origin
+
+
+@dataclass(frozen=True, slots=True)
+class Package:
+    """A source package, loaded: everything that a build type needs to know of one subject.
+
+    Attributes:
+        name: package name, e.g. ``robot1/arm/driver`` (its folder under the source space).
+        subject: ``"/" + name``.
+        build_type: name of the plugin that builds it.
+        distro: ROS 2 distribution whose name mapping applies.
+        identity: the certificate of the subject.
+        issuers: the authorities above the identity, from its issuer up to the root.
+    """
+
+    name: str
+    subject: str
+    build_type: str
+    distro: str
+    identity: CertificateSpec
+    permissions: Permissions
+    governance: Governance
+    issuers: tuple[Authority, ...] = ()
+    diagnostics: tuple[Diagnostic, ...] = ()

@@ -1,0 +1,99 @@
+"""Proving: what is claimed of installed documents over all names."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from enum import StrEnum
+from typing import Protocol
+
+from keymint.api.packages import DomainRange
+from keymint.api.policies import PolicyDecision
+from keymint.api.transports import Verdict
+from keymint.graph import Edge
+from keymint.ir import SubjectRules
+
+
+@dataclass(frozen=True, slots=True)
+class Obligation:
+    """What is to be proven: the documents of an enclave permit exactly what a policy says, over all names.
+
+    Attributes:
+        rules: what the policy says of the subject.
+        distro: ROS 2 distribution whose name mapping applies.
+        domains: the domains in which the policy holds.
+        files: the enclave's files by name, as they are installed.
+        folder: the enclave's folder as the user would type it.
+        states: how many states a question may visit.
+        go_on: asked again and again; a question is given up when it returns False.
+    """
+
+    rules: SubjectRules
+    distro: str
+    domains: tuple[DomainRange, ...]
+    files: Mapping[str, bytes] = field(repr=False)
+    folder: str
+    states: int
+    go_on: Callable[[], bool]
+
+
+class Proof(StrEnum):
+    """How a claim stands; one that is unknown is not proven."""
+
+    PROVEN = "proven"
+    COUNTEREXAMPLE = "counterexample"
+    UNKNOWN = "unknown"
+
+
+@dataclass(frozen=True, slots=True)
+class Counterexample:
+    """A name about which policy and document differ; none is shorter.
+
+    Attributes:
+        endpoint: the edge of kind ``topic``, with its partition if that matters.
+        meaning: the edge on a ROS name that needs it, or None.
+        policy: what the policy says, and by which rule.
+        document: what the document says, and in which of its lines.
+    """
+
+    endpoint: Edge
+    meaning: Edge | None
+    policy: PolicyDecision
+    document: Verdict
+
+
+@dataclass(frozen=True, slots=True)
+class Claim:
+    """That a document, as a model reads it, permits an action exactly where the policy does.
+
+    Attributes:
+        model: whose reading: the standard's, or a vendor's.
+        action: ``publish`` or ``subscribe``.
+        domains: the DDS domains it is about.
+        universe: the names it is about, in words.
+        proof: how it stands.
+        reason: why it is unknown, in one line.
+        counterexample: if there is one.
+    """
+
+    model: str
+    action: str
+    domains: tuple[DomainRange, ...]
+    universe: str
+    proof: Proof
+    reason: str = ""
+    counterexample: Counterexample | None = None
+
+
+class Prover(Protocol):
+    """What a build type may offer beside :class:`BuildType`: proofs about what it installs."""
+
+    def assumptions(self) -> Mapping[str, Sequence[str]]:
+        """Return what every claim takes for granted, one line each, by model."""
+
+    def prove(self, obligation: Obligation) -> Sequence[Claim]:
+        """Return a claim for each model, action and group of domains.
+
+        Raises:
+            KeymintError: the enclave has no document that can be read.
+        """
