@@ -35,7 +35,7 @@ class MintedAuthority:
         """What issues certificates.
 
         Raises:
-            KeymintError: its private key is kept elsewhere.
+            KeymintError: its private key is kept elsewhere, or its password is not set.
         """
         return self._with_key()[0]
 
@@ -44,7 +44,7 @@ class MintedAuthority:
         """What signs documents.
 
         Raises:
-            KeymintError: its private key is kept elsewhere.
+            KeymintError: its private key is kept elsewhere, or its password is not set.
         """
         return self._with_key()[1]
 
@@ -120,8 +120,9 @@ def _plan_authority(
     changes: list[FolderChange] = []
     above = minted[spec.issuer] if spec.issuer else None
     certificate, pem = inputs.tree.read(certificate_path), inputs.tree.read(key_path)
-    if pem is None and certificate is not None:
-        return _kept_elsewhere(inputs, authority, certificate, above), (), ()
+    lacking = _lacking(inputs, authority, pem)
+    if certificate is not None and lacking is not None:
+        return _without_key(inputs, authority, certificate, above, lacking), (), ()
     secret = password(spec.key, inputs.environment, spec.origin)
     if pem is None:
         key = keys.generate(spec.key, spec.origin)
@@ -140,8 +141,28 @@ def _plan_authority(
     return MintedAuthority(loaded, certificate + (above.chain if above else b""), keyed), tuple(changes), said
 
 
-def _kept_elsewhere(inputs: Inputs, authority: Authority, pem: bytes, above: MintedAuthority | None) -> MintedAuthority:
-    """Return an authority whose private key is not here, as that of an offline root.
+def _lacking(inputs: Inputs, authority: Authority, pem: bytes | None) -> KeymintError | None:
+    """Return what keeps an authority's private key from being used here, or None: an offline root is no defect."""
+    spec = authority.certificate
+    if pem is None:
+        certificate = inputs.workspace.shown(inputs.workspace.authority_certificate(authority.name))
+        return KeymintError(
+            f"the private key of the authority {authority.name!r} is not here, and is needed to sign anew",
+            where=Origin(inputs.workspace.shown(inputs.workspace.authority_key(authority.name))),
+            help=f"restore it; for a new authority, whose enclaves trust no older ones, remove {certificate} as well",
+            code="authority-key-missing",
+        )
+    try:
+        password(spec.key, inputs.environment, spec.origin)
+    except KeymintError as error:
+        return error
+    return None
+
+
+def _without_key(
+    inputs: Inputs, authority: Authority, pem: bytes, above: MintedAuthority | None, lacking: KeymintError
+) -> MintedAuthority:
+    """Return an authority whose private key cannot be used here.
 
     Raises:
         KeymintError: the profile asks for another certificate than is here, which takes the key.
@@ -149,15 +170,9 @@ def _kept_elsewhere(inputs: Inputs, authority: Authority, pem: bytes, above: Min
     spec = authority.certificate
     shown = inputs.workspace.shown(inputs.workspace.authority_certificate(authority.name))
     certificate = certificates.load(pem, Origin(shown))
-    missing = KeymintError(
-        f"the private key of the authority {authority.name!r} is not here, and is needed to sign anew",
-        where=Origin(inputs.workspace.shown(inputs.workspace.authority_key(authority.name))),
-        help=f"restore it; for a new authority, whose enclaves trust no older ones, remove {shown} as well",
-        code="authority-key-missing",
-    )
     public_key = certificates.public_key(certificate)
     if not keys.fits(public_key, spec.key) or not satisfies(
         pem, spec, public_key, above.certificate if above else None
     ):
-        raise missing
-    return MintedAuthority(certificate, pem + (above.chain if above else b""), missing)
+        raise lacking
+    return MintedAuthority(certificate, pem + (above.chain if above else b""), lacking)

@@ -140,6 +140,13 @@ def _plan_enclave(
         )
     files = sources.files(inputs, name)
     folder = workspace.enclaves(loaded.profile.layout) / name
+    if folder.is_symlink():
+        raise KeymintError(
+            "is a symbolic link, which is refused: an enclave is a folder of its own",
+            where=Origin(workspace.shown(folder)),
+            help="remove the link",
+            code="symlink-refused",
+        )
     chains = {authority: minted.chain for authority, minted in authorities.items()}
     if is_current(inputs, loaded, name, files, chains):
         return _Enclave(Step(STAGE, name, Action.UNCHANGED), None, "", {}, ())

@@ -149,6 +149,15 @@ def test_sources_and_policy_that_changed_are_said(keymint, provisioned: Path, po
     assert (outcome.code, outcome.err) == (0, "")
 
 
+def test_an_enclave_that_is_a_link_is_refused(keymint, provisioned: Path, tmp_path: Path) -> None:
+    folder = provisioned / "install/enclaves/talker"
+    folder.rename(tmp_path / "elsewhere")
+    folder.symlink_to(tmp_path / "elsewhere")
+    outcome = keymint("install", cwd=provisioned)
+    assert outcome.code == 1
+    assert "install/enclaves/talker: error: is a symbolic link" in outcome.err
+
+
 class TestPrune:
     def remove(self, ws: Path) -> None:
         for path in (ws / "src/talker").iterdir():
@@ -239,6 +248,7 @@ class TestAuthorities:
         assert "the environment variable CA_PASSWORD, which holds the key's password, is not set" in outcome.err
         assert keymint("install", cwd=ws, env={"CA_PASSWORD": "correct horse"}).code == 0
         assert b"ENCRYPTED" in (ws / "private/identity_ca.key.pem").read_bytes()
+        assert keymint("install", cwd=ws).code == 0  # nothing is to be signed, so no password is needed
         wrong = keymint("build", "-f", cwd=ws, env={"CA_PASSWORD": "battery staple"})
         assert wrong.code == 0  # building needs no authority
         wrong = keymint("install", cwd=ws, env={"CA_PASSWORD": "battery staple"})
