@@ -12,9 +12,16 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import hypothesis
 import pytest
 
 from keymint import cli
+
+# These machines are noisy: how long an example takes says nothing. Where CI is set, hypothesis' own profile for it
+# (no deadline, the same examples each time) is in force.
+if not os.environ.get("CI"):
+    hypothesis.settings.register_profile("keymint", deadline=None)
+    hypothesis.settings.load_profile("keymint")
 
 CHECKOUT = Path(__file__).resolve().parent.parent
 NOW = 1_800_000_000
