@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Mapping, Sequence
 from xml.etree import ElementTree as ET  # only writes
 
 from keymint.algebra.expected import Checked
-
-_CONTROL = re.compile(r"[^\t\n\r\x20-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]")
+from keymint.interchange.junit import legal, rendered
 
 
 def junit(found: Mapping[str, Sequence[Checked]]) -> bytes:
@@ -27,18 +25,11 @@ def junit(found: Mapping[str, Sequence[Checked]]) -> bytes:
             root, "testsuite", name=file, tests=str(len(cases)), failures=str(failed), errors="0", skipped="0"
         )
         for name, case in cases.items():
-            element = ET.SubElement(suite, "testcase", classname=_text(file), name=_text(name))
+            element = ET.SubElement(suite, "testcase", classname=legal(file), name=legal(name))
             broken = [each for each in case if each.failure]
             if broken:
-                failure = ET.SubElement(element, "failure", type="expectation", message=_text(broken[0].failure))
-                failure.text = _text(
+                failure = ET.SubElement(element, "failure", type="expectation", message=legal(broken[0].failure))
+                failure.text = legal(
                     "\n".join(f"{file}:{each.expectation.where.line}: {each.failure}" for each in broken)
                 )
-    ET.indent(root)
-    text: bytes = ET.tostring(root, encoding="utf-8", xml_declaration=True)
-    return text + b"\n"
-
-
-def _text(text: str) -> str:
-    """Return what XML can hold of a text."""
-    return _CONTROL.sub("\ufffd", text)
+    return rendered(root)

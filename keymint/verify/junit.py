@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-import re
 from collections import defaultdict
 from collections.abc import Sequence
 from xml.etree import ElementTree as ET  # only writes
 
+from keymint.interchange.junit import legal, rendered
 from keymint.verify.model import Finding, Outcome
 from keymint.verify.words import in_words
-
-_CONTROL = re.compile(r"[^\t\n\r\x20-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]")
 
 
 def junit(outcomes: Sequence[Outcome], subjects: Sequence[str]) -> bytes:
@@ -30,17 +28,10 @@ def junit(outcomes: Sequence[Outcome], subjects: Sequence[str]) -> bytes:
             skipped="0",
         )
         for subject in subjects:
-            case = ET.SubElement(suite, "testcase", classname=f"keymint.{outcome.transport}", name=_text(subject))
+            case = ET.SubElement(suite, "testcase", classname=f"keymint.{outcome.transport}", name=legal(subject))
             if count := outcome.wrong.get(subject, 0):
                 lines = [in_words([outcome.transport], finding) for finding in found[subject]]
                 message = f"{count} edge{'s' if count > 1 else ''} decided otherwise than the policy says"
                 failure = ET.SubElement(case, "failure", type="verify", message=message)
-                failure.text = _text("\n".join(lines) or "not listed: there are too many findings")
-    ET.indent(root)
-    text: bytes = ET.tostring(root, encoding="utf-8", xml_declaration=True)
-    return text + b"\n"
-
-
-def _text(text: str) -> str:
-    """Return what XML can hold of a text."""
-    return _CONTROL.sub("\ufffd", text)
+                failure.text = legal("\n".join(lines) or "not listed: there are too many findings")
+    return rendered(root)

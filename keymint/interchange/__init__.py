@@ -1,0 +1,1 @@
+"""Formats that other tools read findings and test results from: SARIF and JUnit."""
