@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from comarmor import schema
@@ -78,6 +78,7 @@ def _read(file: Path) -> Iterator[Expectation]:
         ) from None
     root = parse(content, name)
     schema.validate(root, SCHEMA, name)
+    defects: list[Diagnostic] = []
     for test in root.iterchildren("test"):
         for element in test.iterchildren("allow", "deny"):
             where = Location(name, line(element))
@@ -87,8 +88,7 @@ def _read(file: Path) -> Iterator[Expectation]:
                 try:
                     parse_expression(expression)
                 except ComArmorError as error:
-                    first = error.diagnostics[0]
-                    raise ComArmorError(first.message, where=where, help=first.help, code=first.code) from None
+                    defects += (replace(each, where=where) for each in error.diagnostics)
             yield Expectation(
                 test=test.get("name", ""),
                 allowed=element.tag == "allow",
@@ -98,3 +98,5 @@ def _read(file: Path) -> Iterator[Expectation]:
                 partition=partition,
                 where=where,
             )
+    if defects:
+        raise ComArmorError.of(defects)

@@ -75,17 +75,24 @@ class Changed:
 def diff(old: LoadedPolicy, new: LoadedPolicy) -> list[Changed]:
     """Return what changed between two policies, by subject; subjects without a change are left out.
 
-    Subjects are those that either policy names, and one example of each pattern of subjects that profiles match.
+    Subjects are those that either policy names, and examples of each pattern of subjects that profiles match.
     """
     named = sorted({*old.subjects(), *new.subjects()})
     written = [each for policy in (old, new) if (each := structure(policy))]
     like = examples(written, named)
     changed: list[Changed] = []
+    told: set[tuple[str, bool]] = set()
     for subject in (*named, *like):
         before, after = old.rules(subject), new.rules(subject)
         mine, theirs = (each.rules if each else () for each in (before, after))
         changes = () if _same(mine, theirs) else tuple(changes_of(mine, theirs))
-        if changes or (subject not in like and (before is None) is not (after is None)):
+        if subject in like:
+            # Of several examples of a pattern, one that gains, and one that changes at all.
+            key = (like[subject], any(change.gains for change in changes))
+            if not changes or key in told:
+                continue
+            told |= {key, (like[subject], False)}
+        if changes or (before is None) is not (after is None):
             changed.append(Changed(subject, like.get(subject, ""), before is not None, after is not None, changes))
     return changed
 

@@ -89,7 +89,7 @@ def summary(found: Sequence[Changed]) -> str:
 
 
 def _several(gaining: int) -> str:
-    return f"{gaining or 'no'} subject{'' if gaining == 1 else 's'} gain{'s' if gaining <= 1 else ''}"
+    return f"{gaining or 'no'} subject{'s gain' if gaining > 1 else ' gains'}"
 
 
 def _subject(each: Changed, code: Callable[[str], str] = str) -> str:

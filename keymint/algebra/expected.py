@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import difflib
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 from keymint.algebra.holders import holders
 from keymint.algebra.lists import allowed, asked, conjunction, keys, meet, patterns, word
 from keymint.algebra.question import permitted
-from keymint.algebra.subjects import examples, matching, rules_of, structure
+from keymint.algebra.subjects import can_be, doubt, matching, rules_of, stand_ins
 from keymint.api import Expectation, LoadedPolicy
 from keymint.errors import Diagnostic, KeymintError, Origin, Severity
 from keymint.ir import Effect, Rule
@@ -49,11 +48,9 @@ class Checks:
 
     def __init__(self, policy: LoadedPolicy) -> None:
         self._policy = policy
-        written = structure(policy)
         self._named = policy.subjects()
-        extra = examples([written], self._named) if written else {}
         self._rules: Mapping[str, tuple[Rule, ...]] = {
-            subject: rules_of(policy, subject) for subject in (*self._named, *extra)
+            subject: rules_of(policy, subject) for subject in (*self._named, *stand_ins(policy))
         }
 
     def rules(self) -> dict[Place, Rule]:
@@ -70,6 +67,14 @@ class Checks:
             kind, permission = permitted(expected.permission, expected.object)
         except KeymintError as error:
             raise KeymintError.of(replace(each, where=expected.where) for each in error.diagnostics) from None
+        within = parse(expected.subject)
+        if not can_be(within):
+            raise KeymintError(
+                f"no subject can be named as {expected.subject!r} says",
+                where=expected.where,
+                help=f"write {'/' + expected.subject!r}" if expected.subject[:1] not in ("/", "*") else "",
+                code="expectation",
+            )
         name = asked(kind, expected.object, expected.partition)
         if isinstance(meet(kind, allowed(name)), Equal):
             raise KeymintError(
@@ -78,11 +83,10 @@ class Checks:
                 help=f"write {'/' + expected.object!r}" if expected.object[:1] not in ("/", "*") else "",
                 code="expectation",
             )
-        within = parse(expected.subject)
         failed = self._allow if expected.allowed else self._deny
         failure, rule = failed(within, kind, permission, name)
         exercised = frozenset(self._exercised(expected, within, kind, permission, name))
-        return Checked(expected, failure, rule, self._doubt(within), exercised)
+        return Checked(expected, failure, rule, doubt(self._policy, within), exercised)
 
     def _allow(self, within: Glob, kind: str, permission: str, name: Glob) -> tuple[str, Origin | None]:
         """Check that all subjects that the policy names, of those in question, hold a permission on all names."""
@@ -144,14 +148,6 @@ class Checks:
                     for one in patterns(rule, expression, key)
                 ):
                     yield rule.origin.file, rule.origin.line
-
-    def _doubt(self, within: Glob) -> str:
-        subject = literal(within)
-        if subject is None or self._policy.rules(subject) is not None:
-            return ""
-        near = difflib.get_close_matches(subject, self._named, n=1)
-        said = f"no profile of the policy applies to {subject}, so that it may do nothing"
-        return said + (f"; did you mean {near[0]}?" if near else "")
 
 
 def diagnostics(found: Sequence[Checked]) -> Iterator[Diagnostic]:

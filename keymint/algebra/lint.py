@@ -10,14 +10,17 @@ from collections import defaultdict
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 
+from keymint.algebra.attachments import Attachment, Attachments
+from keymint.algebra.denials import may_matter
 from keymint.algebra.lists import Key, allowed, keys, meet, names, patterns, universe
-from keymint.algebra.similar import similar_names
-from keymint.algebra.subjects import can_be, examples, reached, rules_of, structure
+from keymint.algebra.profiles import quoted, unreachable
+from keymint.algebra.similar import similar_names, similar_subjects
+from keymint.algebra.subjects import rules_of, stand_ins, structure
 from keymint.api import LoadedPolicy, Structure
 from keymint.errors import Diagnostic, Origin, Severity
 from keymint.ir import Effect, Rule
-from keymint.keymake.algebra import TooComplexError, disjoint
-from keymint.keymake.glob import Glob, parse
+from keymint.keymake.algebra import disjoint
+from keymint.keymake.glob import Glob
 from keymint.proof import Block, Equal, implies
 
 CODES: Mapping[str, str] = {
@@ -40,11 +43,13 @@ _Place = tuple[str, int]
 class _Unit:
     """An expression of a rule that is written at a place: the same one for every subject that it is expanded for.
 
-    The expression is told by its number, since its text may differ from subject to subject.
+    The expression is told by the line of its attachment, and its number there, since its text may differ from subject
+    to subject.
     """
 
     place: _Place
     effect: Effect
+    line: int
     number: int
 
 
@@ -53,7 +58,7 @@ class _Applied:
     """What the units say for one subject: by kind and permission, the patterns of each."""
 
     patterns: dict[Key, dict[tuple[_Unit, int], tuple[Glob, ...]]] = field(default_factory=lambda: defaultdict(dict))
-    units: dict[_Unit, tuple[Rule, str]] = field(default_factory=dict)
+    units: dict[_Unit, tuple[Rule, str, Origin]] = field(default_factory=dict)
 
 
 def lint(policy: LoadedPolicy) -> list[Diagnostic]:
@@ -64,12 +69,12 @@ def lint(policy: LoadedPolicy) -> list[Diagnostic]:
     """
     written = structure(policy)
     named = policy.subjects()
-    extra = examples([written], named) if written else {}
-    subjects = {subject: rules_of(policy, subject) for subject in (*named, *extra)}
-    found = [*_names(subjects), *(_structure(written) if written else ())]
-    never = {diagnostic.where for diagnostic in found if diagnostic.code == "object-never"}
-    found += (each for each in _Vain(subjects).findings() if each.where not in never)
-    found += similar_names({subject: subjects[subject] for subject in named})
+    subjects = {subject: rules_of(policy, subject) for subject in (*named, *stand_ins(policy))}
+    attachments = Attachments(written)
+    found = [*_names(subjects, attachments), *(unreachable(written) if written else ())]
+    found += _Vain(subjects, attachments, written).findings()
+    found += similar_names({subject: subjects[subject] for subject in named}, attachments)
+    found += similar_subjects(written) if written else ()
     return in_order(found)
 
 
@@ -82,52 +87,16 @@ def in_order(found: Iterable[Diagnostic]) -> list[Diagnostic]:
     )
 
 
-def _structure(found: Structure) -> Iterator[Diagnostic]:
-    """Yield what can be seen of profiles and tunables as they are written."""
-    for name, where in found.unused:
-        yield _warning("tunable-unused", f"nothing uses the tunable @{{{name}}}", where, "remove it")
-    for profile in found.profiles:
-        possible = False
-        for expression, where in profile.attachments:
-            if not can_be(parse(expression)):
-                message = f"no subject can be named as the attachment {expression!r} of profile {profile.name!r} says"
-                yield _warning("subject-never", message, where, "a subject is named like /robot1/talker")
-                continue
-            try:
-                inside = [one for one in reached((*profile.around, (expression,))) if can_be(one)]
-            except TooComplexError:
-                possible = True
-                continue
-            possible = possible or bool(inside)
-            if not inside and len(profile.attachments) > 1:
-                message = (
-                    f"profile {profile.name!r} never applies to {expression!r}: "
-                    f"the profiles around it apply to {_several(profile.around[-1])} only"
-                )
-                yield _warning("profile-never", message, where, "mend the attachment, or move the profile out")
-        if not possible and profile.around and len(profile.attachments) == 1:
-            message = (
-                f"profile {profile.name!r} never applies: no subject matches both its attachment "
-                f"{profile.attachments[0][0]!r} and the profiles around it ({_several(profile.around[-1])})"
-            )
-            yield _warning("profile-never", message, profile.where, "mend the attachment, or move the profile out")
-
-
-def _several(expressions: Sequence[str]) -> str:
-    shown = ", ".join(map(repr, expressions[:3]))
-    return shown + (", …" if len(expressions) > 3 else "")  # noqa: PLR2004 - as many as a line takes
-
-
-def _names(subjects: Mapping[str, tuple[Rule, ...]]) -> Iterator[Diagnostic]:
+def _names(subjects: Mapping[str, tuple[Rule, ...]], attachments: Attachments) -> Iterator[Diagnostic]:
     """Yield expressions that no object can match, whatever the subject."""
-    verdicts: dict[tuple[_Place, str], tuple[bool, Rule]] = {}
-    for rules in subjects.values():
+    verdicts: dict[tuple[_Place, str], tuple[bool, Rule, str]] = {}
+    for subject, rules in subjects.items():
         for rule in rules:
             for expression in rule.expressions:
                 key = ((rule.origin.file, rule.origin.line), expression)
                 if key not in verdicts:
-                    verdicts[key] = (_is_name(rule, expression), rule)
-    for (_, expression), (fine, rule) in verdicts.items():
+                    verdicts[key] = (_is_name(rule, expression), rule, subject)
+    for (_, expression), (fine, rule, subject) in verdicts.items():
         if not fine:
             if rule.kind == "topic":
                 help_ = "remove it"
@@ -136,7 +105,7 @@ def _names(subjects: Mapping[str, tuple[Rule, ...]]) -> Iterator[Diagnostic]:
             else:
                 help_ = f"write {'/' + expression!r}: every ROS name begins with '/'"
             message = f"no object can be named as {expression!r} says in this {rule.effect} {rule.kind} rule"
-            yield _warning("object-never", message, rule.origin, help_)
+            yield _warning("object-never", message, attachments.of(rule, subject)[expression].where, help_)
 
 
 def _is_name(rule: Rule, expression: str) -> bool:
@@ -152,10 +121,16 @@ class _Vain:
 
     Args:
         subjects: rules of each subject.
+        attachments: where their expressions are written.
+        written: the policy as it is written, if its type tells.
     """
 
-    def __init__(self, subjects: Mapping[str, tuple[Rule, ...]]) -> None:
-        self._applied = {subject: _applied(rules) for subject, rules in subjects.items()}
+    def __init__(
+        self, subjects: Mapping[str, tuple[Rule, ...]], attachments: Attachments, written: Structure | None
+    ) -> None:
+        self._attachments = attachments
+        self._written = written
+        self._applied = {subject: _applied(rules, subject, attachments) for subject, rules in subjects.items()}
         self._by_unit: dict[_Unit, list[str]] = defaultdict(list)
         for subject, applied in self._applied.items():
             for unit in applied.units:
@@ -163,21 +138,40 @@ class _Vain:
         self._gone: set[_Unit] = set()
 
     def findings(self) -> Iterator[Diagnostic]:
-        """Yield what is found, the expressions of a rule together."""
+        """Yield what is found, the expressions of a rule together if it is about all of them, else each by itself.
+
+        An expression that no object can match is left out: it is said to be one.
+        """
         found: dict[tuple[_Place, str], list[_Unit]] = defaultdict(list)
         # From the last: of two that say the same the later one goes; and what went is no reason for another to go.
-        for unit in sorted(self._by_unit, key=lambda each: (each.place, each.number), reverse=True):
+        for unit in sorted(self._by_unit, key=lambda each: (each.place, each.line, each.number), reverse=True):
             code = self._code(unit)
             if code:
                 self._gone.add(unit)
-                found[unit.place, code].append(unit)
+                if self._can_match(unit):
+                    found[unit.place, code].append(unit)
         for (place, code), units in found.items():
-            yield self._said(place, code, units[::-1])
+            if self._is_whole(place, units):
+                yield self._said(code, units[::-1], whole=True)
+                continue
+            by_line: dict[int, list[_Unit]] = defaultdict(list)
+            for unit in units[::-1]:
+                by_line[unit.line].append(unit)
+            for together in by_line.values():
+                yield self._said(code, together, whole=False)
+
+    def _is_whole(self, place: _Place, units: Sequence[_Unit]) -> bool:
+        return sum(unit.place == place and unit.effect is units[0].effect for unit in self._by_unit) == len(units)
+
+    def _can_match(self, unit: _Unit) -> bool:
+        """Tell whether an object can match an expression, for any of its subjects."""
+        texts = dict.fromkeys(self._applied[subject].units[unit][:2] for subject in self._by_unit[unit])
+        return any(_is_name(rule, expression) for rule, expression in texts)
 
     def _code(self, unit: _Unit) -> str:
         subjects = self._by_unit[unit]
         if unit.effect is Effect.DENY:
-            if all(self._meets_nothing(subject, unit) for subject in subjects):
+            if all(self._meets_nothing(subject, unit) for subject in subjects) and not self._may_matter(unit):
                 return "deny-nothing"
             return "deny-redundant" if all(self._within(subject, unit, Effect.DENY) for subject in subjects) else ""
         if all(self._within(subject, unit, Effect.DENY) for subject in subjects):
@@ -190,9 +184,9 @@ class _Vain:
                 if each == unit:
                     yield key, found
 
-    def _others(self, subject: str, key: Key, unit: _Unit, effect: Effect) -> Iterator[Glob]:
+    def _others(self, subject: str, key: Key, unit: _Unit, effect: Effect, *, gone: bool = False) -> Iterator[Glob]:
         for (each, _), found in self._applied[subject].patterns[key].items():
-            if each != unit and each.effect is effect and each not in self._gone:
+            if each != unit and each.effect is effect and (gone or each not in self._gone):
                 yield from found
 
     def _within(self, subject: str, unit: _Unit, effect: Effect) -> bool:
@@ -211,25 +205,32 @@ class _Vain:
     def _meets_nothing(self, subject: str, unit: _Unit) -> bool:
         """Tell whether no rule allows anything of what an expression denies."""
         for key, found in self._own(subject, unit):
-            others = tuple(self._others(subject, key, unit, Effect.ALLOW))
+            # Also what is said to be shadowed: it may be so by this one.
+            others = tuple(self._others(subject, key, unit, Effect.ALLOW, gone=True))
             for pattern in found:
                 near = tuple(other for other in others if not disjoint(other, pattern))
                 if near and not isinstance(meet(key[0], allowed(pattern), (Block(True, near),)), Equal):
                     return False
         return True
 
-    def _said(self, place: _Place, code: str, units: Sequence[_Unit]) -> Diagnostic:
-        subject = self._by_unit[units[0]][0]
-        rule = self._applied[subject].units[units[0]][0]
+    def _may_matter(self, unit: _Unit) -> bool:
+        """Tell whether a denial may matter to a subject that is no example."""
+        if self._written is None:
+            return False
+        applied = (self._applied[subject].units[unit] for subject in self._by_unit[unit])
+        found = {self._attachments.clause(rule, Attachment(where, unit.number)) for rule, _, where in applied}
+        return any(may_matter(self._written, *each) for each in found if each is not None)
+
+    def _said(self, code: str, units: Sequence[_Unit], *, whole: bool) -> Diagnostic:
+        rule, _, attached = self._applied[self._by_unit[units[0]][0]].units[units[0]]
         texts = [self._applied[self._by_unit[unit][0]].units[unit][1] for unit in units]
-        whole = sum(unit.place == place and unit.effect is rule.effect for unit in self._by_unit) == len(units)
-        about = f"{'' if whole else f'{_several(texts)} in '}this {rule.effect} {rule.kind} rule"
+        about = f"{'' if whole else f'{quoted(texts)} in '}this {rule.effect} {rule.kind} rule"
         held = ", ".join(rule.permissions)
         by = self._by(units, Effect.ALLOW if code == "rule-redundant" else Effect.DENY)
         said = {
             "rule-shadowed": f"allows nothing: DENY rules deny all of it{by}",
-            "rule-redundant": f"adds nothing: other rules allow all of it{by}",
-            "deny-redundant": f"adds nothing: other rules deny all of it{by}",
+            "rule-redundant": f"adds nothing: all of it is allowed elsewhere{by}",
+            "deny-redundant": f"adds nothing: all of it is denied elsewhere{by}",
             "deny-nothing": "denies nothing: no rule allows any of it",
         }[code]
         helps = {
@@ -238,10 +239,10 @@ class _Vain:
             "deny-redundant": "remove it, or narrow the other",
             "deny-nothing": "remove it, or mend its attachment: what nothing allows is denied anyway",
         }
-        return _warning(code, f"{about} ({held}) {said}", rule.origin, helps[code])
+        return _warning(code, f"{about} ({held}) {said}", rule.origin if whole else attached, helps[code])
 
     def _by(self, units: Iterable[_Unit], effect: Effect) -> str:
-        """Return the place of a rule of an effect that is about what an expression is about, in words."""
+        """Return the place of an expression of an effect that is about what others are about, in words."""
         for unit in units:
             subject = self._by_unit[unit][0]
             for key, found in self._own(subject, unit):
@@ -249,18 +250,20 @@ class _Vain:
                     if other == unit or other.effect is not effect or other in self._gone:
                         continue
                     if any(not disjoint(one, pattern) for one in theirs for pattern in found):
-                        origin = self._applied[subject].units[other][0].origin
-                        return f", e.g. at {Origin(origin.file, origin.line)}"
+                        where = self._applied[subject].units[other][2]
+                        return f", e.g. at {Origin(where.file, where.line)}"
         return ""
 
 
-def _applied(rules: Sequence[Rule]) -> _Applied:
+def _applied(rules: Sequence[Rule], subject: str, attachments: Attachments) -> _Applied:
     found = _Applied()
     for at, rule in enumerate(rules):
         place = (rule.origin.file, rule.origin.line)
-        for number, expression in enumerate(rule.expressions):
-            unit = _Unit(place, rule.effect, number)
-            found.units.setdefault(unit, (rule, expression))
+        written = attachments.of(rule, subject)
+        for expression in rule.expressions:
+            attachment = written[expression]
+            unit = _Unit(place, rule.effect, attachment.where.line, attachment.number)
+            found.units.setdefault(unit, (rule, expression, attachment.where))
             for key in keys(rule):
                 if about := patterns(rule, expression, key):
                     found.patterns[key][unit, at] = about

@@ -7,8 +7,10 @@ import re
 from collections import defaultdict
 from collections.abc import Iterator, Mapping
 
+from keymint.algebra.attachments import Attachments
 from keymint.algebra.lists import RAW
-from keymint.errors import Diagnostic, Severity
+from keymint.api import Structure
+from keymint.errors import Diagnostic, Origin, Severity
 from keymint.ir import Effect, Rule
 from keymint.keymake.algebra import matches
 from keymint.keymake.glob import Glob, literal, parse
@@ -29,11 +31,12 @@ _SHORTEST = 4
 _DIGITS = re.compile(r"\d+")
 
 
-def similar_names(subjects: Mapping[str, tuple[Rule, ...]]) -> Iterator[Diagnostic]:
+def similar_names(subjects: Mapping[str, tuple[Rule, ...]], attachments: Attachments) -> Iterator[Diagnostic]:
     """Yield names that nobody is at the other end of, where a name that is nearly the same has nobody at this end.
 
     Args:
         subjects: the rules of each subject that a policy names.
+        attachments: where their expressions are written.
     """
     exact, wild = _allowed(subjects)
 
@@ -49,15 +52,41 @@ def similar_names(subjects: Mapping[str, tuple[Rule, ...]]) -> Iterator[Diagnost
             if near and frozenset((name, near)) not in told:
                 told.add(frozenset((name, near)))
                 whose, theirs = exact[other][near]
+                there = attachments.of(theirs, whose)[near].where
                 yield Diagnostic(
                     "name-similar",
                     Severity.WARNING,
                     f"{subject} may {_plain(permission)} the {kind} {name!r} and nobody may {_plain(other)} it, "
-                    f"but {whose} may {_plain(other)} {near!r} ({theirs.origin.file}:{theirs.origin.line})",
-                    rule.origin,
+                    f"but {whose} may {_plain(other)} {near!r} ({Origin(there.file, there.line)})",
+                    attachments.of(rule, subject)[name].where,
                     f"did you mean {near!r}?",
                     subject,
                 )
+
+
+def similar_subjects(written: Structure) -> Iterator[Diagnostic]:
+    """Yield subjects that one profile names, where several name another one that differs in a single character.
+
+    Args:
+        written: the policy.
+    """
+    named: dict[str, dict[Origin, Origin]] = defaultdict(dict)
+    for profile in written.profiles:
+        for expression, where in profile.attachments:
+            name = literal(parse(expression))
+            if name is not None:
+                named[name][profile.where] = where
+    often = [name for name, places in named.items() if len(places) > 1]
+    for name, places in named.items():
+        near = _nearest(name, often, most=1) if len(places) == 1 else None
+        if near:
+            yield Diagnostic(
+                "name-similar",
+                Severity.WARNING,
+                f"one profile is about the subject {name!r}, and {len(named[near])} are about {near!r}",
+                next(iter(places.values())),
+                f"did you mean {near!r}?",
+            )
 
 
 def _allowed(
@@ -86,12 +115,12 @@ def _plain(permission: str) -> str:
     return f"{plain} to" if plain == "subscribe" else plain
 
 
-def _nearest(name: str, candidates: list[str]) -> str | None:
+def _nearest(name: str, candidates: list[str], most: int = _MOST_EDITS) -> str | None:
     """Return a name that differs by a slip of the pen, and not in numbers only."""
     for near in difflib.get_close_matches(name, candidates, n=3, cutoff=0.8):
         if near == name or _DIGITS.sub("", near) == _DIGITS.sub("", name):
             continue
-        if min(len(near), len(name)) >= _SHORTEST and _edits(name, near) <= _MOST_EDITS:
+        if min(len(near), len(name)) >= _SHORTEST and _edits(name, near) <= most:
             return near
     return None
 

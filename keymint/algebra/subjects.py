@@ -7,6 +7,7 @@ what the policy permits to any of them.
 
 from __future__ import annotations
 
+import difflib
 import re
 from collections.abc import Iterable, Iterator, Sequence
 from functools import lru_cache
@@ -81,10 +82,7 @@ def example(pattern: Glob) -> str | None:
     if name is not None:
         return name if _LEGAL.fullmatch(name) else None
     for filling in ("x", "", "x/y", "/x", "x/", "_"):
-        filled = "".join(
-            filling if isinstance(token, Star) else token if isinstance(token, str) else _member(token)
-            for token in pattern
-        )
+        filled = _filled(pattern, filling)
         if _LEGAL.fullmatch(filled):
             return filled
     found = difference((), allowed(pattern), names(_NODE), universe=universe(_NODE))
@@ -95,8 +93,10 @@ def _member(members: Charset) -> str:
     return next((char for char in _PREFERRED if char in members), "")
 
 
-def examples(structures: Iterable[Structure], known: Iterable[str]) -> dict[str, str]:
-    """Return a subject for each class of subjects that profiles match by a pattern: pattern by subject.
+def examples(structures: Sequence[Structure], known: Iterable[str]) -> dict[str, str]:
+    """Return subjects for each class of subjects that profiles match by a pattern: pattern by subject.
+
+    Where rules depend on the subject's namespace there is one in a namespace below as well.
 
     Args:
         structures: policies as they are written.
@@ -112,12 +112,43 @@ def examples(structures: Iterable[Structure], known: Iterable[str]) -> dict[str,
                 continue
     found: dict[str, str] = {}
     taken = set(known)
+    depends = any(_depends(clause) for each in structures for clause in each.clauses)
     for pattern in _with_overlaps(tuple(wild)):
-        subject = example(pattern)
-        if subject is not None and subject not in taken:
-            taken.add(subject)
-            found[subject] = text(pattern)
+        for subject in (example(pattern), _deeper(pattern) if depends else None):
+            if subject is not None and subject not in taken:
+                taken.add(subject)
+                found[subject] = text(pattern)
     return found
+
+
+def _depends(clause: Clause) -> bool:
+    """Tell whether a rule is about other objects for another subject."""
+    return clause.expand("/a/", "a") != clause.expand("/b/", "b")
+
+
+def _deeper(pattern: Glob) -> str | None:
+    """Return a subject that a pattern matches in a namespace below that of its example, or None."""
+    shallow = example(pattern)
+    if shallow is None or not any(isinstance(token, Star) for token in pattern):
+        return None
+    depth = shallow.count("/")
+    legal = (
+        name for filling in ("x/y", "/x/y", "x/y/", "/x/y/") if _LEGAL.fullmatch(name := _filled(pattern, filling))
+    )
+    return next((name for name in legal if name.count("/") > depth), None)
+
+
+def _filled(pattern: Glob, filling: str) -> str:
+    """Return a pattern with each star, and each set of characters, replaced."""
+    return "".join(
+        filling if isinstance(token, Star) else token if isinstance(token, str) else _member(token) for token in pattern
+    )
+
+
+def stand_ins(policy: LoadedPolicy) -> dict[str, str]:
+    """Return a subject for each class of those that a policy does not name; see :func:`examples`."""
+    written = structure(policy)
+    return examples([written], policy.subjects()) if written else {}
 
 
 def _with_overlaps(wild: Sequence[Glob]) -> Iterator[Glob]:
@@ -199,6 +230,16 @@ def splits(subjects: Glob) -> Iterator[tuple[Glob, Glob]]:
 def matching(policy: LoadedPolicy, pattern: Glob) -> tuple[str, ...]:
     """Return the subjects that a policy names exactly and a pattern matches."""
     return tuple(subject for subject in policy.subjects() if matches(pattern, subject))
+
+
+def doubt(policy: LoadedPolicy, pattern: Glob) -> str:
+    """Return why a subject may not be the one that was meant; empty for a pattern, and for one of the policy's."""
+    subject = literal(pattern)
+    if subject is None or policy.rules(subject) is not None:
+        return ""
+    near = difflib.get_close_matches(subject, policy.subjects(), n=1)
+    said = f"no profile of the policy applies to {subject}, so that it may do nothing"
+    return said + (f"; did you mean {near[0]}?" if near else "")
 
 
 def inside(policy: LoadedPolicy, pattern: Glob) -> tuple[str, ...]:

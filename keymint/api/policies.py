@@ -91,11 +91,13 @@ class Clause:
         profiles: expressions of the profiles that it stands in, outermost first: a subject must match one of each.
         rule: the rule; its expressions may hold ``{name}`` and ``{namespace}``.
         expand: returns its expressions for expressions of a namespace (with its last ``/``) and of a name.
+        places: where each of its expressions is written; empty if that is not known.
     """
 
     profiles: tuple[tuple[str, ...], ...]
     rule: Rule
     expand: Callable[[str, str], tuple[str, ...]] = field(repr=False, compare=False)
+    places: tuple[Origin, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)

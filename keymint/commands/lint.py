@@ -10,7 +10,7 @@ from keymint.algebra.lint import CODES, in_order
 from keymint.algebra.lint import lint as look
 from keymint.algebra.portable import portability
 from keymint.algebra.sarif import sarif as as_sarif
-from keymint.algebra.subjects import rules_of
+from keymint.algebra.subjects import rules_of, stand_ins
 from keymint.commands.common import Run, verb
 from keymint.commands.files import write_outputs
 from keymint.commands.policies import Policies, policy_options, typed
@@ -46,20 +46,25 @@ def lint(
     """
     policies = Policies(run, distro, profile_type, policy_type)
     loaded = policies.load(policy)
-    subjects = [(subject, rules_of(loaded, subject)) for subject in loaded.subjects()]
+    named = loaded.subjects()
+    others = {like: subject for subject, like in stand_ins(loaded).items()}
+    subjects = [(subject, rules_of(loaded, subject)) for subject in (*named, *others.values())]
     compiler = run.plugins.build_type(build_type)
-    found = look(loaded)
-    known = {(each.where.file, each.where.line) for each in found if each.where and each.code == "object-never"}
-    found += (
-        each
-        for each in portability(compiler, build_type, policies.distro, subjects, run.setting.now)
-        if each.where and (each.code != "never-matches" or (each.where.file, each.where.line) not in known)
-    )
+    found = [
+        *look(loaded),
+        # What the compiler says of names that nothing has is said already, and better.
+        *(
+            each
+            for each in portability(compiler, build_type, policies.distro, subjects, run.setting.now)
+            if each.code != "never-matches"
+        ),
+    ]
     found = in_order(found)
     if sarif is not None:
         write_outputs(run, sarif, as_sarif("keymint lint", CODES, found, typed(run)))
-    number, several = len(found), "" if len(subjects) == 1 else "s"
+    number = len(found)
     findings = "no finding" if not number else f"{number} finding{'' if number == 1 else 's'}"
-    run.console.line(f"{findings} in the rules of {len(subjects)} subject{several}")
-    result = {"subjects": [subject for subject, _ in subjects], "findings": number}
+    like = f" and {len(others)} pattern{'' if len(others) == 1 else 's'} of subjects" if others else ""
+    run.console.line(f"{findings} in the rules of {len(named)} subject{'' if len(named) == 1 else 's'}{like}")
+    result = {"subjects": list(named), "findings": number}
     return Report(run.verb, None, (), found, result, findings_exit(found))

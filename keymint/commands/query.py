@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -11,14 +11,15 @@ import click
 from keymint.algebra.abilities import abilities
 from keymint.algebra.channels import Channel, Channels
 from keymint.algebra.holders import Held, holders
-from keymint.algebra.lists import asked, word
+from keymint.algebra.lists import RAW, allowed, asked, meet, word
 from keymint.algebra.question import FORMS, HEADS, Question, read
-from keymint.algebra.subjects import rules_of
+from keymint.algebra.subjects import doubt, rules_of
 from keymint.api import LoadedPolicy
 from keymint.commands.common import Run, verb
 from keymint.commands.policies import Policies, place, policy_options
 from keymint.errors import Diagnostic, ExitCode, KeymintError, Severity
 from keymint.keymake.glob import literal, parse
+from keymint.proof import Equal
 from keymint.report import Report
 
 _MOST = 20
@@ -73,12 +74,28 @@ def query(
         "isolated": lambda: _isolated(run, policy, question, but),
     }[question.head]
     verdict, more = answer()
-    said: list[Diagnostic] = []
+    said = list(_doubts(policy, question, partition, verdict))
     if verdict == "unknown":
         said.append(Diagnostic("query-unknown", Severity.WARNING, "the answer is not known for certain"))
     bad = verdict == "unknown" or (question.head == "isolated" and verdict == "no")
     result = {"question": question.head, "answer": verdict, **more}
     return Report(run.verb, None, (), said, result, ExitCode.FINDINGS if bad else ExitCode.DONE)
+
+
+def _doubts(policy: LoadedPolicy, question: Question, partition: str, verdict: str) -> Iterator[Diagnostic]:
+    """Yield why a question may not be the one that was meant."""
+    for subject in question.subjects if question.head != "what" else ():
+        if found := doubt(policy, parse(subject)):
+            yield Diagnostic("query-subject", Severity.WARNING, found)
+    name, kind = question.object, question.kind
+    if not name:
+        return
+    if isinstance(meet(kind, allowed(asked(kind, name, partition))), Equal):
+        help_ = "segments are letters, digits and '_', do not begin with a digit, and none is empty"
+        yield Diagnostic("query-object", Severity.WARNING, f"no {kind} can be named as {name!r} says", help=help_)
+    elif kind == RAW and verdict == "no" and not name.startswith(("rt/", "rq/", "rr/")):
+        help_ = f"a ROS name begins with '/': did you mean {'/' + name!r}?"
+        yield Diagnostic("query-object", Severity.WARNING, f"{name!r} is taken for a raw DDS topic", help=help_)
 
 
 def _read(words: Sequence[str], folder: Path) -> tuple[Path | None, Question]:

@@ -59,6 +59,13 @@ def test(
     if read is None:
         raise KeymintError(f"the policy type {policies.policy_type} has no unit tests", code="tests-none")
     folders, library = policies.places(policy)
+    missing = next((folder for folder in folders if not folder.exists()), None)
+    if missing is not None:
+        shown = typed(run)(str(missing))
+        help_ = "name a policy, or its folder"
+        raise KeymintError(
+            f"the policy {shown!r} does not exist", where=Origin(shown), help=help_, code="policy-missing"
+        )
     files: dict[Path, Sequence[Expectation]] = {}
     for folder in folders:
         files |= read(folder)

@@ -36,7 +36,12 @@ def structure(
         for profile, around in walked
     )
     clauses = (
-        Clause((*around, _texts(profile)), to_rule(rule), _expanding(rule))
+        Clause(
+            (*around, _texts(profile)),
+            to_rule(rule),
+            _expanding(rule),
+            tuple(origin(attachment.where) for attachment in rule.attachments),
+        )
         for profile, around in walked
         for rule in profile.rules
     )

@@ -67,3 +67,10 @@ def test_unused_tunables(tmp_path: Path) -> None:
         '<profile name="p"><attachment>@{B}</attachment></profile></profiles>'
     )
     assert [tunable.name for tunable in comarmor.load(tmp_path / "p.xml").unused_tunables] == ["A"]
+
+
+def test_every_defect_is_said(policy: Path) -> None:
+    (policy / "p.test.xml").write_text(ONE.replace("/a", "/a\\").replace("/x", "/[[:oops:]]"))
+    with pytest.raises(ComArmorError) as caught:
+        expectations(policy)
+    assert [str(each.where) for each in caught.value.diagnostics] == [f"{policy}/p.test.xml:3"] * 2

@@ -10,6 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from keymint.algebra.diff import changes_of, diff, gains
+from keymint.algebra.differences import summary
 from keymint.errors import Origin
 from keymint.ir import Effect, Rule
 from keymint.keymake.algebra import matches
@@ -120,3 +121,22 @@ def test_what_changes_is_covered_and_what_is_said_is_so(old: list[Rule], new: li
     for each in found:
         assert matches(parse(each.pattern), each.example)
         assert (permitted(old, each.example), permitted(new, each.example)) == (not each.gains, each.gains)
+
+
+def test_a_gain_in_a_namespace_below(tmp_path: Path) -> None:
+    # At the top {namespace}a is /a, which is still denied.
+    sees = rule("ros_topic", "ros_subscribe", "/*")
+    old, new = (profile("/*a?", sees, deny("ros_topic", "ros_subscribe", denied)) for denied in ("{namespace}a", "/a*"))
+    one, other = (loaded(tmp_path, text, name=f"{name}.xml") for name, text in (("old", old), ("new", new)))
+    assert gains(diff(one, other))
+
+
+@pytest.mark.parametrize(
+    ("gaining", "losing", "said"),
+    [(0, 1, "no subject gains, 1 loses"), (1, 0, "1 subject gains, none lose"), (2, 2, "2 subjects gain, 2 lose")],
+)
+def test_the_summary_is_a_sentence(tmp_path: Path, gaining: int, losing: int, said: str) -> None:
+    more = "".join(profile(f"/g{number}", rule(*PUB, "/a")) for number in range(gaining))
+    less = "".join(profile(f"/l{number}", rule(*PUB, "/a")) for number in range(losing))
+    one, other = (loaded(tmp_path, text, name=f"{name}.xml") for name, text in (("old", less), ("new", more)))
+    assert summary(diff(one, other)) == said

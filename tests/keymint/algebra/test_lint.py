@@ -99,3 +99,77 @@ def test_names_that_are_nearly_alike(tmp_path: Path, published: str, subscribed:
 def test_a_third_name_that_somebody_is_at_the_other_end_of_is_no_slip(tmp_path: Path) -> None:
     both = profile("/c", rule("ros_topic", "ros_publish ros_subscribe", "/chatter"))
     assert found(tmp_path, both, profile("/a", rule(*PUB, "/chater"))) == []
+
+
+SUB = "ros_topic", "ros_subscribe"
+
+
+def attached(kind: str, permission: str, *names: str, effect: str = "ALLOW") -> str:
+    """Return a rule with each attachment on a line of its own, the first one right below the rule's."""
+    return rule(kind, permission, *names, effect=effect).replace("<attachment>", "\n<attachment>")
+
+
+def test_a_finding_on_some_attachments_of_a_rule_is_at_their_lines(tmp_path: Path) -> None:
+    several = attached(*SUB, "/a", "x", "/b", "/c")
+    denied = deny(*SUB, "/b")
+    assert found(tmp_path, profile("/s", several, denied)) == [("object-never", 5), ("rule-shadowed", 6)]
+    # One that is about all of a rule is at the rule.
+    assert found(tmp_path, profile("/s", attached(*SUB, "/a", "/b"), deny(*SUB, "/*"))) == [("rule-shadowed", 3)]
+
+
+def test_values_of_a_tunable_are_one_attachment(tmp_path: Path) -> None:
+    tunable = '<tunable name="R"><value>/r</value><value>/q</value></tunable>\n'
+    allowed = attached(*SUB, "@{R}/a", "/b")
+    (said,) = lint(loaded(tmp_path, tunable, profile("/s", allowed, deny(*SUB, "/?/a"))))
+    assert (said.code, str(said.where)) == ("rule-shadowed", f"{tmp_path}/policy.xml:5")
+    assert said.message.startswith("'/r/a', '/q/a' in this")
+
+
+def test_an_attachment_that_says_the_same_as_another_for_one_subject_is_not_taken_for_it(tmp_path: Path) -> None:
+    # For /s the first two are one expression; /n/s needs the third.
+    shared = profile("/*", attached(*SUB, "{namespace}a", "/a", "/b"))
+    assert found(tmp_path, shared, profile("/s", rule(*SUB, "/b")), profile("/n/s", rule(*SUB, "/a"))) == [
+        ("rule-redundant", 9),
+        ("rule-redundant", 12),
+    ]
+
+
+def test_subjects_that_are_nearly_alike(tmp_path: Path) -> None:
+    often = profile("/amr1/nav") + profile("/amr1/nav")
+    assert found(tmp_path, often, profile("/amr1/navi")) == [("name-similar", 6)]
+    assert found(tmp_path, often, profile("/amr2/nav")) == []
+    assert found(tmp_path, profile("/amr1/nav"), profile("/amr1/navi")) == []
+
+
+def test_a_profile_that_never_applies_for_a_slip_of_the_pen(tmp_path: Path) -> None:
+    (said,) = lint(loaded(tmp_path, profile("/amr1/nav", profile("/amr1/navi"))))
+    assert (said.code, said.help) == ("profile-never", "did you mean '/amr1/nav'?")
+
+
+def test_a_denial_of_what_is_allowed_is_not_said_to_deny_nothing(tmp_path: Path) -> None:
+    # The rule is in vain because of the denial: which of them is meant is for the author to say, and only once.
+    assert found(tmp_path, profile("/s", deny(*SUB, "/*"), rule(*SUB, "/a"))) == [("rule-shadowed", 4)]
+
+
+def test_rules_that_depend_on_the_namespace_are_looked_at_in_one_below(tmp_path: Path) -> None:
+    assert found(tmp_path, profile("/?b*", rule(*SUB, "{namespace}*"), rule(*SUB, "/c"))) == []
+
+
+def test_a_denial_may_matter_to_one_subject_of_a_pattern(tmp_path: Path) -> None:
+    # To /a alone, which is no example of /*, the denial matters.
+    assert found(tmp_path, profile("/*", deny(*SUB, "/a"), rule(*SUB, "/{name}"))) == []
+    assert found(tmp_path, profile("/b*", deny(*SUB, "/a"), rule(*SUB, "{namespace}{name}"))) == [("deny-nothing", 3)]
+
+
+@pytest.mark.parametrize(
+    ("denied", "granted", "nothing"),
+    [
+        ("{namespace}t", "{namespace}u", True),
+        ("{namespace}t", "{namespace}*", False),
+        ("{namespace}{name}/t", "{namespace}{name}/u", True),
+        ("{namespace}private/*", "{namespace}{name}/get", False),
+    ],
+)
+def test_what_depends_on_the_subject_in_the_same_way(tmp_path: Path, denied: str, granted: str, nothing: bool) -> None:
+    expected = [("deny-nothing", 3)] if nothing else []
+    assert found(tmp_path, profile("/r/*", deny(*SUB, denied), rule(*SUB, granted))) == expected

@@ -53,3 +53,17 @@ def test_mistakes(keymint, tmp_path: Path, path: str, said: str) -> None:
     outcome = keymint("lint", path)
     assert (outcome.code, outcome.out) == (1, "")
     assert said in outcome.err
+
+
+def test_rules_of_subjects_that_nobody_names(keymint, tmp_path: Path) -> None:
+    (tmp_path / "p.xml").write_text(BAD.replace("<attachment>/a<", "<attachment>/a/*<"))
+    outcome = keymint("lint", "p.xml", "--json")
+    assert outcome.codes() == ["deny-nothing", "portability-relay"]
+    assert keymint("lint", "p.xml").out == "2 findings in the rules of 0 subjects and 1 pattern of subjects\n"
+
+
+def test_a_name_that_nothing_has_is_said_once(keymint, tmp_path: Path) -> None:
+    (tmp_path / "p.xml").write_text(BAD.replace("<attachment>/x<", "\n<attachment>/x</attachment>\n<attachment>w<"))
+    outcome = keymint("lint", "p.xml", "--json")
+    assert [each["line"] for each in outcome.document["diagnostics"] if each["code"] == "object-never"] == [4]
+    assert "never-matches" not in outcome.codes()

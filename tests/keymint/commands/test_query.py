@@ -103,3 +103,22 @@ def test_subjects_that_the_policy_does_not_name(keymint, tmp_path: Path) -> None
 def test_no_question(keymint, policy: Path) -> None:
     assert "there is no question" in keymint("query", policy).err
     assert "there is no question" in keymint("query").err
+
+
+@pytest.mark.parametrize(
+    ("question", "said"),
+    [
+        ("who can publish //x", "no ros_topic can be named as '//x' says"),
+        ("who can publish fleet/emergency_stop", "did you mean '/fleet/emergency_stop'?"),
+        ("can /robt1/base publish /robot1/odom", "did you mean /robot1/base?"),
+        ("flows /robot1/base /nobody", "no profile of the policy applies to /nobody"),
+    ],
+)
+def test_what_may_not_be_meant_is_said(keymint, question: str, said: str) -> None:
+    outcome = keymint("query", FLEET, question)
+    assert (outcome.code, outcome.err.count("warning:")) == (0, 1)
+    assert said in outcome.err
+
+
+def test_a_raw_topic_that_is_meant(keymint) -> None:
+    assert keymint("query", FLEET, "who can publish ros_discovery_info").err == ""

@@ -117,3 +117,22 @@ def test_the_workspace(keymint, provisioned: Path, tmp_path: Path) -> None:
 def test_the_fleet(keymint) -> None:
     result = keymint("test", CHECKOUT / "examples/fleet", "--min-coverage", "100", "--json").document["result"]
     assert (result["failed"], result["exercised"]) == (0, result["rules"])
+
+
+@pytest.mark.parametrize(
+    ("subject", "said"),
+    [
+        ("guest", "no subject can be named as 'guest' says (write '/guest')"),
+        ("/9*", "no subject can be named as '/9*'"),
+    ],
+)
+def test_a_subject_that_cannot_be(expect, subject: str, said: str) -> None:
+    outcome = expect(one("deny", subject, "publish", "/x"))
+    assert outcome.code == 1
+    assert said in outcome.err
+
+
+def test_a_policy_that_does_not_exist(keymint) -> None:
+    outcome = keymint("test", "nothing.xml")
+    assert outcome.code == 1
+    assert "the policy 'nothing.xml' does not exist" in outcome.err
