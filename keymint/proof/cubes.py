@@ -9,6 +9,7 @@ from __future__ import annotations
 from bisect import bisect_left
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 from keymint.keymake.algebra import disjoint, matcher
 from keymint.keymake.glob import Glob, literal
@@ -81,15 +82,9 @@ class Escapes:
 
     def _among_literals(self) -> str | None:
         """Decide every word that a pattern names exactly."""
-        texts = {
-            text
-            for decisions in (*self._permitting, self._refusing)
-            for block in decisions
-            for pattern in block.patterns
-            if (text := literal(pattern)) is not None
-        }
         permit = [Evaluator(each) for each in self._permitting]
         refuse = Evaluator(self._refusing)
+        texts: set[str] = set().union(*(each.named for each in (*permit, refuse)))
         return shortest(
             text
             for text in texts
@@ -188,10 +183,20 @@ class _Patterns:
             for pattern in block.patterns:
                 first[block.allows is allows].setdefault(pattern, at)
         self._first = first[True]
-        self._index = Index(self._first.items())
-        self._wild = Heads(Side(p, at) for p, at in self._first.items() if literal(p) is None)
-        self._literals = Heads(Side(p, at) for p, at in self._first.items() if literal(p) is not None)
         self.others = Heads(Side(p, at) for p, at in first[False].items() if literal(p) is None)
+
+    # What only some questions need is made by the first of them.
+    @cached_property
+    def _index(self) -> Index:
+        return Index(self._first.items())
+
+    @cached_property
+    def _wild(self) -> Heads:
+        return Heads(Side(p, at) for p, at in self._first.items() if literal(p) is None)
+
+    @cached_property
+    def _literals(self) -> Heads:
+        return Heads(Side(p, at) for p, at in self._first.items() if literal(p) is not None)
 
     def has(self, pattern: Glob, blocks: int) -> bool:
         """Tell whether a pattern itself is in the first blocks."""

@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator
+from functools import cached_property
 
 from keymint.keymake.algebra import matcher, matches
 from keymint.keymake.glob import Glob, Star, literal
 from keymint.proof.model import DecisionList
 
 Test = Callable[[str], bool]
+FEW = 8
+"""So many patterns are tried one by one sooner than an index of them is made."""
 
 
 def permits(decisions: DecisionList, word: str) -> bool:
@@ -85,20 +88,53 @@ class Evaluator:
     Args:
         decisions: the list.
         literals: take the patterns that match one word only into account.
+
+    Attributes:
+        named: the words that a pattern names exactly, and the first block that does.
+        wild: the other patterns, and the first block of each.
+        effects: what each block does.
     """
 
     def __init__(self, decisions: DecisionList, *, literals: bool = True) -> None:
-        self._effects = [*(block.allows for block in decisions), False]
-        self._index = Index(
-            (pattern, at)
-            for at, block in enumerate(decisions)
-            for pattern in block.patterns
-            if literals or literal(pattern) is None
-        )
+        self.effects = [block.allows for block in decisions]
+        self.named: dict[str, int] = {}
+        self.wild: dict[Glob, int] = {}
+        for at, block in enumerate(decisions):
+            for pattern in block.patterns:
+                text = literal(pattern)
+                if text is None:
+                    self.wild.setdefault(pattern, at)
+                elif literals:
+                    self.named.setdefault(text, at)
+        self._first_wild = min(self.wild.values(), default=len(decisions))
 
     def permits(self, word: str) -> bool:
         """Tell whether the list permits a word."""
-        return self._effects[min((at for _, at in self._index.matching(word)), default=-1)]
+        first = self.named.get(word, len(self.effects))
+        if first > self._first_wild:
+            first = self._wildly(word, first)
+        return first < len(self.effects) and self.effects[first]
+
+    def permitted(self) -> Iterator[str]:
+        """Yield the words that are named exactly, and permitted."""
+        for word, at in self.named.items():
+            if self.effects[at] if at <= self._first_wild else self.permits(word):
+                yield word
+
+    def _wildly(self, word: str, first: int) -> int:
+        """Return the first block with a wildcard pattern that matches a word, if it comes before another one."""
+        if len(self.wild) > FEW:
+            return min((at for _, at in self._index.matching(word) if at < first), default=first)
+        for pattern, at in self.wild.items():  # in the order of the blocks
+            if at >= first:
+                break
+            if matches(pattern, word):
+                return at
+        return first
+
+    @cached_property
+    def _index(self) -> Index:
+        return Index(self.wild.items())
 
 
 def shortest(words: Iterable[str]) -> str | None:

@@ -83,14 +83,8 @@ class Product:
             the search must not stop at.
         """
         lists = (*self._together, self._other)
-        texts = {
-            text
-            for decisions in lists
-            for block in decisions
-            for pattern in block.patterns
-            if (text := literal(pattern)) is not None and text in self._universe
-        }
         full, wild = ([Evaluator(each, literals=flag) for each in lists] for flag in (True, False))
+        texts = {text for each in full for text in each.named if text in self._universe}
 
         def differs(evaluators: list[Evaluator], text: str) -> bool:
             return all(each.permits(text) for each in evaluators[:-1]) is not evaluators[-1].permits(text)

@@ -16,6 +16,8 @@ from keymint.errors import Diagnostic, KeymintError, Origin, Severity
 
 PERMISSIONS = "permissions"
 GOVERNANCE = "governance"
+PERMISSIONS_XML = f"{PERMISSIONS}.xml"
+GOVERNANCE_XML = f"{GOVERNANCE}.xml"
 MAX_DOMAIN = 230
 """The highest domain id whose ports exist (DDSI-RTPS 2.3, 9.6.1.1); Cyclone DDS refuses documents with higher ones."""
 MAX_YEAR = 2261

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from functools import lru_cache
 from types import MappingProxyType
 
 from keymint.keymake import glob
@@ -77,3 +78,16 @@ READERS: Mapping[fnmatch.Dialect, Reader] = MappingProxyType(
     {fnmatch.posix: _posix, fnmatch.noescape: _noescape, fnmatch.cyclone: _cyclone}
 )
 """How the expressions of each dialect become tokens."""
+
+
+# Each model asks for each list of expressions, and for some of them in both directions.
+@lru_cache(maxsize=64)
+def read(expressions: tuple[str, ...], dialect: fnmatch.Dialect) -> tuple[Glob, ...]:
+    """Return the patterns of some expressions, each once.
+
+    Raises:
+        GlobError: an expression means nothing.
+    """
+    if fnmatch.is_plain("".join(expressions)):
+        return tuple((text,) if text else () for text in dict.fromkeys(expressions))
+    return tuple(dict.fromkeys(map(READERS[dialect], expressions)))

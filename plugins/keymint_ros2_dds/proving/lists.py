@@ -7,6 +7,7 @@ what a rule lets in beyond what was meant shows itself as a word. Else a word is
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
+from itertools import chain
 
 from keymint.ir import Effect
 from keymint.keymake.algebra import matches
@@ -15,9 +16,9 @@ from keymint.proof import Block, DecisionList
 from keymint_ros2_dds.decision.document import Criteria, Grant, Rule
 from keymint_ros2_dds.decision.refusals import covers
 from keymint_ros2_dds.decision.semantics import Semantics
-from keymint_ros2_dds.lower import Lowered
+from keymint_ros2_dds.lower import Lowered, Partitions
 from keymint_ros2_dds.mapping import Action
-from keymint_ros2_dds.proving.dialects import READERS
+from keymint_ros2_dds.proving.dialects import read
 
 SEPARATOR = "\0"
 _DEFAULT: Glob = ()
@@ -39,10 +40,12 @@ def of_policy(lowered: Lowered, action: str, *, pairs: bool) -> DecisionList:
     found = []
     for effect, sides in ((Effect.DENY, lowered.deny), (Effect.ALLOW, lowered.allow)):
         every = (EVERYTHING,) if effect is Effect.DENY else (_DEFAULT,)
-        patterns: dict[Glob, None] = {}
+        topics: dict[Partitions, list[Glob]] = {}
         for topic, listed in sides[Action(action)]:
-            partitions = tuple(map(parse, listed)) or every
-            patterns.update(dict.fromkeys(_words(partitions, (topic,), pairs=pairs)))
+            topics.setdefault(listed, []).append(topic)
+        patterns: dict[Glob, None] = {}
+        for listed, own in topics.items():
+            patterns.update(dict.fromkeys(_words(tuple(map(parse, listed)) or every, tuple(own), pairs=pairs)))
         found.append(Block(effect is Effect.ALLOW, tuple(patterns)))
     return tuple(found)
 
@@ -81,10 +84,11 @@ def _endpoints(rules: Iterable[Rule], action: str, semantics: Semantics, *, pair
         for together in [own] if semantics.pools_criteria and own else [[criteria] for criteria in own]:
             if not rule.allows and semantics.tags_count and all(criteria.tags is not None for criteria in together):
                 continue  # a denial of data tags is about no endpoint without them
-            topics = _read((topic for criteria in together for topic in criteria.topics), semantics)
-            yield Block(rule.allows, tuple(_words(_partitions(rule, together, semantics), topics, pairs=pairs)))
-            if semantics.first_topic_decides:
-                yield Block(False, tuple(_words((EVERYTHING,), topics, pairs=pairs)))
+            topics = _read(chain.from_iterable(criteria.topics for criteria in together), semantics)
+            words = _words(_partitions(rule, together, semantics), topics, pairs=pairs)
+            yield Block(rule.allows, words)
+            if semantics.first_topic_decides and (named := _words((EVERYTHING,), topics, pairs=pairs)) != words:
+                yield Block(False, named)
 
 
 def _topics(rules: Iterable[Rule], semantics: Semantics, *, pairs: bool) -> Iterator[Block]:
@@ -93,25 +97,24 @@ def _topics(rules: Iterable[Rule], semantics: Semantics, *, pairs: bool) -> Iter
         for criteria in rule.criteria:
             if criteria.action != Action.RELAY:
                 topics = _read(criteria.topics, semantics)
-                yield Block(rule.allows, tuple(_words((EVERYTHING,), topics, pairs=pairs)))
+                yield Block(rule.allows, _words((EVERYTHING,), topics, pairs=pairs))
 
 
 def _partitions(rule: Rule, together: Sequence[Criteria], semantics: Semantics) -> tuple[Glob, ...]:
-    if not rule.allows:
-        unlisted = any(criteria.partitions is None for criteria in together)
-        if semantics.deny_topic or (unlisted and not semantics.deny_default):
-            return (EVERYTHING,)
+    unlisted = any(criteria.partitions is None for criteria in together)
+    if not rule.allows and (semantics.deny_topic or (unlisted and not semantics.deny_default)):
+        return (EVERYTHING,)
+    if all(criteria.partitions is None for criteria in together):
+        return (_DEFAULT,)
     listed = (p for criteria in together for p in (("",) if criteria.partitions is None else criteria.partitions))
     return _read(listed, semantics)
 
 
 def _read(expressions: Iterable[str], semantics: Semantics) -> tuple[Glob, ...]:
-    read = READERS[semantics.fnmatch]
-    return tuple(dict.fromkeys(read(each.strip() if semantics.trims else each) for each in expressions))
+    return read(tuple(map(str.strip, expressions) if semantics.trims else expressions), semantics.fnmatch)
 
 
-def _words(partitions: Sequence[Glob], topics: Sequence[Glob], *, pairs: bool) -> Iterator[Glob]:
+def _words(partitions: Sequence[Glob], topics: tuple[Glob, ...], *, pairs: bool) -> tuple[Glob, ...]:
     if pairs:
-        yield from (normalise((*partition, SEPARATOR, *topic)) for partition in partitions for topic in topics)
-    elif any(matches(partition, "") for partition in partitions):
-        yield from topics
+        return tuple(normalise((*partition, SEPARATOR, *topic)) for partition in partitions for topic in topics)
+    return topics if _DEFAULT in partitions or any(matches(partition, "") for partition in partitions) else ()

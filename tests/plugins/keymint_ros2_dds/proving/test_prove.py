@@ -8,10 +8,12 @@ import subprocess
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from keymint_ros2_dds import build_type
+from keymint_ros2_dds import build_type, decision, proving
+from keymint_ros2_dds.lower import lower
+from keymint_ros2_dds.transports.files import subject_name
 
 from keymint.api import BuildOptions, DomainRange, Obligation, Proof
-from keymint.errors import KeymintError
+from keymint.errors import KeymintError, Origin
 from keymint.pki import certificates, keys, smime
 from tests.plugins.keymint_ros2_dds.enclaves import authority, installed
 from tests.plugins.keymint_ros2_dds.oracles import policy as oracle
@@ -32,12 +34,16 @@ def sign(content: bytes) -> bytes:
     return smime.sign(content, ca.certificate, ca.key)
 
 
-def claims(loaded, files, **fields):
+def obligation(loaded, files, **fields):
     given_ = {
         "rules": loaded.permissions.rules, "distro": loaded.distro, "domains": loaded.permissions.domains,
         "files": files, "folder": "install/talker", "states": 200_000, "go_on": lambda: True,
     }  # fmt: skip
-    return build_type.prove(Obligation(**{**given_, **fields}))
+    return Obligation(**{**given_, **fields})
+
+
+def claims(loaded, files, **fields):
+    return build_type.prove(obligation(loaded, files, **fields))
 
 
 def after(loaded, old: str, new: str, count: int = -1, **fields):
@@ -257,6 +263,34 @@ def test_an_expression_that_means_nothing_is_unknown():
 def test_a_spent_budget_is_unknown():
     found = after(PLAIN, "rt/camera/*", "rt/camera/?*", states=1)
     assert {claim.proof for claim in found if claim.action == "publish"} == {Proof.UNKNOWN}
+
+
+@pytest.mark.parametrize("models", [None, (), ("fastdds-2.9",), ("cyclonedds-0.10", "omg")])
+def test_only_the_models_that_are_asked_for(models):
+    found = proving.prove(obligation(PLAIN, ENCLAVE), models=models)
+    assert list(dict.fromkeys(claim.model for claim in found)) == list(MODELS if models is None else models)
+
+
+@pytest.mark.parametrize(("old", "new"), [("", ""), ("rt/camera/*", "rt/camera/?*")])
+def test_a_document_that_is_not_signed_yet(old, new):
+    content = ENCLAVE["permissions.xml"].decode().replace(old, new).encode()
+    rules = PLAIN.permissions.rules
+    question = proving.Question(
+        decision.read(content),
+        subject_name(ENCLAVE["cert.pem"], Origin("cert.pem")),
+        rules,
+        lower(rules, PLAIN.distro),
+        PLAIN.distro,
+        PLAIN.permissions.domains,
+        states=200_000,
+        go_on=lambda: True,
+    )
+    found = proving.prove_document(question)
+    signed = proving.prove(obligation(PLAIN, {**ENCLAVE, "permissions.xml": content, "permissions.p7s": sign(content)}))
+    assert [(claim.model, claim.action, claim.proof) for claim in found] == [
+        (claim.model, claim.action, claim.proof) for claim in signed
+    ]
+    assert all(claim.proof is Proof.PROVEN for claim in found) == (not old)
 
 
 @pytest.mark.parametrize("missing", ["permissions.p7s", "cert.pem", "permissions_ca.cert.pem"])

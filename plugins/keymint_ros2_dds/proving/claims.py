@@ -1,0 +1,252 @@
+"""The claims about one permissions document."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from datetime import datetime
+from functools import cache
+from itertools import pairwise
+from types import MappingProxyType
+
+from keymint.api import Claim, Counterexample, DomainRange, PolicyDecision, Proof, Verdict
+from keymint.graph import Edge
+from keymint.ir import Effect, SubjectRules
+from keymint.keymake.glob import GlobError, charset
+from keymint.proof import Budget, DecisionList, Equal, Outcome, Universe, Unknown, difference
+from keymint_ros2_dds import decision
+from keymint_ros2_dds.decision import OMG, VARIATIONS, Decision, Judge, Variation
+from keymint_ros2_dds.decision.document import Grant, PermissionsDocument
+from keymint_ros2_dds.decision.semantics import Semantics
+from keymint_ros2_dds.lower import Lowered
+from keymint_ros2_dds.proving import lists, policy
+
+ACTIONS = ("publish", "subscribe")
+LAST_DOMAIN = 232
+"""The highest domain id whose ports exist for any participant (DDSI-RTPS 2.3, 9.6.1.1)."""
+ALPHABET = charset([(0x20, 0x5B), (0x5D, 0x7E)])
+"""Printable ASCII without the backslash, which is an escape for the standard and a character for Cyclone and Fast DDS:
+no expression about a name that has one is read alike."""
+TOPICS = (
+    "every topic name of printable ASCII without a backslash, in the default partition; nothing is permitted outside "
+    "of it"
+)
+PAIRS = "every pair of a partition and a topic name of printable ASCII without a backslash"
+
+_ALWAYS = (
+    "the governance document puts every topic under access control, and its domain rules let the subject join",
+    "the grant is valid at the time, and ROS names are mapped as the distribution documents it",
+    "an endpoint has one partition, whose name is text, and no data tags (of several, each must be permitted)",
+    "relay is not asked about",
+)
+ASSUMPTIONS: Mapping[str, tuple[str, ...]] = MappingProxyType(
+    {
+        "omg": ("documents are read as DDS Security 1.1 says (9.4.1.3)", *_ALWAYS),
+        "cyclonedds-0.10": (
+            "documents are read as Cyclone DDS 0.10 was measured to read them; its topic check is part of the model",
+            *_ALWAYS,
+        ),
+        "fastdds-2.9": (
+            "documents are read as Fast DDS 2.9 was measured to read them",
+            "participants are in the domains of the policy: local checks do not look at domains",
+            *_ALWAYS,
+        ),
+    }
+)
+
+
+@dataclass(frozen=True, slots=True)
+class Question:
+    """What is asked of a permissions document, signed or not.
+
+    Attributes:
+        document: the document.
+        subject_name: the identity's, in the order of RFC 2253, e.g. ``CN=/talker,OU=0f``.
+        rules: what the policy says of the subject.
+        lowered: the same on the level of DDS, from :func:`keymint_ros2_dds.lower.lower`.
+        distro: ROS 2 distribution whose name mapping applies.
+        domains: the domains in which the policy holds.
+        states: how many states a comparison may visit.
+        go_on: asked again and again; a comparison is given up when it returns False.
+    """
+
+    document: PermissionsDocument
+    subject_name: str
+    rules: SubjectRules
+    lowered: Lowered
+    distro: str
+    domains: tuple[DomainRange, ...]
+    states: int
+    go_on: Callable[[], bool]
+
+
+def prove_document(question: Question, *, models: Sequence[str] | None = None) -> tuple[Claim, ...]:
+    """Return the claims about a document, by model, action and domains.
+
+    Args:
+        question: what is asked.
+        models: names of the models, of :data:`ASSUMPTIONS`; None: all.
+    """
+    compare = _Comparison(question)
+    names = ASSUMPTIONS if models is None else models
+    return tuple(claim for name in names for claim in _Model(question, compare, name).claims())
+
+
+class _Comparison:
+    """What a policy says, held against decision lists of the document: once for all models that read it alike."""
+
+    def __init__(self, question: Question) -> None:
+        self._question = question
+        self.pairs = lists.has_partitions(question.lowered, question.document.grants)
+        self._universe = Universe(ALPHABET, fields=2 if self.pairs else 1, separator=lists.SEPARATOR)
+        self._said = {action: lists.of_policy(question.lowered, action, pairs=self.pairs) for action in ACTIONS}
+        self._known: dict[tuple[DecisionList, tuple[DecisionList, ...]], Outcome] = {}
+
+    def of(self, action: str, permitted: tuple[DecisionList, ...], *, inside: bool) -> Outcome:
+        """Compare what the policy says of an action, inside or outside of its domains, with what is permitted."""
+        said = self._said[action] if inside else ()
+        key = (said, permitted)
+        found = self._known.get(key)
+        if found is None:
+            budget = Budget(self._question.states, self._question.go_on)
+            found = self._known[key] = difference(said, *permitted, universe=self._universe, budget=budget)
+        return found
+
+
+@cache
+def _semantics(name: str) -> Semantics:
+    """Return how a model reads documents; put together from its deviations once, and not for every enclave."""
+    return VARIATIONS[name].semantics
+
+
+class _Model:
+    """The claims of one model."""
+
+    def __init__(self, question: Question, comparison: _Comparison, name: str) -> None:
+        self._question = question
+        self._comparison = comparison
+        self._variation = VARIATIONS[name]
+        self._semantics = _semantics(name)
+        self._refused = self._semantics.refuses(question.document)
+        self._grant, self._now = self._chosen()
+
+    def _chosen(self) -> tuple[Grant | None, datetime | None]:
+        """Return the grant that is about the identity, and a time at which it is valid."""
+        if self._refused:
+            return None, None
+        for grant in self._question.document.grants:
+            name = grant.subject_name.strip() if self._semantics.trims else grant.subject_name
+            begin, end = self._semantics.date(grant.not_before), self._semantics.date(grant.not_after)
+            valid = begin is not None and end is not None and begin <= end
+            if self._semantics.selects(name, self._question.subject_name):
+                if valid and begin is not None:
+                    return grant, begin
+                if not self._semantics.passes_over_invalid:
+                    return None, None
+        return None, None
+
+    def claims(self) -> Iterator[Claim]:
+        groups = tuple(self._domains())
+        for action in ACTIONS:
+            for domains, inside in groups:
+                claim = self._claim(action, domains, inside=inside)
+                # That nothing is permitted where the policy does not hold is said only where it is wrong.
+                if inside or claim.proof is not Proof.PROVEN:
+                    yield claim
+
+    def _domains(self) -> Iterator[tuple[tuple[DomainRange, ...], bool]]:
+        """Yield groups of domains in which policy and document are the same, and whether the policy holds there."""
+        wanted = self._question.domains
+        rules = self._grant.rules if self._grant else ()
+        edges = {0, *(d.first for d in wanted), *(d.last + 1 for d in wanted)}
+        for each in (each for rule in rules for each in rule.domains):
+            first = each.first or 0
+            edges |= {first, first + 1, *(() if each.last is None else (each.last + 1,))}
+        cuts = [*sorted(edge for edge in edges if 0 <= edge <= LAST_DOMAIN), LAST_DOMAIN + 1]
+        permits_more = bool(self._grant and self._semantics.default_counts and self._grant.default == "ALLOW")
+        groups: dict[tuple[bool, ...], list[DomainRange]] = {}
+        for first, following in pairwise(cuts):
+            inside = any(d.first <= first <= d.last for d in wanted)
+            held = [lists.holds(rule, first, self._semantics) for rule in rules]
+            # Where neither policy nor document says anything there is nothing to compare.
+            if inside or (self._semantics.domains_count and (permits_more or any(held))):
+                groups.setdefault((inside, *held), []).append(DomainRange(first, following - 1))
+        for kind, domains in groups.items():
+            yield tuple(_joined(domains)), kind[0]
+
+    def _claim(self, action: str, domains: tuple[DomainRange, ...], *, inside: bool) -> Claim:
+        pairs = self._comparison.pairs
+        universe = PAIRS if pairs else TOPICS
+
+        def claim(proof: Proof, reason: str = "", counterexample: Counterexample | None = None) -> Claim:
+            return Claim(self._variation.name, action, domains, universe, proof, reason, counterexample)
+
+        domain = domains[0].first
+        try:
+            permitted = (
+                lists.of_grant(self._grant, domain, action, self._semantics, pairs=pairs) if self._grant else ((),)
+            )
+        except GlobError as error:
+            return claim(Proof.UNKNOWN, f"{self._question.document.file}: {error}")
+        outcome = self._comparison.of(action, permitted, inside=inside)
+        if isinstance(outcome, Equal):
+            return claim(Proof.PROVEN)
+        if isinstance(outcome, Unknown):
+            return claim(Proof.UNKNOWN, outcome.reason)
+        found = self._counterexample(action, domain, outcome.word, inside=inside)
+        if found.policy.allowed is not outcome.left or found.document.allowed is outcome.left:
+            name = found.endpoint.object.name
+            return claim(
+                Proof.UNKNOWN, f"the engine and the plain evaluators disagree on {name!r}: a defect of Keymint"
+            )
+        return claim(Proof.COUNTEREXAMPLE, "", found)
+
+    def _counterexample(self, action: str, domain: int, word: str, *, inside: bool) -> Counterexample:
+        asked = self._question
+        partition, topic = word.split(lists.SEPARATOR) if self._comparison.pairs else ("", word)
+        rules = asked.rules if inside else SubjectRules(asked.rules.subject, ())
+        edges = policy.endpoint_edges(rules.subject, asked.distro, action, topic, partition)
+        rule = policy.decide(rules, asked.distro, action, topic, partition)
+        if rule is not None:
+            verb = "allows" if rule.effect is Effect.ALLOW else "denies"
+            said = PolicyDecision(
+                rule.effect is Effect.ALLOW, rule.origin, f"the {rule.kind} rule {verb} it", rule.audit
+            )
+        else:
+            said = PolicyDecision(allowed=False, where=None, reason="no rule allows it" if inside else "not its domain")
+        return Counterexample(
+            Edge(rules.subject, action, edges[0].object, domain),
+            edges[1] if len(edges) > 1 else None,
+            said,
+            self._verdict(action, domain, topic, partition),
+        )
+
+    def _verdict(self, action: str, domain: int, topic: str, partition: str) -> Verdict:
+        """Return what the decision point says, read by this model."""
+        question = self._question
+        if self._refused:
+            return Verdict(allowed=False, reason=self._refused)
+        if (now := self._now) is None:
+            return Verdict(allowed=False, reason=f"no valid grant is about {question.subject_name!r}")
+
+        def ask(variation: Variation) -> Decision:
+            judge = Judge(question.document, question.subject_name, now, domain, variation)
+            return judge.decide(action, topic, (partition,) if partition else ())
+
+        found = ask(self._variation)
+        deviation = ""
+        if self._variation.name != OMG.name and ask(OMG).allowed is not found.allowed:
+            deviation = "; ".join(map(str, decision.explain(lambda asked: ask(asked).allowed, self._variation)))
+        return Verdict(found.allowed, found.reason, found.line, deviation)
+
+
+def _joined(domains: Sequence[DomainRange]) -> Iterator[DomainRange]:
+    """Yield ranges of domains, neighbours as one."""
+    first, last = domains[0].first, domains[0].last
+    for each in domains[1:]:
+        if each.first == last + 1:
+            last = each.last
+        else:
+            yield DomainRange(first, last)
+            first, last = each.first, each.last
+    yield DomainRange(first, last)
