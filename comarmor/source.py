@@ -160,6 +160,7 @@ class _Reader:
         files: digests of what was read.
         seen: fingerprints of the paths that were looked at.
         done: documents by resolved path, complete with everything they include.
+        included: documents by what an include asks for: a folder, a path in it, and the ``href`` as it is written.
         open: resolved paths of the files that are being read, outermost first.
         total: bytes read.
     """
@@ -170,6 +171,7 @@ class _Reader:
     files: dict[Path, bytes] = field(default_factory=dict)
     seen: dict[Path, bytes] = field(default_factory=dict)
     done: dict[Path, Document] = field(default_factory=dict)
+    included: dict[tuple[_Folder, str, str], Document] = field(default_factory=dict)
     open: list[Path] = field(default_factory=list)
     total: int = 0
     nodes: int = 0
@@ -238,6 +240,10 @@ class _Reader:
         """Read what an ``xi:include`` element of a file refers to."""
         href = _href(element, where)
         target = posixpath.normpath(posixpath.join(posixpath.dirname(relative), href))
+        asked = (folder, target, href)
+        known = self.included.get(asked)
+        if known is not None:  # many profiles include the same few files
+            return known
         chain = (Location(where.file, where.line), *where.chain)
         found = _exists(folder, target, where)
         if not found:
@@ -253,7 +259,8 @@ class _Reader:
                 help=_nearest(folder, target),
                 code="include-missing",
             )
-        return self.document(folder, target, where, chain)
+        document = self.included[asked] = self.document(folder, target, where, chain)
+        return document
 
     def read(self, folder: _Folder, real: Path, where: Location) -> bytes:
         """Return the bytes of a file, and note their digest."""

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import json
 from collections import Counter
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import IO, TYPE_CHECKING, Any
 
 from keymint.errors import Diagnostic, Severity
-from keymint.plan.model import Action, Step
+from keymint.plan.model import Action, Size, Step
 from keymint.report import Report, as_document
 
 if TYPE_CHECKING:
@@ -148,6 +148,8 @@ class Console:
             else:
                 counts = Counter(str(step.action) for step in report.steps)
                 self.line(f"{would}" + ", ".join(f"{counts[a]} {a}" for a in map(str, Action) if counts[a]))
+            if line := _gain([size for step in report.steps for size in step.sizes]):
+                self.line(line)
 
     def _say_err(self, text: str) -> None:
         self._streams.err.write(f"{text}\n")
@@ -157,6 +159,15 @@ class Console:
 def _counted(steps: Any) -> str:
     packages = {step.package for step in steps if step.package and step.stage != "authorities"}
     return f"{len(packages)} package{'s' if len(packages) != 1 else ''}" if packages else "everything"
+
+
+def _gain(sizes: Sequence[Size]) -> str:
+    """Return how much smaller the documents became that were built, or nothing."""
+    now, plain = sum(size.bytes for size in sizes), sum(size.plain_bytes for size in sizes)
+    if now == plain:
+        return ""
+    files = ", ".join(sorted({size.file for size in sizes}))
+    return f"{files}: {now:,} bytes in all, {plain:,} in plain form ({(now - plain) / plain:+.0%})"
 
 
 def _printable(text: str) -> str:

@@ -89,6 +89,7 @@ def _step(step: Step, workspace: Workspace | None) -> dict[str, Any]:
         "written": [typed(change.folder, name) for change in step.changes for name in change.files],
         "removed": [typed(change.folder, name) for change in step.changes for name in change.removed],
         "detail": step.detail,
+        "sizes": [{"file": size.file, "bytes": size.bytes, "plain_bytes": size.plain_bytes} for size in step.sizes],
     }
 
 

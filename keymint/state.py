@@ -13,7 +13,7 @@ from dataclasses import dataclass, field
 
 MAX_RECORD = 1 << 30
 """Bytes of a record: there are about 1,500 an enclave."""
-VERSION = 1
+VERSION = 2
 _SEAL, _END = b',"sha256":"', b'"}\n'
 """Around the digest at the end of a record, which tells a damaged one."""
 
@@ -41,11 +41,14 @@ class Stamp:
         inputs: digest over everything the stage read.
         outputs: digest of each file it wrote, by path relative to the package's folder in the stage's space.
         secret: which of them are secret.
+        context: digest of what else the result was made with, where a stage keeps that apart: the options of a build,
+            the policy of a proof.
     """
 
     inputs: str
     outputs: Mapping[str, str]
     secret: tuple[str, ...] = ()
+    context: str = ""
 
 
 @dataclass(frozen=True, slots=True)
@@ -82,7 +85,7 @@ class State:
             "version": VERSION,
             "stamps": {
                 stage: {
-                    name: [stamp.inputs, dict(sorted(stamp.outputs.items())), sorted(stamp.secret)]
+                    name: [stamp.inputs, dict(sorted(stamp.outputs.items())), sorted(stamp.secret), stamp.context]
                     for name, stamp in sorted(stamps.items())
                 }
                 for stage, stamps in sorted(self.stamps.items())
@@ -118,8 +121,10 @@ def _stamps(content: bytes | None) -> dict[str, dict[str, Stamp]]:
             return {}
         return {
             str(stage): {
-                str(name): Stamp(str(inputs), {str(k): str(v) for k, v in outputs.items()}, tuple(map(str, secret)))
-                for name, (inputs, outputs, secret) in stamps.items()
+                str(name): Stamp(
+                    str(inputs), {str(k): str(v) for k, v in outputs.items()}, tuple(map(str, secret)), str(context)
+                )
+                for name, (inputs, outputs, secret, context) in stamps.items()
             }
             for stage, stamps in document["stamps"].items()
         }

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
+from functools import lru_cache
 from pathlib import Path
 
 from keymint.errors import ExitCode, KeymintError
@@ -98,10 +99,22 @@ class Workspace:
 
 def shown(path: Path, start: Path) -> str:
     """Return a path relative to a folder if it lies below it or near, else as it is."""
-    if path.is_relative_to(start):
-        return str(path.relative_to(start))
-    relative = os.path.relpath(path, start)
-    return relative if relative.count("..") <= 2 else str(path)  # noqa: PLR2004 - beyond, nobody counts the dots
+    text, root = str(path), str(start)
+    below = root if root.endswith("/") else f"{root}/"
+    if text.startswith(below):
+        return text.removeprefix(below)
+    if root.startswith(text) or not path.is_absolute():
+        relative = os.path.relpath(text, root)
+    else:
+        folder, _, name = text.rpartition("/")
+        relative = os.path.join(_beside(folder or "/", root), name)  # noqa: PTH118 - of texts
+    return relative if relative.count("..") <= 2 else text  # noqa: PLR2004 - beyond, nobody counts the dots
+
+
+@lru_cache(maxsize=1 << 14)
+def _beside(folder: str, root: str) -> str:
+    """Return a folder relative to another one: asked for every file that messages may be about."""
+    return os.path.relpath(folder, root)
 
 
 def find(start: Path, spaces: Mapping[str, Path], shown_from: Path) -> Workspace:

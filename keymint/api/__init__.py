@@ -18,7 +18,17 @@ group                        protocol
 
 from __future__ import annotations
 
-from keymint.api.building import Artifact, BuildOptions, BuildType, Built, Credentials, Inspection, NameMapping, Signer
+from keymint.api.building import (
+    Artifact,
+    BuildOptions,
+    BuildType,
+    Built,
+    Credentials,
+    Demand,
+    Inspection,
+    NameMapping,
+    Signer,
+)
 from keymint.api.certificates import Authority, CertificateSpec, Extension, KeySpec, Validity
 from keymint.api.graphs import Discovered, GraphSource, Learned, PolicyLearner
 from keymint.api.packages import DomainRange, DomainRule, Governance, Package, Permissions, TopicProtection
@@ -55,6 +65,7 @@ __all__ = [
     "Clause",
     "Counterexample",
     "Credentials",
+    "Demand",
     "Discovered",
     "DomainRange",
     "DomainRule",

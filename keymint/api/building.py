@@ -14,18 +14,41 @@ from keymint.graph import Edge
 
 
 @dataclass(frozen=True, slots=True)
+class Demand:
+    """How often a subject asks for an edge: a hint for the order of rules, which changes nothing of what they mean."""
+
+    edge: Edge
+    times: int
+
+
+@dataclass(frozen=True, slots=True)
 class BuildOptions:
-    """Options of a build. ``allow_vendor_specific`` turns portability errors into warnings."""
+    """Options of a build.
+
+    Attributes:
+        allow_vendor_specific: turn portability errors into warnings.
+        optimise: rewrite documents into smaller ones that mean the same, and order them by demand.
+        demand: what is asked for, with its number; what is asked for more often comes earlier.
+    """
 
     allow_vendor_specific: bool = False
+    optimise: bool = True
+    demand: tuple[Demand, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)
 class Built:
-    """Unsigned documents by file name, and what is to be said of them."""
+    """What a build gives.
+
+    Attributes:
+        documents: unsigned documents by file name.
+        diagnostics: what is to be said of them.
+        plain_sizes: of the documents that may be rewritten, how many bytes they have when they are not.
+    """
 
     documents: Mapping[str, bytes]
     diagnostics: tuple[Diagnostic, ...] = ()
+    plain_sizes: Mapping[str, int] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, slots=True)

@@ -26,6 +26,7 @@ class Obligation:
         folder: the enclave's folder as the user would type it.
         states: how many states a question may visit.
         go_on: asked again and again; a question is given up when it returns False.
+        standard_only: claims about vendors are not wanted, as what they decide differently is accepted.
     """
 
     rules: SubjectRules
@@ -35,6 +36,7 @@ class Obligation:
     folder: str
     states: int
     go_on: Callable[[], bool]
+    standard_only: bool = False
 
 
 class Proof(StrEnum):

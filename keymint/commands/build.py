@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import click
 
-from keymint.api import BuildOptions
+from keymint.commands.build_options import BUILD_OPTIONS, build_options
 from keymint.commands.common import Run, complete_package, verb
+from keymint.commands.profile_options import add_options
 from keymint.errors import Diagnostic, Severity
 from keymint.plan.build import plan_build
 from keymint.plan.create import policy_changed
@@ -23,29 +26,33 @@ from keymint.report import Report
     is_flag=True,
     help="Stop at the unsigned documents for an edit by hand, as build always does; here for scripts to say so.",
 )
-@click.option(
-    "--allow-vendor-specific",
-    is_flag=True,
-    help="Turn into warnings what DDS vendors would decide differently.",
-)
+@add_options(BUILD_OPTIONS)
 def build(
-    run: Run, names: tuple[str, ...], force: bool, renew: bool, unsigned: bool, allow_vendor_specific: bool
+    run: Run,
+    names: tuple[str, ...],
+    force: bool,
+    renew: bool,
+    unsigned: bool,
+    allow_vendor_specific: bool,
+    optimise: bool,
+    hints: Path | None,
 ) -> Report:
     """Build unsigned documents in build/, and mint a key for each subject that has none.
 
     All packages are validated before the first byte is written. Nothing is signed: 'keymint install' does that,
-    so a document may be edited by hand in between. NAME is a package; by default all of them.
+    so a document may be edited by hand in between. Permissions are rewritten into a smaller form, which is proven to
+    permit what the rules say; its size is shown beside that of the plain form. NAME is a package; by default all.
     """
     del unsigned  # what it asks for is what this verb does
     workspace = run.workspace()
+    hinted = build_options(run, allow_vendor_specific=allow_vendor_specific, optimise=optimise, hints=hints)
 
     def make_plan(inputs: Inputs) -> Plan:
         loaded = inputs.profile()
         chosen = run.names(inputs, names)
-        options = BuildOptions(allow_vendor_specific=allow_vendor_specific)
-        plan = plan_build(inputs, loaded, chosen, Sources(run.plugins), options, force=force, renew=renew)
+        plan = plan_build(inputs, loaded, chosen, Sources(run.plugins), hinted.options, force=force, renew=renew)
         said = policy_changed(inputs, loaded) if chosen else (no_packages(inputs),)
-        return Plan(plan.steps, plan.state, (*plan.diagnostics, *said))
+        return Plan(plan.steps, plan.state, (*plan.diagnostics, *said, *hinted.unknown(run.names(inputs, ()))))
 
     return run.carry_out(workspace, make_plan)
 

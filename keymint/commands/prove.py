@@ -96,7 +96,7 @@ def _deadline(clock: Callable[[], float], seconds: float) -> Callable[[], bool]:
 
 def _summary(run: Run, found: Findings) -> None:
     count, say = len(found.enclaves), run.console.line
-    total = sum(enclave.counted for enclave in found.enclaves)
+    total = sum(len(enclave.claims) for enclave in found.enclaves)
     open_ = [claim for enclave in found.enclaves for claim in enclave.claims if claim.proof is not Proof.PROVEN]
     refuted = sum(claim.proof is Proof.COUNTEREXAMPLE for claim in open_)
     unread = sum(bool(enclave.diagnostics) for enclave in found.enclaves)
@@ -167,7 +167,6 @@ def _enclave(enclave: Proven, run: Run) -> dict[str, Any]:
     return {
         "subject": enclave.subject,
         "proof": str(_whole(enclave)),
-        "claims_counted": enclave.counted,
         "unchanged": enclave.remembered,
         "claims": [_claim(claim, run) for claim in enclave.claims],
     }

@@ -7,10 +7,11 @@ from pathlib import Path
 
 import click
 
-from keymint.api import BuildOptions
+from keymint.commands.build_options import BUILD_OPTIONS, build_options
 from keymint.commands.common import Run, verb
 from keymint.commands.init import bootstrap_request
 from keymint.commands.profile_options import PROFILE_OPTIONS, add_options
+from keymint.commands.proving import PROVING_OPTIONS, proven
 from keymint.errors import KeymintError, Origin
 from keymint.plan.authorities import plan_authorities
 from keymint.plan.bootstrap import plan_init, plan_policy, policy_path
@@ -28,11 +29,8 @@ from keymint.report import Report
 @click.option("-f", "--force", is_flag=True, help="Discard edits by hand of permissions.xml and of built documents.")
 @click.option("--prune", is_flag=True, help="Remove installed enclaves that have no source package any more.")
 @click.option("--renew", is_flag=True, help="Mint new private keys; keys are never replaced otherwise.")
-@click.option(
-    "--allow-vendor-specific",
-    is_flag=True,
-    help="Turn into warnings what DDS vendors would decide differently.",
-)
+@add_options(BUILD_OPTIONS)
+@add_options(PROVING_OPTIONS)
 def provision(
     run: Run,
     policy: Path,
@@ -45,14 +43,19 @@ def provision(
     prune: bool,
     renew: bool,
     allow_vendor_specific: bool,
+    optimise: bool,
+    hints: Path | None,
+    prove: bool,
 ) -> Report:
     """From a ComArmor POLICY to a keystore in one go: init, create --all, build and install.
 
     All of it is planned and validated before the first byte is written. Run it again after every change of the
-    policy: only what the change concerns is built and signed anew, and no key is replaced.
+    policy: only what the change concerns is built and signed anew, and no key is replaced. Nothing is installed unless
+    it is proven to permit exactly what the policy says, for every name there is.
     """
     workspace = run.workspace_at(None)
     asked = {"distro": distro, "domain": domain, "layout": layout, "subject-format": subject_format}
+    hinted = build_options(run, allow_vendor_specific=allow_vendor_specific, optimise=optimise, hints=hints)
     request = bootstrap_request(run, workspace, policy, distro, domain, layout, subject_format)
     if workspace.exists() and any(value is not None for value in asked.values()):
         _refuse_contradiction(run, asked)
@@ -71,14 +74,19 @@ def provision(
                 help="attach a profile to a name without wildcards, or use 'keymint create NAME'",
                 code="subjects-none",
             )
-        plan = plan.then(plan_create(after, loaded, acquired, names, sources, force=force))
-        options = BuildOptions(allow_vendor_specific=allow_vendor_specific)
-        after = inputs.after(plan)
-        plan = plan.then(plan_build(after, loaded, names, sources, options, force=force, renew=renew))
-        after = inputs.after(plan)
+        created = plan_create(after, loaded, acquired, names, sources, force=force)
+        after = after.after(created)
+        built = plan_build(after, loaded, names, sources, hinted.options, force=force, renew=renew)
+        after = after.after(built)
         minted, authorities = plan_authorities(after, loaded)
-        plan = plan.then(minted)
-        return plan.then(plan_install(inputs.after(plan), loaded, names, sources, authorities, prune=prune))
+        after = after.after(minted)
+        installed = plan_install(after, loaded, names, sources, authorities, prune=prune)
+        for stage in (created, built, minted, installed):
+            plan = plan.then(stage)
+        if not prove:
+            return plan
+        after = after.after(installed)
+        return proven(run, after, loaded, names, sources, acquired, plan, standard_only=allow_vendor_specific)
 
     def _profile_plan(inputs: Inputs, profile_type: str) -> Plan:
         if not inputs.workspace.exists():

@@ -24,7 +24,7 @@ class Order:
     Attributes:
         free: patterns that no deny touches; they may stand anywhere.
         deny: patterns that take something away from ``rest``.
-        rest: patterns with wildcards, each of which a deny touches.
+        rest: patterns that a deny touches.
     """
 
     free: tuple[Glob, ...]
@@ -32,8 +32,16 @@ class Order:
     rest: tuple[Glob, ...] = ()
 
 
-def arrange(allow: Iterable[Glob], deny: Iterable[Glob]) -> Order:
-    """Return the decision list that permits the names of ``allow`` without those of ``deny``."""
+def arrange(allow: Iterable[Glob], deny: Iterable[Glob], *, reduced: bool = True) -> Order:
+    """Return the decision list that permits the names of ``allow`` without those of ``deny``.
+
+    Args:
+        allow: patterns of what is allowed.
+        deny: patterns of what is denied.
+        reduced: leave out every pattern without which the list means the same; else only denials that touch nothing.
+    """
+    if not reduced:
+        return _in_full(tuple(dict.fromkeys(allow)), tuple(dict.fromkeys(deny)))
     literals: list[tuple[str, Glob]] = []
     wild: list[Glob] = []
     for glob in dict.fromkeys(allow):
@@ -61,6 +69,13 @@ def arrange(allow: Iterable[Glob], deny: Iterable[Glob]) -> Order:
     rest = tuple(glob for glob in wild if not all(disjoint(glob, other) for other in denied))
     free = [glob for _, glob in literals] + [glob for glob in wild if glob not in rest]
     return Order(tuple(free), denied, rest)
+
+
+def _in_full(allow: tuple[Glob, ...], deny: tuple[Glob, ...]) -> Order:
+    rest = tuple(glob for glob in allow if not all(disjoint(glob, other) for other in deny))
+    touching = tuple(other for other in deny if not all(disjoint(glob, other) for glob in rest))
+    touched = set(rest)
+    return Order(tuple(glob for glob in allow if glob not in touched), touching, rest)
 
 
 @dataclass(frozen=True, slots=True)

@@ -9,6 +9,7 @@ from __future__ import annotations
 import hashlib
 import re
 from collections.abc import Iterator
+from functools import lru_cache
 
 from cryptography import x509
 from cryptography.x509.oid import NameOID
@@ -76,6 +77,7 @@ _DDS_ESCAPES = re.compile(r"^#|[,+]")
 _EXAMPLE = "write e.g. CN=/robot/camera,OU=x1 or /C=US/O=Acme/CN=ca"
 
 
+@lru_cache(maxsize=4096)
 def parse(text: str, where: Origin | None = None) -> x509.Name:
     r"""Return the name that a text says, in certificate order.
 

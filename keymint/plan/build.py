@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 
-from keymint.api import BuildOptions, Package
+from keymint.api import BuildOptions, Built, Package
 from keymint.errors import Diagnostic, KeymintError, Origin
 from keymint.pki import keys
 from keymint.plan.inputs import Inputs, LoadedProfile, Sources, changed
-from keymint.plan.model import Action, File, FolderChange, Plan, Step
+from keymint.plan.model import Action, File, FolderChange, Plan, Size, Step
 from keymint.plan.secrets import load_key, password
 from keymint.state import Stamp, digest, digest_files
 
@@ -61,14 +62,14 @@ def plan_build(
 
 
 def is_current(inputs: Inputs, loaded: LoadedProfile, name: str, files: dict[str, bytes]) -> bool:
-    """Tell whether the documents of a package were built from its sources as they are now."""
+    """Tell whether the documents of a package were built from its sources as they are now, by whatever options."""
     stamp = inputs.state.stamp(STAGE, name)
-    options = (BuildOptions(), BuildOptions(allow_vendor_specific=True))
-    return stamp is not None and any(stamp.inputs == _wanted(inputs, loaded, files, option) for option in options)
+    return stamp is not None and stamp.inputs == wanted_inputs(inputs, loaded, files)
 
 
-def _wanted(inputs: Inputs, loaded: LoadedProfile, files: dict[str, bytes], options: BuildOptions) -> str:
-    return digest(wanted_inputs(inputs, loaded, files), repr(options))
+def _about(options: BuildOptions, subject: str) -> BuildOptions:
+    """Return the options without what concerns other subjects, so that it leads to no new documents of this one."""
+    return replace(options, demand=tuple(each for each in options.demand if each.edge.subject == subject))
 
 
 def wanted_inputs(inputs: Inputs, loaded: LoadedProfile, files: dict[str, bytes]) -> str:
@@ -88,11 +89,14 @@ def _plan_package(
 ) -> tuple[Step, Stamp | None, Sequence[Diagnostic]]:
     folder = inputs.workspace.build / name
     files = sources.files(inputs, name)
-    wanted = _wanted(inputs, loaded, files, options)
+    wanted = wanted_inputs(inputs, loaded, files)
+    options = _about(options, f"/{name}")
+    asked = digest(repr(options))
     stamp = inputs.state.stamp(STAGE, name)
     key_path = inputs.workspace.identity_key(name)
     key_content = inputs.tree.read(key_path)
-    if stamp and stamp.inputs == wanted and key_content is not None and not force and not renew:
+    same = stamp is not None and (stamp.inputs, stamp.context) == (wanted, asked)
+    if stamp and same and key_content is not None and not force and not renew:
         there = {file: inputs.tree.read(folder / file) for file in stamp.outputs}
         if None not in there.values():
             edited = [file for file, content in there.items() if digest(content or b"") != stamp.outputs[file]]
@@ -112,7 +116,19 @@ def _plan_package(
     action = (Action.UPDATED if before else Action.CREATED) if changes or minted else Action.UNCHANGED
     outputs = {file: digest(content) for file, content in built.documents.items()}
     said = [*package.diagnostics, *built.diagnostics]
-    return Step(STAGE, name, action, (*minted, *changes)), Stamp(wanted, outputs), said
+    sizes = _sizes(built)
+    step = Step(STAGE, name, action, (*minted, *changes), ", ".join(map(_smaller, sizes)), sizes)
+    return step, Stamp(wanted, outputs, context=asked), said
+
+
+def _sizes(built: Built) -> tuple[Size, ...]:
+    return tuple(Size(file, len(built.documents[file]), plain) for file, plain in sorted(built.plain_sizes.items()))
+
+
+def _smaller(size: Size) -> str:
+    if size.bytes == size.plain_bytes:
+        return f"{size.file} {size.bytes:,} bytes"
+    return f"{size.file} {size.bytes:,} bytes, plain {size.plain_bytes:,}"
 
 
 def _edited(files: Sequence[str]) -> str:

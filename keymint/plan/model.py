@@ -47,14 +47,33 @@ class FolderChange:
 
 
 @dataclass(frozen=True, slots=True)
+class Size:
+    """How large a document is that was rewritten into a smaller one, and how large the plain one is; bytes."""
+
+    file: str
+    bytes: int
+    plain_bytes: int
+
+
+@dataclass(frozen=True, slots=True)
 class Step:
-    """What one stage does for one package, or for the workspace as a whole (empty name)."""
+    """What one stage does for one package, or for the workspace as a whole (empty name).
+
+    Attributes:
+        stage: the stage.
+        package: the package.
+        action: what becomes of it.
+        changes: what is written and removed.
+        detail: what else a user should know, in a few words.
+        sizes: of the documents that were built, those that may be rewritten.
+    """
 
     stage: str
     package: str
     action: Action
     changes: tuple[FolderChange, ...] = ()
     detail: str = ""
+    sizes: tuple[Size, ...] = ()
 
     def writes(self) -> bool:
         """Tell whether anything is written."""

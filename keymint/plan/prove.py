@@ -6,17 +6,20 @@ An enclave whose every claim was proven is not looked at again until its files, 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import cast
 
 from keymint import __version__
-from keymint.api import Claim, LoadedPolicy, Obligation, Package, Proof, Prover
+from keymint.api import Claim, DomainRange, LoadedPolicy, Obligation, Package, Proof, Prover
 from keymint.errors import Diagnostic, KeymintError, Origin, Severity
 from keymint.ir import SubjectRules
 from keymint.plan.inputs import Inputs, LoadedProfile, Sources
 from keymint.state import Stamp, State, digest, digest_files
 
 STAGE = "prove"
+NO_PROVER = "proof-unsupported"
+"""Code of the finding on an enclave whose build type proves nothing."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -39,14 +42,12 @@ class Proven:
     Attributes:
         subject: its subject.
         claims: by model, action and domains; none if the enclave could not be read.
-        counted: how many claims there are, also where they are known from the record only.
         remembered: every claim was proven before, and nothing changed.
         diagnostics: what could not be read.
     """
 
     subject: str
     claims: tuple[Claim, ...]
-    counted: int
     remembered: bool = False
     diagnostics: tuple[Diagnostic, ...] = ()
 
@@ -67,7 +68,9 @@ def prove(
     sources: Sources,
     policy: LoadedPolicy,
     effort: Effort,
-    on_enclave: Callable[[str], None],
+    on_enclave: Callable[[str], None] = lambda _name: None,
+    *,
+    standard_only: bool = False,
 ) -> Findings:
     """Prove, or refute, the claims about the enclaves of some packages.
 
@@ -79,41 +82,133 @@ def prove(
         policy: what the enclaves are held against.
         effort: how much may be spent.
         on_enclave: called with each name when it is done.
+        standard_only: claim nothing of vendors, as their differences are accepted; nothing is recorded then.
 
     Raises:
         KeymintError: a package has defects.
     """
-    found: list[Proven] = []
-    stamps: dict[str, Stamp] = {}
-    assumptions: dict[str, Sequence[str]] = {}
+    stage = _Stage(inputs, loaded, sources, policy, effort, standard_only)
     for name in names:
-        package = sources.load(inputs, loaded, name, sources.files(inputs, name))
-        build_type = inputs.plugins.build_type(package.build_type, inputs.package_marker(name))
-        if not hasattr(build_type, "prove"):
-            message = f"the build type {package.build_type} proves nothing"
-            said = Diagnostic("not-proven", Severity.ERROR, message, inputs.package_marker(name), "", package.subject)
-            found.append(Proven(package.subject, (), 0, diagnostics=(said,)))
-            continue
-        prover = cast("Prover", build_type)
-        assumptions.update(prover.assumptions())
-        folder = inputs.workspace.enclaves(loaded.profile.layout) / name
-        rules = policy.rules(package.subject) or SubjectRules(package.subject, ())
-        files = inputs.tree.files(folder)
-        wanted = _wanted(inputs, package, rules, files)
-        stamp = inputs.state.stamp(STAGE, name)
-        if stamp is not None and stamp.inputs == wanted:
-            found.append(Proven(package.subject, (), len(stamp.outputs), remembered=True))
-        else:
-            shown = inputs.workspace.shown(folder)
-            obligation = Obligation(
-                rules, package.distro, package.permissions.domains, files, shown, effort.states, effort.deadline()
-            )
-            found.append(_prove(prover, obligation, name))
-            if not found[-1].diagnostics and all(claim.proof is Proof.PROVEN for claim in found[-1].claims):
-                stamps[name] = Stamp(wanted, {_key(claim): str(claim.proof) for claim in found[-1].claims})
+        stage.prove(name)
         on_enclave(name)
-    refuted = {one.subject.removeprefix("/") for one in found if not one.remembered} - stamps.keys()
-    return Findings(tuple(found), inputs.state.updated(STAGE, stamps, refuted), assumptions)
+    return stage.findings()
+
+
+class _Stage:
+    """What is found out so far."""
+
+    def __init__(
+        self,
+        inputs: Inputs,
+        loaded: LoadedProfile,
+        sources: Sources,
+        policy: LoadedPolicy,
+        effort: Effort,
+        standard_only: bool,
+    ) -> None:
+        self._inputs = inputs
+        self._loaded = loaded
+        self._sources = sources
+        self._policy = policy
+        self._effort = effort
+        self._standard_only = standard_only
+        self._seen = digest(*(f"{path} {value.hex()}" for path, value in sorted(policy.seen.items())))
+        self._found: list[Proven] = []
+        self._stamps: dict[str, Stamp] = {}
+        self._refuted: set[str] = set()
+        self._provers: set[str] = set()
+        self._assumptions: dict[str, Sequence[str]] = {}
+
+    def findings(self) -> Findings:
+        """Return what was found, and the record of it."""
+        state = self._inputs.state
+        if self._stamps or any(state.stamp(STAGE, name) for name in self._refuted):
+            state = state.updated(STAGE, self._stamps, self._refuted)
+        return Findings(tuple(self._found), state, self._assumptions)
+
+    def prove(self, name: str) -> None:
+        """Prove the claims about one enclave, unless they are known."""
+        inputs = self._inputs
+        folder = inputs.workspace.enclaves(self._loaded.profile.layout) / name
+        source, files = self._sources.files(inputs, name), inputs.tree.files(folder)
+        wanted = self._wanted(source, files)
+        stamp = inputs.state.stamp(STAGE, name)
+        if stamp is not None and stamp.inputs == wanted and self._same_rules(name, stamp):
+            self._found.append(Proven(f"/{name}", _recalled(stamp), remembered=True))
+            self._assume(stamp.outputs[_BUILD_TYPE], name)
+            return
+        package = self._sources.load(inputs, self._loaded, name, source)
+        rules = _rules(self._policy, package.subject)
+        self._found.append(self._claimed(package, rules, folder, files))
+        if self._standard_only:
+            return
+        if self._found[-1].diagnostics or any(claim.proof is not Proof.PROVEN for claim in self._found[-1].claims):
+            self._refuted.add(name)
+        else:
+            outputs = {_key(claim): claim.universe for claim in self._found[-1].claims}
+            outputs[_RULES] = _meaning(rules)
+            outputs[_BUILD_TYPE] = package.build_type
+            self._stamps[name] = Stamp(wanted, outputs, context=self._seen)
+
+    def _same_rules(self, name: str, stamp: Stamp) -> bool:
+        """Tell whether the policy says the same of a subject as when the stamp was made."""
+        if stamp.context == self._seen:
+            return True
+        if stamp.outputs.get(_RULES) != _meaning(_rules(self._policy, f"/{name}")):
+            return False
+        self._stamps[name] = replace(stamp, context=self._seen)
+        return True
+
+    def _claimed(self, package: Package, rules: SubjectRules, folder: Path, files: Mapping[str, bytes]) -> Proven:
+        inputs = self._inputs
+        prover = self._assume(package.build_type, package.name)
+        if prover is None:
+            message = f"the build type {package.build_type} proves nothing"
+            marker = inputs.package_marker(package.name)
+            said = Diagnostic(NO_PROVER, Severity.ERROR, message, marker, "", package.subject)
+            return Proven(package.subject, (), diagnostics=(said,))
+        obligation = Obligation(
+            rules,
+            package.distro,
+            package.permissions.domains,
+            files,
+            inputs.workspace.shown(folder),
+            self._effort.states,
+            self._effort.deadline(),
+            self._standard_only,
+        )
+        return _prove(prover, obligation, package.name)
+
+    def _assume(self, name: str, package: str) -> Prover | None:
+        """Return what proves, and keep what its claims take for granted; None for a build type that proves nothing."""
+        build_type = self._inputs.plugins.build_type(name, self._inputs.package_marker(package))
+        if not hasattr(build_type, "prove"):
+            return None
+        prover = cast("Prover", build_type)
+        if name not in self._provers:
+            self._provers.add(name)
+            self._assumptions.update(prover.assumptions())
+        return prover
+
+    def _wanted(self, source: Mapping[str, bytes], files: Mapping[str, bytes]) -> str:
+        """Return the digest of all that a proof depends on beside the policy; private keys are no part of it."""
+        public = {name: content for name, content in files.items() if not name.endswith("key.pem")}
+        return digest(
+            digest_files(public), digest_files(source), self._loaded.digest, self._inputs.plugins.versions, __version__
+        )
+
+
+_RULES, _BUILD_TYPE = "rules", "build type"
+"""What a stamp has beside claims."""
+
+
+def _rules(policy: LoadedPolicy, subject: str) -> SubjectRules:
+    return policy.rules(subject) or SubjectRules(subject, ())
+
+
+def _meaning(rules: SubjectRules) -> str:
+    """Return a digest of rules, wherever they are written."""
+    return digest(*(repr((r.effect, r.kind, r.permissions, r.expressions, r.partitions)) for r in rules.rules))
 
 
 def _prove(prover: Prover, obligation: Obligation, name: str) -> Proven:
@@ -121,13 +216,13 @@ def _prove(prover: Prover, obligation: Obligation, name: str) -> Proven:
     if not obligation.files:
         message, help_ = f"the enclave {subject} is not installed", f"run 'keymint install {name}'"
         said = Diagnostic("enclave-missing", Severity.ERROR, message, Origin(obligation.folder), help_, subject)
-        return Proven(subject, (), 0, diagnostics=(said,))
+        return Proven(subject, (), diagnostics=(said,))
     try:
         claims = tuple(prover.prove(obligation))
     except KeymintError as error:
         said_all = (Diagnostic(d.code, d.severity, d.message, d.where, d.help, subject) for d in error.diagnostics)
-        return Proven(subject, (), 0, diagnostics=tuple(said_all))
-    return Proven(subject, claims, len(claims))
+        return Proven(subject, (), diagnostics=tuple(said_all))
+    return Proven(subject, claims)
 
 
 def _key(claim: Claim) -> str:
@@ -135,14 +230,13 @@ def _key(claim: Claim) -> str:
     return f"{claim.model} {claim.action} {domains}"
 
 
-def _wanted(inputs: Inputs, package: Package, rules: SubjectRules, files: Mapping[str, bytes]) -> str:
-    """Return the digest of all that a proof depends on; private keys are no part of it."""
-    public = {name: content for name, content in files.items() if not name.endswith("key.pem")}
-    return digest(
-        digest_files(public),
-        repr(rules),
-        repr(package.permissions.domains),
-        package.distro,
-        inputs.plugins.versions,
-        __version__,
-    )
+def _recalled(stamp: Stamp) -> tuple[Claim, ...]:
+    """Return the claims that a stamp says were proven."""
+    found: list[Claim] = []
+    for key, universe in stamp.outputs.items():
+        if key not in {_RULES, _BUILD_TYPE}:
+            model, action, listed = key.rsplit(" ", 2)
+            ends = (each.split("-") for each in listed.split(","))
+            domains = tuple(DomainRange(int(first), int(last)) for first, last in ends)
+            found.append(Claim(model, action, domains, universe, Proof.PROVEN))
+    return tuple(found)

@@ -84,9 +84,10 @@ class DdsSecurity:
 
     def prove(self, obligation: Obligation) -> Sequence[Claim]:
         """See :func:`keymint_ros2_dds.proving.prove`."""
+        from keymint_ros2_dds.decision import OMG  # noqa: PLC0415
         from keymint_ros2_dds.proving import prove  # noqa: PLC0415
 
-        return prove(obligation)
+        return prove(obligation, models=(OMG.name,) if obligation.standard_only else None)
 
     def mentioned(self, enclave: Enclave) -> Sequence[tuple[str, Sequence[str]]]:
         """See :func:`keymint_ros2_dds.mentioned.mentioned`."""

@@ -8,11 +8,9 @@ from functools import lru_cache
 from keymint.api import BuildOptions, Built, Package
 from keymint.errors import Diagnostic, KeymintError, Origin, Severity
 from keymint.pki import names
-from keymint_ros2_dds import governance, limits, permissions
-from keymint_ros2_dds.document import GOVERNANCE, PERMISSIONS
-
-PERMISSIONS_XML = f"{PERMISSIONS}.xml"
-GOVERNANCE_XML = f"{GOVERNANCE}.xml"
+from keymint_ros2_dds import governance, limits
+from keymint_ros2_dds.document import GOVERNANCE, GOVERNANCE_XML, PERMISSIONS, PERMISSIONS_XML
+from keymint_ros2_dds.emission import emit
 
 
 def build(package: Package, options: BuildOptions) -> Built:
@@ -27,11 +25,11 @@ def build(package: Package, options: BuildOptions) -> Built:
     found += limits.check_issuers(package)
     documents: dict[str, bytes] = {}
     notes: tuple[Diagnostic, ...] = ()
-    lowered = None
+    emitted = None
     try:
-        compiled = permissions.compile_rules(package.permissions, package.distro, allow_vendor_specific=lenient)
-        lowered, notes = compiled.lowered, compiled.diagnostics
-        documents[PERMISSIONS_XML] = permissions.render(package.permissions, compiled.rules)
+        emitted = emit(package, options)
+        notes = emitted.diagnostics
+        documents[PERMISSIONS_XML] = emitted.document
     except KeymintError as error:
         problems += error.diagnostics
     try:
@@ -46,9 +44,9 @@ def build(package: Package, options: BuildOptions) -> Built:
         raise KeymintError.of(problems)
     notes += tuple(found)
     for name, kind in ((PERMISSIONS_XML, PERMISSIONS), (GOVERNANCE_XML, GOVERNANCE)):
-        about = lowered if kind == PERMISSIONS else None
+        about = emitted.lowered if emitted and kind == PERMISSIONS else None
         notes += tuple(limits.check_size(limits.signed_size(documents[name]), kind, package, about))
-    return Built(documents, notes)
+    return Built(documents, notes, {PERMISSIONS_XML: emitted.plain_size} if emitted else {})
 
 
 def _check(package: Package) -> Iterator[Diagnostic]:

@@ -12,8 +12,8 @@ from keymint.api import DomainRange, Inspection
 from keymint.errors import Diagnostic, KeymintError, Origin, Severity
 from keymint.pki import certificates, keys, names, smime, verify
 from keymint_ros2_dds import document, limits
-from keymint_ros2_dds.build import PERMISSIONS_XML
-from keymint_ros2_dds.document import GOVERNANCE, PERMISSIONS
+from keymint_ros2_dds.document import GOVERNANCE, PERMISSIONS, PERMISSIONS_XML
+from keymint_ros2_dds.emission import means_the_same
 from keymint_ros2_dds.install import CA, CERTIFICATE, FILES, IDENTITY_CA, KEY, PERMISSIONS_CA
 
 SLACK = timedelta(days=1)
@@ -159,7 +159,7 @@ class _Enclave:
         if content is None:
             return None
         yield from map(self._for_subject, limits.check_size(len(signed), kind, self._seen.package))
-        if content != self._seen.documents.get(f"{kind}.xml"):
+        if not self._as_built(kind, content):
             message = f"the sources now build another {kind} document"
             yield self._warning(
                 "drift", name, message, f"run 'keymint provision' or build and install it; {self._again}"
@@ -172,6 +172,19 @@ class _Enclave:
         for hazard in document.hazards(content, root):
             yield self._warning("document-hazard", name, hazard, f"build it anew in place of editing it; {self._again}")
         return root
+
+    def _as_built(self, kind: str, content: bytes) -> bool:
+        """Tell whether a document is what the sources build; permissions may say the same in another form."""
+        built = self._seen.documents.get(f"{kind}.xml")
+        if content == built:
+            return True
+        if kind != PERMISSIONS or built is None:
+            return False
+        try:
+            same_grant = _without_rules(content) == _without_rules(built)
+            return same_grant and means_the_same(self._seen.package, content)
+        except KeymintError:
+            return False
 
     def _verified(self, signed: bytes, where: Origin) -> Generator[Diagnostic, None, bytes | None]:
         """Judge a signature; the generator's value is what is signed. An authority that expired hides nothing else."""
@@ -262,3 +275,12 @@ def _date(text: str) -> datetime | None:
 
 def _shown(moment: datetime) -> str:
     return f"{moment.astimezone(UTC):%Y-%m-%d %H:%M} UTC"
+
+
+def _without_rules(content: bytes) -> tuple[tuple[str, str, str], ...]:
+    """Return what a permissions document says beside its rules, in the form in which two of them can be compared."""
+    root = document.read(content, PERMISSIONS, PERMISSIONS_XML)
+    for grant in root.iter("grant"):
+        for rule in [*grant.findall("allow_rule"), *grant.findall("deny_rule")]:
+            grant.remove(rule)
+    return tuple((item.tag, item.get("name", ""), (item.text or "").strip()) for item in root.iter("*"))

@@ -10,8 +10,7 @@ from keymint.api import Artifact, Credentials, Package
 from keymint.errors import KeymintError, Origin
 from keymint.pki import smime
 from keymint_ros2_dds import document
-from keymint_ros2_dds.build import GOVERNANCE_XML, PERMISSIONS_XML
-from keymint_ros2_dds.document import GOVERNANCE, PERMISSIONS
+from keymint_ros2_dds.document import GOVERNANCE, GOVERNANCE_XML, PERMISSIONS, PERMISSIONS_XML
 
 GOVERNANCE_P7S = f"{GOVERNANCE}.p7s"
 PERMISSIONS_P7S = f"{PERMISSIONS}.p7s"

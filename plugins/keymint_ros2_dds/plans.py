@@ -37,14 +37,19 @@ class Plan:
         return tuple(glob for entry in self.back if entry.effect is Effect.DENY for glob in entry.globs)
 
 
-def plans(allow: Sequence[Listed], deny: Sequence[Listed]) -> list[Plan]:
+def plans(allow: Sequence[Listed], deny: Sequence[Listed], *, reduced: bool = True) -> list[Plan]:
     """Return the plans of an action; what each allows, the others say nothing of.
+
+    Args:
+        allow: what is allowed.
+        deny: what is denied.
+        reduced: leave out the patterns of simple lists that change nothing.
 
     Raises:
         PartitionError: partitions cannot be said alike for all vendors.
     """
     if not any(listed for _, listed in (*allow, *deny)):
-        return [_simple(allow, deny, DEFAULT)]
+        return [_simple(allow, deny, DEFAULT, reduced=reduced)]
     allow, deny = sorted(allow, key=_sort_key), sorted(deny, key=_sort_key)
     found: list[Plan] = []
     simple: dict[Partitions, tuple[list[Listed], list[Listed]]] = {}
@@ -61,16 +66,16 @@ def plans(allow: Sequence[Listed], deny: Sequence[Listed]) -> list[Plan]:
             group = simple.setdefault(shared, ([], []))
             group[0].extend(allowed)
             group[1].extend(denied)
-    return [*(_simple(*simple[shared], shared) for shared in sorted(simple)), *found]
+    return [*(_simple(*simple[shared], shared, reduced=reduced) for shared in sorted(simple)), *found]
 
 
 def _sort_key(item: Listed) -> tuple[str, Partitions]:
     return sort_key(item[0]), item[1]
 
 
-def _simple(allow: Iterable[Listed], deny: Iterable[Listed], shared: Partitions) -> Plan:
+def _simple(allow: Iterable[Listed], deny: Iterable[Listed], shared: Partitions, *, reduced: bool) -> Plan:
     denied = (pattern for pattern, listed in deny if touches(shared, listed))
-    order = arrange((pattern for pattern, _ in allow), dict.fromkeys(denied))
+    order = arrange((pattern for pattern, _ in allow), dict.fromkeys(denied), reduced=reduced)
     front = (Entry(Effect.ALLOW, order.free, shared),) if order.free else ()
     back = (
         (Entry(Effect.DENY, order.deny, denial_of(shared)), Entry(Effect.ALLOW, order.rest, shared))

@@ -21,7 +21,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
-from keymint.ir import Effect
+from keymint.ir import Effect, Rule
 from keymint.keymake.algebra import TooComplexError, all_disjoint, intersection, union_covers
 from keymint.keymake.glob import Glob
 from keymint.keymake.order import Rescue, mentioned_first
@@ -53,14 +53,20 @@ _Tagged = tuple[Action, Entry]
 _Sides = Mapping[Action, Sequence[Plan]]
 
 
-def blocks(lowered: Lowered) -> tuple[Block, ...]:
+def blocks(lowered: Lowered, *, reduced: bool = True) -> tuple[Block, ...]:
     """Return the rules of a grant; none when nothing is allowed.
+
+    Args:
+        lowered: what is allowed and denied.
+        reduced: leave out patterns that change nothing.
 
     Raises:
         OrderError: Cyclone DDS and the standard would read every order differently.
         PartitionError: partitions cannot be said alike for all vendors.
     """
-    sides = {action: plans(tuple(lowered.allow[action]), tuple(lowered.deny[action])) for action in Action}
+    sides = {
+        action: plans(tuple(lowered.allow[action]), tuple(lowered.deny[action]), reduced=reduced) for action in Action
+    }
     relay = sides.pop(Action.RELAY)
     relays = [(Action.RELAY, entry) for part in ("front", "back") for plan in relay for entry in getattr(plan, part)]
     found = [*_both(sides), *_merged(relays)]
@@ -201,6 +207,29 @@ def _joinable(found: list[Block], action: Action, entry: Entry) -> int | None:
         if not all_disjoint(block.topics.get(action, ()), entry.globs):
             return None
     return None
+
+
+def one_by_one(found: Iterable[Block], lowered: Lowered) -> tuple[Block, ...]:
+    """Return rules of a grant with a rule for each rule of the policy, in the place of those that had several in one.
+
+    What stands in one rule has one effect and one list of partitions, so that it may stand in several as well.
+    """
+    owners: dict[tuple[Effect, Action, Glob], Rule] = {}
+    for effect, sides in ((Effect.ALLOW, lowered.allow), (Effect.DENY, lowered.deny)):
+        for action in Action:
+            for (pattern, _), rule in sides[action].items():
+                owners.setdefault((effect, action, pattern), rule)
+    parts: list[Block] = []
+    for block in found:
+        own: dict[Rule | None, dict[Action, list[Glob]]] = {}
+        for action, globs in block.topics.items():
+            for glob in globs:
+                owner = owners.get((block.effect, action, glob))
+                own.setdefault(owner, {}).setdefault(action, []).append(glob)
+        for topics in own.values() if own else ({},):
+            said = {action: tuple(globs) for action, globs in topics.items()}
+            parts.append(Block(block.effect, block.partitions, said))
+    return tuple(parts)
 
 
 def standard_blocks(lowered: Lowered) -> tuple[Block, ...]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 
 import pytest
@@ -156,3 +157,11 @@ def test_where_keys_certificates_and_enclaves_lie(tmp_path: Path) -> None:
     # No name of a package or an authority leads one key onto another.
     assert workspace.identity_key("identities") != workspace.authority_key("identities/key")
     assert workspace.state == tmp_path / ".keymint"
+
+
+@pytest.mark.parametrize(
+    "path", ["/srv/robots/ws", "/srv/robots", "/srv", "/srv/robots/ws2/a", "/srv/robots/w", "/srv/other"]
+)
+def test_a_path_is_shown_as_the_system_relates_it(path: str) -> None:
+    start = Path("/srv/robots/ws")
+    assert shown(Path(path), start) == os.path.relpath(path, start)

@@ -68,11 +68,13 @@ class Scenario:
 
 
 PROVISION = ("provision", "{}/policy.xml", "-w", "{}/ws", "-j", "1")
+PRUNE = ("install", "--prune", "--no-prove", "-w", "{}/ws", "-j", "1")
+"""The policy is not the one that the packages were made from."""
 SCENARIOS: Mapping[str, Scenario] = {
     "fresh": Scenario((), _nothing, PROVISION),
     "update": Scenario((_nothing,), _change_policy, PROVISION),
     "renew": Scenario((_nothing,), _nothing, (*PROVISION, "--renew")),
-    "prune": Scenario((_nothing, _change_policy), _remove_packages, ("install", "--prune", "-w", "{}/ws", "-j", "1")),
+    "prune": Scenario((_nothing, _change_policy), _remove_packages, PRUNE),
 }
 
 

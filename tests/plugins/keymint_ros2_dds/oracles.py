@@ -114,7 +114,9 @@ def _each_rule(document: bytes):
 
 
 def _ranges(members: str):
-    """Yield the ranges of a bracket expression in which every member is one, as Keymint writes them."""
+    """Yield the ranges of a bracket expression: every member is one, or none is, as Keymint writes them."""
+    if members.replace("_", "a").isalnum():
+        return zip(members, members, strict=True)
     assert members[1::3] == "-" * (len(members) // 3), members
     return zip(members[0::3], members[2::3], strict=True)
 

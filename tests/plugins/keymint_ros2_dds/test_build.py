@@ -5,7 +5,6 @@ from __future__ import annotations
 import itertools
 import subprocess
 import sys
-import time
 from dataclasses import replace
 from datetime import UTC, datetime
 from pathlib import Path
@@ -270,7 +269,9 @@ def test_rsa_with_2048_bits_is_fine():
 
 
 def test_a_large_document_is_a_warning_that_says_why():
-    many = rule("ALLOW", "ros_topic", "ros_publish", *(f"/robot/topic_number_{n}" for n in range(900)), line=21)
+    many = rule(
+        "ALLOW", "ros_topic", "ros_publish", *(f"/robot/topic_number_{n * n * 7919}" for n in range(900)), line=21
+    )
     (found,) = build(CHATTER, many).diagnostics
     assert (found.code, found.severity, found.where.line) == ("size-permissions", Severity.WARNING, 21)
     assert "ALLOW ros_topic" in found.message
@@ -354,16 +355,3 @@ def test_the_schemas_are_accepted_by_both_validators(kind):
     root[0].append(etree.Element("surprise"))
     assert not etree.XMLSchema(file=str(path)).validate(root)
     assert not independent.is_valid(etree.tostring(root).decode())
-
-
-def test_a_thousand_rules_are_compiled_in_a_moment():
-    rules = [rule("ALLOW", "ros_topic", "ros_publish", f"/ns{n}/t", line=n) for n in range(1, 1001)]
-    build(CHATTER)
-    begin = time.perf_counter()
-    build(*rules)
-    assert time.perf_counter() - begin < 0.3
-
-
-def test_governance_of_the_package_is_part_of_the_build():
-    governance = build(CHATTER).documents["governance.xml"]
-    assert etree.fromstring(governance).findtext(".//id") == "0"

@@ -118,7 +118,7 @@ def test_drift(files):
 def test_documents_that_were_edited_and_signed_again(files, old, new, code):
     found = codes(edited(files, old, new))
     assert code in found
-    assert "drift" in found
+    assert ("drift" in found) is not (b"<!--" in new), "what means the same is no drift"
 
 
 def test_permissions_xml_that_is_not_what_is_signed(files):
@@ -148,7 +148,9 @@ def test_an_authority_that_expired_hides_nothing_else(files):
 
 
 def test_sizes_are_judged_on_the_signed_files():
-    many = package(rule("ALLOW", "ros_topic", "ros_publish", *(f"/robot/topic_number_{n}" for n in range(900))))
+    many = package(
+        rule("ALLOW", "ros_topic", "ros_publish", *(f"/robot/topic_number_{n * n * 7919}" for n in range(900)))
+    )
     assert codes(installed(many), many) == ["size-permissions"]
 
 

@@ -1,0 +1,68 @@
+"""What installing asks of a proof: that every enclave is proven, before the first byte is written."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from typing import Any
+
+import click
+
+from keymint.api import LoadedPolicy
+from keymint.commands.common import Run
+from keymint.errors import ExitCode, KeymintError, Severity
+from keymint.plan.inputs import Inputs, LoadedProfile, Sources
+from keymint.plan.model import Plan
+
+PROVING_OPTIONS: Sequence[Callable[[Any], Any]] = (
+    click.option(
+        "--prove/--no-prove",
+        default=True,
+        show_default=True,
+        help="Install nothing unless every document is proven to permit exactly what the policy says.",
+    ),
+)
+
+
+def proven(
+    run: Run,
+    planned: Inputs,
+    loaded: LoadedProfile,
+    names: Sequence[str],
+    sources: Sources,
+    policy: LoadedPolicy,
+    plan: Plan,
+    *,
+    standard_only: bool,
+) -> Plan:
+    """Return a plan whose enclaves are proven, with the record of that.
+
+    Args:
+        run: the verb under way.
+        planned: the workspace as it will be.
+        loaded: its profile.
+        names: the packages that are installed.
+        sources: the packages' files.
+        policy: what the enclaves are held against.
+        plan: what will be done.
+        standard_only: vendors may differ from the standard.
+
+    Raises:
+        KeymintError: a claim about an enclave is refuted or unknown; exit code 3.
+    """
+    from keymint.commands.prove import diagnostics_of, effort_of  # noqa: PLC0415 - only when it is asked for
+    from keymint.plan.prove import NO_PROVER, prove  # noqa: PLC0415
+
+    found = prove(planned, loaded, names, sources, policy, effort_of(run), standard_only=standard_only)
+    said = [diagnostic for enclave in found.enclaves for diagnostic in diagnostics_of(enclave)]
+    refused = [replace(each, help=_with_mend(each.help)) for each in said if each.code != NO_PROVER]
+    if refused:
+        # What is said of the plan often says why: an edit by hand, or a policy that changed.
+        raise KeymintError.of([*plan.diagnostics, *refused], ExitCode.FINDINGS)
+    unsupported = [replace(each, severity=Severity.WARNING) for each in said]
+    return replace(plan, state=found.state, diagnostics=(*plan.diagnostics, *unsupported))
+
+
+def _with_mend(help_: str) -> str:
+    mend = "nothing is installed; build it anew from the policy, or install it all the same with --no-prove"
+    return f"{help_}; {mend}" if help_ else mend

@@ -1,0 +1,189 @@
+"""From the rules of a subject to the rules of a grant, in full and in the shortest form that means the same."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
+
+from keymint.api import BuildOptions, Demand, Permissions
+from keymint.errors import Diagnostic, KeymintError, Origin, Severity
+from keymint.ir import Rule
+from keymint.keymake.algebra import disjoint
+from keymint.keymake.glob import Glob
+from keymint_ros2_dds import partitions
+from keymint_ros2_dds.criteria import Criteria
+from keymint_ros2_dds.endpoints import endpoints
+from keymint_ros2_dds.gathering import gathered
+from keymint_ros2_dds.lower import Lowered, lower
+from keymint_ros2_dds.mapping import Action, check_distro, knows
+from keymint_ros2_dds.partitions import PartitionError
+from keymint_ros2_dds.priority import Asked, prioritised
+from keymint_ros2_dds.rules import Block, OrderError, blocks, one_by_one, standard_blocks
+from keymint_ros2_dds.spelling import InexpressibleError, faithful, spell
+
+DIFFERING = "Cyclone DDS and Fast DDS"
+
+
+@dataclass(frozen=True, slots=True)
+class Compiled:
+    """The rules of a grant, and what is to be said of them.
+
+    Attributes:
+        rules: the rules, rewritten: folded, gathered, and in order of priority.
+        plain: the same in full: a rule for each rule of the policy, and nothing left out.
+        lowered: what they are to mean.
+        alike: every vendor reads them as the standard does.
+        diagnostics: what is to be said of them.
+    """
+
+    rules: tuple[Criteria, ...]
+    plain: tuple[Criteria, ...]
+    lowered: Lowered
+    alike: bool
+    diagnostics: tuple[Diagnostic, ...]
+
+
+def compile_rules(permissions: Permissions, distro: str, options: BuildOptions) -> Compiled:
+    """Compile the rules of a subject into rules that every vendor reads alike.
+
+    Args:
+        permissions: what the package asks for.
+        distro: ROS 2 distribution whose mapping of names applies.
+        options: ``allow_vendor_specific``: where vendors would differ, follow the standard and warn; ``demand``: what
+            is asked for more often comes earlier.
+
+    Raises:
+        KeymintError: every rule that vendors would not read alike, with its ``file:line``.
+    """
+    check_distro(distro)
+    lowered = lower(permissions.rules, distro)
+    collector = _Collector(lowered, permissions.rules.subject, options.allow_vendor_specific)
+    for action in Action:
+        for pattern, reason in partitions.unsafe(lowered.allow[action]):
+            collector.add("portability-partition", action, pattern, reason)
+    folded = collector.written(_blocks(lowered, collector))
+    if collector.problems and not options.allow_vendor_specific:
+        raise KeymintError.of(collector.problems)
+    plain = collector.written(one_by_one(_in_full(lowered, collector), lowered))
+    rules = prioritised(gathered(folded), _asked(options.demand, distro))
+    notes = (*lowered.diagnostics, *collector.problems)
+    return Compiled(rules, plain, lowered, not collector.problems, notes)
+
+
+def _blocks(lowered: Lowered, collector: _Collector) -> tuple[Block, ...]:
+    if collector.problems:
+        return standard_blocks(lowered)
+    try:
+        return blocks(lowered)
+    except OrderError as error:
+        collector.add("portability-order", None, error.pattern, error.reason)
+    except PartitionError as error:
+        collector.add("portability-partition", None, error.pattern, error.reason)
+    return standard_blocks(lowered)
+
+
+def _in_full(lowered: Lowered, collector: _Collector) -> tuple[Block, ...]:
+    """Return the rules with all their patterns; without those that change nothing where all are too many to order."""
+    if collector.problems:
+        return standard_blocks(lowered)
+    try:
+        return blocks(lowered, reduced=False)
+    except (OrderError, PartitionError):
+        return blocks(lowered)
+
+
+def _asked(demand: Iterable[Demand], distro: str) -> list[Asked]:
+    """Return how often each endpoint is asked for."""
+    found: Counter[tuple[str, str, str]] = Counter()
+    for each in demand:
+        if not knows(distro, each.edge.object.kind):
+            continue  # nobody can ask for it there
+        for endpoint in endpoints(distro, each.edge):
+            for partition in endpoint.object.partitions or ("",):
+                found[endpoint.permission, endpoint.object.name, partition] += each.times
+    return [Asked(*key, times) for key, times in sorted(found.items())]
+
+
+class _Collector:
+    """Gathers what vendors would differ about, each once for each rule that a person wrote."""
+
+    def __init__(self, lowered: Lowered, subject: str, warn: bool) -> None:
+        self._lowered = lowered
+        self._subject = subject
+        self._severity = Severity.WARNING if warn else Severity.ERROR
+        self._found: dict[tuple[str, Origin | None, str], Diagnostic] = {}
+
+    @property
+    def problems(self) -> tuple[Diagnostic, ...]:
+        return tuple(self._found.values())
+
+    def add(self, code: str, action: Action | None, pattern: Glob, reason: str) -> None:
+        rule = self._rule(action, pattern)
+        where = rule.origin if rule else None
+        if self._severity is Severity.WARNING:
+            message = f"{reason}; the standard is followed, and {DIFFERING} may decide differently"
+            hint = "see which names it concerns before you rely on it"
+        else:
+            message = reason
+            hint = "write the names out, or build with --allow-vendor-specific"
+        what = f"this {rule.effect} {rule.kind} rule cannot be said alike for all vendors: " if rule else ""
+        diagnostic = Diagnostic(code, self._severity, what + message, where, hint, self._subject)
+        self._found.setdefault((code, where, reason), diagnostic)
+
+    def written(self, found: Iterable[Block]) -> tuple[Criteria, ...]:
+        """Return rules as they are written."""
+        return tuple(Criteria(block.effect, block.partitions, dict(self._spelled(block))) for block in found)
+
+    def _spelled(self, block: Block) -> Iterator[tuple[Action, tuple[str, ...]]]:
+        """Yield the texts of the patterns of a rule, sorted, by action."""
+        for action in Action:
+            texts: set[str] = set()
+            for pattern in block.topics.get(action, ()):
+                try:
+                    texts.update(spell(pattern))
+                except InexpressibleError as error:
+                    self.add("portability-expression", action, pattern, str(error))
+                    texts.add(faithful(pattern))
+            if texts:
+                yield action, tuple(sorted(texts))
+
+    def _rule(self, action: Action | None, pattern: Glob) -> Rule | None:
+        """Return the rule that a pattern comes from: the one that has it, else one that overlaps it."""
+        actions = [action] if action else list(Action)
+        entries = [
+            item
+            for sides in (self._lowered.deny, self._lowered.allow)
+            for each in actions
+            for item in sides[each].items()
+        ]
+        exact = (rule for (known, _), rule in entries if known == pattern)
+        near = (rule for (known, _), rule in entries if not disjoint(known, pattern))
+        return next(exact, None) or next(near, None)
+
+
+def remarks(rules: Iterable[Criteria], permissions: Permissions) -> Iterator[Diagnostic]:
+    """Yield what only some vendors do differently with the rules as they are written, once for a package."""
+    subject = permissions.rules.subject
+    rules = tuple(rules)
+    if not rules:
+        yield Diagnostic(
+            "no-permissions", Severity.NOTE, f"{subject} is allowed nothing, and so it may not join a domain either",
+            permissions.origin, "allow something if it is to take part", subject,
+        )  # fmt: skip
+    if any(Action.RELAY in rule.topics for rule in rules):
+        yield Diagnostic(
+            "vendor-relay", Severity.WARNING, "Cyclone DDS and OpenDDS ignore permissions to relay",
+            permissions.origin, "do not rely on them there", subject,
+        )  # fmt: skip
+    infix = sorted(
+        {text for rule in rules for texts in rule.topics.values() for text in texts if "*" in text[:-1] or "[" in text}
+    )
+    if infix:
+        yield Diagnostic(
+            "vendor-wildcard", Severity.NOTE,
+            f"OpenDDS and RTI Connext may not match a '*' before the end of an expression, or a bracket expression "
+            f"({len(infix)} here, e.g. {infix[0]!r})",
+            permissions.origin, "Cyclone DDS and Fast DDS do; names that share one are written out by --no-optimise",
+            subject,
+        )  # fmt: skip

@@ -1,0 +1,47 @@
+"""Gathering names: the patterns match the names, and nothing else."""
+
+from __future__ import annotations
+
+from itertools import product
+
+from hypothesis import given
+from hypothesis import strategies as st
+
+from keymint.keymake.gather import Pattern, gather
+
+
+def expanded(patterns: tuple[Pattern, ...]) -> list[str]:
+    return ["".join(letters) for pattern in patterns for letters in product(*pattern)]
+
+
+@given(st.sets(st.text("ab1-_/]*", max_size=5), max_size=40))
+def test_exactly_the_names_and_each_once(names: set[str]) -> None:
+    found = gather(names)
+    assert sorted(expanded(found)) == sorted(names)
+
+
+@given(st.sets(st.text("ab-]*", max_size=4), max_size=40))
+def test_a_set_holds_plain_characters_and_stands_before_no_dash(names: set[str]) -> None:
+    for pattern in gather(names):
+        for at, members in enumerate(pattern):
+            if len(members) > 1:
+                assert members.isalnum()
+                assert pattern[at + 1 : at + 2] != ("-",)
+
+
+def test_numbers_share_a_pattern_for_each_length() -> None:
+    found = gather(f"rt/axle{number}" for number in range(1000))
+    assert ["".join(p if len(p) == 1 else f"[{p}]" for p in pattern) for pattern in found] == [
+        "rt/axle[0123456789]",
+        "rt/axle[123456789][0123456789]",
+        "rt/axle[123456789][0123456789][0123456789]",
+    ]
+
+
+def test_namespaces_with_the_same_names_share_them() -> None:
+    names = [f"rt/{space}/{name}" for space in ("amr1", "amr2", "amr3") for name in ("odom", "scan")]
+    assert len(gather(names)) == len({"odom", "scan"})
+
+
+def test_names_that_have_nothing_in_common_stay() -> None:
+    assert gather(["/scan", "/odom"]) == (tuple("/odom"), tuple("/scan"))
