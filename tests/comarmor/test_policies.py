@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from pathlib import Path
 
 import pytest
@@ -11,6 +10,7 @@ from lxml import etree
 
 import comarmor
 from comarmor import data
+from tests.effort import calls_of
 
 XI = 'xmlns:xi="http://www.w3.org/2001/XInclude"'
 REFERENCE = Path(__file__).parents[3] / "shared" / "reference" / "ppac" / "comarmor.d"
@@ -277,9 +277,9 @@ def test_unknown_tunable_is_asked_back(refused) -> None:
 
 def test_tunables_cannot_explode(refused) -> None:
     doubling = [tunable(f"T{i}", f"@{{T{i - 1}}}@{{T{i - 1}}}") for i in range(1, 40)]
-    start = time.perf_counter()
-    assert refused(profiles(tunable("T0", "a", "b"), *doubling)).code == "tunable"
-    assert time.perf_counter() - start < 0.5
+    found, calls = calls_of(lambda: refused(profiles(tunable("T0", "a", "b"), *doubling)))
+    assert found.code == "tunable"
+    assert calls < 500_000
 
 
 # ---- what is wrong, and where --------------------------------------------------------------------------------------
@@ -421,11 +421,11 @@ def test_nothing_to_load(tmp_path) -> None:
 
 def test_a_thousand_profiles_load_and_are_looked_up_quickly(load) -> None:
     many = "".join(profile(*(allow(f"/t{i}/{j}") for j in range(10)), attachment=f"/r/p{i}") for i in range(1000))
-    start = time.perf_counter()
     policy = load(profiles(many, profile(attachment="*")))
     subjects = policy.subjects()
-    assert sum(len(policy.rules(subject)) for subject in subjects) == 10_000
-    assert time.perf_counter() - start < 10  # about one second on an idle machine
+    rules, calls = calls_of(lambda: sum(len(policy.rules(subject)) for subject in subjects))
+    assert rules == 10_000
+    assert calls < 200 * rules
 
 
 @pytest.mark.skipif(not REFERENCE.is_dir(), reason="the reference material is not here")
