@@ -37,6 +37,7 @@ bench: setup
 	$(BIN)/python benchmarks/decisions.py
 	$(BIN)/python benchmarks/agreement.py
 	$(BIN)/python benchmarks/proof.py
+	$(BIN)/python benchmarks/sizes.py
 
 lock: setup
 	$(BIN)/python -m pip install --quiet uv

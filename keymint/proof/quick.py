@@ -11,12 +11,15 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from collections.abc import Set as AbstractSet
 from functools import lru_cache
+from itertools import product
 
 from keymint.keymake.algebra import disjoint
 from keymint.keymake.glob import EVERYTHING, STAR, Glob, is_empty
-from keymint.proof.model import DecisionList, Universe
+from keymint.proof.model import Block, DecisionList, Universe
 from keymint.proof.plain import Evaluator
 
+WORDS = 20_000
+"""Words that the patterns of a list are spelled out to, at most."""
 EFFORT = 2_000
 """Pairs of patterns that are held against each other, before the question is left to the engines."""
 
@@ -68,7 +71,7 @@ class _Form:
     __slots__ = ("_permits", "_permitted", "allowed", "denied", "named")
 
     def __init__(self, decisions: DecisionList) -> None:
-        evaluator = Evaluator(decisions)
+        evaluator = Evaluator(_spelled_out(decisions))
         effects = evaluator.effects
         self.named: AbstractSet[str] = evaluator.named.keys()
         self.allowed = {pattern: at for pattern, at in evaluator.wild.items() if effects[at]}
@@ -85,6 +88,36 @@ class _Form:
     def refuses(self, pattern: Glob, block: int) -> bool:
         """Tell whether a pattern is seen to be denied as a whole before a block."""
         return any(self.denied.get(wider, block) < block for wider in _wider(pattern))
+
+
+def _spelled_out(decisions: DecisionList) -> DecisionList:
+    """Return a list in which patterns that match a few words only are those words: they can be decided one by one."""
+    if all(_count(pattern) == 1 for block in decisions for pattern in block.patterns):
+        return decisions
+    left = WORDS
+    blocks: list[Block] = []
+    for block in decisions:
+        patterns: list[Glob] = []
+        for pattern in block.patterns:
+            count = _count(pattern)
+            if 1 < count <= left:
+                left -= count
+                choices = ([token] if isinstance(token, str) else token.chars() for token in pattern)  # type: ignore[union-attr]
+                patterns += (("".join(parts),) for parts in product(*choices))
+            else:
+                patterns.append(pattern)
+        blocks.append(Block(block.allows, tuple(patterns)))
+    return tuple(blocks)
+
+
+def _count(pattern: Glob) -> int:
+    """Return how many words a pattern matches; 1 also for those that match endlessly many, which stay as they are."""
+    if STAR in pattern:
+        return 1
+    count = 1
+    for token in pattern:
+        count *= 1 if isinstance(token, str) else len(token)  # type: ignore[arg-type]
+    return count
 
 
 # An enclave asks about few lists, each several times: for each model, and in both directions.

@@ -1,0 +1,146 @@
+"""How large permissions are: the plain form, folded, and gathered; the fleet example and many exact rules.
+
+usage: python benchmarks/sizes.py [--rules 1000]
+
+Bytes are those of the unsigned document; signing adds about 1,700, and one for each line. Handshakes were seen to work
+with signed documents of up to 45,000 bytes on every vendor, and to fail on Fast DDS beyond 64,000. ``grouped`` is the
+folded form without gathering: what a careful person writes by hand.
+"""
+
+from __future__ import annotations
+
+import argparse
+import functools
+import random
+import tempfile
+import time
+from collections.abc import Callable, Iterator, Sequence
+from datetime import UTC, datetime, timedelta
+from pathlib import Path
+from unittest import mock
+
+from keymint_ros.distros import library
+from keymint_ros2_comarmor import policy_type
+from keymint_ros2_dds import build_type, compile, gathering  # noqa: A004 - the module's name
+from keymint_ros2_dds.limits import BROKEN, signed_size
+from proof import WORDS
+
+from keymint.api import (
+    BuildOptions,
+    CertificateSpec,
+    DomainRange,
+    DomainRule,
+    Governance,
+    KeySpec,
+    Package,
+    Permissions,
+    PolicySource,
+    Validity,
+)
+from keymint.errors import Origin
+from keymint.ir import SubjectRules
+
+FLEET = Path(__file__).parent.parent / "examples" / "fleet"
+SPACES = ("amr1", "amr2", "arm", "cell")
+HERE = Origin("benchmark")
+
+
+def package(rules: SubjectRules) -> Package:
+    """Return a package that asks for these rules."""
+    begin = datetime(2026, 1, 1, tzinfo=UTC)
+    validity, domains = Validity(begin, begin + timedelta(days=365)), (DomainRange(0, 0),)
+    name = f"OU=0f,CN={rules.subject}"
+    identity = CertificateSpec(name, validity, None, "identity_ca", "SHA256", KeySpec("ec", "SECP256R1"), (), HERE)
+    permissions = Permissions("permissions_ca", rules.subject, name, validity, domains, rules, HERE)
+    domain_rule = DomainRule(domains, False, True, "ENCRYPT", "ENCRYPT", "ENCRYPT", (), HERE)
+    governance = Governance("permissions_ca", (domain_rule,))
+    return Package(rules.subject[1:], rules.subject, "keymint_ros2_dds", "jazzy", identity, permissions, governance)
+
+
+def subjects(path: Path) -> Iterator[SubjectRules]:
+    """Yield the rules of every subject that a policy names exactly."""
+    loaded = policy_type.load([PolicySource("policy", path, HERE)], library("jazzy"))
+    for subject in loaded.subjects():
+        rules = loaded.rules(subject)
+        if rules is not None:
+            yield rules
+
+
+def exact(names: Sequence[str]) -> str:
+    """Return a policy with one subject, and a rule for each name."""
+    rules = "".join(
+        f'<ros_topic qualifier="ALLOW"><attachment>{name}</attachment>'
+        "<permissions><ros_publish/></permissions></ros_topic>"
+        for name in names
+    )
+    return f'<profiles><profile name="p"><attachment>/many</attachment>{rules}</profile></profiles>'
+
+
+def families(size: int) -> Iterator[tuple[str, list[str]]]:
+    """Yield kinds of exact names under a few namespaces."""
+    dice = random.Random(size)
+    spaces = [SPACES[number % len(SPACES)] for number in range(size)]
+    yield "numbered", [f"/{space}/sensor{number // len(SPACES)}" for number, space in enumerate(spaces)]
+    sparse = dice.sample(range(size * 5), size)
+    yield (
+        "one in five numbers",
+        [f"/{space}/sensor{number}" for space, number in zip(spaces, sorted(sparse), strict=True)],
+    )
+    pairs = [(a, b) for a in WORDS for b in WORDS]
+    dice.shuffle(pairs)
+    same = [f"/{space}/{a}/{b}" for a, b in pairs for space in SPACES]
+    yield "the same words everywhere", same[:size]
+    yield (
+        "words at random",
+        [f"/{space}/{dice.choice(WORDS)}_{dice.choice(WORDS)}{dice.randrange(1000)}" for space in spaces],
+    )
+
+
+def measured(rules: SubjectRules) -> tuple[int, int, int, float]:
+    """Return the bytes of the plain, the grouped and the smallest form, and the seconds of a build."""
+    asked = package(rules)
+    with mock.patch.object(compile, "gathered", functools.partial(gathering.gathered, least=10**9)):
+        grouped = build_type.build(asked, BuildOptions())
+    begin = time.process_time()
+    built = build_type.build(asked, BuildOptions())
+    seconds = time.process_time() - begin
+    name = "permissions.xml"
+    return built.plain_sizes[name], len(grouped.documents[name]), len(built.documents[name]), seconds
+
+
+def show(title: str, plain: int, grouped: int, small: int, seconds: float, fits: Callable[[int], str]) -> None:
+    gain = (small - plain) / plain
+    print(
+        f"{title:28} {plain:>9,}{fits(plain)} {grouped:>9,}{fits(grouped)} {small:>9,}{fits(small)} "
+        f"{gain:>6.0%} {seconds * 1e3:>7.0f} ms",
+        flush=True,
+    )
+
+
+def main() -> None:
+    """Measure and print."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--rules", type=int, default=1000)
+    options = parser.parse_args()
+
+    def fits(size: int) -> str:
+        return "*" if signed_size(b"\n" * (size // 40) + b" " * (size - size // 40)) > BROKEN else " "
+
+    print(f"{'':28} {'plain':>9}  {'grouped':>9}  {'written':>9}  {'gain':>6} {'build':>10}")
+    total = [0, 0, 0, 0.0]
+    for rules in subjects(FLEET):
+        found = measured(rules)
+        total = [old + new for old, new in zip(total, found, strict=True)]
+        show(f"fleet {rules.subject}", *found, lambda _size: " ")
+    show("fleet, all", int(total[0]), int(total[1]), int(total[2]), total[3], lambda _size: " ")
+    with tempfile.TemporaryDirectory() as folder:
+        for title, names in families(options.rules):
+            path = Path(folder) / "policy.xml"
+            path.write_text(exact(list(dict.fromkeys(names))))
+            for rules in subjects(path):
+                show(f"{len(set(names)):,} {title}", *measured(rules), fits)
+    print("* a signed document of that size breaks handshakes on Fast DDS")
+
+
+if __name__ == "__main__":
+    main()
