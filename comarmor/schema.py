@@ -69,6 +69,8 @@ _NAME = re.compile(r"\{([^}]*)\}([^\s',)]+)")
 def _unexpected(found: re.Match[str], vocabulary: Vocabulary, element: etree._Element | None) -> tuple[str, str]:
     expected: Sequence[str] = found[2].split(", ") if found[2] else ()
     parent = None if element is None else element.getparent()
+    if parent is not None and element is not None:
+        expected = _with_exits(expected, element.getprevious(), parent, vocabulary)
     if parent is not None and not expected:  # libxml2 does not say where the element could also end
         expected = vocabulary.allowed_in(parent)
         if found[1] in expected:
@@ -77,8 +79,22 @@ def _unexpected(found: re.Match[str], vocabulary: Vocabulary, element: etree._El
     return f"<{found[1]}> is not expected here, {wanted}", did_you_mean(found[1], expected)
 
 
-def _missing(found: re.Match[str], _v: Vocabulary, _e: etree._Element | None) -> tuple[str, str]:
-    return f"<{found[1]}> is not complete, expected {_one_of(found[2].split(', '))}", ""
+def _missing(found: re.Match[str], vocabulary: Vocabulary, element: etree._Element | None) -> tuple[str, str]:
+    expected: Sequence[str] = found[2].split(", ")
+    if element is not None and len(element):
+        expected = _with_exits(expected, element[-1], element, vocabulary)
+    return f"<{found[1]}> is not complete, expected {_one_of(expected)}", ""
+
+
+def _with_exits(
+    expected: Sequence[str], last: etree._Element | None, parent: etree._Element, vocabulary: Vocabulary
+) -> Sequence[str]:
+    """Return what is expected, with what may follow a repetition: there libxml2 says only how it can go on."""
+    if last is None or last.tag not in expected:
+        return expected
+    allowed = vocabulary.allowed_in(parent)
+    known = [allowed.index(name) for name in expected if name in allowed]
+    return (*expected, *allowed[max(known, default=len(allowed)) + 1 :])
 
 
 def _root(found: re.Match[str], vocabulary: Vocabulary, _e: etree._Element | None) -> tuple[str, str]:
@@ -98,6 +114,13 @@ def _enumeration(found: re.Match[str], _v: Vocabulary, _e: etree._Element | None
     values = [value.strip("'") for value in found[4].split(", ")]
     near = did_you_mean(found[3], values) or did_you_mean(found[3].upper(), values)
     return f"{_holder(found)} is {quoted(found[3])}, expected {' or '.join(values)}", near
+
+
+def _short(found: re.Match[str], _v: Vocabulary, _e: etree._Element | None) -> tuple[str, str]:
+    least = int(found[4])
+    if not int(found[3]):
+        return f"{_holder(found)} is empty", ""
+    return f"{_holder(found)} has {found[3]} characters, expected {least} or more", ""
 
 
 def _simple(found: re.Match[str], _v: Vocabulary, _e: etree._Element | None) -> tuple[str, str]:
@@ -128,6 +151,10 @@ _EXPLANATIONS: tuple[tuple[re.Pattern[str], _Explanation], ...] = tuple(
         (
             r"Element '(.+?)'(?:, attribute '(.+?)')?: \[.+?\] The value '(.*)' is not .+ set \{(.+)\}",
             _enumeration,
+        ),
+        (
+            r"Element '(.+?)'(?:, attribute '(.+?)')?: \[facet 'minLength'\] .* length of '(\d+)'.* length of '(\d+)'",
+            _short,
         ),
         (r"Element '(.+?)': Element content is not allowed", _simple),
         (r"Element '(.+?)': Character content", _text),

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import importlib
 import os
 import sys
@@ -91,6 +92,7 @@ def cli() -> None:
 
 def main(arguments: list[str] | None = None) -> int:
     """Run the command line and return its exit code."""
+    gc.set_threshold(50_000, 20, 50)  # a run makes many objects, few of them in cycles
     os.umask(0o022)  # secrets are 0600 and public files 0644, whatever the user's umask
     given = sys.argv[1:] if arguments is None else arguments
     if not sys.warnoptions:  # a library's advice to its programmers is no message to a user

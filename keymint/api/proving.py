@@ -75,6 +75,7 @@ class Claim:
         universe: the names it is about, in words.
         proof: how it stands.
         reason: why it is unknown, in one line.
+        spent: it is unknown since it was given up; with more states, or time, it may be decided.
         counterexample: if there is one.
     """
 
@@ -85,6 +86,7 @@ class Claim:
     proof: Proof
     reason: str = ""
     counterexample: Counterexample | None = None
+    spent: bool = False
 
 
 class Prover(Protocol):

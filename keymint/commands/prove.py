@@ -127,16 +127,18 @@ def diagnostics_of(enclave: Proven) -> Iterator[Diagnostic]:
     for claim in enclave.claims:
         if claim.counterexample is not None:
             found = claim.counterexample
-            key = (found.endpoint, found.policy, found.document.allowed, found.document.line)
+            key = (found.endpoint, found.policy, found.document.allowed, found.document.line, found.document.reason)
             together.setdefault(key, []).append(claim)
         elif claim.proof is Proof.UNKNOWN:
-            together.setdefault((claim.action, claim.reason), []).append(claim)
+            together.setdefault((claim.reason,), []).append(claim)
     for claims in together.values():
         models = ", ".join(dict.fromkeys(claim.model for claim in claims))
         counterexample = claims[0].counterexample
         if counterexample is None:
-            message = f"{enclave.subject}, {claims[0].action}: not proven for {models}: {claims[0].reason}"
-            help_ = "give it more with --seconds or --states, or say the rules in a simpler way"
+            actions = " and ".join(dict.fromkeys(claim.action for claim in claims))
+            message = f"{enclave.subject}, {actions}: not proven for {models}: {claims[0].reason}"
+            spent = "give it more with --seconds or --states, or say the rules in a simpler way"
+            help_ = spent if claims[0].spent else ""
             yield Diagnostic("not-proven", Severity.ERROR, message, None, help_, enclave.subject)
         else:
             yield _refutation(enclave.subject, counterexample, models)
@@ -151,7 +153,7 @@ def _refutation(subject: str, found: Counterexample, models: str) -> Diagnostic:
     domain = f" in domain {endpoint.domain}" if endpoint.domain else ""
     message = (
         f"{subject}: the document {may} it to {endpoint.permission} {name}{ros}{domain}, the policy {says} it: "
-        f"{policy.reason}{f' ({policy.where})' if policy.where else ''}; {document.reason} [{models}]"
+        f"{policy.reason}; {document.reason} [{models}]"
     )
     deviation = f"; {document.deviation}" if document.deviation else ""
     return Diagnostic(

@@ -120,6 +120,7 @@ class _Relocated:
         """Return the subjects that the policy names exactly."""
         return self._policy.subjects()
 
+    @functools.cache  # noqa: B019 - lives as long as the run
     def rules(self, subject: str) -> SubjectRules | None:
         """Return the rules of a subject, with their origins' place to be."""
         found = self._policy.rules(subject)

@@ -16,7 +16,8 @@ from keymint.proof.model import Universe
 END = 0
 """The node that matches the empty word alone."""
 
-_PREFERRED = "abcdefghijklmnopqrstuvwxyz0123456789_/ABCDEFGHIJKLMNOPQRSTUVWXYZ-."
+_PREFERRED = "abcdefghijklmnopqrstuvwxyz_ABCDEFGHIJKLMNOPQRSTUVWXYZ0123456789/-."
+"""In this order letters are tried: so that a word begins like a name wherever one of the shortest does."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -50,6 +51,7 @@ class Arena:
         self._distinct: dict[_Symbol, frozenset[str]] = {}
         patterns = tuple(dict.fromkeys(patterns))
         self.letters = _letters(patterns, universe)
+        self._ranks = {letter: rank for rank, letter in enumerate(self.letters)}
         self.everything = self._cons(_EVERY, END)
         self._separator = universe.separator
         self.universe = END
@@ -57,6 +59,8 @@ class Arena:
             if at:
                 self.universe = self._cons(universe.separator, self.universe)
             self.universe = self._cons(_Many(universe.alphabet), self.universe)
+            if universe.last_nonempty and not at:
+                self.universe = self._cons(universe.alphabet, self.universe)
 
     def node(self, pattern: Glob) -> int:
         """Return the node of a pattern: one of those that the alphabet was made for."""
@@ -101,7 +105,9 @@ class Arena:
         for node in nodes:
             explicit |= self._explicit[node]
         other = next((letter for letter in self.letters if letter not in explicit), None)
-        return sorted(explicit) if other is None else [other, *sorted(explicit)]
+        if other is not None:
+            explicit.add(other)
+        return sorted(explicit, key=self._ranks.__getitem__)
 
     def simulates(self, outer: int, inner: int) -> bool:
         """Tell whether one node is seen, by its shape, to match all that another does; False where it is not seen."""

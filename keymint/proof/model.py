@@ -38,11 +38,13 @@ class Universe:
         alphabet: the characters of a field.
         fields: how many fields a word has, at least one.
         separator: a character outside of the alphabet; needed when there are several fields.
+        last_nonempty: the last field of a word has at least one character.
     """
 
     alphabet: Charset
     fields: int = 1
     separator: str = "\0"
+    last_nonempty: bool = False
 
     def __contains__(self, word: str) -> bool:
         """Tell whether a word is one of the universe."""
@@ -52,7 +54,10 @@ class Universe:
 @lru_cache(maxsize=64)
 def _form(universe: Universe) -> re.Pattern[str]:
     field_ = "".join(rf"\U{low:08x}-\U{high:08x}" for low, high in universe.alphabet.ranges)
-    return re.compile(re.escape(universe.separator).join([f"[{field_}]*"] * universe.fields))
+    fields = [f"[{field_}]*"] * universe.fields
+    if universe.last_nonempty:
+        fields[-1] = f"[{field_}]+"
+    return re.compile(re.escape(universe.separator).join(fields))
 
 
 EVERY_WORD = Universe(ANY)

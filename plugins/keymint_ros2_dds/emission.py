@@ -12,7 +12,6 @@ from dataclasses import dataclass
 from keymint.api import BuildOptions, Claim, Package, Proof
 from keymint.errors import Diagnostic, KeymintError, Severity
 from keymint.pki import names
-from keymint_ros2_dds import decision
 from keymint_ros2_dds.compile import Compiled, compile_rules, remarks
 from keymint_ros2_dds.criteria import Criteria
 from keymint_ros2_dds.decision import OMG
@@ -20,7 +19,7 @@ from keymint_ros2_dds.document import PERMISSIONS_XML
 from keymint_ros2_dds.lower import Lowered
 from keymint_ros2_dds.mapping import Action
 from keymint_ros2_dds.permissions import render, rules_size
-from keymint_ros2_dds.proving import ASSUMPTIONS, Question, prove_document
+from keymint_ros2_dds.proving import ASSUMPTIONS, Content, prove_content
 
 STATES = 50_000
 """States that a question may visit: about a second, so that a build never hangs."""
@@ -93,17 +92,19 @@ def _models(compiled: Compiled) -> tuple[str, ...]:
 
 def _not_proven(package: Package, lowered: Lowered, document: bytes, models: Sequence[str]) -> list[Claim]:
     """Return the claims that are not proven."""
-    question = Question(
-        decision.read(document, PERMISSIONS_XML),
+    asked = Content(
+        document,
+        PERMISSIONS_XML,
+        0,
         names.render(names.parse(package.permissions.subject_name, package.permissions.origin)),
         package.permissions.rules,
-        lowered,
         package.distro,
         package.permissions.domains,
         STATES,
         lambda: True,
     )
-    return [claim for claim in prove_document(question, models=models) if claim.proof is not Proof.PROVEN]
+    claims = prove_content(asked, models=models, lowered=lowered)
+    return [claim for claim in claims if claim.proof is not Proof.PROVEN]
 
 
 def _given_up(package: Package, open_: Sequence[Claim]) -> Iterator[Diagnostic]:

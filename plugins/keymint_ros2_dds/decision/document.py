@@ -6,8 +6,10 @@ schema has against it (DDS Security 1.1, 9.4.1.3).
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from dataclasses import dataclass
+import re
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
+from types import MappingProxyType
 
 from lxml import etree
 
@@ -15,16 +17,26 @@ from comarmor import schema
 from comarmor.errors import ComArmorError
 from comarmor.reader import line, parse
 from keymint.errors import Diagnostic, KeymintError, Origin, Severity
+from keymint_ros2_dds.decision import numbers, peculiar
+from keymint_ros2_dds.decision.peculiar import Peculiarity
 
 ACTIONS = ("publish", "subscribe", "relay")
+BLANKS = " \t\v\r\n"
+"""What is white space for XML, and for Cyclone DDS."""
+_RULES = frozenset(("allow_rule", "deny_rule"))
+_WHOLE = re.compile(r"[+-]?[0-9]+")
 
 
 @dataclass(frozen=True, slots=True)
 class Domains:
-    """Domain ids from ``first`` to ``last``; None where the document leaves an end of the range open."""
+    """Domain ids from ``first`` to ``last``; None where the document leaves an end of the range open.
+
+    ``texts`` are the numbers as they are written.
+    """
 
     first: int | None
     last: int | None
+    texts: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)
@@ -37,6 +49,7 @@ class Criteria:
         partitions: expressions; None without ``<partitions>``.
         tags: data tags, name and value; None without ``<data_tags>``.
         line: line of the element.
+        listed: there is a ``<topics>``.
     """
 
     action: str
@@ -44,16 +57,18 @@ class Criteria:
     partitions: tuple[str, ...] | None
     tags: tuple[tuple[str, str], ...] | None
     line: int
+    listed: bool = True
 
 
 @dataclass(frozen=True, slots=True)
 class Rule:
-    """An ``<allow_rule>`` or a ``<deny_rule>``."""
+    """An ``<allow_rule>`` or a ``<deny_rule>``; it is bounded if there is a ``<domains>``, be it empty."""
 
     allows: bool
     domains: tuple[Domains, ...]
     criteria: tuple[Criteria, ...]
     line: int
+    bounded: bool = True
 
 
 @dataclass(frozen=True, slots=True)
@@ -66,8 +81,8 @@ class Grant:
         not_before: text.
         not_after: text.
         rules: in the order of the document.
-        default: ``ALLOW`` or ``DENY``, or None when it is missing.
-        rules_end: the default is the last element, as the schema wants it.
+        default: text, with the white space around it; None when it is missing.
+        before_default: so many of the rules come before the default.
         line: line of the element.
     """
 
@@ -77,11 +92,16 @@ class Grant:
     not_after: str
     rules: tuple[Rule, ...]
     default: str | None
-    rules_end: bool
+    before_default: int
     line: int
 
+    @property
+    def allows(self) -> bool:
+        """What no rule is about is allowed."""
+        return self.default is not None and self.default.strip(BLANKS) == "ALLOW"
 
-@dataclass(frozen=True, slots=True)
+
+@dataclass(frozen=True, slots=True, eq=False)
 class PermissionsDocument:
     """A permissions document.
 
@@ -89,19 +109,38 @@ class PermissionsDocument:
         file: its name, for people.
         grants: in the order of the document.
         defects: what the schema has against it.
+        peculiarities: what a plain document has not, and what vendors make of it.
+        offset: lines of the file before the document's first one.
     """
 
     file: str
     grants: tuple[Grant, ...]
     defects: tuple[Diagnostic, ...]
+    peculiarities: tuple[Peculiarity, ...] = ()
+    offset: int = 0
+    _views: Mapping[tuple[bool, bool], tuple[Grant, ...]] = field(default_factory=dict, repr=False)
+
+    def read_as(self, *, c_numbers: bool, first_piece: bool) -> tuple[Grant, ...]:
+        """Return the grants as another parser reads them.
+
+        Args:
+            c_numbers: domain ids are read as in C, where 010 is 8.
+            first_piece: a text ends at its first comment or CDATA section.
+        """
+        return self._views.get((c_numbers, first_piece), self.grants)
+
+    def place(self, line: int) -> str:
+        """Return a line of the document as a place in its file."""
+        return f"{self.file}:{line + self.offset}"
 
 
-def read(content: bytes, file: str = "permissions.xml") -> PermissionsDocument:
+def read(content: bytes, file: str = "permissions.xml", offset: int = 0) -> PermissionsDocument:
     """Read a permissions document.
 
     Args:
         content: XML, unsigned.
         file: its name, for people.
+        offset: lines of the file before the document's first one.
 
     Raises:
         KeymintError: it is not well-formed, not a permissions document, or a number in it is none.
@@ -109,89 +148,122 @@ def read(content: bytes, file: str = "permissions.xml") -> PermissionsDocument:
     try:
         root = parse(content, file)
     except ComArmorError as error:
-        raise KeymintError.of(_diagnostics(error, file)) from None
+        raise KeymintError.of(_diagnostics(error, file, offset)) from None
     if root.tag != "dds" or root.find("permissions") is None:
-        raise KeymintError("this is not a permissions document", where=Origin(file, line(root)), code="document-kind")
-    grants = tuple(_grant(item, file) for item in root.iterfind("permissions/grant"))
-    return PermissionsDocument(file, grants, _defects(root, file))
+        where = Origin(file, line(root) + offset)
+        raise KeymintError("this is not a permissions document", where=where, code="document-kind")
+    defects = _defects(root, file, offset)
+    found = peculiar.find(content, valid=not defects)
+    grants = _Reader(file, offset).grants(root)
+    odd = any(numbers.is_odd(t) for g in grants for r in g.rules for d in r.domains for t in d.texts)
+    views = {}
+    if odd or found.first_pieces:
+        firsts = {element: found.first_pieces.get(at) for at, element in enumerate(root.iter())}
+        for c_numbers, first_piece in ((True, False), (False, True), (True, True)):
+            reader = _Reader(file, offset, c_numbers=c_numbers, firsts=firsts if first_piece else {})
+            views[c_numbers, first_piece] = reader.grants(root)
+    return PermissionsDocument(file, grants, defects, found.peculiarities, offset, MappingProxyType(views))
 
 
-def _defects(root: etree._Element, file: str) -> tuple[Diagnostic, ...]:
+def _defects(root: etree._Element, file: str, offset: int) -> tuple[Diagnostic, ...]:
     try:
         schema.validate(root, "dds/permissions.xsd", file)
     except ComArmorError as error:
-        return _diagnostics(error, file)
+        return _diagnostics(error, file, offset)
     return ()
 
 
-def _diagnostics(error: ComArmorError, file: str) -> tuple[Diagnostic, ...]:
+def _diagnostics(error: ComArmorError, file: str, offset: int) -> tuple[Diagnostic, ...]:
     return tuple(
         Diagnostic(
             item.code,
             Severity.ERROR,
             item.message,
-            Origin(item.where.file, item.where.line) if item.where else Origin(file),
+            Origin(file, item.where.line + offset) if item.where and item.where.line else Origin(file),
             item.help,
         )
         for item in error.diagnostics
     )
 
 
-def _grant(element: etree._Element, file: str) -> Grant:
-    children = [child for child in element if isinstance(child.tag, str)]
-    default = element.find("default")
-    return Grant(
-        element.get("name"),
-        element.findtext("subject_name") or "",
-        element.findtext("validity/not_before") or "",
-        element.findtext("validity/not_after") or "",
-        tuple(_rule(child, file) for child in children if child.tag in {"allow_rule", "deny_rule"}),
-        None if default is None else (default.text or "").strip(),
-        default is None or children[-1] is default,
-        line(element),
-    )
+@dataclass(frozen=True, slots=True)
+class _Reader:
+    """Makes data of elements.
 
+    Attributes:
+        file: the document's file, for people.
+        offset: lines of it before the document.
+        c_numbers: read numbers as in C.
+        firsts: texts that are read instead of an element's own.
+    """
 
-def _rule(element: etree._Element, file: str) -> Rule:
-    domains = element.find("domains")
-    return Rule(
-        element.tag == "allow_rule",
-        () if domains is None else tuple(_domains(domains, file)),
-        tuple(_criteria(child) for child in element if child.tag in ACTIONS),
-        line(element),
-    )
+    file: str
+    offset: int
+    c_numbers: bool = False
+    firsts: Mapping[etree._Element, str | None] = field(default_factory=dict)
 
+    def grants(self, root: etree._Element) -> tuple[Grant, ...]:
+        """Return the grants of a document."""
+        return tuple(map(self._grant, root.iterfind("permissions/grant")))
 
-def _domains(element: etree._Element, file: str) -> Iterator[Domains]:
-    for child in element:
-        if child.tag == "id":
-            number = _number(child, file)
-            yield Domains(number, number)
-        elif child.tag == "id_range":
-            low, high = child.find("min"), child.find("max")
-            yield Domains(
-                None if low is None else _number(low, file),
-                None if high is None else _number(high, file),
-            )
+    def _text(self, element: etree._Element | None) -> str:
+        if element is None:
+            return ""
+        first = self.firsts.get(element)
+        return (element.text or "") if first is None else first
 
-
-def _number(element: etree._Element, file: str) -> int:
-    text = (element.text or "").strip()
-    if not (text.isascii() and text.isdigit()):
-        raise KeymintError(
-            f"{text!r} is no domain id, expected a whole number", where=Origin(file, line(element)), code="domains"
+    def _grant(self, element: etree._Element) -> Grant:
+        children = [str(child.tag) for child in element]
+        default = element.find("default")
+        end = len(children) if default is None else children.index("default")
+        return Grant(
+            element.get("name"),
+            self._text(element.find("subject_name")),
+            self._text(element.find("validity/not_before")),
+            self._text(element.find("validity/not_after")),
+            tuple(self._rule(child) for child in element if child.tag in _RULES),
+            None if default is None else self._text(default),
+            sum(child in _RULES for child in children[:end]),
+            line(element),
         )
-    return int(text)
 
+    def _rule(self, element: etree._Element) -> Rule:
+        domains = element.find("domains")
+        return Rule(
+            element.tag == "allow_rule",
+            () if domains is None else tuple(self._domains(domains)),
+            tuple(self._criteria(child) for child in element if child.tag in ACTIONS),
+            line(element),
+            domains is not None,
+        )
 
-def _criteria(element: etree._Element) -> Criteria:
-    partitions, tags = element.find("partitions"), element.find("data_tags")
-    return Criteria(
-        str(element.tag),
-        tuple(topic.text or "" for topic in element.iterfind("topics/topic")),
-        None if partitions is None else tuple(item.text or "" for item in partitions.iterfind("partition")),
-        None
-        if tags is None
-        else tuple((tag.findtext("name") or "", tag.findtext("value") or "") for tag in tags.iterfind("tag")),
-        line(element),
-    )
+    def _domains(self, element: etree._Element) -> Iterator[Domains]:
+        for child in element:
+            if child.tag == "id":
+                number, text = self._number(child)
+                yield Domains(number, number, (text,))
+            elif child.tag == "id_range":
+                ends = {str(end.tag): self._number(end) for end in reversed(child) if end.tag in {"min", "max"}}
+                first, last = (ends[name][0] if name in ends else None for name in ("min", "max"))
+                yield Domains(first, last, tuple(text for _, text in ends.values()))
+
+    def _number(self, element: etree._Element) -> tuple[int, str]:
+        text = self._text(element)
+        plain = text.strip(BLANKS)
+        if _WHOLE.fullmatch(plain) is None:
+            where = Origin(self.file, line(element) + self.offset)
+            raise KeymintError(f"{plain!r} is no domain id, expected a whole number", where=where, code="domains")
+        return (numbers.in_c(text) if self.c_numbers else int(plain)), text
+
+    def _criteria(self, element: etree._Element) -> Criteria:
+        topics, partitions, tags = (element.find(name) for name in ("topics", "partitions", "data_tags"))
+        return Criteria(
+            str(element.tag),
+            tuple(map(self._text, element.iterfind("topics/topic"))),
+            None if partitions is None else tuple(map(self._text, partitions.iterfind("partition"))),
+            None
+            if tags is None
+            else tuple((self._text(tag.find("name")), self._text(tag.find("value"))) for tag in tags.iterfind("tag")),
+            line(element),
+            topics is not None,
+        )

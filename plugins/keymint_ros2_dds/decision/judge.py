@@ -98,24 +98,24 @@ class Judge:
     ) -> None:
         semantics = variation.semantics
         self.semantics = semantics
-        self._file = document.file
+        self._place = document.place
         self._steps: dict[str, list[_Step]] = {}
         self._named: list[_Step] = []
         self.joins = False
         self._default = False
         self._default_line = 0
-        refused = semantics.refuses(document)
+        refused = semantics.refuses(document) or semantics.untold(document)
         self.refusal: Decision | None = None
         if refused:
-            self.refusal = Decision(Outcome.ERROR, 0, f"{document.file}: {refused}")
+            self.refusal = Decision(Outcome.ERROR, 0, refused)
             return
         found = _grant(document, subject_name, now, semantics)
         if isinstance(found, Decision):
             self.refusal = found
             return
-        self._default = semantics.default_counts and found.default == "ALLOW"
+        self._default = semantics.default_counts and found.allows
         self._default_line = found.line
-        in_domain = [rule for rule in found.rules if _holds(rule, domain, semantics)]
+        in_domain = [rule for rule in semantics.rules(found) if _holds(rule, domain, semantics)]
         self.joins = self._default or any(rule.allows for rule in in_domain)
         for step in _steps(in_domain, semantics):
             self._steps.setdefault(step.action, []).append(step)
@@ -172,12 +172,12 @@ class Judge:
     def _by(self, step: _Step, text: str, *, allowed: bool) -> Decision:
         rule = "allow_rule" if step.allows else "deny_rule"
         outcome = Outcome.ALLOWED if allowed else Outcome.DENIED
-        return Decision(outcome, step.line, f"{self._file}:{step.line}: the {rule} {text}")
+        return Decision(outcome, step.line, f"{self._place(step.line)}: the {rule} {text}")
 
     def _by_default(self, topic: str) -> Decision:
         outcome = Outcome.ALLOWED if self._default else Outcome.DENIED
         text = f"no rule is about {topic!r}, and the grant's default is {'ALLOW' if self._default else 'DENY'}"
-        return Decision(outcome, self._default_line, f"{self._file}:{self._default_line}: {text}")
+        return Decision(outcome, self._default_line, f"{self._place(self._default_line)}: {text}")
 
 
 def decide(
@@ -199,19 +199,16 @@ def _grant(document: PermissionsDocument, subject_name: str, now: datetime, sema
     """Return the grant that counts, or why there is none."""
     reason = f"no grant is about {subject_name!r}"
     found_line = 0
-    for grant in document.grants:
-        name = grant.subject_name.strip() if semantics.trims else grant.subject_name
-        if not semantics.selects(name, subject_name):
-            continue
-        begin, end = semantics.date(grant.not_before), semantics.date(grant.not_after)
-        if begin is not None and end is not None and begin <= now <= end:
+    for grant in semantics.grants(document, subject_name):
+        period = semantics.period(grant)
+        if period is not None and period[0] <= now <= period[1]:
             return grant
-        when = "is not valid yet" if begin is not None and now < begin else "has expired"
+        when = "is not valid yet" if period is not None and now < period[0] else "has expired"
         found_line = grant.line
         reason = f"the grant of {subject_name!r} {when} ({grant.not_before.strip()} to {grant.not_after.strip()})"
         if not semantics.passes_over_invalid:
             break
-    place = f"{document.file}:{found_line}" if found_line else document.file
+    place = document.place(found_line) if found_line else document.file
     return Decision(Outcome.ERROR, found_line, f"{place}: {reason}")
 
 
@@ -255,7 +252,7 @@ def _step(rule: Rule, group: Sequence[Criteria], semantics: Semantics) -> _Step:
 
 
 def _patterns(expressions: Iterable[str], semantics: Semantics) -> _Patterns:
-    texts = frozenset(fnmatch.in_bytes(each.strip() if semantics.trims else each) for each in expressions)
+    texts = frozenset(fnmatch.in_bytes(semantics.reads_text(each)) for each in expressions)
     plain = frozenset(each for each in texts if fnmatch.is_plain(each))
     return _Patterns(plain, _compiled(tuple(sorted(texts - plain)), semantics.fnmatch) if texts - plain else None)
 

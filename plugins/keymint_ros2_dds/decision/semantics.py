@@ -8,17 +8,37 @@ and a :class:`Variation` is a list of deviations: an implementation. The rows ar
 from __future__ import annotations
 
 import functools
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from datetime import datetime
+from datetime import UTC, datetime
 from typing import Any
 
 from keymint_ros2_dds.decision import dates, fnmatch, subjects
-from keymint_ros2_dds.decision.document import PermissionsDocument
-from keymint_ros2_dds.decision.refusals import cyclone_refuses, fast_refuses, schema_refuses
+from keymint_ros2_dds.decision.document import BLANKS, Grant, PermissionsDocument, Rule
+from keymint_ros2_dds.decision.refusals import (
+    cyclone_refuses,
+    cyclone_untold,
+    fast_refuses,
+    fast_untold,
+    nothing_untold,
+    schema_refuses,
+)
 
 Refusal = Callable[[PermissionsDocument], str]
 """Returns why a document is refused as a whole, or an empty text."""
+
+
+def trimmed(text: str) -> str:
+    """Cyclone DDS: white space around a text is no part of it."""
+    return text.strip(BLANKS)
+
+
+def unless_blank(text: str) -> str:
+    """Fast DDS: white space alone is no text."""
+    return text if text.strip(BLANKS) else ""
+
+
+BEGINNING_OF_TIME = datetime.min.replace(tzinfo=UTC)
 
 
 @dataclass(frozen=True, slots=True)
@@ -27,10 +47,15 @@ class Semantics:
 
     Attributes:
         refuses: whether a document is refused as a whole, and why.
+        untold: whether what is made of the document is not known, and why.
+        c_numbers: domain ids are read as in C.
+        first_piece: a text ends at its first comment or CDATA section.
+        default_ends: nothing that follows the default is looked at.
         selects: whether a grant's subject name is about an identity: both as text, ``CN=/talker,OU=h``.
         passes_over_invalid: a grant that is not valid now is passed over; else it ends the search.
-        date: reads a date of the document; None is a date that can never hold.
-        trims: white space around a text is no part of it.
+        date: reads a date of the document; None is none: it never holds.
+        no_beginning_holds: a beginning that is no date has passed.
+        reads_text: returns an expression, or a subject name, as it is read.
         default_counts: ``<default>`` is looked at; else it is always DENY.
         min_only_is_exact: a range of domains with ``min`` alone is that domain; else every higher one as well.
         domains_count: rules of other domains are passed over.
@@ -45,10 +70,15 @@ class Semantics:
     """
 
     refuses: Refusal = schema_refuses
+    untold: Refusal = nothing_untold
+    c_numbers: bool = False
+    first_piece: bool = False
+    default_ends: bool = False
     selects: Callable[[str, str], bool] = subjects.same_name
     passes_over_invalid: bool = True
     date: Callable[[str], datetime | None] = dates.standard
-    trims: bool = False
+    no_beginning_holds: bool = False
+    reads_text: Callable[[str], str] = str
     default_counts: bool = True
     min_only_is_exact: bool = False
     domains_count: bool = True
@@ -60,6 +90,22 @@ class Semantics:
     topic_check: bool = False
     tags_count: bool = True
     needs_rule_to_join: bool = False
+
+    def grants(self, document: PermissionsDocument, subject_name: str) -> Sequence[Grant]:
+        """Return the grants that are about an identity, in the order of the document."""
+        grants = document.read_as(c_numbers=self.c_numbers, first_piece=self.first_piece)
+        return [each for each in grants if self.selects(self.reads_text(each.subject_name), subject_name)]
+
+    def rules(self, grant: Grant) -> Sequence[Rule]:
+        """Return the rules of a grant that count."""
+        return grant.rules[: grant.before_default] if self.default_ends else grant.rules
+
+    def period(self, grant: Grant) -> tuple[datetime, datetime] | None:
+        """Return when a grant is valid, both ends included; None is never."""
+        begin, end = self.date(grant.not_before), self.date(grant.not_after)
+        if begin is None and self.no_beginning_holds:
+            begin = BEGINNING_OF_TIME
+        return None if begin is None or end is None or begin > end else (begin, end)
 
 
 STANDARD = Semantics()
@@ -127,12 +173,14 @@ CYCLONE_DEVIATIONS = (
     _on("9", "topic-check", "the first rule that names a topic decides whether it exists, whatever its direction",
         topic_check=True),
     _on("11", "strictness", "domain ids above 230, foreign attributes, and what is without its ends are refused",
-        refuses=cyclone_refuses),
+        refuses=cyclone_refuses, untold=cyclone_untold),
     _on("12", "min-only", "a range of domains with a minimum alone is that one domain", min_only_is_exact=True),
-    _on("15", "late-dates", "a date that does not fit 64 bits of nanoseconds is over", date=dates.cyclone),
-    _on("16", "trimmed-text", "white space around a text is no part of it", trims=True),
+    _on("15", "late-dates", "a date that does not fit 64 bits of nanoseconds, or is none, is over",
+        date=dates.cyclone, no_beginning_holds=True),
+    _on("16", "trimmed-text", "white space around a text is no part of it", reads_text=trimmed),
     _on("17", "fnmatch", "no escapes; only '!' negates a set; the ']' that ends a set is a member of it",
         fnmatch=fnmatch.cyclone),
+    _on("23", "numbers", "domain ids are read as in C, where 010 is 8", c_numbers=True),
     _on("data tags", "tags-ignored", "data tags are not looked at", tags_count=False),
 )  # fmt: skip
 
@@ -146,12 +194,16 @@ FAST_DEVIATIONS = (
         first_topic_decides=True),
     _on("7", "deny-topic", "a deny rule denies the topic in every partition, also if it lists some", deny_topic=True),
     _on("10", "domains-unused", "rules of other domains count as well in local checks", domains_count=False),
-    _on("11", "strictness", "a grant without a name or default, and empty lists, are refused", refuses=fast_refuses),
+    _on("11", "strictness", "a grant without a name or default, and empty lists, are refused",
+        refuses=fast_refuses, untold=fast_untold),
     _on("12", "min-only", "a range of domains with a minimum alone is that one domain", min_only_is_exact=True),
     _on("14", "zone-ignored", "the zone of a date is ignored", date=dates.fast),
+    _on("16", "blank-text", "a text of white space alone is empty", reads_text=unless_blank),
     _on("17", "fnmatch", "expressions have no escapes", fnmatch=fnmatch.noescape),
     _on("19", "rule-to-join", "a participant needs an allow_rule, also where joining is not controlled",
         needs_rule_to_join=True),
+    _on("24", "first-piece", "a text ends at its first comment or CDATA section", first_piece=True),
+    _on("25", "default-ends", "rules after <default> are not looked at", default_ends=True),
     _on("data tags", "tags-ignored", "data tags are not looked at", tags_count=False),
 )  # fmt: skip
 

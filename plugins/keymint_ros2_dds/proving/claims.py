@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from datetime import datetime
+from datetime import UTC, datetime, timedelta
 from functools import cache
 from itertools import pairwise
 from types import MappingProxyType
@@ -13,7 +13,7 @@ from keymint.api import Claim, Counterexample, DomainRange, PolicyDecision, Proo
 from keymint.graph import Edge
 from keymint.ir import Effect, SubjectRules
 from keymint.keymake.glob import GlobError, charset
-from keymint.proof import Budget, DecisionList, Equal, Outcome, Universe, Unknown, difference
+from keymint.proof import Budget, DecisionList, Outcome, Universe, Unknown, Witness, difference
 from keymint_ros2_dds import decision
 from keymint_ros2_dds.decision import OMG, VARIATIONS, Decision, Judge, Variation
 from keymint_ros2_dds.decision.document import Grant, PermissionsDocument
@@ -28,14 +28,18 @@ ALPHABET = charset([(0x20, 0x5B), (0x5D, 0x7E)])
 """Printable ASCII without the backslash, which is an escape for the standard and a character for Cyclone and Fast DDS:
 no expression about a name that has one is read alike."""
 TOPICS = (
-    "every topic name of printable ASCII without a backslash, in the default partition; nothing is permitted outside "
-    "of it"
+    "every topic name of one or more characters of printable ASCII without a backslash, in the default partition; "
+    "nothing is permitted outside of it"
 )
-PAIRS = "every pair of a partition and a topic name of printable ASCII without a backslash"
+PAIRS = (
+    "every pair of a partition and a topic name of printable ASCII without a backslash; a topic name has one or more "
+    "characters"
+)
 
 _ALWAYS = (
     "the governance document puts every topic under access control, and its domain rules let the subject join",
-    "the grant is valid at the time, and ROS names are mapped as the distribution documents it",
+    "a grant of the subject, for Cyclone DDS its first one, is valid at the time",
+    "ROS names are mapped as the distribution documents it",
     "an endpoint has one partition, whose name is text, and no data tags (of several, each must be permitted)",
     "relay is not asked about",
 )
@@ -43,12 +47,13 @@ ASSUMPTIONS: Mapping[str, tuple[str, ...]] = MappingProxyType(
     {
         "omg": ("documents are read as DDS Security 1.1 says (9.4.1.3)", *_ALWAYS),
         "cyclonedds-0.10": (
-            "documents are read as Cyclone DDS 0.10 was measured to read them; its topic check is part of the model",
+            "documents are read as Cyclone DDS 0.10.2 was measured to read them; its topic check is part of the model",
             *_ALWAYS,
         ),
         "fastdds-2.9": (
-            "documents are read as Fast DDS 2.9 was measured to read them",
+            "documents are read as Fast DDS 2.9.1 was measured to read them",
             "participants are in the domains of the policy: local checks do not look at domains",
+            "local time is UTC, in which Fast DDS takes the dates of a grant to be",
             *_ALWAYS,
         ),
     }
@@ -92,13 +97,30 @@ def prove_document(question: Question, *, models: Sequence[str] | None = None) -
     return tuple(claim for name in names for claim in _Model(question, compare, name).claims())
 
 
+_Claiming = Callable[..., Claim]
+_SECOND = timedelta(seconds=1)
+_LAST_MOMENT = datetime.max.replace(tzinfo=UTC) - _SECOND
+_DATE = "%Y-%m-%dT%H:%M:%S"
+
+
+@dataclass(frozen=True, slots=True)
+class _Era:
+    """A time at which a grant is in force; others may follow in which it is, too."""
+
+    grant: Grant
+    begin: datetime
+    end: datetime
+
+
 class _Comparison:
     """What a policy says, held against decision lists of the document: once for all models that read it alike."""
 
     def __init__(self, question: Question) -> None:
         self._question = question
         self.pairs = lists.has_partitions(question.lowered, question.document.grants)
-        self._universe = Universe(ALPHABET, fields=2 if self.pairs else 1, separator=lists.SEPARATOR)
+        self._universe = Universe(
+            ALPHABET, fields=2 if self.pairs else 1, separator=lists.SEPARATOR, last_nonempty=True
+        )
         self._said = {action: lists.of_policy(question.lowered, action, pairs=self.pairs) for action in ACTIONS}
         self._known: dict[tuple[DecisionList, tuple[DecisionList, ...]], Outcome] = {}
 
@@ -128,22 +150,8 @@ class _Model:
         self._variation = VARIATIONS[name]
         self._semantics = _semantics(name)
         self._refused = self._semantics.refuses(question.document)
-        self._grant, self._now = self._chosen()
-
-    def _chosen(self) -> tuple[Grant | None, datetime | None]:
-        """Return the grant that is about the identity, and a time at which it is valid."""
-        if self._refused:
-            return None, None
-        for grant in self._question.document.grants:
-            name = grant.subject_name.strip() if self._semantics.trims else grant.subject_name
-            begin, end = self._semantics.date(grant.not_before), self._semantics.date(grant.not_after)
-            valid = begin is not None and end is not None and begin <= end
-            if self._semantics.selects(name, self._question.subject_name):
-                if valid and begin is not None:
-                    return grant, begin
-                if not self._semantics.passes_over_invalid:
-                    return None, None
-        return None, None
+        self._untold = "" if self._refused else self._semantics.untold(question.document)
+        self._eras = () if self._refused else tuple(_eras(question, self._semantics))
 
     def claims(self) -> Iterator[Claim]:
         groups = tuple(self._domains())
@@ -157,13 +165,14 @@ class _Model:
     def _domains(self) -> Iterator[tuple[tuple[DomainRange, ...], bool]]:
         """Yield groups of domains in which policy and document are the same, and whether the policy holds there."""
         wanted = self._question.domains
-        rules = self._grant.rules if self._grant else ()
+        grants = [era.grant for era in self._eras]
+        rules = [rule for grant in grants for rule in self._semantics.rules(grant)]
         edges = {0, *(d.first for d in wanted), *(d.last + 1 for d in wanted)}
         for each in (each for rule in rules for each in rule.domains):
             first = each.first or 0
             edges |= {first, first + 1, *(() if each.last is None else (each.last + 1,))}
         cuts = [*sorted(edge for edge in edges if 0 <= edge <= LAST_DOMAIN), LAST_DOMAIN + 1]
-        permits_more = bool(self._grant and self._semantics.default_counts and self._grant.default == "ALLOW")
+        permits_more = self._semantics.default_counts and any(grant.allows for grant in grants)
         groups: dict[tuple[bool, ...], list[DomainRange]] = {}
         for first, following in pairwise(cuts):
             inside = any(d.first <= first <= d.last for d in wanted)
@@ -178,30 +187,45 @@ class _Model:
         pairs = self._comparison.pairs
         universe = PAIRS if pairs else TOPICS
 
-        def claim(proof: Proof, reason: str = "", counterexample: Counterexample | None = None) -> Claim:
-            return Claim(self._variation.name, action, domains, universe, proof, reason, counterexample)
+        def claim(
+            proof: Proof, reason: str = "", counterexample: Counterexample | None = None, *, spent: bool = False
+        ) -> Claim:
+            return Claim(self._variation.name, action, domains, universe, proof, reason, counterexample, spent)
 
+        if self._untold:
+            return claim(Proof.UNKNOWN, self._untold)
         domain = domains[0].first
         try:
-            permitted = (
-                lists.of_grant(self._grant, domain, action, self._semantics, pairs=pairs) if self._grant else ((),)
-            )
+            found = [(era, self._compare(era, action, domain, inside=inside)) for era in self._eras or (None,)]
         except GlobError as error:
             return claim(Proof.UNKNOWN, f"{self._question.document.file}: {error}")
-        outcome = self._comparison.of(action, permitted, inside=inside)
-        if isinstance(outcome, Equal):
-            return claim(Proof.PROVEN)
-        if isinstance(outcome, Unknown):
-            return claim(Proof.UNKNOWN, outcome.reason)
-        found = self._counterexample(action, domain, outcome.word, inside=inside)
-        if found.policy.allowed is not outcome.left or found.document.allowed is outcome.left:
+        witnesses = [(era, outcome) for era, outcome in found if isinstance(outcome, Witness)]
+        if witnesses:
+            era, witness = min(witnesses, key=lambda each: len(each[1].word))
+            return self._refuted(claim, action, domain, era, witness, inside=inside)
+        unknown = next((outcome for _, outcome in found if isinstance(outcome, Unknown)), None)
+        return claim(Proof.UNKNOWN, unknown.reason, spent=True) if unknown else claim(Proof.PROVEN)
+
+    def _compare(self, era: _Era | None, action: str, domain: int, *, inside: bool) -> Outcome:
+        """Compare what the policy says with what is permitted while a grant is in force, or where none ever is."""
+        pairs = self._comparison.pairs
+        permitted: tuple[DecisionList, ...] = ((),)
+        if era is not None:
+            permitted = lists.of_grant(era.grant, domain, action, self._semantics, pairs=pairs)
+        return self._comparison.of(action, permitted, inside=inside)
+
+    def _refuted(
+        self, claim: _Claiming, action: str, domain: int, era: _Era | None, witness: Witness, *, inside: bool
+    ) -> Claim:
+        found = self._counterexample(action, domain, era, witness.word, inside=inside)
+        if found.policy.allowed is not witness.left or found.document.allowed is witness.left:
             name = found.endpoint.object.name
             return claim(
                 Proof.UNKNOWN, f"the engine and the plain evaluators disagree on {name!r}: a defect of Keymint"
             )
         return claim(Proof.COUNTEREXAMPLE, "", found)
 
-    def _counterexample(self, action: str, domain: int, word: str, *, inside: bool) -> Counterexample:
+    def _counterexample(self, action: str, domain: int, era: _Era | None, word: str, *, inside: bool) -> Counterexample:
         asked = self._question
         partition, topic = word.split(lists.SEPARATOR) if self._comparison.pairs else ("", word)
         rules = asked.rules if inside else SubjectRules(asked.rules.subject, ())
@@ -216,18 +240,19 @@ class _Model:
             said = PolicyDecision(allowed=False, where=None, reason="no rule allows it" if inside else "not its domain")
         return Counterexample(
             Edge(rules.subject, action, edges[0].object, domain),
-            edges[1] if len(edges) > 1 else None,
+            next((edge for edge in edges[1:] if policy.is_ros_name(edge.object.name)), None),
             said,
-            self._verdict(action, domain, topic, partition),
+            self._verdict(action, domain, era, topic, partition),
         )
 
-    def _verdict(self, action: str, domain: int, topic: str, partition: str) -> Verdict:
+    def _verdict(self, action: str, domain: int, era: _Era | None, topic: str, partition: str) -> Verdict:
         """Return what the decision point says, read by this model."""
         question = self._question
         if self._refused:
             return Verdict(allowed=False, reason=self._refused)
-        if (now := self._now) is None:
-            return Verdict(allowed=False, reason=f"no valid grant is about {question.subject_name!r}")
+        if era is None:
+            return self._never()
+        now = era.begin
 
         def ask(variation: Variation) -> Decision:
             judge = Judge(question.document, question.subject_name, now, domain, variation)
@@ -237,7 +262,43 @@ class _Model:
         deviation = ""
         if self._variation.name != OMG.name and ask(OMG).allowed is not found.allowed:
             deviation = "; ".join(map(str, decision.explain(lambda asked: ask(asked).allowed, self._variation)))
-        return Verdict(found.allowed, found.reason, found.line, deviation)
+        reason = found.reason
+        if len(self._eras) > 1:
+            reason += f" (by the grant in force from {era.begin:{_DATE}} to {era.end:{_DATE}})"
+        return Verdict(found.allowed, reason, found.line, deviation)
+
+    def _never(self) -> Verdict:
+        """Return why no grant is ever in force."""
+        document, name = self._question.document, self._question.subject_name
+        grant = next(iter(self._semantics.grants(document, name)), None)
+        if grant is None:
+            return Verdict(allowed=False, reason=f"{document.file}: no grant is about {name!r}")
+        dates = f"{grant.not_before.strip()} to {grant.not_after.strip()}"
+        reason = f"{document.place(grant.line)}: the grant of {name!r} is never valid ({dates})"
+        return Verdict(allowed=False, reason=reason, line=grant.line)
+
+
+def _eras(question: Question, semantics: Semantics) -> Iterator[_Era]:
+    """Yield a time at which each grant that is about the identity is in force; grants that never are have none."""
+    grants = semantics.grants(question.document, question.subject_name)
+    if not semantics.passes_over_invalid:
+        grants = grants[:1]
+    if len(grants) == 1:
+        if (only := semantics.period(grants[0])) is not None:
+            yield _Era(grants[0], *only)
+        return
+    periods = [(grant, period) for grant in grants if (period := semantics.period(grant)) is not None]
+    cuts = sorted({begin for _, (begin, _) in periods} | {_next(end) for _, (_, end) in periods})
+    known = set()
+    for begin, following in pairwise(cuts):
+        at = next((n for n, (_, (first, last)) in enumerate(periods) if first <= begin <= last), None)
+        if at is not None and at not in known:
+            known.add(at)
+            yield _Era(periods[at][0], begin, following - _SECOND)
+
+
+def _next(moment: datetime) -> datetime:
+    return moment + _SECOND if moment < _LAST_MOMENT else moment
 
 
 def _joined(domains: Sequence[DomainRange]) -> Iterator[DomainRange]:

@@ -63,8 +63,8 @@ def of_grant(grant: Grant, domain: int, action: str, semantics: Semantics, *, pa
     Raises:
         GlobError: an expression means nothing.
     """
-    rules = [rule for rule in grant.rules if holds(rule, domain, semantics)]
-    default = (Block(True, (EVERYTHING,)),) if semantics.default_counts and grant.default == "ALLOW" else ()
+    rules = [rule for rule in semantics.rules(grant) if holds(rule, domain, semantics)]
+    default = (Block(True, (EVERYTHING,)),) if semantics.default_counts and grant.allows else ()
     lists = [(*_endpoints(rules, action, semantics, pairs=pairs), *default)]
     if semantics.topic_check:
         lists.append((*_topics(rules, semantics, pairs=pairs), *default))
@@ -111,7 +111,7 @@ def _partitions(rule: Rule, together: Sequence[Criteria], semantics: Semantics) 
 
 
 def _read(expressions: Iterable[str], semantics: Semantics) -> tuple[Glob, ...]:
-    return read(tuple(map(str.strip, expressions) if semantics.trims else expressions), semantics.fnmatch)
+    return read(tuple(map(semantics.reads_text, expressions)), semantics.fnmatch)
 
 
 def _words(partitions: Sequence[Glob], topics: tuple[Glob, ...], *, pairs: bool) -> tuple[Glob, ...]:

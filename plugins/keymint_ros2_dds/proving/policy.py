@@ -5,6 +5,7 @@ An endpoint means something as a raw topic, and as a part of ROS entities; a rul
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterator
 
 from keymint.graph import Edge, Object
@@ -14,6 +15,13 @@ from keymint.keymake.algebra import matches
 from keymint.keymake.composites import parts
 from keymint_ros2_dds.endpoints import meanings
 from keymint_ros2_dds.mapping import ARDENT
+
+_ROS_NAME = re.compile(r"(?:/(?!\w*__)[A-Za-z_][A-Za-z0-9_]*)+", re.ASCII)
+
+
+def is_ros_name(name: str) -> bool:
+    """Tell whether a name is a legal fully qualified ROS name (ROS 2 design, "Topic and Service Names")."""
+    return _ROS_NAME.fullmatch(name) is not None
 
 
 def decide(rules: SubjectRules, distro: str, action: str, topic: str, partition: str) -> Rule | None:

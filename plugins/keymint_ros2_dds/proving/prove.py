@@ -6,12 +6,10 @@ from collections.abc import Sequence
 
 from keymint.api import Claim, Obligation
 from keymint.errors import KeymintError, Origin
-from keymint_ros2_dds import decision
 from keymint_ros2_dds.document import PERMISSIONS_XML
 from keymint_ros2_dds.install import CA, CERTIFICATE, PERMISSIONS_CA, PERMISSIONS_P7S
-from keymint_ros2_dds.lower import lower
 from keymint_ros2_dds.proving import signed
-from keymint_ros2_dds.proving.claims import Question, prove_document
+from keymint_ros2_dds.proving.content import Content, prove_content
 from keymint_ros2_dds.transports.files import subject_name
 
 
@@ -29,19 +27,22 @@ def prove(obligation: Obligation, *, models: Sequence[str] | None = None) -> tup
     folder = obligation.folder
     authority = _file(obligation, PERMISSIONS_CA if PERMISSIONS_CA in obligation.files else CA)
     where = Origin(f"{folder}/{PERMISSIONS_P7S}")
-    content = signed.content(_file(obligation, PERMISSIONS_P7S), authority, where)
+    file = _file(obligation, PERMISSIONS_P7S)
+    content = signed.content(file, authority, where)
     same = obligation.files.get(PERMISSIONS_XML) == content
-    question = Question(
-        decision.read(content, f"{folder}/{PERMISSIONS_XML if same else PERMISSIONS_P7S}"),
+    name, offset = (PERMISSIONS_XML, 0) if same else (PERMISSIONS_P7S, signed.lines_before(content, file))
+    asked = Content(
+        content,
+        f"{folder}/{name}",
+        offset,
         subject_name(_file(obligation, CERTIFICATE), Origin(f"{folder}/{CERTIFICATE}")),
         obligation.rules,
-        lower(obligation.rules, obligation.distro),
         obligation.distro,
         obligation.domains,
         obligation.states,
         obligation.go_on,
     )
-    return prove_document(question, models=models)
+    return prove_content(asked, models=models)
 
 
 def _file(obligation: Obligation, name: str) -> bytes:

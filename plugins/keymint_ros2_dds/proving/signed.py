@@ -38,6 +38,12 @@ def content(signed: bytes, authority: bytes, where: Origin) -> bytes:
         return found
 
 
+def lines_before(content: bytes, signed: bytes) -> int:
+    """Return how many lines of a signed file come before its content."""
+    text = signed.replace(b"\r\n", b"\n")
+    return text.count(b"\n", 0, max(text.find(content), 0))
+
+
 def _foreign(signed: bytes, authority: bytes, where: Origin) -> bytes | None:
     """Return the verified content of a document that another tool signed, or None."""
     boundary = _BOUNDARY.search(signed[:1000])

@@ -122,3 +122,39 @@ def test_what_install_proved_is_known_to_prove(keymint: Callable, provisioned: P
     assert keymint("install", "-w", provisioned).code == 0
     found = keymint("prove", "-w", provisioned, "--json").document["result"]["enclaves"]
     assert [one["unchanged"] for one in found] == [True, True]
+
+
+def test_a_refutation_says_each_place_once_and_as_the_user_types_it(keymint: Callable, provisioned: Path):
+    resign(provisioned, "talker", "<topic>rt/chatter</topic>", "")
+    said = keymint("prove", "-w", provisioned, "talker").err
+    assert said.count("policy.xml") == 1
+    assert said.startswith(
+        "policy.xml:5: error: /talker: the document does not permit it to publish 'rt/chatter' (the ROS"
+    )
+    assert str(provisioned) not in said
+
+
+def test_models_that_decide_alike_for_other_reasons_are_told_apart(keymint: Callable, provisioned: Path):
+    resign(provisioned, "talker", "<publish>", "<publish><foo/>")
+    said = keymint("prove", "-w", provisioned, "talker").err
+    for model, reason in (
+        ("omg", "the schema refuses it"),
+        ("cyclonedds-0.10", "Cyclone DDS refuses the unknown element <foo>"),
+        ("fastdds-2.9", "Fast DDS refuses the unknown element <foo>"),
+    ):
+        lines = [line for line in said.splitlines() if f"[{model}]" in line]
+        assert lines, said
+        assert all(reason in line for line in lines)
+
+
+def test_what_a_vendor_makes_of_an_odd_document_may_be_unknown(keymint: Callable, provisioned: Path):
+    resign(provisioned, "talker", "</topics>", "</topics><topics><topic>rt/chatter</topic></topics>")
+    outcome = keymint("prove", "-w", provisioned, "talker", "--json")
+    assert outcome.code == 3
+    (enclave,) = outcome.document["result"]["enclaves"]
+    unknown = [claim for claim in enclave["claims"] if claim["proof"] == "unknown"]
+    assert {claim["model"] for claim in unknown} == {"cyclonedds-0.10", "fastdds-2.9"}
+    assert all("a second <topics> is not part of its model" in claim["reason"] for claim in unknown)
+    said = keymint("prove", "-w", provisioned, "talker").err
+    assert "/talker, publish and subscribe: not proven for fastdds-2.9" in said
+    assert "--seconds" not in said, "more time would not help"

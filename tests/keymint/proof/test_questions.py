@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+from dataclasses import replace
 
 import pytest
 from hypothesis import given, settings
@@ -184,3 +185,27 @@ def test_hard_families_are_decided_or_unknown_and_never_wrong(family):
     assert isinstance(equal, Equal | Unknown)
     broken = difference((allow(*a),), (allow(*b[1:]),), universe=PRINTABLE, budget=budget)
     assert isinstance(broken, Witness | Unknown)
+
+
+@settings(max_examples=300, deadline=None)
+@given(lists, lists)
+def test_a_last_field_that_is_never_empty(a, b):
+    universe = replace(UNIVERSE, last_nonempty=True)
+    shortest = next((word for word in WORDS if word and permits(a, word) != permits(b, word)), None)
+    found = difference(a, b, universe=universe)
+    assert agrees(found, shortest)
+    other = Product((b,), a, universe, Arena(patterns_of(a, b), universe), Budget().meter()).shortest()
+    assert (other is None) == isinstance(found, Equal)
+
+
+def test_only_the_last_field_is_never_empty():
+    pairs = Universe(PRINTABLE.alphabet, fields=2, last_nonempty=True)
+    assert "\0x" in pairs
+    assert "x\0" not in pairs
+    assert difference((), (allow("*\0"),), universe=pairs) == Equal()
+    assert difference((), (allow("\0*"),), universe=pairs) == Witness("\0a", left=False)
+
+
+def test_of_the_shortest_words_one_of_letters_is_preferred():
+    found = difference((), (allow("a/[!b-z]", "/[!b-z]/"),), universe=PRINTABLE)
+    assert found == Witness("a/a", left=False)

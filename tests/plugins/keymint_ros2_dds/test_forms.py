@@ -211,7 +211,7 @@ class TestWhatIsNotProven:
     @staticmethod
     def claims(*proofs: Proof):
         made = ((Claim("omg", "publish", (DomainRange(0, 0),), "", proof, "too hard"),) for proof in proofs)
-        return mock.patch.object(emission, "prove_document", side_effect=list(made))
+        return mock.patch.object(emission, "prove_content", side_effect=list(made))
 
     def test_the_plain_form_is_written_instead(self) -> None:
         plain = document(self.LOADED, PLAIN)

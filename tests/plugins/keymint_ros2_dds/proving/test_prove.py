@@ -139,7 +139,9 @@ def test_a_glob_that_is_too_wide_and_the_line_that_is():
     lines = content.splitlines()
     criteria = max(at for at, line in enumerate(lines[: _line(lines, "rt/cloc?")]) if "<subscribe>" in line)
     assert example.document.line == criteria + 1
-    assert f"install/talker/permissions.p7s:{criteria + 1}" in example.document.reason
+    signed = files["permissions.p7s"].decode().splitlines()
+    place = max(at for at, line in enumerate(signed[: _line(signed, "rt/cloc?")]) if "<subscribe>" in line) + 1
+    assert f"install/talker/permissions.p7s:{place}:" in example.document.reason, "the line of the file that is named"
 
 
 def _line(lines: list[str], text: str) -> int:
@@ -245,12 +247,20 @@ def test_a_grant_of_another_subject_permits_nothing():
     assert len(refuted(found)) == 2 * len(MODELS)
     example = found[0].counterexample
     assert example is not None
-    assert "no valid grant is about" in example.document.reason
+    assert "no grant is about" in example.document.reason
+
+
+def test_a_grant_that_is_never_valid_for_one_vendor():
+    found = after(PLAIN, END, "2300-01-01T00:00:00")
+    assert {claim.model for claim in found if claim.proof is not Proof.PROVEN} == {"cyclonedds-0.10"}
+    example = next(claim.counterexample for claim in found if claim.counterexample)
+    assert "is never valid" in example.document.reason
+    assert example.document.line
 
 
 def test_default_allow_permits_every_name_but_on_fast_dds():
     found = refuted(after(PLAIN, "<default>DENY", "<default>ALLOW"))
-    assert found["omg", "publish"] == ("", (), False, True)
+    assert found["omg", "publish"] == ("a", (), False, True), "no topic has an empty name"
     assert ("fastdds-2.9", "publish") not in found
 
 
@@ -262,7 +272,7 @@ def test_an_expression_that_means_nothing_is_unknown():
 
 def test_a_spent_budget_is_unknown():
     found = after(PLAIN, "rt/camera/*", "rt/camera/?*", states=1)
-    assert {claim.proof for claim in found if claim.action == "publish"} == {Proof.UNKNOWN}
+    assert {(claim.proof, claim.spent) for claim in found if claim.action == "publish"} == {(Proof.UNKNOWN, True)}
 
 
 @pytest.mark.parametrize("models", [None, (), ("fastdds-2.9",), ("cyclonedds-0.10", "omg")])
@@ -316,9 +326,125 @@ def test_a_document_that_openssl_signed_is_read_as_vendors_do(tmp_path, altered)
     arguments = ("-text", "-in", "in.xml", "-out", "out.p7s", "-signer", "ca.pem", "-inkey", "key.pem")
     subprocess.run(["openssl", "smime", "-sign", *arguments], cwd=tmp_path, check=True, capture_output=True)
     signed = (tmp_path / "out.p7s").read_bytes()
+    lines = signed.decode().splitlines()
     if altered:
         with pytest.raises(KeymintError):
             claims(PLAIN, {**ENCLAVE, "permissions.p7s": signed.replace(b"rt/chatte<", b"rt/chattX<")})
     else:
-        found = refuted(claims(PLAIN, {**ENCLAVE, "permissions.p7s": signed}))
-        assert found["omg", "publish"] == ("rt/chatte", (), False, True)
+        found = claims(PLAIN, {**ENCLAVE, "permissions.p7s": signed})
+        assert refuted(found)["omg", "publish"] == ("rt/chatte", (), False, True)
+        example = found[0].counterexample
+        assert example is not None
+        criteria = max(at for at in range(_line(lines, "rt/chatte")) if "<publish>" in lines[at]) + 1
+        assert f"permissions.p7s:{criteria}:" in example.document.reason
+        assert example.document.line < criteria, "in the signed content"
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "proofs"),
+    [
+        ("rt/chatter", "rt/<!-- -->chatter", (Proof.PROVEN, Proof.PROVEN, Proof.COUNTEREXAMPLE)),
+        ("rt/chatter", "<!-- -->rt/chatter", (Proof.PROVEN, Proof.PROVEN, Proof.PROVEN)),
+        ("rt/chatter", "rt/<![CDATA[chatter]]>", (Proof.PROVEN, Proof.PROVEN, Proof.COUNTEREXAMPLE)),
+        ("rt/chatter", "rt/&#99;hatter", (Proof.PROVEN, Proof.PROVEN, Proof.PROVEN)),
+        ("<publish>", "<?a b?><publish>", (Proof.PROVEN, Proof.PROVEN, Proof.COUNTEREXAMPLE)),
+        ("rt/chatter", "rt/<?a b?>chatter", (Proof.PROVEN, Proof.UNKNOWN, Proof.COUNTEREXAMPLE)),
+        ("<?xml", "\ufeff<?xml", (Proof.PROVEN, Proof.COUNTEREXAMPLE, Proof.PROVEN)),
+        ("</topic>", "</topic >", (Proof.PROVEN, Proof.COUNTEREXAMPLE, Proof.PROVEN)),
+        ("<publish>", '<publish a="b">', (Proof.COUNTEREXAMPLE, Proof.COUNTEREXAMPLE, Proof.PROVEN)),
+        ("<publish>", "<foo/><publish>", (Proof.COUNTEREXAMPLE,) * 3),
+        ("<permissions>", "<permissions/><permissions>", (Proof.COUNTEREXAMPLE, Proof.UNKNOWN, Proof.UNKNOWN)),
+        ("<id>0</id>", "<id>00</id>", (Proof.PROVEN, Proof.PROVEN, Proof.PROVEN)),
+        ("<id>0</id>", "<id>4294967296</id>", (Proof.COUNTEREXAMPLE, Proof.PROVEN, Proof.PROVEN)),
+        ("<id>0</id>", "<id>08</id>", (Proof.COUNTEREXAMPLE, Proof.COUNTEREXAMPLE, Proof.PROVEN)),
+    ],
+)
+def test_documents_that_vendors_read_differently(old, new, proofs):
+    found = {claim.model: claim for claim in after(PLAIN, old, new, 1) if claim.action == "publish"}
+    assert tuple(found[model].proof for model in MODELS) == proofs
+    assert all(claim.reason for claim in found.values() if claim.proof is Proof.UNKNOWN)
+
+
+def test_a_domain_that_one_vendor_reads_as_octal():
+    found = [claim for claim in after(PLAIN, "<id>0</id>", "<id>0</id><id>010</id>") if claim.action == "publish"]
+    wrong = {claim.model: claim.domains for claim in found if claim.proof is Proof.COUNTEREXAMPLE}
+    assert wrong == {"omg": (DomainRange(10, 10),), "cyclonedds-0.10": (DomainRange(8, 8),)}
+
+
+def test_rules_after_the_default_that_one_vendor_does_not_look_at():
+    content = ENCLAVE["permissions.xml"].decode().replace("<default>DENY</default>", "")
+    content = content.replace("</validity>", "</validity><default>DENY</default>")
+    found = claims(PLAIN, {**ENCLAVE, "permissions.p7s": sign(content.encode())})
+    assert {claim.model: claim.proof for claim in found} == dict(
+        zip(MODELS, (Proof.COUNTEREXAMPLE, Proof.PROVEN, Proof.COUNTEREXAMPLE), strict=True)
+    )
+
+
+def test_no_name_of_ros_is_told_where_there_is_none():
+    found = after(PLAIN, "rt/camera/*", "rt/camera/?*")
+    example = found[0].counterexample
+    assert example is not None
+    assert (example.endpoint.object.name, example.meaning) == ("rt/camera/", None)
+
+
+def test_of_the_shortest_names_one_of_ros_is_preferred():
+    example = after(PLAIN, "rt/clock", "rt/[!a-bd-z]lock")[1].counterexample
+    assert example is not None
+    assert example.meaning is not None
+    assert example.meaning.object.name in {"/_lock", "/Alock"}
+
+
+def several(*changes):
+    """Return the claims about a document with a grant for each list of replacements, in this order."""
+    content = ENCLAVE["permissions.xml"].decode()
+    start, end = content.index("<grant"), content.index("</grant>") + len("</grant>")
+    grants = []
+    for replaced in changes:
+        own = content[start:end]
+        for old, new in replaced:
+            assert old in own
+            own = own.replace(old, new)
+        grants.append(own)
+    return claims(
+        PLAIN, {**ENCLAVE, "permissions.p7s": sign((content[:start] + "".join(grants) + content[end:]).encode())}
+    )
+
+
+def validity():
+    content = ENCLAVE["permissions.xml"].decode()
+    return tuple(content.partition(f"<{name}>")[2].partition("</")[0] for name in ("not_before", "not_after"))
+
+
+BEGIN, END = validity()
+WIDER = ("rt/chatter", "rt/*")
+PAST = ((BEGIN, "2001-01-01T00:00:00"), (END, "2002-01-01T00:00:00"))
+FUTURE = ((BEGIN, "2101-01-01T00:00:00"), (END, "2102-01-01T00:00:00"))
+OVERLAPPING = ((END, "2102-01-01T00:00:00"),)
+
+
+@pytest.mark.parametrize(
+    ("grants", "wrong", "when"),
+    [
+        (((), (WIDER, *FUTURE)), ("omg", "fastdds-2.9"), "from 2101-01-01T00:00:00 to 2102-01-01T00:00:00"),
+        (((), (WIDER, *OVERLAPPING)), ("omg", "fastdds-2.9"), "to 2102-01-01T00:00:00"),
+        (((WIDER, *PAST), ()), MODELS, "from 2001-01-01T00:00:00 to 2002-01-01T00:00:00"),
+        (((), (WIDER,)), (), ""),
+        (((), PAST), (), ""),
+        ((PAST, ()), (), ""),
+        (((WIDER, ("CN=/talker", "CN=/other")), ()), (), ""),
+        (((WIDER, (BEGIN, "2002-01-01T00:00:00"), (END, "2001-01-01T00:00:00")), ()), ("cyclonedds-0.10",), ""),
+    ],
+    ids=["a wider one later", "a wider one that lasts longer", "a wider one before", "a second one that never counts",
+         "an equal one before", "an equal one that comes first", "of another subject", "a first one that never holds"],
+)  # fmt: skip
+def test_several_grants_hold_whenever_one_is_in_force(grants, wrong, when):
+    found = several(*grants)
+    assert {claim.model for claim in found if claim.proof is not Proof.PROVEN} == set(wrong)
+    for claim in found:
+        if claim.counterexample and claim.model != "cyclonedds-0.10":
+            assert when in claim.counterexample.document.reason
+
+
+def test_the_time_is_told_only_where_it_matters():
+    found = after(PLAIN, "rt/chatter", "rt/*")
+    assert not any("in force" in claim.counterexample.document.reason for claim in found if claim.counterexample)
