@@ -105,9 +105,9 @@ class Arena:
         for node in nodes:
             explicit |= self._explicit[node]
         other = next((letter for letter in self.letters if letter not in explicit), None)
-        if other is not None:
-            explicit.add(other)
-        return sorted(explicit, key=self._ranks.__getitem__)
+        ranked = sorted(explicit, key=self._ranks.__getitem__)
+        # What no pattern waits for leaves the fewest of them behind: states that are found first then stand for more.
+        return ranked if other is None else [other, *ranked]
 
     def simulates(self, outer: int, inner: int) -> bool:
         """Tell whether one node is seen, by its shape, to match all that another does; False where it is not seen."""

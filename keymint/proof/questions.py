@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
+from dataclasses import replace
 from functools import cache
 
 from keymint.keymake.glob import Glob
@@ -24,6 +25,14 @@ from keymint.proof.model import (
 from keymint.proof.plain import permits
 from keymint.proof.product import Product
 
+FIRST_RUNG = 5_000
+PER_PATTERN = 20
+"""States that the first engine may visit before the second one is asked: so many, and so many for each pattern."""
+STEP = 10
+"""By how much both may visit more, when neither has decided."""
+HEAVIER = 50
+"""A state of the second engine holds all lists at once, and costs as much as so many of the first one."""
+
 
 def difference(
     a: DecisionList, *b: DecisionList, universe: Universe = EVERY_WORD, budget: Budget | None = None
@@ -43,14 +52,29 @@ def difference(
         return Equal()
     budget = budget or Budget()
     arena = cache(lambda: Arena(_patterns((a, *b)), universe))
-    try:
-        word = _by_cubes(a, b, universe, arena, budget)
-    except SpentError as spent:
+    spent = ""
+    patterns = sum(len(block.patterns) for decisions in (a, *b) for block in decisions)
+    for first, second in _rungs(budget, FIRST_RUNG + PER_PATTERN * patterns):
         try:
-            word = Product(b, a, universe, arena(), budget.meter()).shortest()
+            word = _by_cubes(a, b, universe, arena, first)
+        except SpentError as error:
+            spent = str(error)
+        else:
+            return Equal() if word is None else _judged(a, b, word)
+        try:
+            word = Product(b, a, universe, arena(), second.meter()).shortest()
         except SpentError:
-            return Unknown(str(spent))
-    return Equal() if word is None else _judged(a, b, word)
+            continue
+        return Equal() if word is None else _judged(a, b, word)
+    return Unknown(spent)
+
+
+def _rungs(budget: Budget, states: int) -> Iterator[tuple[Budget, Budget]]:
+    """Yield what each engine may spend in turn: what is hard for one is often easy for the other."""
+    while states < budget.states and budget.go_on():
+        yield replace(budget, states=states), replace(budget, states=max(1, states // HEAVIER))
+        states *= STEP
+    yield budget, budget
 
 
 def implies(a: DecisionList, b: DecisionList, universe: Universe = EVERY_WORD, budget: Budget | None = None) -> Outcome:

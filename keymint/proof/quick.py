@@ -14,7 +14,7 @@ from functools import lru_cache
 from itertools import product
 
 from keymint.keymake.algebra import disjoint
-from keymint.keymake.glob import EVERYTHING, STAR, Glob, is_empty
+from keymint.keymake.glob import EVERYTHING, STAR, Charset, Glob, is_empty
 from keymint.proof.model import Block, DecisionList, Universe
 from keymint.proof.plain import Evaluator
 
@@ -92,7 +92,7 @@ class _Form:
 
 def _spelled_out(decisions: DecisionList) -> DecisionList:
     """Return a list in which patterns that match a few words only are those words: they can be decided one by one."""
-    if all(_count(pattern) == 1 for block in decisions for pattern in block.patterns):
+    if not any(isinstance(token, Charset) for block in decisions for pattern in block.patterns for token in pattern):
         return decisions
     left = WORDS
     blocks: list[Block] = []

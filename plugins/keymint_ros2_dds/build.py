@@ -53,7 +53,9 @@ def _check(package: Package) -> Iterator[Diagnostic]:
     """Yield what does not fit together in a package."""
     granted = package.permissions
     identity = package.identity
-    if _canonical(granted.subject_name, granted.origin) != _canonical(identity.subject_name, identity.origin):
+    if granted.subject_name != identity.subject_name and _canonical(granted.subject_name, granted.origin) != _canonical(
+        identity.subject_name, identity.origin
+    ):
         yield Diagnostic(
             "subject-mismatch", Severity.ERROR,
             f"the permissions are for {granted.subject_name!r}, but the identity is {package.identity.subject_name!r}",
