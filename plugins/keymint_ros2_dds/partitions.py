@@ -161,8 +161,12 @@ def decision_list(
     needed = _needed([(pattern, _effective(pattern, allowed, denied)) for pattern in (*literals, *wild)])
     steps = list(_closed(needed))
     denies = [pattern for pattern, listed in steps if not listed]
-    free = [step for step in steps if step[1] and all(disjoint(step[0], other) for other in denies)]
-    later = [step for step in steps if step not in free]
+    free: list[tuple[Glob, Partitions]] = []
+    later: list[tuple[Glob, Partitions]] = []
+    for pattern, listed in steps:
+        overtaken = (other for other, where in later if where != listed)
+        touched = any(not disjoint(pattern, other) for other in (*denies, *overtaken))
+        (later if touched or not listed else free).append((pattern, listed))
     return tuple(_entries([*free, *later]))
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import itertools
 
-from hypothesis import event, given, settings
+from hypothesis import event, example, given, settings
 from hypothesis import strategies as st
 from keymint_ros2_dds import build_type
 
@@ -81,6 +81,13 @@ def test_every_vendor_decides_as_the_policy_does(drawn):
 
 
 @settings(max_examples=100, deadline=None)
+@example(
+    [
+        rule("ALLOW", "ros_topic", "ros_publish", "/a?"),
+        rule("DENY", "ros_topic", "ros_publish", "/a"),
+        rule("ALLOW", "topic", "publish", "*a", partitions=("*",)),
+    ]
+)
 @given(st.lists(st.one_of(rules(), rules(PARTITIONS), rules(DENIED)), min_size=1, max_size=5))
 def test_partitions_are_decided_as_the_policy_does_or_refused(drawn):
     loaded = package(*drawn)
