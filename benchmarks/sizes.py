@@ -21,7 +21,8 @@ from unittest import mock
 
 from keymint_ros.distros import library
 from keymint_ros2_comarmor import policy_type
-from keymint_ros2_dds import build_type, compile, gathering  # noqa: A004 - the module's name
+from keymint_ros2_dds import build_type
+from keymint_ros2_dds.compiling import compile, gathering  # noqa: A004 - the module's name
 from keymint_ros2_dds.limits import BROKEN, signed_size
 from proof import WORDS
 

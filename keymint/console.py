@@ -148,7 +148,8 @@ class Console:
             else:
                 counts = Counter(str(step.action) for step in report.steps)
                 self.line(f"{would}" + ", ".join(f"{counts[a]} {a}" for a in map(str, Action) if counts[a]))
-            if line := _gain([size for step in report.steps for size in step.sizes]):
+            built = [step for step in report.steps if step.action is not Action.UNCHANGED]
+            if line := _gain([size for step in built for size in step.sizes]):
                 self.line(line)
 
     def _say_err(self, text: str) -> None:
@@ -162,12 +163,13 @@ def _counted(steps: Any) -> str:
 
 
 def _gain(sizes: Sequence[Size]) -> str:
-    """Return how much smaller the documents became that were built, or nothing."""
+    """Return how much smaller the documents became that were built in this run, or nothing."""
     now, plain = sum(size.bytes for size in sizes), sum(size.plain_bytes for size in sizes)
     if now == plain:
         return ""
     files = ", ".join(sorted({size.file for size in sizes}))
-    return f"{files}: {now:,} bytes in all, {plain:,} in plain form ({(now - plain) / plain:+.0%})"
+    of = f"of {len(sizes)} package{'' if len(sizes) == 1 else 's'}"
+    return f"{files} {of}: {now:,} bytes, {plain:,} in plain form ({(now - plain) / plain:+.0%})"
 
 
 def _printable(text: str) -> str:

@@ -94,7 +94,7 @@ def _columns(header: Sequence[str], name: str) -> list[str]:
 
 def _counted(row: Mapping[str, str], width: int, cells: Sequence[str], name: str, line: int) -> tuple[Edge, int]:
     if len(cells) != width:
-        raise _error(name, line, f"has {len(cells)} fields instead of {width}")
+        raise _error(name, line, f"has {len(cells)} field{'' if len(cells) == 1 else 's'} instead of {width}")
     subject, permission, text = (row[column].strip() for column in ("subject", "permission", "object"))
     if not legal_subject(subject):
         raise _error(name, line, f"{subject!r} is no name of a subject", "write it in full, as '/robot/arm'")

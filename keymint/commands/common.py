@@ -190,7 +190,14 @@ def _guarded(run: Run, function: Callable[[], Report]) -> ExitCode:
     try:
         report = function()
     except KeymintError as error:
-        report = Report(run.verb, run._found, (), error.diagnostics, exit_code=error.exit_code)  # noqa: SLF001
+        report = Report(
+            run.verb,
+            run._found,
+            (),
+            error.diagnostics,
+            exit_code=error.exit_code,
+            dry_run=run.dry_run,  # noqa: SLF001
+        )
     typed = tuple(as_typed(diagnostic, run.setting.cwd) for diagnostic in report.diagnostics)
     run.console.show(replace(report, diagnostics=typed))
     return report.exit_code

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Any
 
 import click
@@ -13,8 +13,9 @@ from keymint.errors import Diagnostic, ExitCode, Origin, Severity
 from keymint.graph import Edge
 from keymint.plan.create import load_policy
 from keymint.plan.inputs import Inputs, Sources
+from keymint.plan.install import orphan_finding, orphans
 from keymint.plan.model import Action, Plan, Step
-from keymint.plan.prove import STAGE, Effort, Findings, Proven
+from keymint.plan.prove import NO_PROVER, STAGE, Effort, Findings, Proven
 from keymint.plan.prove import prove as find
 from keymint.report import Report, as_typed
 
@@ -38,18 +39,24 @@ STATES = 500_000
     show_default=True,
     help="Give a question up after so many states.",
 )
-def prove(run: Run, names: tuple[str, ...], seconds: float, states: int) -> Report:
+@click.option(
+    "--allow-vendor-specific",
+    is_flag=True,
+    help="Read documents as the standard does only, as they were built with --allow-vendor-specific.",
+)
+def prove(run: Run, names: tuple[str, ...], seconds: float, states: int, allow_vendor_specific: bool) -> Report:
     """Prove that installed documents permit exactly what the policy says, for every name there is.
 
     The signed documents in install/ are read again, by the DDS Security standard and as each vendor reads them, and
     compared with the policy over all names at once. Where they differ a shortest name is shown, with the rule of the
     policy and the rule of the document.
 
-    Ends with 3 when a claim is refuted or unknown. What was proven is recorded, and not proven again until something
-    changes. -v says what the proof takes for granted. ENCLAVE is a package; by default all of them.
+    Ends with 3 when a claim is refuted or unknown, or an enclave is installed that has no source package. What was
+    proven is recorded, and not proven again until something changes. -v says what the proof takes for granted. ENCLAVE
+    is a package; by default all of them.
     """
     workspace = run.workspace()
-    known: list[Findings] = []
+    known: list[tuple[Findings, tuple[Diagnostic, ...]]] = []
 
     def make_plan(inputs: Inputs) -> Plan:
         loaded = inputs.profile()
@@ -59,13 +66,13 @@ def prove(run: Run, names: tuple[str, ...], seconds: float, states: int) -> Repo
             policy = load_policy(inputs, loaded)
             found = find(
                 inputs, loaded, chosen, Sources(run.plugins), policy, effort,
-                lambda name: advance(Step(STAGE, name, Action.UNCHANGED)),
+                lambda name: advance(Step(STAGE, name, Action.UNCHANGED)), standard_only=allow_vendor_specific,
             )  # fmt: skip
-        known.append(found)
+        known.append((found, () if names else tuple(map(orphan_finding, orphans(inputs, loaded)))))
         return Plan((), found.state)
 
     run.carry_out(workspace, make_plan)
-    found = known[-1]
+    found, unknown = known[-1]
     claims = [claim for enclave in found.enclaves for claim in enclave.claims]
     _summary(run, found)
     proven = all(claim.proof is Proof.PROVEN for claim in claims)
@@ -74,12 +81,12 @@ def prove(run: Run, names: tuple[str, ...], seconds: float, states: int) -> Repo
         run.verb,
         workspace,
         (),
-        [*_assumptions(found), *(said for enclave in found.enclaves for said in diagnostics_of(enclave))],
+        [*_assumptions(found), *(said for enclave in found.enclaves for said in diagnostics_of(enclave)), *unknown],
         {
-            "assumptions": {model: list(lines) for model, lines in found.assumptions.items()},
+            "assumptions": {model: list(lines) for model, lines in _taken(found).items()},
             "enclaves": [_enclave(enclave, run) for enclave in found.enclaves],
         },
-        ExitCode.DONE if proven and not unread else ExitCode.FINDINGS,
+        ExitCode.DONE if proven and not unread and not unknown else ExitCode.FINDINGS,
         run.dry_run,
     )
 
@@ -99,21 +106,27 @@ def _summary(run: Run, found: Findings) -> None:
     total = sum(len(enclave.claims) for enclave in found.enclaves)
     open_ = [claim for enclave in found.enclaves for claim in enclave.claims if claim.proof is not Proof.PROVEN]
     refuted = sum(claim.proof is Proof.COUNTEREXAMPLE for claim in open_)
-    unread = sum(bool(enclave.diagnostics) for enclave in found.enclaves)
+    unread = sum(any(said.code != NO_PROVER for said in enclave.diagnostics) for enclave in found.enclaves)
     remembered = sum(enclave.remembered for enclave in found.enclaves)
     parts = [f"{total - len(open_)} of {total} claims proven"]
     parts += [f"{refuted} refuted"] * bool(refuted)
     parts += [f"{len(open_) - refuted} unknown"] * (len(open_) > refuted)
     parts += [f"{unread} enclave{'' if unread == 1 else 's'} could not be read"] * bool(unread)
     parts += [f"{remembered} unchanged since proven"] * bool(remembered)
-    models = ", ".join(found.assumptions)
+    models = ", ".join(_taken(found))
     say(f"proved {count} enclave{'' if count == 1 else 's'}{f' for {models}' if models else ''}: {', '.join(parts)}")
+
+
+def _taken(found: Findings) -> Mapping[str, Sequence[str]]:
+    """Return what is taken for granted, by each model that something was claimed of."""
+    claimed = {claim.model for enclave in found.enclaves for claim in enclave.claims}
+    return {model: lines for model, lines in found.assumptions.items() if model in claimed or not claimed}
 
 
 def _assumptions(found: Findings) -> Iterator[Diagnostic]:
     """Yield what the claims take for granted, each line once, with the models that do."""
     lines: dict[str, list[str]] = {}
-    for model, assumed in found.assumptions.items():
+    for model, assumed in _taken(found).items():
         for line in assumed:
             lines.setdefault(line, []).append(model)
     for line, models in lines.items():
@@ -155,7 +168,7 @@ def _refutation(subject: str, found: Counterexample, models: str) -> Diagnostic:
         f"{subject}: the document {may} it to {endpoint.permission} {name}{ros}{domain}, the policy {says} it: "
         f"{policy.reason}; {document.reason} [{models}]"
     )
-    deviation = f"; {document.deviation}" if document.deviation else ""
+    deviation = f"; docs/vendors.md, {document.deviation}" if document.deviation else ""
     return Diagnostic(
         "counterexample", Severity.ERROR, message, policy.where, f"no shorter name differs{deviation}", subject
     )

@@ -53,7 +53,10 @@ def proven(
     from keymint.commands.prove import diagnostics_of, effort_of  # noqa: PLC0415 - only when it is asked for
     from keymint.plan.prove import NO_PROVER, prove  # noqa: PLC0415
 
-    found = prove(planned, loaded, names, sources, policy, effort_of(run), standard_only=standard_only)
+    found = prove(
+        planned, loaded, names, sources, policy, effort_of(run), standard_only=standard_only,
+        folder=lambda name: planned.workspace.build / name,
+    )  # fmt: skip
     said = [diagnostic for enclave in found.enclaves for diagnostic in diagnostics_of(enclave)]
     refused = [replace(each, help=_with_mend(each.help)) for each in said if each.code != NO_PROVER]
     if refused:
@@ -64,5 +67,8 @@ def proven(
 
 
 def _with_mend(help_: str) -> str:
-    mend = "nothing is installed; build it anew from the policy, or install it all the same with --no-prove"
+    mend = (
+        "nothing is installed; build it anew from the policy, accept what vendors decide differently with "
+        "--allow-vendor-specific, or install it all the same with --no-prove"
+    )
     return f"{help_}; {mend}" if help_ else mend

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 
 import click
@@ -83,6 +84,7 @@ def provision(
         installed = plan_install(after, loaded, names, sources, authorities, prune=prune)
         for stage in (created, built, minted, installed):
             plan = plan.then(stage)
+        plan = replace(plan, diagnostics=(*plan.diagnostics, *hinted.unknown(names)))
         if not prove:
             return plan
         after = after.after(installed)

@@ -163,9 +163,10 @@ def _plan_enclave(
     outputs = {file: digest(item.content) for file, item in contents.items()}
     secret = tuple(file for file, item in contents.items() if item.secret)
     wanted = _wanted(inputs, loaded, name, files, chains)
-    edited = _edits(inputs, name, documents)
-    if not build.is_current(inputs, loaded, name, files):
-        edited = [*edited, _outdated(inputs, name)]
+    edited: list[Diagnostic] = []
+    if inputs.state.stamp(build.STAGE, name):  # of what no record knows nothing can be said
+        edited += _edits(inputs, name, documents)
+        edited += [] if build.is_current(inputs, loaded, name, files) else [_outdated(inputs, name)]
     return _Enclave(
         Step(STAGE, name, action, changes),
         Stamp(wanted, outputs, secret),

@@ -71,6 +71,7 @@ def prove(
     on_enclave: Callable[[str], None] = lambda _name: None,
     *,
     standard_only: bool = False,
+    folder: Callable[[str], Path] | None = None,
 ) -> Findings:
     """Prove, or refute, the claims about the enclaves of some packages.
 
@@ -83,11 +84,12 @@ def prove(
         effort: how much may be spent.
         on_enclave: called with each name when it is done.
         standard_only: claim nothing of vendors, as their differences are accepted; nothing is recorded then.
+        folder: where messages say that the documents of a package lie, if not in its enclave.
 
     Raises:
         KeymintError: a package has defects.
     """
-    stage = _Stage(inputs, loaded, sources, policy, effort, standard_only)
+    stage = _Stage(inputs, loaded, sources, policy, effort, standard_only, folder)
     for name in names:
         stage.prove(name)
         on_enclave(name)
@@ -105,6 +107,7 @@ class _Stage:
         policy: LoadedPolicy,
         effort: Effort,
         standard_only: bool,
+        folder: Callable[[str], Path] | None,
     ) -> None:
         self._inputs = inputs
         self._loaded = loaded
@@ -112,6 +115,7 @@ class _Stage:
         self._policy = policy
         self._effort = effort
         self._standard_only = standard_only
+        self._folder = folder
         self._seen = digest(*(f"{path} {value.hex()}" for path, value in sorted(policy.seen.items())))
         self._found: list[Proven] = []
         self._stamps: dict[str, Stamp] = {}
@@ -172,7 +176,7 @@ class _Stage:
             package.distro,
             package.permissions.domains,
             files,
-            inputs.workspace.shown(folder),
+            inputs.workspace.shown(self._folder(package.name) if self._folder else folder),
             self._effort.states,
             self._effort.deadline(),
             self._standard_only,

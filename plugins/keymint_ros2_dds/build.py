@@ -9,8 +9,8 @@ from keymint.api import BuildOptions, Built, Package
 from keymint.errors import Diagnostic, KeymintError, Origin, Severity
 from keymint.pki import names
 from keymint_ros2_dds import governance, limits
+from keymint_ros2_dds.compiling.emission import emit
 from keymint_ros2_dds.document import GOVERNANCE, GOVERNANCE_XML, PERMISSIONS, PERMISSIONS_XML
-from keymint_ros2_dds.emission import emit
 
 
 def build(package: Package, options: BuildOptions) -> Built:

@@ -12,8 +12,8 @@ from keymint.api import DomainRange, Inspection
 from keymint.errors import Diagnostic, KeymintError, Origin, Severity
 from keymint.pki import certificates, keys, names, smime, verify
 from keymint_ros2_dds import document, limits
+from keymint_ros2_dds.compiling.emission import means_the_same
 from keymint_ros2_dds.document import GOVERNANCE, PERMISSIONS, PERMISSIONS_XML
-from keymint_ros2_dds.emission import means_the_same
 from keymint_ros2_dds.install import CA, CERTIFICATE, FILES, IDENTITY_CA, KEY, PERMISSIONS_CA
 
 SLACK = timedelta(days=1)

@@ -15,8 +15,8 @@ from keymint.keymake.algebra import covers, union_covers
 from keymint.keymake.composites import PARTS
 from keymint.keymake.glob import EVERYTHING, Glob
 from keymint_ros2_dds import document
+from keymint_ros2_dds.compiling.spelling import InexpressibleError, faithful, spell
 from keymint_ros2_dds.mapping import ARDENT, IMAGES, images
-from keymint_ros2_dds.spelling import InexpressibleError, faithful, spell
 
 KINDS = ("NONE", "SIGN", "ENCRYPT", "SIGN_WITH_ORIGIN_AUTHENTICATION", "ENCRYPT_WITH_ORIGIN_AUTHENTICATION")
 DATA_KINDS = ("NONE", "SIGN", "ENCRYPT")

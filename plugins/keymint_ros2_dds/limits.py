@@ -9,7 +9,7 @@ from keymint.api import KeySpec, Package
 from keymint.errors import Diagnostic, KeymintError, Severity
 from keymint.ir import Effect
 from keymint.pki import keys
-from keymint_ros2_dds.lower import Lowered
+from keymint_ros2_dds.compiling.lower import Lowered
 
 TIGHT = 45_000
 """Bytes of a signed document up to which handshakes were seen to work on every vendor."""

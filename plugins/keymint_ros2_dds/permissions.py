@@ -12,10 +12,10 @@ from keymint.errors import Diagnostic, KeymintError, Severity
 from keymint.ir import Effect
 from keymint.pki import names
 from keymint_ros2_dds import document
-from keymint_ros2_dds.criteria import Criteria
-from keymint_ros2_dds.lower import Partitions
+from keymint_ros2_dds.compiling.criteria import Criteria
+from keymint_ros2_dds.compiling.lower import Partitions
+from keymint_ros2_dds.compiling.partitions import DEFAULT
 from keymint_ros2_dds.mapping import Action
-from keymint_ros2_dds.partitions import DEFAULT
 
 
 def render(permissions: Permissions, rules: Iterable[Criteria]) -> bytes:

@@ -15,10 +15,10 @@ from keymint.ir import Effect, SubjectRules
 from keymint.keymake.glob import GlobError, charset
 from keymint.proof import Budget, DecisionList, Outcome, Universe, Unknown, Witness, difference
 from keymint_ros2_dds import decision
+from keymint_ros2_dds.compiling.lower import Lowered
 from keymint_ros2_dds.decision import OMG, VARIATIONS, Decision, Judge, Variation
 from keymint_ros2_dds.decision.document import Grant, PermissionsDocument
 from keymint_ros2_dds.decision.semantics import Semantics
-from keymint_ros2_dds.lower import Lowered
 from keymint_ros2_dds.proving import lists, policy
 
 ACTIONS = ("publish", "subscribe")
@@ -68,7 +68,7 @@ class Question:
         document: the document.
         subject_name: the identity's, in the order of RFC 2253, e.g. ``CN=/talker,OU=0f``.
         rules: what the policy says of the subject.
-        lowered: the same on the level of DDS, from :func:`keymint_ros2_dds.lower.lower`.
+        lowered: the same on the level of DDS, from :func:`keymint_ros2_dds.compiling.lower.lower`.
         distro: ROS 2 distribution whose name mapping applies.
         domains: the domains in which the policy holds.
         states: how many states a comparison may visit.

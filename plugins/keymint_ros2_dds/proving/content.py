@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from keymint.api import Claim, DomainRange, Proof
 from keymint.ir import SubjectRules
 from keymint_ros2_dds import decision
-from keymint_ros2_dds.lower import Lowered, lower
+from keymint_ros2_dds.compiling.lower import Lowered, lower
 from keymint_ros2_dds.proving.claims import ASSUMPTIONS, Question, prove_document
 
 MOST = 10_000

@@ -13,10 +13,10 @@ from keymint.ir import Effect
 from keymint.keymake.algebra import matches
 from keymint.keymake.glob import EVERYTHING, Glob, normalise, parse
 from keymint.proof import Block, DecisionList
+from keymint_ros2_dds.compiling.lower import Lowered, Partitions
 from keymint_ros2_dds.decision.document import Criteria, Grant, Rule
 from keymint_ros2_dds.decision.refusals import covers
 from keymint_ros2_dds.decision.semantics import Semantics
-from keymint_ros2_dds.lower import Lowered, Partitions
 from keymint_ros2_dds.mapping import Action
 from keymint_ros2_dds.proving.dialects import read
 

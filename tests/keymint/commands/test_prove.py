@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 from collections.abc import Callable
 from pathlib import Path
 
@@ -158,3 +159,27 @@ def test_what_a_vendor_makes_of_an_odd_document_may_be_unknown(keymint: Callable
     said = keymint("prove", "-w", provisioned, "talker").err
     assert "/talker, publish and subscribe: not proven for fastdds-2.9" in said
     assert "--seconds" not in said, "more time would not help"
+
+
+def test_an_enclave_without_sources_is_not_proven(keymint: Callable, provisioned: Path):
+    shutil.rmtree(provisioned / "src/talker")
+    outcome = keymint("prove", "-w", provisioned)
+    assert outcome.code == 3
+    assert "the enclave /talker is installed, but has no source package" in outcome.err
+
+
+def test_what_vendors_decide_differently_can_be_accepted(keymint: Callable, tmp_path: Path):
+    policy = tmp_path / "policy.xml"
+    policy.write_text(
+        '<profiles><profile name="p"><attachment>/talker</attachment><topic qualifier="ALLOW">'
+        "<attachment>rt/a\\[</attachment><permissions><publish/></permissions></topic></profile></profiles>"
+    )
+    made = keymint("provision", policy, "-w", "ws", "--allow-vendor-specific")
+    assert made.code == 0, made.err
+    refused = keymint("install", "-w", "ws")
+    assert refused.code == 3
+    assert "--allow-vendor-specific" in refused.err
+    assert keymint("install", "-w", "ws", "--allow-vendor-specific").code == 0
+    assert keymint("prove", "-w", "ws").code == 3
+    accepted = keymint("prove", "-w", "ws", "--allow-vendor-specific")
+    assert (accepted.code, accepted.out) == (0, "proved 1 enclave for omg: 2 of 2 claims proven\n")

@@ -9,9 +9,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from keymint_ros2_dds import build_type
+from keymint_ros2_dds.compiling.spelling import faithful
 from keymint_ros2_dds.endpoints import endpoints, meanings
 from keymint_ros2_dds.mapping import IMAGES, ardent
-from keymint_ros2_dds.spelling import faithful
 from lxml import etree
 
 from comarmor import expression

@@ -11,7 +11,8 @@ from unittest import mock
 import pytest
 from hypothesis import event, given, settings
 from hypothesis import strategies as st
-from keymint_ros2_dds import build_type, compile, emission, gathering  # noqa: A004 - the module's name
+from keymint_ros2_dds import build_type
+from keymint_ros2_dds.compiling import compile, emission, gathering  # noqa: A004 - the module's name
 from lxml import etree
 
 from keymint.api import BuildOptions, Claim, Demand, DomainRange, Governance, Proof
@@ -132,6 +133,17 @@ class TestThePlainForm:
         assert tags(content) == ["allow_rule", "deny_rule", "allow_rule"]
         assert sorted(topics(content)) == ["rt/a", "rt/ab*", "rt/ab/secret", "rt/b"]
 
+    def test_what_only_it_would_need_is_written_alike_or_left_out(self) -> None:
+        loaded = package(rule("ALLOW", *TOPIC, "/ax", "/b"), rule("DENY", *TOPIC, "/a[!]]"))
+        for options in (USUAL, PLAIN):
+            built = build_type.build(loaded, options)
+            assert [found.severity for found in built.diagnostics] == []
+            assert list(differences(loaded, built.documents["permissions.xml"], ["rt/ax", "rt/b", "rt/a]"])) == []
+
+    def test_who_is_allowed_nothing_joins_no_domain_either(self) -> None:
+        loaded = package(rule("ALLOW", *TOPIC, "/a"), rule("DENY", *TOPIC, "/*"))
+        assert [tags(document(loaded, options)) for options in (USUAL, PLAIN)] == [[], []]
+
     def test_its_size_is_told_whichever_form_is_written(self) -> None:
         loaded = package(*self.RULES)
         size = len(document(loaded, PLAIN))
@@ -166,6 +178,14 @@ class TestGathering:
         found = build_type.build(package(rule("ALLOW", *TOPIC, *self.AXLES)), BuildOptions()).diagnostics
         assert [(each.code, each.severity) for each in found] == [("vendor-wildcard", Severity.NOTE)]
         assert "--no-optimise" in found[0].help
+
+    def test_hints_do_not_overtake_the_guard(self) -> None:
+        relays = rule("ALLOW", "ros_topic", "ros_relay", "/axle001")
+        loaded = package(rule("ALLOW", *TOPIC, *self.AXLES), relays)
+        edge = Edge("/talker", "ros_publish", Object("ros_topic", "/axle001"))
+        built = build_type.build(loaded, BuildOptions(demand=(Demand(edge, 9),)))
+        assert "rewriting-unproven" not in [found.code for found in built.diagnostics]
+        assert gathering.GUARD in topics(built.documents["permissions.xml"])
 
     def test_a_document_that_broke_handshakes_fits(self) -> None:
         loaded = package(rule("ALLOW", *TOPIC, *(f"/cell{n % 4}/sensor_{n:04}" for n in range(2000))))

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import pytest
+from keymint_ros2_dds.compiling.spelling import faithful
 from keymint_ros2_dds.mapping import DISTROS, IMAGES, Action, Image, check_distro, image
-from keymint_ros2_dds.spelling import faithful
 
 from keymint.errors import KeymintError
 from keymint.keymake.glob import parse

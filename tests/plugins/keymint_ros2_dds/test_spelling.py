@@ -9,7 +9,7 @@ import re
 import pytest
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
-from keymint_ros2_dds.spelling import MAX_ALTERNATIVES, InexpressibleError, faithful, spell
+from keymint_ros2_dds.compiling.spelling import MAX_ALTERNATIVES, InexpressibleError, faithful, spell
 
 from keymint.keymake import glob
 from keymint.keymake.algebra import matches

@@ -11,16 +11,16 @@ from keymint.errors import Diagnostic, KeymintError, Origin, Severity
 from keymint.ir import Rule
 from keymint.keymake.algebra import disjoint
 from keymint.keymake.glob import Glob
-from keymint_ros2_dds import partitions
-from keymint_ros2_dds.criteria import Criteria
+from keymint_ros2_dds.compiling import partitions
+from keymint_ros2_dds.compiling.criteria import Criteria
+from keymint_ros2_dds.compiling.gathering import GUARD, gathered
+from keymint_ros2_dds.compiling.lower import Lowered, lower
+from keymint_ros2_dds.compiling.partitions import PartitionError
+from keymint_ros2_dds.compiling.priority import Asked, prioritised
+from keymint_ros2_dds.compiling.rules import Block, OrderError, blocks, one_by_one, standard_blocks
+from keymint_ros2_dds.compiling.spelling import InexpressibleError, faithful, spell
 from keymint_ros2_dds.endpoints import endpoints
-from keymint_ros2_dds.gathering import gathered
-from keymint_ros2_dds.lower import Lowered, lower
 from keymint_ros2_dds.mapping import Action, check_distro, knows
-from keymint_ros2_dds.partitions import PartitionError
-from keymint_ros2_dds.priority import Asked, prioritised
-from keymint_ros2_dds.rules import Block, OrderError, blocks, one_by_one, standard_blocks
-from keymint_ros2_dds.spelling import InexpressibleError, faithful, spell
 
 DIFFERING = "Cyclone DDS and Fast DDS"
 
@@ -30,14 +30,14 @@ class Compiled:
     """The rules of a grant, and what is to be said of them.
 
     Attributes:
-        rules: the rules, rewritten: folded, gathered, and in order of priority.
+        forms: the rules, rewritten, the form that is liked best first: folded, gathered, and in order of priority.
         plain: the same in full: a rule for each rule of the policy, and nothing left out.
         lowered: what they are to mean.
         alike: every vendor reads them as the standard does.
         diagnostics: what is to be said of them.
     """
 
-    rules: tuple[Criteria, ...]
+    forms: tuple[tuple[Criteria, ...], ...]
     plain: tuple[Criteria, ...]
     lowered: Lowered
     alike: bool
@@ -65,10 +65,11 @@ def compile_rules(permissions: Permissions, distro: str, options: BuildOptions) 
     folded = collector.written(_blocks(lowered, collector))
     if collector.problems and not options.allow_vendor_specific:
         raise KeymintError.of(collector.problems)
-    plain = collector.written(one_by_one(_in_full(lowered, collector), lowered))
-    rules = prioritised(gathered(folded), _asked(options.demand, distro))
+    plain = _plain(lowered, collector) if folded else ()
+    rewritten = prioritised(gathered(folded), _asked(options.demand, distro))
+    forms = (rewritten, folded) if rewritten != folded else (folded,)
     notes = (*lowered.diagnostics, *collector.problems)
-    return Compiled(rules, plain, lowered, not collector.problems, notes)
+    return Compiled(forms, plain, lowered, not collector.problems, notes)
 
 
 def _blocks(lowered: Lowered, collector: _Collector) -> tuple[Block, ...]:
@@ -83,14 +84,19 @@ def _blocks(lowered: Lowered, collector: _Collector) -> tuple[Block, ...]:
     return standard_blocks(lowered)
 
 
-def _in_full(lowered: Lowered, collector: _Collector) -> tuple[Block, ...]:
-    """Return the rules with all their patterns; without those that change nothing where all are too many to order."""
+def _plain(lowered: Lowered, collector: _Collector) -> tuple[Criteria, ...]:
+    """Return the rules with all their patterns, as they are written.
+
+    Those that change nothing are left out where all are too many to order, or one of them is not read alike.
+    """
     if collector.problems:
-        return standard_blocks(lowered)
+        return collector.written(one_by_one(standard_blocks(lowered), lowered))
+    full = collector.of_its_own()
     try:
-        return blocks(lowered, reduced=False)
+        written = full.written(one_by_one(blocks(lowered, reduced=False), lowered))
     except (OrderError, PartitionError):
-        return blocks(lowered)
+        return collector.written(one_by_one(blocks(lowered), lowered))
+    return collector.written(one_by_one(blocks(lowered), lowered)) if full.problems else written
 
 
 def _asked(demand: Iterable[Demand], distro: str) -> list[Asked]:
@@ -117,6 +123,10 @@ class _Collector:
     @property
     def problems(self) -> tuple[Diagnostic, ...]:
         return tuple(self._found.values())
+
+    def of_its_own(self) -> _Collector:
+        """Return a collector that has found nothing yet."""
+        return _Collector(self._lowered, self._subject, self._severity is Severity.WARNING)
 
     def add(self, code: str, action: Action | None, pattern: Glob, reason: str) -> None:
         rule = self._rule(action, pattern)
@@ -176,14 +186,13 @@ def remarks(rules: Iterable[Criteria], permissions: Permissions) -> Iterator[Dia
             "vendor-relay", Severity.WARNING, "Cyclone DDS and OpenDDS ignore permissions to relay",
             permissions.origin, "do not rely on them there", subject,
         )  # fmt: skip
-    infix = sorted(
-        {text for rule in rules for texts in rule.topics.values() for text in texts if "*" in text[:-1] or "[" in text}
-    )
+    written = {text for rule in rules for texts in rule.topics.values() for text in texts}
+    infix = sorted(text for text in written - {GUARD} if "*" in text[:-1] or "[" in text)
     if infix:
+        own = "; --no-optimise writes out the names that share one" if GUARD in written else ""
         yield Diagnostic(
             "vendor-wildcard", Severity.NOTE,
             f"OpenDDS and RTI Connext may not match a '*' before the end of an expression, or a bracket expression "
             f"({len(infix)} here, e.g. {infix[0]!r})",
-            permissions.origin, "Cyclone DDS and Fast DDS do; names that share one are written out by --no-optimise",
-            subject,
+            permissions.origin, f"Cyclone DDS and Fast DDS do{own}", subject,
         )  # fmt: skip

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 from keymint.ir import Effect
-from keymint_ros2_dds.lower import Partitions
+from keymint_ros2_dds.compiling.lower import Partitions
 from keymint_ros2_dds.mapping import Action
 
 

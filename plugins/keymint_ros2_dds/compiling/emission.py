@@ -9,14 +9,17 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
+from lxml import etree
+
 from keymint.api import BuildOptions, Claim, Package, Proof
 from keymint.errors import Diagnostic, KeymintError, Severity
 from keymint.pki import names
-from keymint_ros2_dds.compile import Compiled, compile_rules, remarks
-from keymint_ros2_dds.criteria import Criteria
+from keymint_ros2_dds import document as documents
+from keymint_ros2_dds.compiling.compile import Compiled, compile_rules, remarks
+from keymint_ros2_dds.compiling.criteria import Criteria
+from keymint_ros2_dds.compiling.lower import Lowered
 from keymint_ros2_dds.decision import OMG
-from keymint_ros2_dds.document import PERMISSIONS_XML
-from keymint_ros2_dds.lower import Lowered
+from keymint_ros2_dds.document import PERMISSIONS, PERMISSIONS_XML
 from keymint_ros2_dds.mapping import Action
 from keymint_ros2_dds.permissions import render, rules_size
 from keymint_ros2_dds.proving import ASSUMPTIONS, Content, prove_content
@@ -64,25 +67,32 @@ def emit(package: Package, options: BuildOptions) -> Emitted:
 
 def _forms(compiled: Compiled, *, optimise: bool) -> Iterator[tuple[Criteria, ...]]:
     """Yield the forms of the rules, the one that is liked best first."""
-    if optimise and compiled.rules != compiled.plain:
-        yield compiled.rules
+    if optimise:
+        yield from (form for form in compiled.forms if form != compiled.plain)
     yield compiled.plain
 
 
 def means_the_same(package: Package, document: bytes) -> bool:
     """Tell whether a permissions document is one of the forms in which a package's rules can be written.
 
-    It is the plain form, or is proven to mean what the rules say; what it says of relaying cannot be proven.
+    It is proven to mean what the rules say; what it says of relaying cannot be proven, and is to be what a form says.
 
     Raises:
         KeymintError: the document cannot be read, or the rules cannot be compiled.
     """
     compiled = compile_rules(package.permissions, package.distro, BuildOptions(allow_vendor_specific=True))
-    if document == render(package.permissions, compiled.plain):
+    forms = [render(package.permissions, rules) for rules in (*compiled.forms, compiled.plain)]
+    if document in forms:
         return True
-    if any(Action.RELAY in rule.topics for rule in compiled.plain) or b"<relay>" in document:
+    if _relays(document) not in map(_relays, forms):
         return False
     return not _not_proven(package, compiled.lowered, document, _models(compiled))
+
+
+def _relays(document: bytes) -> list[bytes]:
+    """Return the rules that say something of relaying, as they are written."""
+    root = documents.read(document, PERMISSIONS, PERMISSIONS_XML)
+    return [etree.tostring(found, method="c14n") for found in root.iterfind(f".//{Action.RELAY}/..")]
 
 
 def _models(compiled: Compiled) -> tuple[str, ...]:

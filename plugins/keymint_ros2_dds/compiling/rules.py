@@ -25,10 +25,10 @@ from keymint.ir import Effect, Rule
 from keymint.keymake.algebra import TooComplexError, all_disjoint, intersection, union_covers
 from keymint.keymake.glob import Glob
 from keymint.keymake.order import Rescue, mentioned_first
-from keymint_ros2_dds.lower import Lowered, Partitions
+from keymint_ros2_dds.compiling.lower import Lowered, Partitions
+from keymint_ros2_dds.compiling.partitions import DEFAULT, EVERY, Entry
+from keymint_ros2_dds.compiling.plans import Plan, denial_of, plans
 from keymint_ros2_dds.mapping import Action
-from keymint_ros2_dds.partitions import DEFAULT, EVERY, Entry
-from keymint_ros2_dds.plans import Plan, denial_of, plans
 
 
 @dataclass(frozen=True, slots=True)

@@ -11,7 +11,8 @@ from dataclasses import dataclass
 
 from keymint.keymake import glob
 from keymint.keymake.algebra import all_disjoint, matcher, matches
-from keymint_ros2_dds.criteria import Criteria, is_name
+from keymint_ros2_dds.compiling.criteria import Criteria, is_name
+from keymint_ros2_dds.compiling.gathering import GUARD
 from keymint_ros2_dds.mapping import Action
 
 
@@ -79,9 +80,14 @@ def _may_swap(rules: Sequence[Criteria], at: int) -> bool:
     before, rule = rules[at - 1], rules[at]
     if (Action.RELAY in before.topics) is not (Action.RELAY in rule.topics):
         return False  # what one vendor ignores stays by itself at the end
-    if before.effect is not rule.effect and (at == 1 or at == len(rules) - 1):
+    if before.effect is not rule.effect and (at == 1 or at == len(rules) - 1 or _guards(before)):
         return False
     if (before.effect, before.partitions) == (rule.effect, rule.partitions):
         return True
     texts, texts2 = ([glob.parse(text) for texts in each.topics.values() for text in texts] for each in (before, rule))
     return all_disjoint(texts, texts2)
+
+
+def _guards(rule: Criteria) -> bool:
+    """Tell whether a rule denies what Cyclone DDS would take the gathered topics behind it to match as well."""
+    return any(GUARD in texts for texts in rule.topics.values())

@@ -15,8 +15,8 @@ from keymint.ir import Effect, Rule, SubjectRules
 from keymint.keymake import glob
 from keymint.keymake.composites import parts
 from keymint.keymake.glob import Glob
+from keymint_ros2_dds.compiling.spelling import faithful
 from keymint_ros2_dds.mapping import IMAGES, Action, images, knows
-from keymint_ros2_dds.spelling import faithful
 
 Partitions = tuple[str, ...]
 """Partition expressions as a policy has them, sorted; empty: not narrowed."""

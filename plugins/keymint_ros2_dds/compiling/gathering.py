@@ -1,7 +1,7 @@
 """Gathering topics under bracket expressions, where that makes a document much smaller.
 
-For Cyclone DDS a bracket expression always holds ``]`` as well (see :mod:`keymint_ros2_dds.spelling`). So rules with
-gathered topics come last, after a denial of every name with a ``]``; the names that are permitted there have none.
+For Cyclone DDS a bracket expression always holds ``]`` as well (see :mod:`.spelling`). So rules with gathered
+topics come last, after a denial of every name with a ``]``; the names that are permitted there have none.
 """
 
 from __future__ import annotations
@@ -13,10 +13,10 @@ from keymint.ir import Effect
 from keymint.keymake import glob
 from keymint.keymake.algebra import matcher
 from keymint.keymake.gather import Pattern, gather
-from keymint_ros2_dds.criteria import Criteria, is_name
-from keymint_ros2_dds.lower import Partitions
+from keymint_ros2_dds.compiling.criteria import Criteria, is_name
+from keymint_ros2_dds.compiling.lower import Partitions
+from keymint_ros2_dds.compiling.partitions import DEFAULT, EVERY
 from keymint_ros2_dds.mapping import Action
-from keymint_ros2_dds.partitions import DEFAULT, EVERY
 
 GUARD = "*]*"
 """The names that Cyclone DDS takes to match where the standard does not."""

@@ -25,8 +25,8 @@ from keymint.keymake.algebra import (
     surely_covers,
 )
 from keymint.keymake.glob import EVERYTHING, STAR, Glob, Star, literal
-from keymint_ros2_dds.lower import Partitions
-from keymint_ros2_dds.spelling import faithful
+from keymint_ros2_dds.compiling.lower import Partitions
+from keymint_ros2_dds.compiling.spelling import faithful
 
 DEFAULT: Partitions = ("",)
 EVERY: Partitions = ("*",)

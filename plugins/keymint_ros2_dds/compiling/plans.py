@@ -9,8 +9,8 @@ from keymint.ir import Effect
 from keymint.keymake.algebra import disjoint, sort_key
 from keymint.keymake.glob import Glob, literal
 from keymint.keymake.order import Order, arrange
-from keymint_ros2_dds.lower import Partitions
-from keymint_ros2_dds.partitions import DEFAULT, EVERY, Entry, decision_list, touches, uniform
+from keymint_ros2_dds.compiling.lower import Partitions
+from keymint_ros2_dds.compiling.partitions import DEFAULT, EVERY, Entry, decision_list, touches, uniform
 
 Listed = tuple[Glob, Partitions]
 
