@@ -196,7 +196,7 @@ def _guarded(run: Run, function: Callable[[], Report]) -> ExitCode:
             (),
             error.diagnostics,
             exit_code=error.exit_code,
-            dry_run=run.dry_run,  # noqa: SLF001
+            dry_run=run.dry_run,
         )
     typed = tuple(as_typed(diagnostic, run.setting.cwd) for diagnostic in report.diagnostics)
     run.console.show(replace(report, diagnostics=typed))

@@ -209,7 +209,6 @@ class TestForms:
         told = keymint("build", cwd=ws).out.splitlines()[-1]
         now, before = (f"{changed[key]:,}" for key in ("bytes", "plain_bytes"))
         assert told.startswith(f"permissions.xml of 1 package: {now} bytes, {before} in plain form (-")
-        )
 
     def test_the_plain_form_stays_until_another_is_asked_for(self, keymint, ws: Path) -> None:
         keymint("build", cwd=ws)
