@@ -190,14 +190,8 @@ def _guarded(run: Run, function: Callable[[], Report]) -> ExitCode:
     try:
         report = function()
     except KeymintError as error:
-        report = Report(
-            run.verb,
-            run._found,
-            (),
-            error.diagnostics,
-            exit_code=error.exit_code,
-            dry_run=run.dry_run,
-        )
+        found = run._found  # noqa: SLF001 - none is looked for, for a message
+        report = Report(run.verb, found, (), error.diagnostics, exit_code=error.exit_code, dry_run=run.dry_run)
     typed = tuple(as_typed(diagnostic, run.setting.cwd) for diagnostic in report.diagnostics)
     run.console.show(replace(report, diagnostics=typed))
     return report.exit_code

@@ -21,9 +21,9 @@ from keymint.graph import Edge, Object
 from keymint.ir import Effect
 from keymint.keymake.glob import parse
 
+from .compiling.test_decisions import built_or_refused
 from .oracles import cyclone, fastdds, omg
 from .packages import domain_rule, package, protection, rule
-from .test_decisions import built_or_refused
 
 TOPIC = IMAGES["ros_publish"][0]
 

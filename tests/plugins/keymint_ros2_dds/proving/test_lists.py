@@ -18,9 +18,9 @@ from keymint.ir import SubjectRules
 from keymint.keymake.algebra import matches
 from keymint.keymake.glob import GlobError
 from keymint.proof import permits
+from tests.plugins.keymint_ros2_dds.compiling.test_decisions import DENIED, PARTITIONS, rules
 from tests.plugins.keymint_ros2_dds.decision import documents as xml
 from tests.plugins.keymint_ros2_dds.oracles import policy as oracle
-from tests.plugins.keymint_ros2_dds.test_decisions import DENIED, PARTITIONS, rules
 
 EXPRESSIONS = st.lists(
     st.sampled_from(["a", "b", "*", "?", "[a]", "[!a]", "[a-b]", "[ab", "\\a", "]", "a"]), min_size=1, max_size=4

@@ -15,10 +15,10 @@ from keymint_ros2_dds.transports.files import subject_name
 from keymint.api import BuildOptions, DomainRange, Obligation, Proof
 from keymint.errors import KeymintError, Origin
 from keymint.pki import certificates, keys, smime
+from tests.plugins.keymint_ros2_dds.compiling.test_decisions import DENIED, PARTITIONS, rules
 from tests.plugins.keymint_ros2_dds.enclaves import authority, installed
 from tests.plugins.keymint_ros2_dds.oracles import policy as oracle
 from tests.plugins.keymint_ros2_dds.packages import DOMAIN, package, rule
-from tests.plugins.keymint_ros2_dds.test_decisions import DENIED, PARTITIONS, rules
 
 MODELS = ("omg", "cyclonedds-0.10", "fastdds-2.9")
 PLAIN = package(

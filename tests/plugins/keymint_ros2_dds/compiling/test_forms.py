@@ -18,8 +18,8 @@ from lxml import etree
 from keymint.api import BuildOptions, Claim, Demand, DomainRange, Governance, Proof
 from keymint.errors import KeymintError, Severity
 from keymint.graph import Edge, Object
+from tests.plugins.keymint_ros2_dds.packages import domain_rule, package, rule
 
-from .packages import domain_rule, package, rule
 from .test_decisions import ASKED, DENIED, FEW, PARTITIONS, ROS, TOPICS, differences, rules
 
 USUAL, PLAIN = BuildOptions(), BuildOptions(optimise=False)

@@ -13,8 +13,7 @@ from keymint_ros2_dds.compiling.spelling import MAX_ALTERNATIVES, InexpressibleE
 
 from keymint.keymake import glob
 from keymint.keymake.algebra import matches
-
-from .oracles import matches_any
+from tests.plugins.keymint_ros2_dds.oracles import matches_any
 
 PIECES = st.sampled_from([*"ab]-^\\!.", "*", "?", "[ab]", "[!a]", "[!ab]", "[]a]", "[!]]", "[!-]", "[!\\\\]", "[a-c]"])
 EXPRESSIONS = st.lists(PIECES, min_size=1, max_size=4).map("".join)

@@ -10,9 +10,8 @@ from keymint_ros2_dds import build_type
 
 from keymint.api import BuildOptions
 from keymint.errors import KeymintError
-
-from .oracles import cyclone, fastdds, omg, policy
-from .packages import package, rule
+from tests.plugins.keymint_ros2_dds.oracles import cyclone, fastdds, omg, policy
+from tests.plugins.keymint_ros2_dds.packages import package, rule
 
 PARTS = st.sampled_from(["a", "b", "/", "*", "?", "[ab]", "[!a]"])
 NAMES = st.lists(PARTS, min_size=1, max_size=4).map("".join)
