@@ -67,9 +67,9 @@ def run(*arguments: str) -> None:
     subprocess.run([*KEYMINT, *arguments], check=True, stdout=subprocess.DEVNULL)
 
 
-def measure(size: int, repeat: int, scratch: Path) -> tuple[float, float, float]:
-    """Return the best seconds of the floor, of a first run, and of a run without changes."""
-    best = [float("inf")] * 3
+def measure(size: int, repeat: int, scratch: Path) -> tuple[float, float, float, float]:
+    """Return the best seconds of the floor, of a first run with and without proofs, and of a run without changes."""
+    best = [float("inf")] * 4
     for attempt in range(repeat):
         folder = scratch / f"{size}-{attempt}"
         folder.mkdir()
@@ -78,14 +78,16 @@ def measure(size: int, repeat: int, scratch: Path) -> tuple[float, float, float]
         workspace = str(folder / "ws")
         provision = functools.partial(run, "provision", str(source), "-w", workspace, "-q")
         first, again = timed(provision), timed(provision)
+        unproven = str(folder / "unproven")
+        bare = timed(functools.partial(run, "provision", str(source), "-w", unproven, "-q", "--no-prove"))
         enclave = folder / "ws/install/enclaves/robot0/talker"
         permissions = (enclave / "permissions.xml").read_bytes()
         governance = (folder / "ws/build/robot0/talker/governance.xml").read_bytes()
         names = [f"robot{n}/talker" for n in range(size)]
         bottom = timed(functools.partial(floor.provision, folder / "floor", names, permissions, governance))
-        best = [min(old, new) for old, new in zip(best, (bottom, first, again), strict=True)]
+        best = [min(old, new) for old, new in zip(best, (bottom, first, bare, again), strict=True)]
         shutil.rmtree(folder)
-    return best[0], best[1], best[2]
+    return best[0], best[1], best[2], best[3]
 
 
 def median_of(command: list[str], repeat: int = 15) -> float:
@@ -107,18 +109,22 @@ def main() -> None:
     options = parser.parse_args()
     tmpfs = Path("/dev/shm")
     results = []
-    print(f"{'N':>6} {'floor/N':>10} {'first/N':>10} {'first/floor':>12} {'again/first':>12}")
+    heads = ("floor/N", "first/N", "first/floor", "unproven", "again/first")
+    print(f"{'N':>6} {heads[0]:>10} {heads[1]:>10} {heads[2]:>12} {heads[3]:>12} {heads[4]:>12}")
     with tempfile.TemporaryDirectory(dir=tmpfs if tmpfs.is_dir() else None) as scratch:
         for size in map(int, options.sizes.split(",")):
-            bottom, first, again = measure(size, options.repeat, Path(scratch))
-            results.append((size, bottom, first))
+            bottom, first, bare, again = measure(size, options.repeat, Path(scratch))
+            results.append((size, bottom, first, bare))
             per = [f"{seconds / size * 1e3:8.2f}ms" for seconds in (bottom, first)]
-            print(f"{size:>6} {per[0]:>10} {per[1]:>10} {first / bottom:>12.2f} {again / first:>12.2f}", flush=True)
+            ratios = (first / bottom, bare / bottom, again / first)
+            print(f"{size:>6} {per[0]:>10} {per[1]:>10}", *(f"{ratio:>12.2f}" for ratio in ratios), flush=True)
     if len(results) > 1:
-        (small, low_bottom, low), (large, high_bottom, high) = results[-2:]
-        more = large - small
-        cost, bare = (high - low) / more, (high_bottom - low_bottom) / more
-        print(f"each enclave beyond {small}: {cost * 1e3:.2f} ms, floor {bare * 1e3:.2f} ms, ratio {cost / bare:.2f}")
+        (small, *low), (large, *high) = results[-2:]
+        floor_cost, cost, unproven = ((late - early) / (large - small) for early, late in zip(low, high, strict=True))
+        print(
+            f"each enclave beyond {small}: {cost * 1e3:.2f} ms, floor {floor_cost * 1e3:.2f} ms, "
+            f"ratio {cost / floor_cost:.2f}; unproven {unproven / floor_cost:.2f}"
+        )
     start, idle = median_of([*KEYMINT, "--help"]), median_of([sys.executable, "-c", "pass"])
     print(f"keymint --help: {start * 1e3:.0f} ms, an empty Python: {idle * 1e3:.0f} ms, ratio {start / idle:.1f}")
 
