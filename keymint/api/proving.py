@@ -93,7 +93,7 @@ class Prover(Protocol):
     """What a build type may offer beside :class:`BuildType`: proofs about what it installs."""
 
     def assumptions(self) -> Mapping[str, Sequence[str]]:
-        """Return what every claim takes for granted, one line each, by model."""
+        """Return what every claim takes for granted, one line each, by model: that of the standard first."""
 
     def prove(self, obligation: Obligation) -> Sequence[Claim]:
         """Return a claim for each model, action and group of domains.

@@ -8,11 +8,12 @@ from typing import Any
 
 import click
 
-from keymint.api import LoadedPolicy
+from keymint.api import LoadedPolicy, Proof
 from keymint.commands.common import Run
 from keymint.errors import ExitCode, KeymintError, Severity
 from keymint.plan.inputs import Inputs, LoadedProfile, Sources
 from keymint.plan.model import Plan
+from keymint.plan.prove import NO_PROVER, Proven, prove
 
 PROVING_OPTIONS: Sequence[Callable[[Any], Any]] = (
     click.option(
@@ -51,14 +52,19 @@ def proven(
         KeymintError: a claim about an enclave is refuted or unknown; exit code 3.
     """
     from keymint.commands.prove import diagnostics_of, effort_of  # noqa: PLC0415 - only when it is asked for
-    from keymint.plan.prove import NO_PROVER, prove  # noqa: PLC0415
 
     found = prove(
         planned, loaded, names, sources, policy, effort_of(run), standard_only=standard_only,
         folder=lambda name: planned.workspace.build / name,
     )  # fmt: skip
     said = [diagnostic for enclave in found.enclaves for diagnostic in diagnostics_of(enclave)]
-    refused = [replace(each, help=_with_mend(each.help)) for each in said if each.code != NO_PROVER]
+    standard = next(iter(found.assumptions), "")
+    of_vendors = {enclave.subject for enclave in found.enclaves if _holds(enclave, standard)}
+    refused = [
+        replace(each, help=_with_mend(each.help, of_vendors=each.subject in of_vendors))
+        for each in said
+        if each.code != NO_PROVER
+    ]
     if refused:
         # What is said of the plan often says why: an edit by hand, or a policy that changed.
         raise KeymintError.of([*plan.diagnostics, *refused], ExitCode.FINDINGS)
@@ -66,9 +72,13 @@ def proven(
     return replace(plan, state=found.state, diagnostics=(*plan.diagnostics, *unsupported))
 
 
-def _with_mend(help_: str) -> str:
-    mend = (
-        "nothing is installed; build it anew from the policy, accept what vendors decide differently with "
-        "--allow-vendor-specific, or install it all the same with --no-prove"
-    )
+def _holds(enclave: Proven, standard: str) -> bool:
+    """Tell whether an enclave is proven by the standard's reading, which a prover names first."""
+    own = [claim for claim in enclave.claims if claim.model == standard]
+    return bool(own) and all(claim.proof is Proof.PROVEN for claim in own)
+
+
+def _with_mend(help_: str, *, of_vendors: bool) -> str:
+    accept = "accept what vendors decide differently with --allow-vendor-specific, " if of_vendors else ""
+    mend = f"nothing is installed; build it anew from the policy, {accept}or install it all the same with --no-prove"
     return f"{help_}; {mend}" if help_ else mend
