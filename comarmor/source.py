@@ -7,11 +7,8 @@ size of the whole must be known before it is put together: every file is read on
 
 from __future__ import annotations
 
-import errno
 import hashlib
-import os
 import posixpath
-import stat
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -20,6 +17,7 @@ from urllib.parse import unquote, urlsplit
 
 from lxml import etree
 
+from comarmor.confined import Folder, confined, exists, nearest, printable, read_bounded, unreadable
 from comarmor.errors import ComArmorError, Location, did_you_mean, quoted
 from comarmor.reader import LIMITS, Limits, line, parse
 
@@ -65,18 +63,6 @@ class Sources:
     seen: Mapping[Path, bytes]
 
 
-@dataclass(frozen=True, slots=True)
-class _Folder:
-    """A folder that includes are confined to: resolved, and as the user would type it."""
-
-    real: Path
-    shown: str
-
-    def name(self, relative: str) -> str:
-        """Return the path of a file in this folder as the user would type it."""
-        return _printable(relative if self.shown == "." else posixpath.join(self.shown, relative))
-
-
 def load_tree(path: Path, library: Path | None = None, *, limits: Limits = LIMITS) -> Sources:
     """Read a policy: a file, or of a directory the ``*.xml`` files directly in it, in sorted order.
 
@@ -88,17 +74,17 @@ def load_tree(path: Path, library: Path | None = None, *, limits: Limits = LIMIT
     Raises:
         ComArmorError: something is missing, outside, too large or not well-formed, with ``file:line``.
     """
-    shown = _printable(str(path))
+    shown = printable(str(path))
     try:
         if path.is_dir():
-            folder = _Folder(path.resolve(strict=True), str(path))
+            folder = Folder(path.resolve(strict=True), str(path))
             roots = _roots(path)
         else:
             real = path.resolve(strict=True)
-            folder = _Folder(real.parent, str(real.parent if path.is_symlink() else path.parent))
+            folder = Folder(real.parent, str(real.parent if path.is_symlink() else path.parent))
             roots = [real.name]
     except (OSError, RuntimeError, ValueError) as error:
-        raise ComArmorError(_unreadable(error, "the policy"), where=Location(shown), code="policy-missing") from None
+        raise ComArmorError(unreadable(error, "the policy"), where=Location(shown), code="policy-missing") from None
     if not roots:
         raise ComArmorError(
             "the policy directory has no *.xml file",
@@ -143,10 +129,10 @@ def _names_fingerprint(names: Sequence[str]) -> bytes:
     return hashlib.sha256("/".join(names).encode(errors="surrogateescape")).digest()
 
 
-def _library(library: Path | None) -> _Folder | None:
+def _library(library: Path | None) -> Folder | None:
     if library is None or not library.is_dir():
         return None
-    return _Folder(library.resolve(), str(library))
+    return Folder(library.resolve(), str(library))
 
 
 @dataclass(slots=True)
@@ -165,13 +151,13 @@ class _Reader:
         total: bytes read.
     """
 
-    folder: _Folder
-    library: _Folder | None
+    folder: Folder
+    library: Folder | None
     limits: Limits
     files: dict[Path, bytes] = field(default_factory=dict)
     seen: dict[Path, bytes] = field(default_factory=dict)
     done: dict[Path, Document] = field(default_factory=dict)
-    included: dict[tuple[_Folder, str, str], Document] = field(default_factory=dict)
+    included: dict[tuple[Folder, str, str], Document] = field(default_factory=dict)
     open: list[Path] = field(default_factory=list)
     total: int = 0
     nodes: int = 0
@@ -186,7 +172,7 @@ class _Reader:
         self.bound(self.nodes, self.inclusions, where)
         return document
 
-    def document(self, folder: _Folder, relative: str, where: Location, chain: tuple[Location, ...]) -> Document:
+    def document(self, folder: Folder, relative: str, where: Location, chain: tuple[Location, ...]) -> Document:
         """Read a file and everything it includes.
 
         Args:
@@ -195,7 +181,7 @@ class _Reader:
             where: what to blame if it cannot be read.
             chain: the places that include it, innermost first.
         """
-        real = _confined(folder, relative, where)
+        real = confined(folder, relative, where)
         if real in self.files:
             self.seen[Path(folder.shown, relative)] = self.files[real]
         if real in self.open:
@@ -236,7 +222,7 @@ class _Reader:
         self.done[real] = document
         return document
 
-    def include(self, element: etree._Element, folder: _Folder, relative: str, where: Location) -> Document:
+    def include(self, element: etree._Element, folder: Folder, relative: str, where: Location) -> Document:
         """Read what an ``xi:include`` element of a file refers to."""
         href = _href(element, where)
         target = posixpath.normpath(posixpath.join(posixpath.dirname(relative), href))
@@ -245,29 +231,29 @@ class _Reader:
         if known is not None:  # many profiles include the same few files
             return known
         chain = (Location(where.file, where.line), *where.chain)
-        found = _exists(folder, target, where)
+        found = exists(folder, target, where)
         if not found:
             self.seen[Path(folder.shown, target)] = b""
         if not found and self.library is not None:
             from_root = posixpath.normpath(href)
-            if _exists(self.library, from_root, where):
+            if exists(self.library, from_root, where):
                 folder, target, found = self.library, from_root, True
         if not found:
             raise ComArmorError(
                 f"the included file {quoted(folder.name(target), 200)} does not exist",
                 where=where,
-                help=_nearest(folder, target),
+                help=nearest(folder, target),
                 code="include-missing",
             )
         document = self.included[asked] = self.document(folder, target, where, chain)
         return document
 
-    def read(self, folder: _Folder, real: Path, where: Location) -> bytes:
+    def read(self, folder: Folder, real: Path, where: Location) -> bytes:
         """Return the bytes of a file, and note their digest."""
         try:
-            content = _read(folder.real, real, self.limits.file_bytes + 1)
+            content = read_bounded(folder.real, real, self.limits.file_bytes + 1)
         except (OSError, ValueError) as error:
-            raise ComArmorError(_unreadable(error, "the file"), where=where, code="unreadable") from None
+            raise ComArmorError(unreadable(error, "the file"), where=where, code="unreadable") from None
         self.total += len(content)
         if self.total > self.limits.total_bytes:
             raise ComArmorError(
@@ -329,91 +315,8 @@ def _href(element: etree._Element, where: Location) -> str:
     return path
 
 
-def _resolve(folder: _Folder, relative: str, where: Location) -> Path:
-    """Return the resolved path of a file in a folder, whether or not it exists.
-
-    Raises:
-        ComArmorError: it lies outside of the folder, also if only by ``..`` or a symbolic link.
-    """
-    outside = relative.split("/", 1)[0] == ".."
-    try:
-        real = (folder.real / relative).resolve()
-    except (OSError, RuntimeError, ValueError) as error:
-        raise ComArmorError(_unreadable(error, "the file"), where=where, code="unreadable") from None
-    if outside or not real.is_relative_to(folder.real):
-        raise ComArmorError(
-            f"{quoted(relative, 200)} is outside of the policy's folder {quoted(_printable(folder.shown), 200)}",
-            where=where,
-            help="copy the file into the folder, and include the copy",
-            code="include-outside",
-        )
-    return real
-
-
-def _exists(folder: _Folder, relative: str, where: Location) -> bool:
-    try:
-        _resolve(folder, relative, where).lstat()
-    except (FileNotFoundError, NotADirectoryError):
-        return False
-    except OSError as error:
-        raise ComArmorError(_unreadable(error, "the file"), where=where, code="unreadable") from None
-    return True
-
-
-def _confined(folder: _Folder, relative: str, where: Location) -> Path:
-    """Return the resolved path of a file that must exist in a folder."""
-    if not _exists(folder, relative, where):
-        raise ComArmorError("the file does not exist", where=where, code="unreadable")
-    return _resolve(folder, relative, where)
-
-
-def _read(folder: Path, real: Path, size: int) -> bytes:
-    """Return at most so many bytes of a regular file below a folder.
-
-    Each step is opened relative to the one before and none may be a symbolic link, so that a path which was resolved
-    and found to lie inside cannot be swapped for one that leads outside.
-    """
-    *folders, last = real.relative_to(folder).parts
-    here = os.open(folder, os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC)
-    try:
-        for part in folders:
-            inner = os.open(part, os.O_RDONLY | os.O_DIRECTORY | os.O_NOFOLLOW | os.O_CLOEXEC, dir_fd=here)
-            os.close(here)
-            here = inner
-        # Not blocking: a named pipe must not hold the tool up before it is seen not to be a file.
-        file = os.open(last, os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK | os.O_CLOEXEC, dir_fd=here)
-    finally:
-        os.close(here)
-    with os.fdopen(file, "rb") as stream:
-        if not stat.S_ISREG(os.fstat(file).st_mode):
-            raise OSError(errno.EINVAL, "it is not a regular file")
-        return stream.read(size)
-
-
 def _with_chain(error: ComArmorError, chain: tuple[Location, ...]) -> ComArmorError:
     """Return an error of one file with the places that included the file."""
     (found,) = error.diagnostics
     where = found.where and Location(found.where.file, found.where.line, chain)
     return ComArmorError(found.message, where=where, help=found.help, code=found.code)
-
-
-def _nearest(folder: _Folder, relative: str) -> str:
-    """Return a hint at a file beside the missing one that has nearly its name."""
-    beside = folder.real / posixpath.dirname(relative)
-    try:
-        names = [entry.name for entry in beside.iterdir()]
-    except OSError:
-        return ""
-    return did_you_mean(posixpath.basename(relative), names)
-
-
-def _unreadable(error: Exception, what: str) -> str:
-    if isinstance(error, FileNotFoundError):
-        return f"{what} does not exist"
-    reason = error.strerror if isinstance(error, OSError) and error.strerror else str(error)
-    return f"{what} cannot be read: {reason}"
-
-
-def _printable(path: str) -> str:
-    """Return a path as text that can be printed, whatever bytes its name has."""
-    return path.encode("utf-8", "surrogateescape").decode("utf-8", "backslashreplace")

@@ -11,7 +11,7 @@ from keymint.api import Claim, Counterexample, Proof
 from keymint.commands.common import Run, complete_package, verb
 from keymint.errors import Diagnostic, ExitCode, Origin, Severity
 from keymint.graph import Edge
-from keymint.plan.create import load_policy
+from keymint.plan.create import recall_policy
 from keymint.plan.inputs import Inputs, Sources
 from keymint.plan.install import orphan_finding, orphans
 from keymint.plan.model import Action, Plan, Step
@@ -63,7 +63,7 @@ def prove(run: Run, names: tuple[str, ...], seconds: float, states: int, allow_v
         chosen = run.names(inputs, names)
         effort = effort_of(run, states, seconds)
         with run.console.progress(len(chosen), run.setting.monotonic) as advance:
-            policy = load_policy(inputs, loaded)
+            policy = recall_policy(inputs, loaded)  # loaded only if something is to be proven
             found = find(
                 inputs, loaded, chosen, Sources(run.plugins), policy, effort,
                 lambda name: advance(Step(STAGE, name, Action.UNCHANGED)), standard_only=allow_vendor_specific,

@@ -95,8 +95,10 @@ def _plain(lowered: Lowered, collector: _Collector) -> tuple[Criteria, ...]:
     try:
         written = full.written(one_by_one(blocks(lowered, reduced=False), lowered))
     except (OrderError, PartitionError):
-        return collector.written(one_by_one(blocks(lowered), lowered))
-    return collector.written(one_by_one(blocks(lowered), lowered)) if full.problems else written
+        written = ()
+    if written and not full.problems:
+        return written
+    return collector.written(one_by_one(blocks(lowered), lowered))
 
 
 def _asked(demand: Iterable[Demand], distro: str) -> list[Asked]:

@@ -22,7 +22,7 @@ from keymint_ros2_dds.decision import OMG
 from keymint_ros2_dds.document import PERMISSIONS, PERMISSIONS_XML
 from keymint_ros2_dds.mapping import Action
 from keymint_ros2_dds.permissions import render, rules_size
-from keymint_ros2_dds.proving import ASSUMPTIONS, Content, prove_content
+from keymint_ros2_dds.proving import ASSUMPTIONS, Held, prove_content
 
 STATES = 50_000
 """States that a question may visit: about a second, so that a build never hangs."""
@@ -102,10 +102,7 @@ def _models(compiled: Compiled) -> tuple[str, ...]:
 
 def _not_proven(package: Package, lowered: Lowered, document: bytes, models: Sequence[str]) -> list[Claim]:
     """Return the claims that are not proven."""
-    asked = Content(
-        document,
-        PERMISSIONS_XML,
-        0,
+    held = Held(
         names.render(names.parse(package.permissions.subject_name, package.permissions.origin)),
         package.permissions.rules,
         package.distro,
@@ -113,7 +110,7 @@ def _not_proven(package: Package, lowered: Lowered, document: bytes, models: Seq
         STATES,
         lambda: True,
     )
-    claims = prove_content(asked, models=models, lowered=lowered)
+    claims = prove_content(document, (PERMISSIONS_XML, 0), held, models=models, lowered=lowered)
     return [claim for claim in claims if claim.proof is not Proof.PROVEN]
 
 

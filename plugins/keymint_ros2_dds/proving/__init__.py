@@ -7,8 +7,8 @@ the policy's side by going through its rules, on the document's side by the deci
 
 from __future__ import annotations
 
-from keymint_ros2_dds.proving.claims import ASSUMPTIONS, Question, prove_document
-from keymint_ros2_dds.proving.content import Content, prove_content
+from keymint_ros2_dds.proving.claims import ASSUMPTIONS, Held, Question, prove_document
+from keymint_ros2_dds.proving.content import prove_content
 from keymint_ros2_dds.proving.prove import prove
 
-__all__ = ["ASSUMPTIONS", "Content", "Question", "prove", "prove_content", "prove_document"]
+__all__ = ["ASSUMPTIONS", "Held", "Question", "prove", "prove_content", "prove_document"]

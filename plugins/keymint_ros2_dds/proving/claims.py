@@ -61,28 +61,39 @@ ASSUMPTIONS: Mapping[str, tuple[str, ...]] = MappingProxyType(
 
 
 @dataclass(frozen=True, slots=True)
-class Question:
-    """What is asked of a permissions document, signed or not.
+class Held:
+    """What a permissions document is held against, and at what cost.
 
     Attributes:
-        document: the document.
         subject_name: the identity's, in the order of RFC 2253, e.g. ``CN=/talker,OU=0f``.
         rules: what the policy says of the subject.
-        lowered: the same on the level of DDS, from :func:`keymint_ros2_dds.compiling.lower.lower`.
         distro: ROS 2 distribution whose name mapping applies.
         domains: the domains in which the policy holds.
         states: how many states a comparison may visit.
         go_on: asked again and again; a comparison is given up when it returns False.
     """
 
-    document: PermissionsDocument
     subject_name: str
     rules: SubjectRules
-    lowered: Lowered
     distro: str
     domains: tuple[DomainRange, ...]
     states: int
     go_on: Callable[[], bool]
+
+
+@dataclass(frozen=True, slots=True)
+class Question:
+    """What is asked of a permissions document, signed or not.
+
+    Attributes:
+        document: the document.
+        held: what it is held against.
+        lowered: the rules of that on the level of DDS, from :func:`keymint_ros2_dds.compiling.lower.lower`.
+    """
+
+    document: PermissionsDocument
+    held: Held
+    lowered: Lowered
 
 
 def prove_document(question: Question, *, models: Sequence[str] | None = None) -> tuple[Claim, ...]:
@@ -130,7 +141,7 @@ class _Comparison:
         key = (said, permitted)
         found = self._known.get(key)
         if found is None:
-            budget = Budget(self._question.states, self._question.go_on)
+            budget = Budget(self._question.held.states, self._question.held.go_on)
             found = self._known[key] = difference(said, *permitted, universe=self._universe, budget=budget)
         return found
 
@@ -164,7 +175,7 @@ class _Model:
 
     def _domains(self) -> Iterator[tuple[tuple[DomainRange, ...], bool]]:
         """Yield groups of domains in which policy and document are the same, and whether the policy holds there."""
-        wanted = self._question.domains
+        wanted = self._question.held.domains
         grants = [era.grant for era in self._eras]
         rules = [rule for grant in grants for rule in self._semantics.rules(grant)]
         edges = {0, *(d.first for d in wanted), *(d.last + 1 for d in wanted)}
@@ -226,7 +237,7 @@ class _Model:
         return claim(Proof.COUNTEREXAMPLE, "", found)
 
     def _counterexample(self, action: str, domain: int, era: _Era | None, word: str, *, inside: bool) -> Counterexample:
-        asked = self._question
+        asked = self._question.held
         partition, topic = word.split(lists.SEPARATOR) if self._comparison.pairs else ("", word)
         rules = asked.rules if inside else SubjectRules(asked.rules.subject, ())
         edges = policy.endpoint_edges(rules.subject, asked.distro, action, topic, partition)
@@ -255,7 +266,7 @@ class _Model:
         now = era.begin
 
         def ask(variation: Variation) -> Decision:
-            judge = Judge(question.document, question.subject_name, now, domain, variation)
+            judge = Judge(question.document, question.held.subject_name, now, domain, variation)
             return judge.decide(action, topic, (partition,) if partition else ())
 
         found = ask(self._variation)
@@ -269,7 +280,7 @@ class _Model:
 
     def _never(self) -> Verdict:
         """Return why no grant is ever in force."""
-        document, name = self._question.document, self._question.subject_name
+        document, name = self._question.document, self._question.held.subject_name
         grant = next(iter(self._semantics.grants(document, name)), None)
         if grant is None:
             return Verdict(allowed=False, reason=f"{document.file}: no grant is about {name!r}")
@@ -280,7 +291,7 @@ class _Model:
 
 def _eras(question: Question, semantics: Semantics) -> Iterator[_Era]:
     """Yield a time at which each grant that is about the identity is in force; grants that never are have none."""
-    grants = semantics.grants(question.document, question.subject_name)
+    grants = semantics.grants(question.document, question.held.subject_name)
     if not semantics.passes_over_invalid:
         grants = grants[:1]
     if len(grants) == 1:

@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from collections.abc import Sequence
 
-from keymint.api import Claim, DomainRange, Proof
-from keymint.ir import SubjectRules
+from keymint.api import Claim, Proof
 from keymint_ros2_dds import decision
 from keymint_ros2_dds.compiling.lower import Lowered, lower
-from keymint_ros2_dds.proving.claims import ASSUMPTIONS, Question, prove_document
+from keymint_ros2_dds.proving.claims import ASSUMPTIONS, Held, Question, prove_document
 
 MOST = 10_000
 """Documents whose claims are remembered."""
@@ -18,40 +16,20 @@ MOST = 10_000
 _proven: dict[bytes, tuple[Claim, ...]] = {}
 
 
-@dataclass(frozen=True, slots=True)
-class Content:
-    """A permissions document, and what it is held against.
-
-    Attributes:
-        content: the document, unsigned.
-        file: its name as the user would type it.
-        offset: lines of the file before the document's first one.
-        subject_name: the identity's, in the order of RFC 2253, e.g. ``CN=/talker,OU=0f``.
-        rules: what the policy says of the subject.
-        distro: ROS 2 distribution whose name mapping applies.
-        domains: the domains in which the policy holds.
-        states: how many states a comparison may visit.
-        go_on: asked again and again; a comparison is given up when it returns False.
-    """
-
-    content: bytes
-    file: str
-    offset: int
-    subject_name: str
-    rules: SubjectRules
-    distro: str
-    domains: tuple[DomainRange, ...]
-    states: int
-    go_on: Callable[[], bool]
-
-
 def prove_content(
-    asked: Content, *, models: Sequence[str] | None = None, lowered: Lowered | None = None
+    content: bytes,
+    place: tuple[str, int],
+    held: Held,
+    *,
+    models: Sequence[str] | None = None,
+    lowered: Lowered | None = None,
 ) -> tuple[Claim, ...]:
     """Return the claims about a document, by model, action and domains.
 
     Args:
-        asked: what is asked.
+        content: the document, unsigned.
+        place: the file that it lies in, as the user would type it, and how many lines of that come before it.
+        held: what it is held against.
         models: names of the models, of :data:`ASSUMPTIONS`; None: all.
         lowered: the rules on the level of DDS, where they are known.
 
@@ -59,20 +37,12 @@ def prove_content(
         KeymintError: the document cannot be read, or a rule cannot be mapped.
     """
     names = tuple(ASSUMPTIONS if models is None else models)
-    key = _key(asked, names)
+    key = _key(content, held, names)
     known = _proven.get(key)
     if known is not None:
         return known
-    question = Question(
-        decision.read(asked.content, asked.file, asked.offset),
-        asked.subject_name,
-        asked.rules,
-        lower(asked.rules, asked.distro) if lowered is None else lowered,
-        asked.distro,
-        asked.domains,
-        asked.states,
-        asked.go_on,
-    )
+    document = decision.read(content, *place)
+    question = Question(document, held, lower(held.rules, held.distro) if lowered is None else lowered)
     claims = prove_document(question, models=names)
     # What is proven is so wherever the document lies; of what is not, the places are said.
     if len(_proven) < MOST and all(claim.proof is Proof.PROVEN for claim in claims):
@@ -80,8 +50,8 @@ def prove_content(
     return claims
 
 
-def _key(asked: Content, models: tuple[str, ...]) -> bytes:
+def _key(content: bytes, held: Held, models: tuple[str, ...]) -> bytes:
     """Return a digest of all that proven claims depend on."""
-    rules = tuple((r.effect, r.kind, r.permissions, r.expressions, r.partitions) for r in asked.rules.rules)
-    said = repr((asked.subject_name, asked.rules.subject, rules, asked.distro, asked.domains, models))
-    return hashlib.sha256(hashlib.sha256(asked.content).digest() + said.encode()).digest()
+    rules = tuple((r.effect, r.kind, r.permissions, r.expressions, r.partitions) for r in held.rules.rules)
+    said = repr((held.subject_name, held.rules.subject, rules, held.distro, held.domains, models))
+    return hashlib.sha256(hashlib.sha256(content).digest() + said.encode()).digest()

@@ -9,7 +9,8 @@ from keymint.errors import KeymintError, Origin
 from keymint_ros2_dds.document import PERMISSIONS_XML
 from keymint_ros2_dds.install import CA, CERTIFICATE, PERMISSIONS_CA, PERMISSIONS_P7S
 from keymint_ros2_dds.proving import signed
-from keymint_ros2_dds.proving.content import Content, prove_content
+from keymint_ros2_dds.proving.claims import Held
+from keymint_ros2_dds.proving.content import prove_content
 from keymint_ros2_dds.transports.files import subject_name
 
 
@@ -31,10 +32,7 @@ def prove(obligation: Obligation, *, models: Sequence[str] | None = None) -> tup
     content = signed.content(file, authority, where)
     same = obligation.files.get(PERMISSIONS_XML) == content
     name, offset = (PERMISSIONS_XML, 0) if same else (PERMISSIONS_P7S, signed.lines_before(content, file))
-    asked = Content(
-        content,
-        f"{folder}/{name}",
-        offset,
+    held = Held(
         subject_name(_file(obligation, CERTIFICATE), Origin(f"{folder}/{CERTIFICATE}")),
         obligation.rules,
         obligation.distro,
@@ -42,7 +40,7 @@ def prove(obligation: Obligation, *, models: Sequence[str] | None = None) -> tup
         obligation.states,
         obligation.go_on,
     )
-    return prove_content(asked, models=models)
+    return prove_content(content, (f"{folder}/{name}", offset), held, models=models)
 
 
 def _file(obligation: Obligation, name: str) -> bytes:

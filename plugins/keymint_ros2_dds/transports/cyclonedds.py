@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import ExitStack
-from functools import cached_property
 from pathlib import Path
 from typing import cast
 
-from keymint.api import Enclave, Surroundings, Tier, Usable, Verdict
+from keymint.api import Tier, Usable, Verdict
 from keymint.errors import KeymintError, Origin
 from keymint.graph import Edge
 from keymint.pki import smime
@@ -18,26 +17,24 @@ from keymint_ros2_dds.decision.refusals import stops_cyclone
 from keymint_ros2_dds.endpoints import endpoints
 from keymint_ros2_dds.install import PERMISSIONS_P7S
 from keymint_ros2_dds.transports import files, real
-from keymint_ros2_dds.transports.exchange import exchange
+from keymint_ros2_dds.transports.real_transport import RealTransport
 from keymint_ros2_dds.transports.simulated import Courts
 from keymint_ros2_dds.vendors import probes
 from keymint_ros2_dds.vendors.cyclone_access_control import AccessControl, Direction
 from keymint_ros2_dds.vendors.participants import CycloneDDS
 
 
-class CycloneDDSTransport:
-    """Implements :class:`keymint.api.Transport`."""
+class CycloneDDSTransport(RealTransport):
+    """Cyclone DDS; its access-control plugin decides without participants."""
 
-    def __init__(self, surroundings: Surroundings) -> None:
-        self._surroundings = surroundings
+    NAME = "cyclonedds"
+    MODEL = CYCLONEDDS_0_10
+    VENDOR = CycloneDDS
+    PROBE = probes.CYCLONEDDS
+    NONCONFORMING = probes.CYCLONEDDS_NONCONFORMING
 
-    def usable(self) -> Usable:
-        """Tell which tiers can be used here: without a compiler and headers, the decision alone."""
-        return self._usable
-
-    @cached_property
-    def _usable(self) -> Usable:
-        environment = self._surroundings.environment
+    def _found(self, environment: Mapping[str, str]) -> Usable:
+        """Without a compiler and headers there is the decision alone."""
         try:
             probes.require_cyclone_plugins()
         except probes.MissingVendorError as error:
@@ -49,29 +46,8 @@ class CycloneDDSTransport:
             return Usable(usable=True, version=version, reason=error.reason, help=error.help, tiers=(Tier.DECISION,))
         return Usable(usable=True, version=version, tiers=tuple(Tier))
 
-    def label(self, enclaves: Sequence[Enclave], edges: Iterable[Edge], tier: Tier) -> Iterator[tuple[Edge, Verdict]]:
-        """See :meth:`keymint.api.Transport.label`."""
-        usable = self.usable()
-        if tier not in usable.tiers:
-            raise real.refused(tier, usable, "cyclonedds")
-        courts = Courts(enclaves, self._surroundings.now)
-        if tier is Tier.DECISION:
-            return _decision(courts, edges)
-        vendor = self._vendor(nonconforming=tier is Tier.EXCHANGE)
-        if tier is Tier.ADMISSION:
-            return real.admission(vendor, CYCLONEDDS_0_10, courts, edges)
-        return exchange(vendor, CYCLONEDDS_0_10, courts, enclaves, edges)
-
-    def _vendor(self, *, nonconforming: bool) -> CycloneDDS:
-        cache, environment = self._surroundings.cache / "probes", probes.inherited(self._surroundings.environment)
-        try:
-            return CycloneDDS(
-                probes.CYCLONEDDS.build(cache, environment),
-                environment,
-                probes.CYCLONEDDS_NONCONFORMING.build(cache, environment) if nonconforming else None,
-            )
-        except (probes.MissingVendorError, OSError) as error:
-            raise KeymintError(str(error), code="transport-unusable") from None
+    def _decision(self, courts: Courts, edges: Iterable[Edge]) -> Iterator[tuple[Edge, Verdict]]:
+        return _decision(courts, edges)
 
 
 def _decision(courts: Courts, edges: Iterable[Edge]) -> Iterator[tuple[Edge, Verdict]]:

@@ -6,7 +6,7 @@ from unittest import mock
 
 import pytest
 from keymint_ros2_dds import build_type
-from keymint_ros2_dds.proving import Content, content, prove_content
+from keymint_ros2_dds.proving import Held, content, prove_content
 
 from keymint.api import BuildOptions, DomainRange, Proof
 from tests.plugins.keymint_ros2_dds.packages import package, rule
@@ -14,19 +14,16 @@ from tests.plugins.keymint_ros2_dds.packages import package, rule
 LOADED = package(rule("ALLOW", "ros_topic", "ros_publish", "/once"))
 
 
-def asked(document: bytes, loaded=LOADED, **fields) -> Content:
+def proven(document: bytes, *, models=None, **fields):
     usual = {
-        "content": document,
-        "file": "permissions.xml",
-        "offset": 0,
         "subject_name": "CN=/talker,OU=x1",
-        "rules": loaded.permissions.rules,
+        "rules": LOADED.permissions.rules,
         "distro": "jazzy",
-        "domains": loaded.permissions.domains,
+        "domains": LOADED.permissions.domains,
         "states": 1000,
         "go_on": lambda: True,
     }
-    return Content(**{**usual, **fields})
+    return prove_content(document, ("permissions.xml", 0), Held(**{**usual, **fields}), models=models)
 
 
 @pytest.fixture
@@ -37,7 +34,7 @@ def document() -> bytes:
 
 def test_what_was_built_is_known_when_it_is_installed(document: bytes) -> None:
     with mock.patch.object(content, "prove_document", side_effect=AssertionError("asked again")):
-        claims = prove_content(asked(document))
+        claims = proven(document)
     assert {claim.proof for claim in claims} == {Proof.PROVEN}
 
 
@@ -48,22 +45,23 @@ def test_what_was_built_is_known_when_it_is_installed(document: bytes) -> None:
         {"subject_name": "CN=/talker,OU=x2"},
         {"domains": (DomainRange(0, 1),)},
         {"distro": "ardent"},
-        {"content": b""},
     ],
     ids=lambda fields: next(iter(fields)),
 )
 def test_another_question_is_asked(document: bytes, fields) -> None:
-    altered = document.replace(b"rt/once", b"rt/twice")
-    other = asked(document, **{**fields, **({"content": altered} if "content" in fields else {})})
-    assert {claim.proof for claim in prove_content(other)} != {Proof.PROVEN}
+    assert {claim.proof for claim in proven(document, **fields)} != {Proof.PROVEN}
+
+
+def test_another_document_is_asked_about(document: bytes) -> None:
+    assert {claim.proof for claim in proven(document.replace(b"rt/once", b"rt/twice"))} != {Proof.PROVEN}
 
 
 def test_models_are_asked_each(document: bytes) -> None:
-    assert {claim.model for claim in prove_content(asked(document), models=("omg",))} == {"omg"}
+    assert {claim.model for claim in proven(document, models=("omg",))} == {"omg"}
 
 
 def test_what_was_refuted_is_not_remembered(document: bytes) -> None:
-    wrong = asked(document.replace(b"rt/once", b"rt/twice"))
     known = dict(content._proven)
-    assert any(claim.proof is Proof.COUNTEREXAMPLE for claim in prove_content(wrong))
+    claims = proven(document.replace(b"rt/once", b"rt/twice"))
+    assert any(claim.proof is Proof.COUNTEREXAMPLE for claim in claims)
     assert content._proven == known

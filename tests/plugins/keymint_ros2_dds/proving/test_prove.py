@@ -285,16 +285,9 @@ def test_only_the_models_that_are_asked_for(models):
 def test_a_document_that_is_not_signed_yet(old, new):
     content = ENCLAVE["permissions.xml"].decode().replace(old, new).encode()
     rules = PLAIN.permissions.rules
-    question = proving.Question(
-        decision.read(content),
-        subject_name(ENCLAVE["cert.pem"], Origin("cert.pem")),
-        rules,
-        lower(rules, PLAIN.distro),
-        PLAIN.distro,
-        PLAIN.permissions.domains,
-        states=200_000,
-        go_on=lambda: True,
-    )
+    name = subject_name(ENCLAVE["cert.pem"], Origin("cert.pem"))
+    held = proving.Held(name, rules, PLAIN.distro, PLAIN.permissions.domains, states=200_000, go_on=lambda: True)
+    question = proving.Question(decision.read(content), held, lower(rules, PLAIN.distro))
     found = proving.prove_document(question)
     signed = proving.prove(obligation(PLAIN, {**ENCLAVE, "permissions.xml": content, "permissions.p7s": sign(content)}))
     assert [(claim.model, claim.action, claim.proof) for claim in found] == [

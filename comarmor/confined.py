@@ -1,0 +1,113 @@
+"""Files of a policy, confined to its folder: no ``..`` and no symbolic link leads outside, and no file is endless."""
+
+from __future__ import annotations
+
+import errno
+import os
+import posixpath
+import stat
+from dataclasses import dataclass
+from pathlib import Path
+
+from comarmor.errors import ComArmorError, Location, did_you_mean, quoted
+
+
+@dataclass(frozen=True, slots=True)
+class Folder:
+    """A folder that includes are confined to: resolved, and as the user would type it."""
+
+    real: Path
+    shown: str
+
+    def name(self, relative: str) -> str:
+        """Return the path of a file in this folder as the user would type it."""
+        return printable(relative if self.shown == "." else posixpath.join(self.shown, relative))
+
+
+def resolve(folder: Folder, relative: str, where: Location) -> Path:
+    """Return the resolved path of a file in a folder, whether or not it exists.
+
+    Raises:
+        ComArmorError: it lies outside of the folder, also if only by ``..`` or a symbolic link.
+    """
+    outside = relative.split("/", 1)[0] == ".."
+    try:
+        real = (folder.real / relative).resolve()
+    except (OSError, RuntimeError, ValueError) as error:
+        raise ComArmorError(unreadable(error, "the file"), where=where, code="unreadable") from None
+    if outside or not real.is_relative_to(folder.real):
+        raise ComArmorError(
+            f"{quoted(relative, 200)} is outside of the policy's folder {quoted(printable(folder.shown), 200)}",
+            where=where,
+            help="copy the file into the folder, and include the copy",
+            code="include-outside",
+        )
+    return real
+
+
+def exists(folder: Folder, relative: str, where: Location) -> bool:
+    """Tell whether there is something at a path in a folder.
+
+    Raises:
+        ComArmorError: it lies outside of the folder, or cannot be looked at.
+    """
+    try:
+        resolve(folder, relative, where).lstat()
+    except (FileNotFoundError, NotADirectoryError):
+        return False
+    except OSError as error:
+        raise ComArmorError(unreadable(error, "the file"), where=where, code="unreadable") from None
+    return True
+
+
+def confined(folder: Folder, relative: str, where: Location) -> Path:
+    """Return the resolved path of a file that must exist in a folder."""
+    if not exists(folder, relative, where):
+        raise ComArmorError("the file does not exist", where=where, code="unreadable")
+    return resolve(folder, relative, where)
+
+
+def read_bounded(folder: Path, real: Path, size: int) -> bytes:
+    """Return at most so many bytes of a regular file below a folder.
+
+    Each step is opened relative to the one before and none may be a symbolic link, so that a path which was resolved
+    and found to lie inside cannot be swapped for one that leads outside.
+    """
+    *folders, last = real.relative_to(folder).parts
+    here = os.open(folder, os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC)
+    try:
+        for part in folders:
+            inner = os.open(part, os.O_RDONLY | os.O_DIRECTORY | os.O_NOFOLLOW | os.O_CLOEXEC, dir_fd=here)
+            os.close(here)
+            here = inner
+        # Not blocking: a named pipe must not hold the tool up before it is seen not to be a file.
+        file = os.open(last, os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK | os.O_CLOEXEC, dir_fd=here)
+    finally:
+        os.close(here)
+    with os.fdopen(file, "rb") as stream:
+        if not stat.S_ISREG(os.fstat(file).st_mode):
+            raise OSError(errno.EINVAL, "it is not a regular file")
+        return stream.read(size)
+
+
+def nearest(folder: Folder, relative: str) -> str:
+    """Return a hint at a file beside the missing one that has nearly its name."""
+    beside = folder.real / posixpath.dirname(relative)
+    try:
+        names = [entry.name for entry in beside.iterdir()]
+    except OSError:
+        return ""
+    return did_you_mean(posixpath.basename(relative), names)
+
+
+def unreadable(error: Exception, what: str) -> str:
+    """Return in words why something cannot be read."""
+    if isinstance(error, FileNotFoundError):
+        return f"{what} does not exist"
+    reason = error.strerror if isinstance(error, OSError) and error.strerror else str(error)
+    return f"{what} cannot be read: {reason}"
+
+
+def printable(path: str) -> str:
+    """Return a path as text that can be printed, whatever bytes its name has."""
+    return path.encode("utf-8", "surrogateescape").decode("utf-8", "backslashreplace")

@@ -1,0 +1,79 @@
+"""What the transports of real vendors share: what can be used, tier by tier, and how their probes are built."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from functools import cached_property
+from typing import ClassVar
+
+from keymint.api import Enclave, Surroundings, Tier, Usable, Verdict
+from keymint.errors import KeymintError
+from keymint.graph import Edge
+from keymint_ros2_dds.decision import Variation
+from keymint_ros2_dds.transports import real
+from keymint_ros2_dds.transports.exchange import exchange
+from keymint_ros2_dds.transports.simulated import Courts
+from keymint_ros2_dds.vendors import probes
+from keymint_ros2_dds.vendors.participants import CycloneDDS, FastDDS, Vendor
+
+
+class RealTransport(ABC):
+    """Implements :class:`keymint.api.Transport` with participants of a vendor.
+
+    Attributes:
+        NAME: the transport's name.
+        MODEL: the model of the vendor, to explain what it decides.
+        VENDOR: how participants are started.
+        PROBE: how the program is built that they run in.
+        NONCONFORMING: how the library is built with which a participant ignores its own permissions.
+    """
+
+    NAME: ClassVar[str]
+    MODEL: ClassVar[Variation]
+    VENDOR: ClassVar[type[CycloneDDS | FastDDS]]
+    PROBE: ClassVar[probes.Probe]
+    NONCONFORMING: ClassVar[probes.Probe]
+
+    def __init__(self, surroundings: Surroundings) -> None:
+        self._surroundings = surroundings
+
+    def usable(self) -> Usable:
+        """Tell which tiers can be used here; looked for once."""
+        return self._usable
+
+    @cached_property
+    def _usable(self) -> Usable:
+        return self._found(self._surroundings.environment)
+
+    @abstractmethod
+    def _found(self, environment: Mapping[str, str]) -> Usable:
+        """Look for what the tiers need."""
+
+    def label(self, enclaves: Sequence[Enclave], edges: Iterable[Edge], tier: Tier) -> Iterator[tuple[Edge, Verdict]]:
+        """See :meth:`keymint.api.Transport.label`."""
+        usable = self.usable()
+        if tier not in usable.tiers:
+            raise real.refused(tier, usable, self.NAME)
+        courts = Courts(enclaves, self._surroundings.now)
+        if tier is Tier.DECISION:
+            return self._decision(courts, edges)
+        vendor = self._vendor(nonconforming=tier is Tier.EXCHANGE)
+        if tier is Tier.ADMISSION:
+            return real.admission(vendor, self.MODEL, courts, edges)
+        return exchange(vendor, self.MODEL, courts, enclaves, edges)
+
+    def _decision(self, courts: Courts, edges: Iterable[Edge]) -> Iterator[tuple[Edge, Verdict]]:
+        """Ask for decisions alone; of a vendor that cannot be asked without a participant, by admission."""
+        return real.admission(self._vendor(nonconforming=False), self.MODEL, courts, edges)
+
+    def _vendor(self, *, nonconforming: bool) -> Vendor:
+        cache, environment = self._surroundings.cache / "probes", probes.inherited(self._surroundings.environment)
+        try:
+            return self.VENDOR(
+                self.PROBE.build(cache, environment),
+                environment,
+                self.NONCONFORMING.build(cache, environment) if nonconforming else None,
+            )
+        except (probes.MissingVendorError, OSError) as error:
+            raise KeymintError(str(error), code="transport-unusable") from None
