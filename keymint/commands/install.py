@@ -9,7 +9,7 @@ import click
 from keymint.commands.build import no_packages
 from keymint.commands.common import Run, complete_package, verb
 from keymint.commands.profile_options import add_options
-from keymint.commands.proving import PROVING_OPTIONS, proven
+from keymint.commands.proving import PROVING_OPTIONS, proven, standard_only_option
 from keymint.plan.authorities import plan_authorities
 from keymint.plan.create import policy_changed, recall_policy
 from keymint.plan.inputs import Inputs, Sources
@@ -22,11 +22,7 @@ from keymint.report import Report
 @click.argument("names", nargs=-1, metavar="[NAME]...", shell_complete=complete_package)
 @click.option("--prune", is_flag=True, help="Remove installed enclaves that have no source package any more.")
 @add_options(PROVING_OPTIONS)
-@click.option(
-    "--allow-vendor-specific",
-    is_flag=True,
-    help="Prove documents as the standard reads them only, as they were built with --allow-vendor-specific.",
-)
+@standard_only_option
 def install(run: Run, names: tuple[str, ...], prune: bool, prove: bool, allow_vendor_specific: bool) -> Report:
     """Sign what is in build/ and stage it in install/, one complete enclave per subject.
 

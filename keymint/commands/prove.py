@@ -9,6 +9,7 @@ import click
 
 from keymint.api import Claim, Counterexample, Proof
 from keymint.commands.common import Run, complete_package, verb
+from keymint.commands.proving import standard_only_option
 from keymint.errors import Diagnostic, ExitCode, Origin, Severity
 from keymint.graph import Edge
 from keymint.plan.create import recall_policy
@@ -39,11 +40,7 @@ STATES = 500_000
     show_default=True,
     help="Give a question up after so many states.",
 )
-@click.option(
-    "--allow-vendor-specific",
-    is_flag=True,
-    help="Read documents as the standard does only, as they were built with --allow-vendor-specific.",
-)
+@standard_only_option
 def prove(run: Run, names: tuple[str, ...], seconds: float, states: int, allow_vendor_specific: bool) -> Report:
     """Prove that installed documents permit exactly what the policy says, for every name there is.
 

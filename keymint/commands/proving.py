@@ -24,6 +24,12 @@ PROVING_OPTIONS: Sequence[Callable[[Any], Any]] = (
     ),
 )
 
+standard_only_option = click.option(
+    "--allow-vendor-specific",
+    is_flag=True,
+    help="Prove documents as the standard reads them only, as they were built with --allow-vendor-specific.",
+)
+
 
 def proven(
     run: Run,

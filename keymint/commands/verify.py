@@ -10,6 +10,7 @@ import click
 from keymint.api import Tier
 from keymint.commands.common import Run, complete_package, verb
 from keymint.commands.files import read_input, write_outputs
+from keymint.commands.transport_option import transport_option
 from keymint.commands.verify_report import labelled_edges, write_report
 from keymint.errors import ExitCode
 from keymint.graph_json import load
@@ -41,14 +42,7 @@ _FILE = click.Path(path_type=Path, dir_okay=False)
     help="Complete this graph (docs/graph.md): every subject with every permission on every object. By default the "
     "objects are what the policy mentions, and names that probe its patterns.",
 )
-@click.option(
-    "-t",
-    "--transport",
-    "chosen",
-    multiple=True,
-    metavar="NAME",
-    help="Ask this transport; may be given again. By default all that 'keymint transports' says are usable.",
-)
+@transport_option
 @click.option(
     "--tier",
     type=click.Choice([str(tier) for tier in Tier]),

@@ -10,12 +10,13 @@ import click
 
 from keymint.api import AppliedProfile, Tier
 from keymint.commands.common import Run, verb
+from keymint.commands.transport_option import transport_option
 from keymint.errors import Diagnostic, ExitCode, Origin, Severity
 from keymint.graph import LABELLED, Edge
 from keymint.plan.create import load_policy
 from keymint.report import Report
 from keymint.verify.choose import choose, models
-from keymint.verify.report import edge_document, place, remedy
+from keymint.verify.report import edge_document, place, remedy, transport_document
 from keymint.verify.why import Explanation, Place, explain, request
 from keymint.verify.words import does, in_words, in_words_of_rule, listed, of_document, plain
 from keymint.verify.words import request as shown_request
@@ -30,14 +31,7 @@ _PERMISSIONS = [permission for permissions in LABELLED.values() for permission i
 @click.argument("object_name", metavar="OBJECT")
 @click.option("--partition", "partitions", multiple=True, metavar="NAME", help="DDS partition; may be given again.")
 @click.option("--domain", type=click.IntRange(0, 232), default=0, show_default=True, help="DDS domain id.")
-@click.option(
-    "-t",
-    "--transport",
-    "chosen",
-    multiple=True,
-    metavar="NAME",
-    help="Ask this transport; may be given again. By default all that 'keymint transports' says are usable.",
-)
+@transport_option
 def why(
     run: Run,
     subject: str,
@@ -184,15 +178,7 @@ def _document(found: Explanation, typed: Callable[[str], str]) -> dict[str, Any]
         ],
         "installed": found.installed,
         "transports": [
-            {
-                "name": name,
-                "allowed": label.verdict.allowed,
-                "reason": label.reason,
-                "said": label.verdict.reason,
-                "rule": place(label.document, typed),
-                "deviation": label.verdict.deviation or None,
-                "explained_by": label.model or None,
-            }
+            {"name": name, **transport_document(label.verdict, label.reason, label.document, label.model, typed)}
             for name, label in found.labels.items()
         ],
     }

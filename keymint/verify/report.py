@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Any
 
+from keymint.api import Verdict
 from keymint.errors import Diagnostic, Origin, Severity
 from keymint.graph import Edge
 from keymint.verify.model import Confusion, Error, Finding, Outcome
@@ -115,14 +116,7 @@ def _finding(finding: Finding, typed: Callable[[str], str]) -> dict[str, Any]:
             "rule": place(finding.policy.where, typed),
             "audit": finding.policy.audit,
         },
-        "transport": {
-            "allowed": finding.verdict.allowed,
-            "reason": finding.reason,
-            "said": finding.verdict.reason,
-            "rule": place(finding.document, typed),
-            "deviation": finding.verdict.deviation or None,
-            "explained_by": finding.model or None,
-        },
+        "transport": transport_document(finding.verdict, finding.reason, finding.document, finding.model, typed),
     }
 
 
@@ -135,6 +129,28 @@ def edge_document(edge: Edge) -> dict[str, Any]:
         "object": edge.object.name,
         "partitions": list(edge.object.partitions),
         "domain": edge.domain,
+    }
+
+
+def transport_document(
+    verdict: Verdict, reason: str, document: Origin | None, model: str, typed: Callable[[str], str]
+) -> dict[str, Any]:
+    """Return what a transport decides as what JSON can hold.
+
+    Args:
+        verdict: what it decides, and says itself.
+        reason: why it does.
+        document: the rule in the enclave's document that decides.
+        model: the simulated transport that explains it, or empty.
+        typed: returns a path as the user would type it.
+    """
+    return {
+        "allowed": verdict.allowed,
+        "reason": reason,
+        "said": verdict.reason,
+        "rule": place(document, typed),
+        "deviation": verdict.deviation or None,
+        "explained_by": model or None,
     }
 
 
