@@ -44,7 +44,15 @@ from keymint.api.policies import (
     Structure,
     StructuredPolicy,
 )
-from keymint.api.profiles import Bootstrap, PackageType, PolicySource, Profile, ProfileType, RulePlaces
+from keymint.api.profiles import (
+    Bootstrap,
+    PackageType,
+    PolicySource,
+    Profile,
+    ProfileSettings,
+    ProfileType,
+    RulePlaces,
+)
 from keymint.api.proving import Claim, Counterexample, Obligation, Proof, Prover
 from keymint.api.transports import Enclave, Surroundings, Tier, Transport, TransportType, Usable, Verdict
 
@@ -89,6 +97,7 @@ __all__ = [
     "PolicySource",
     "PolicyType",
     "Profile",
+    "ProfileSettings",
     "ProfileType",
     "Proof",
     "Prover",

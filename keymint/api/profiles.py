@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from datetime import datetime
 from pathlib import Path
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 from keymint.api.certificates import Authority
 from keymint.api.packages import Package
@@ -110,6 +110,20 @@ class ProfileType(Protocol):
 
         Raises:
             KeymintError: the profile's list of policies was edited by hand, so that it is not ours to change.
+        """
+
+
+@runtime_checkable
+class ProfileSettings(Protocol):
+    """What a profile type may offer beside :class:`ProfileType`: the settings that ``keymint init`` has options for."""
+
+    def settings(self, profile: Profile) -> Mapping[str, str]:
+        """Return the present value of each option, as text, by the option's name (``distro``, ``domain``, …).
+
+        An option that is left out is not a setting of this profile type.
+
+        Raises:
+            KeymintError: with ``file:line`` of a defect.
         """
 
 

@@ -8,8 +8,13 @@ import click
 
 from keymint.api import Bootstrap
 from keymint.commands.common import Run, verb
-from keymint.commands.profile_options import PROFILE_OPTIONS, add_options
-from keymint.errors import ExitCode, KeymintError, Origin
+from keymint.commands.profile_options import (
+    DEFAULT_PROFILE_TYPE,
+    PROFILE_OPTIONS,
+    add_options,
+    refuse_contradiction,
+)
+from keymint.errors import KeymintError, Origin
 from keymint.plan.authorities import plan_authorities
 from keymint.plan.bootstrap import plan_init, policy_path
 from keymint.plan.inputs import Inputs
@@ -31,7 +36,7 @@ def init(
     run: Run,
     folder: Path | None,
     policy: Path | None,
-    profile_type: str,
+    profile_type: str | None,
     distro: str | None,
     domain: int | None,
     layout: str | None,
@@ -45,6 +50,7 @@ def init(
     """
     workspace = run.workspace_at(folder)
     asked = {
+        "profile-type": profile_type,
         "distro": distro,
         "layout": layout,
         "domain": domain,
@@ -52,29 +58,20 @@ def init(
         "policy": policy,
     }
     if workspace.exists():
-        return _again(run, workspace, {key for key, value in asked.items() if value is not None})
+        refuse_contradiction(run, workspace, asked)
+        return _again(run, workspace)
     request = bootstrap_request(run, workspace, policy, distro, domain, layout, subject_format)
 
     def make_plan(inputs: Inputs) -> Plan:
-        plan = plan_init(inputs, profile_type, request)
+        plan = plan_init(inputs, profile_type or DEFAULT_PROFILE_TYPE, request)
         after = inputs.after(plan)
         return plan.then(plan_authorities(after, after.profile())[0])
 
     return run.carry_out(workspace, make_plan)
 
 
-def _again(run: Run, workspace: Workspace, asked: set[str]) -> Report:
-    """Say that a workspace exists; refuse options that it would have to be changed for."""
-    where = workspace.shown(workspace.profile / "keymint_profile.xml")
-    if asked:
-        options = ", ".join(f"--{option}" for option in sorted(asked))
-        raise KeymintError(
-            f"is a workspace already, so {options} cannot take effect",
-            where=Origin(where),
-            help="edit the profile, or name another folder",
-            code="workspace-exists",
-            exit_code=ExitCode.FAILURE,
-        )
+def _again(run: Run, workspace: Workspace) -> Report:
+    """Complete the authorities of a workspace that exists."""
 
     def make_plan(inputs: Inputs) -> Plan:
         plan = plan_authorities(inputs, inputs.profile())[0]

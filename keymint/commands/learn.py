@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, cast
@@ -12,7 +13,7 @@ from keymint import graph_json
 from keymint.api import Learned, LoadedPolicy, PolicyLearner, PolicySource
 from keymint.commands.common import Run, verb
 from keymint.commands.files import read_input, write_outputs
-from keymint.errors import Diagnostic, ExitCode, KeymintError, Origin
+from keymint.errors import Diagnostic, ExitCode, KeymintError, Origin, Severity
 from keymint.graph import Edge
 from keymint.report import Report, as_typed
 
@@ -76,7 +77,9 @@ def learn(
         fragments = {f"{folder}/{name}": content for name, content in learned.fragments.items()}
         written = write_outputs(run, output, learned.document, fragments)
     _tell(run, learned, output, written, against=policy is not None)
+    domains = sorted({edge.domain for edge in wanted.edges})
     result: dict[str, Any] = {
+        "domains": domains,
         "file": str(output) if output and learned.document else None,
         "written": written,
         "policy": None if output else learned.document.decode(),
@@ -84,7 +87,28 @@ def learn(
         "unused": [_place(found) for found in learned.unused],
     }
     code = ExitCode.FINDINGS if learned.conflicts else ExitCode.DONE
-    return Report(run.verb, None, (), (*learned.conflicts, *learned.unused), result, code, dry_run=run.dry_run)
+    return Report(
+        run.verb,
+        None,
+        (),
+        (*learned.conflicts, *learned.unused, *_about_domains(domains, output)),
+        result,
+        code,
+        dry_run=run.dry_run,
+    )
+
+
+def _about_domains(domains: Sequence[int], output: Path | None) -> Iterator[Diagnostic]:
+    """Yield a warning where the workspace must be told the domain, since a policy has no place for it."""
+    if domains in ([], [0]):
+        return
+    if len(domains) == 1:
+        message = f"the graph was taken in DDS domain {domains[0]}, and a policy holds no domain"
+        help_ = f"keymint provision {output or 'POLICY'} --domain {domains[0]}"
+    else:
+        message = f"the graph has DDS domains {', '.join(map(str, domains))}; the policy allows all of it in each"
+        help_ = "to keep the domains apart, discover and learn each by itself, with a workspace for each"
+    yield Diagnostic("learn-domain", Severity.WARNING, message, Origin(str(output)) if output else None, help_)
 
 
 def _existing(run: Run, policy: Path, policy_type: str, profile_type: str, distro: str | None) -> LoadedPolicy:

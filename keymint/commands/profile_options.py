@@ -2,18 +2,23 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import click
 
+from keymint.api import ProfileSettings
+from keymint.commands.common import Run
+from keymint.errors import KeymintError, Origin
+from keymint.workspace import PROFILE_MARKER, Workspace
+
+DEFAULT_PROFILE_TYPE = "keymint_ros"
+
 PROFILE_OPTIONS: Sequence[Callable[[Any], Any]] = (
     click.option(
         "--profile-type",
-        default="keymint_ros",
-        show_default=True,
         metavar="NAME",
-        help="Plugin that makes the profile ('keymint plugins' lists them).",
+        help=f"Plugin that makes the profile; 'keymint plugins' lists them [{DEFAULT_PROFILE_TYPE}].",
     ),
     click.option("--distro", metavar="NAME", help="ROS 2 distribution [$ROS_DISTRO, else jazzy]."),
     click.option("--domain", type=click.IntRange(0, 230), metavar="N", help="DDS domain id [0]."),
@@ -39,3 +44,33 @@ def add_options(options: Sequence[Callable[[Any], Any]]) -> Callable[[Any], Any]
         return function
 
     return decorate
+
+
+def refuse_contradiction(run: Run, workspace: Workspace, asked: Mapping[str, object]) -> None:
+    """Refuse an option that differs from the profile of an existing workspace.
+
+    Args:
+        run: the verb under way.
+        workspace: the existing workspace.
+        asked: values by option name; None for an option that was not given.
+
+    Raises:
+        KeymintError: the profile has another value, or it does not have this setting.
+    """
+    given = {option: str(value) for option, value in asked.items() if value is not None}
+    if not given:
+        return
+    profile = run.inputs(workspace).profile().profile
+    profile_type = run.plugins.profile_type(profile.profile_type)
+    present = {"profile-type": profile.profile_type}
+    if isinstance(profile_type, ProfileSettings):
+        present |= profile_type.settings(profile)
+    for option, value in given.items():
+        if present.get(option) != value:
+            has = f"has {option} {present[option]!r}" if option in present else f"exists and keeps its {option}"
+            raise KeymintError(
+                f"the workspace {has}, so --{option} {value} cannot take effect",
+                where=Origin(workspace.shown(workspace.profile / PROFILE_MARKER)),
+                help="edit the files of the profile, or name another workspace",
+                code="workspace-exists",
+            )

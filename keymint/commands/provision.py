@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 
@@ -11,7 +10,12 @@ import click
 from keymint.commands.build_options import BUILD_OPTIONS, build_options
 from keymint.commands.common import Run, verb
 from keymint.commands.init import bootstrap_request
-from keymint.commands.profile_options import PROFILE_OPTIONS, add_options
+from keymint.commands.profile_options import (
+    DEFAULT_PROFILE_TYPE,
+    PROFILE_OPTIONS,
+    add_options,
+    refuse_contradiction,
+)
 from keymint.commands.proving import PROVING_OPTIONS, proven
 from keymint.errors import KeymintError, Origin
 from keymint.plan.authorities import plan_authorities
@@ -35,7 +39,7 @@ from keymint.report import Report
 def provision(
     run: Run,
     policy: Path,
-    profile_type: str,
+    profile_type: str | None,
     distro: str | None,
     domain: int | None,
     layout: str | None,
@@ -55,14 +59,20 @@ def provision(
     it is proven to permit exactly what the policy says, for every name there is.
     """
     workspace = run.workspace_at(None)
-    asked = {"distro": distro, "domain": domain, "layout": layout, "subject-format": subject_format}
+    asked = {
+        "profile-type": profile_type,
+        "distro": distro,
+        "domain": domain,
+        "layout": layout,
+        "subject-format": subject_format,
+    }
     hinted = build_options(run, allow_vendor_specific=allow_vendor_specific, optimise=optimise, hints=hints)
     request = bootstrap_request(run, workspace, policy, distro, domain, layout, subject_format)
-    if workspace.exists() and any(value is not None for value in asked.values()):
-        _refuse_contradiction(run, asked)
+    if workspace.exists():
+        refuse_contradiction(run, workspace, asked)
 
     def make_plan(inputs: Inputs) -> Plan:
-        plan = _profile_plan(inputs, profile_type)
+        plan = _profile_plan(inputs)
         after = inputs.after(plan)
         loaded = after.profile()
         sources = Sources(run.plugins)
@@ -90,24 +100,9 @@ def provision(
         after = after.after(installed)
         return proven(run, after, loaded, names, sources, acquired, plan, standard_only=allow_vendor_specific)
 
-    def _profile_plan(inputs: Inputs, profile_type: str) -> Plan:
+    def _profile_plan(inputs: Inputs) -> Plan:
         if not inputs.workspace.exists():
-            return plan_init(inputs, profile_type, request)
+            return plan_init(inputs, profile_type or DEFAULT_PROFILE_TYPE, request)
         return plan_policy(inputs, inputs.profile(), policy_path(run.setting.cwd / policy, inputs.workspace.profile))
 
     return run.carry_out(workspace, make_plan)
-
-
-def _refuse_contradiction(run: Run, asked: Mapping[str, object]) -> None:
-    """Refuse an option that would have to change a profile that is there; one that it has already is no change."""
-    workspace = run.workspace_at(None)
-    profile = run.inputs(workspace).profile().profile
-    same = {"distro": profile.distro, "layout": profile.layout}
-    for option, value in asked.items():
-        if value is not None and option in same and same[option] != value:
-            raise KeymintError(
-                f"the workspace has {option} {same[option]!r}, not {value!r}",
-                where=Origin(workspace.shown(workspace.profile / "keymint_profile.xml")),
-                help="edit the profile, or name another workspace",
-                code="workspace-exists",
-            )

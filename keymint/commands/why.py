@@ -17,7 +17,7 @@ from keymint.plan.create import load_policy
 from keymint.report import Report
 from keymint.verify.choose import choose, models
 from keymint.verify.report import edge_document, place, remedy, transport_document
-from keymint.verify.why import Explanation, Place, explain, request
+from keymint.verify.why import Explanation, Place, explain, request, usual_domain
 from keymint.verify.words import does, in_words, in_words_of_rule, listed, of_document, plain
 from keymint.verify.words import request as shown_request
 from keymint.workspace import shown
@@ -30,7 +30,9 @@ _PERMISSIONS = [permission for permissions in LABELLED.values() for permission i
 @click.argument("permission", shell_complete=lambda _c, _p, text: [p for p in _PERMISSIONS if p.startswith(text)])
 @click.argument("object_name", metavar="OBJECT")
 @click.option("--partition", "partitions", multiple=True, metavar="NAME", help="DDS partition; may be given again.")
-@click.option("--domain", type=click.IntRange(0, 232), default=0, show_default=True, help="DDS domain id.")
+@click.option(
+    "--domain", type=click.IntRange(0, 232), metavar="N", help="DDS domain id [the first of the subject's grant]."
+)
 @transport_option
 def why(
     run: Run,
@@ -38,7 +40,7 @@ def why(
     permission: str,
     object_name: str,
     partitions: tuple[str, ...],
-    domain: int,
+    domain: int | None,
     chosen: tuple[str, ...],
 ) -> Report:
     """Explain why SUBJECT has PERMISSION on OBJECT, or has not: policy, package, DDS names, document, transports.
@@ -53,7 +55,8 @@ def why(
     workspace = run.workspace()
     inputs = run.inputs(workspace)
     loaded = inputs.profile()
-    edge = request(subject, permission, object_name, partitions, domain)
+    asked = usual_domain(inputs, loaded, subject) if domain is None else domain
+    edge = request(subject, permission, object_name, partitions, asked)
     transports = choose(run.plugins, chosen, Tier.DECISION)
     found = explain(inputs, loaded, load_policy(inputs, loaded), edge, transports, lambda: models(run.plugins))
 
@@ -106,7 +109,8 @@ def _lines(found: Explanation, typed: Callable[[str], str]) -> Iterator[str]:
         layers["package"] = ["there is none ('keymint create' makes it)"]
     layers["needs"] = [_need(each) for each in found.endpoints]
     layers["enclave"] = list(_labels(found, typed))
-    yield f"{shown_request(found.edge)}: the policy {does(found.policy.allowed)} it"
+    in_domain = f" in domain {found.edge.domain}" if found.edge.domain else ""
+    yield f"{shown_request(found.edge)}{in_domain}: the policy {does(found.policy.allowed)} it"
     for title, lines in layers.items():
         for index, line in enumerate(lines):
             yield f"{title if index == 0 else '':<10}{line}"

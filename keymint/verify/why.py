@@ -109,6 +109,20 @@ def request(subject: str, permission: str, name: str, partitions: Sequence[str],
     return Edge(full, permission, Object(kind, name, tuple(sorted(set(partitions)))), domain)
 
 
+def usual_domain(inputs: Inputs, loaded: LoadedProfile, subject: str) -> int:
+    """Return the first DDS domain of the grant of a subject; 0 where there is no package.
+
+    Raises:
+        KeymintError: the source package has defects.
+    """
+    name = subject.removeprefix("/")
+    if name not in packages(inputs.tree, inputs.workspace.src):
+        return 0
+    sources = Sources(inputs.plugins)
+    domains = sources.load(inputs, loaded, name, sources.files(inputs, name)).permissions.domains
+    return domains[0].first if domains else 0
+
+
 def explain(
     inputs: Inputs,
     loaded: LoadedProfile,

@@ -8,7 +8,7 @@ from pathlib import Path
 from keymint.api import API_VERSION, Bootstrap, Package, Profile
 from keymint.errors import Origin
 from keymint.ir import SubjectRules
-from keymint_ros import bootstrap, create, distros, package, profile
+from keymint_ros import bootstrap, create, distros, package, profile, settings
 from keymint_ros.manifest import MARKER
 
 
@@ -52,6 +52,14 @@ class RosProfileType:
             KeymintError: the profile's list of policies was edited by hand.
         """
         return profile.with_policy(files, policy)
+
+    def settings(self, profile: Profile) -> Mapping[str, str]:
+        """Return the value of each option of ``init``; see :class:`keymint.api.ProfileSettings`.
+
+        Raises:
+            KeymintError: the defaults of permissions have a defect, with its ``file:line``.
+        """
+        return settings.settings(profile)
 
 
 class RosPackageType:

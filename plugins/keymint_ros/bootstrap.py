@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 _AUTHORITIES = {"sros2": ("identity_ca", "permissions_ca"), "flat": ("ca", "ca")}
 """By layout: who issues identities, and who signs permissions. Ardent's layout has one ``ca.cert.pem`` for both."""
-_SUBJECT_NAMES = {"unique": "OU={unique},CN={common_name}", "sros2": "CN={subject}"}
+SUBJECT_NAMES = {"unique": "OU={unique},CN={common_name}", "sros2": "CN={subject}"}
 _MAX_DOMAIN = 230
 """Cyclone DDS refuses documents with a larger domain id."""
 _AUTHORITY_YEARS = 10
@@ -41,7 +41,7 @@ def bootstrap(request: Bootstrap) -> Mapping[str, bytes]:
     distros.check(request.distro)
     layout = request.layout or distros.layout(request.distro)
     _check_choice("layout", layout, _AUTHORITIES)
-    _check_choice("subject format", request.subject_format, _SUBJECT_NAMES)
+    _check_choice("subject format", request.subject_format, SUBJECT_NAMES)
     if not 0 <= request.domain <= _MAX_DOMAIN:
         raise KeymintError(
             f"the domain {request.domain} is not a DDS domain id from 0 to {_MAX_DOMAIN}",
@@ -60,7 +60,7 @@ def bootstrap(request: Bootstrap) -> Mapping[str, bytes]:
         "authorities": tuple(dict.fromkeys((issuer, signer))),
         "issuer": issuer,
         "signer": signer,
-        "subject_name": _SUBJECT_NAMES[request.subject_format],
+        "subject_name": SUBJECT_NAMES[request.subject_format],
         "not_before": _date(start),
         "authority_not_after": _date(start + timedelta(days=365 * _AUTHORITY_YEARS)),
         "package_not_after": _date(start + timedelta(days=365 * _PACKAGE_YEARS)),

@@ -39,9 +39,18 @@ def learn(graph: Graph, existing: comarmor.Policy | None, fragments: str) -> Lea
         needs[edge.subject].setdefault((kind, name), {}).setdefault(permission, set()).update(partitions)
     parts = share(needs) if fragments else ()
     return Learned(
-        document=document(needs, parts, fragments) if needs else b"",
+        document=document(needs, parts, fragments, _note(graph)) if needs else b"",
         fragments={part.name: fragment(part) for part in parts},
         missing=tuple(missing),
         conflicts=tuple(dict.fromkeys(conflicts)),
         unused=tuple(unused(existing, graph)) if existing else (),
     )
+
+
+def _note(graph: Graph) -> str:
+    """Return a comment on the domains that a policy has no place for; empty where they are the usual one."""
+    domains = sorted({edge.domain for edge in graph.edges})
+    if domains in ([], [0]):
+        return ""
+    listed = ", ".join(map(str, domains))
+    return f"Learned in DDS domain {listed}; this document holds no domain: its workspace does."

@@ -20,13 +20,14 @@ _ANY_SUBJECT = "*"
 _TYPICAL_INCLUDE = '    <xi:include href="policy.d/common_1.xml" parse="xml"/>\n'
 
 
-def document(needs: Mapping[str, Needs], parts: Sequence[CommonPart], folder: str) -> bytes:
+def document(needs: Mapping[str, Needs], parts: Sequence[CommonPart], folder: str, note: str = "") -> bytes:
     """Return the policy: one profile for each subject.
 
     Args:
         needs: what each subject needs.
         parts: what is stated in files of their own.
         folder: their folder, relative to the policy.
+        note: a comment to put in front of the policy; none if empty.
     """
     profiles = []
     for subject, found in literal_needs(needs).items():
@@ -35,7 +36,7 @@ def document(needs: Mapping[str, Needs], parts: Sequence[CommonPart], folder: st
         profiles.append(_profile(subject.removeprefix("/"), escape(subject), rules))
     text = comarmor.render(comarmor.Policy(tuple(profiles)))
     if not parts:
-        return text.encode()
+        return _noted(text.encode(), note)
     root = etree.fromstring(text.encode(), etree.XMLParser(remove_blank_text=True))
     included = etree.Element("profiles", nsmap={"xi": XI})
     for subject, element in zip(needs, list(root), strict=True):
@@ -43,7 +44,12 @@ def document(needs: Mapping[str, Needs], parts: Sequence[CommonPart], folder: st
         for part in reversed(parts):
             if subject in part.subjects:
                 element.insert(1, etree.Element(f"{{{XI}}}include", href=f"{folder}/{part.name}", parse="xml"))
-    return _written(included)
+    return _noted(_written(included), note)
+
+
+def _noted(policy: bytes, note: str) -> bytes:
+    """Put a comment in front of the root element."""
+    return policy.replace(b"<profiles", f"<!-- {note} -->\n<profiles".encode(), 1) if note else policy
 
 
 def fragment(part: CommonPart) -> bytes:

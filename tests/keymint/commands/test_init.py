@@ -7,6 +7,8 @@ from pathlib import Path
 import pytest
 from cryptography import x509
 
+from tests.conftest import snapshot
+
 
 def test_makes_a_workspace_with_two_self_signed_authorities(keymint, tmp_path: Path) -> None:
     outcome = keymint("init", "ws")
@@ -57,13 +59,49 @@ def test_again_changes_nothing_and_says_so(keymint, tmp_path: Path) -> None:
     assert {path: path.stat().st_mtime_ns for path in tmp_path.rglob("*")} == before
 
 
-def test_options_of_a_workspace_that_exists_are_refused(keymint) -> None:
-    keymint("init", "ws")
-    outcome = keymint("init", "ws", "--layout", "flat")
+@pytest.mark.parametrize(
+    ("option", "same", "other"),
+    [
+        ("--layout", "sros2", "flat"),
+        ("--distro", "jazzy", "humble"),
+        ("--domain", "3", "4"),
+        ("--subject-format", "sros2", "unique"),
+        ("--profile-type", "keymint_ros", "nosuch"),
+    ],
+)
+@pytest.mark.parametrize("verb", [("init", "ws"), ("provision", "p.xml", "-w", "ws")], ids=lambda verb: verb[0])
+def test_options_of_a_workspace_that_exists_are_refused_where_they_differ(
+    keymint, tmp_path: Path, verb: tuple[str, ...], option: str, same: str, other: str
+) -> None:
+    policy = "<profiles><profile name='a'><attachment>/a</attachment></profile></profiles>"
+    (tmp_path / "p.xml").write_text(policy)
+    shape = ("--distro", "jazzy", "--domain", "3", "--subject-format", "sros2")
+    assert keymint("provision", "p.xml", "-w", "ws", *shape).code == 0
+    assert keymint(*verb, option, same).code == 0
+    before = snapshot(tmp_path)
+    outcome = keymint(*verb, option, other)
     assert outcome.code == 1
-    assert (
-        "ws/profile/keymint_profile.xml: error: is a workspace already, so --layout cannot take effect" in outcome.err
+    assert f"so {option} {other} cannot take effect" in outcome.err
+    assert snapshot(tmp_path) == before
+
+
+def test_a_domain_that_was_edited_by_hand_counts(keymint, tmp_path: Path) -> None:
+    keymint("init", "ws")
+    defaults = tmp_path / "ws/profile/package.defaults/permissions.xml"
+    defaults.write_text(
+        defaults.read_text().replace("<id>0</id>", "<id>0</id><id_range><min>5</min><max>7</max></id_range>")
     )
+    outcome = keymint("init", "ws", "--domain", "5")
+    assert outcome.code == 1
+    assert "has domain '0, 5-7', so --domain 5 cannot take effect" in outcome.err
+
+
+def test_the_policy_of_a_workspace_that_exists_stays(keymint, tmp_path: Path) -> None:
+    keymint("init", "ws")
+    (tmp_path / "p.xml").write_text("<profiles/>")
+    outcome = keymint("init", "ws", "--policy", "p.xml")
+    assert outcome.code == 1
+    assert "keeps its policy" in outcome.err
 
 
 def test_files_of_the_user_are_kept(keymint, tmp_path: Path) -> None:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import json
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -130,3 +132,19 @@ def test_what_is_refused(keymint, tmp_path: Path, arguments: list[str], words: s
     outcome = keymint("learn", *arguments)
     assert outcome.code == 1
     assert words in outcome.err
+
+
+@pytest.mark.parametrize(
+    ("domains", "expected"),
+    [([0], ""), ([42], "'keymint provision p.xml --domain 42'"), ([0, 42], "has DDS domains 0, 42")],
+)
+def test_the_domain_of_a_graph_is_not_forgotten(keymint, tmp_path: Path, domains: list[int], expected: str) -> None:
+    edges = [replace(edge, domain=domain) for edge in GRAPH.edges for domain in domains]
+    (tmp_path / "g.json").write_bytes(dump(Graph.of(edges)))
+    outcome = keymint("learn", "g.json", "-o", "p.xml", "--json")
+    report = json.loads(outcome.out)
+    said = [each for each in report["diagnostics"] if each["code"] == "learn-domain"]
+    assert report["result"]["domains"] == domains
+    assert [expected.strip("'") in each["message"] + each["help"] for each in said] == [True] * bool(expected)
+    assert ("DDS domain" in (tmp_path / "p.xml").read_text()) == bool(expected)
+    assert comarmor.load(tmp_path / "p.xml").subjects() == GRAPH.subjects

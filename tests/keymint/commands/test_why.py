@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import shutil
 from collections.abc import Callable
 from pathlib import Path
@@ -169,3 +170,15 @@ def test_usage(why, arguments: tuple[str, ...], expected: str) -> None:
     outcome = why(*arguments)
     assert outcome.code == 2
     assert expected in outcome.err
+
+
+def test_it_asks_in_the_domain_of_the_subject(keymint, tmp_path: Path) -> None:
+    (tmp_path / "p.xml").write_text(POLICY)
+    assert keymint("provision", "p.xml", "-w", "there", "--domain", "42").code == 0
+    outcome = keymint("why", "/cell/arm", "ros_subscribe", "/estop", "-w", "there", "-t", "omg", "--json")
+    assert outcome.code == 0, outcome.out
+    result = json.loads(outcome.out)["result"]
+    assert result["edge"]["domain"] == 42
+    assert [each["allowed"] for each in result["transports"]] == [True]
+    outcome = keymint("why", "/cell/arm", "ros_subscribe", "/estop", "-w", "there", "-t", "omg", "--domain", "0")
+    assert outcome.code == 3

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
@@ -100,7 +101,9 @@ def test_it_is_canonical(graph: Graph) -> None:
     assert first == again
     if graph.subjects:
         with TemporaryDirectory() as folder:
-            assert comarmor.render(loaded(first, Path(folder))).encode() == first.document
+            # A comment on domains is all that may stand beside the canonical form.
+            written = re.sub(rb"<!-- Learned in DDS domain .* -->\n", b"", first.document)
+            assert comarmor.render(loaded(first, Path(folder))).encode() == written
 
 
 @settings(deadline=None, max_examples=40)
