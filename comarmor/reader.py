@@ -6,6 +6,7 @@ only then lxml builds the tree. So no limit depends on a tree that has already b
 
 from __future__ import annotations
 
+import re
 from dataclasses import dataclass
 from typing import Any, NoReturn
 from xml.parsers import expat  # nosec - refuses every DOCTYPE, so that there are no entities to expand
@@ -14,6 +15,7 @@ from lxml import etree
 
 from comarmor.errors import ComArmorError, Location, quoted
 
+XINCLUDE = "http://www.w3.org/2001/XInclude"
 XSI = "http://www.w3.org/2001/XMLSchema-instance"
 _HINTS = ("schemaLocation", "noNamespaceSchemaLocation")
 
@@ -40,6 +42,9 @@ class Limits:
 
 
 LIMITS = Limits()
+
+
+_UNBOUND = expat.errors.codes[expat.errors.XML_ERROR_UNBOUND_PREFIX]
 
 
 class _Element(etree.ElementBase):
@@ -131,6 +136,7 @@ class _Scanner:
             raise ComArmorError(
                 f"not well-formed XML: {self.explain(error)}",
                 where=Location(self.name, error.lineno),
+                help=self.mend(error, content),
                 code="xml-syntax",
             ) from None
         except (LookupError, UnicodeError, ValueError) as error:
@@ -147,7 +153,18 @@ class _Scanner:
         if error.code == expat.errors.codes[expat.errors.XML_ERROR_TAG_MISMATCH] and self.open:
             tag, opened = self.open[-1]
             return f"expected the end of <{tag.rpartition('}')[2]}>, which begins on line {opened}"
+        if error.code == _UNBOUND:
+            return "a prefix of this tag is not declared"
         return expat.ErrorString(error.code)
+
+    def mend(self, error: expat.ExpatError, content: bytes) -> str:
+        """Return how to mend a prefix that is not declared; nothing for other errors."""
+        if error.code != _UNBOUND:
+            return ""
+        tag = content[self.parser.ErrorByteIndex :].partition(b">")[0]
+        if re.match(rb"</?xi:", tag):
+            return f'add xmlns:xi="{XINCLUDE}" to the root element'
+        return "declare the prefix with xmlns:… at the root element, or remove it"
 
     def refuse(self, message: str, code: str, help_: str = "") -> NoReturn:
         """Stop at the current line."""

@@ -11,10 +11,10 @@ from lxml import etree
 
 from comarmor.data import locate
 from comarmor.errors import ComArmorError, Diagnostic, Location, Severity, did_you_mean, quoted
-from comarmor.reader import line, parse
+from comarmor.reader import XINCLUDE, line, parse
 from comarmor.xsd import Vocabulary
 
-_PREFIXES = {"http://www.w3.org/2001/XInclude": "xi:", "http://www.w3.org/XML/1998/namespace": "xml:"}
+_PREFIXES = {XINCLUDE: "xi:", "http://www.w3.org/XML/1998/namespace": "xml:"}
 _MOST = 50
 """So many defects of one file are reported; a person mends the first ones first."""
 
@@ -76,13 +76,17 @@ def _unexpected(found: re.Match[str], vocabulary: Vocabulary, element: etree._El
         if found[1] in expected:
             return f"<{found[1]}> is not expected here", "it stands in another place, or more often than it may"
     wanted = f"expected {_one_of(expected)}" if expected else "expected nothing more"
-    return f"<{found[1]}> is not expected here, {wanted}", did_you_mean(found[1], expected)
+    help_ = did_you_mean(found[1], expected)
+    if element is not None and str(element.tag).endswith("}include"):
+        help_ = f'the namespace of xi:include is "{XINCLUDE}"'
+    return f"<{found[1]}> is not expected here, {wanted}", help_
 
 
 def _missing(found: re.Match[str], vocabulary: Vocabulary, element: etree._Element | None) -> tuple[str, str]:
     expected: Sequence[str] = found[2].split(", ")
-    if element is not None and len(element):
-        expected = _with_exits(expected, element[-1], element, vocabulary)
+    if element is not None and len(element) and element[-1].tag in expected:
+        # What may be repeated is there already: what lacks is what follows it.
+        expected = _with_exits(expected, element[-1], element, vocabulary)[len(expected) :] or expected
     return f"<{found[1]}> is not complete, expected {_one_of(expected)}", ""
 
 

@@ -19,11 +19,10 @@ from lxml import etree
 
 from comarmor.confined import Folder, confined, exists, nearest, printable, read_bounded, unreadable
 from comarmor.errors import ComArmorError, Location, did_you_mean, quoted
-from comarmor.reader import LIMITS, Limits, line, parse
+from comarmor.reader import LIMITS, XINCLUDE, Limits, line, parse
 
 __all__ = ["INCLUDE", "LIMITS", "TESTS", "XINCLUDE", "Document", "Limits", "Sources", "line", "load_tree", "parse"]
 
-XINCLUDE = "http://www.w3.org/2001/XInclude"
 INCLUDE = f"{{{XINCLUDE}}}include"
 TESTS = ".test.xml"
 """How the names of files end that hold tests of a policy, which lie beside its roots."""
@@ -239,14 +238,24 @@ class _Reader:
             if exists(self.library, from_root, where):
                 folder, target, found = self.library, from_root, True
         if not found:
-            raise ComArmorError(
-                f"the included file {quoted(folder.name(target), 200)} does not exist",
-                where=where,
-                help=nearest(folder, target),
-                code="include-missing",
-            )
+            raise self.missing(folder, target, href, where)
         document = self.included[asked] = self.document(folder, target, where, chain)
         return document
+
+    def missing(self, folder: Folder, target: str, href: str, where: Location) -> ComArmorError:
+        """Return the error for an include that is nowhere: where it was looked for, and a similar name there."""
+        places, near = [folder.name(target)], nearest(folder, target)
+        if self.library is not None:
+            from_root = posixpath.normpath(href)
+            places.append(self.library.name(from_root))
+            near = near or nearest(self.library, from_root)
+        looked = f"looked for {' and '.join(quoted(each, 200) for each in dict.fromkeys(places))}"
+        return ComArmorError(
+            f"the included file {quoted(href, 200)} does not exist",
+            where=where,
+            help=f"{looked}; {near}" if near else looked,
+            code="include-missing",
+        )
 
     def read(self, folder: Folder, real: Path, where: Location) -> bytes:
         """Return the bytes of a file, and note their digest."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 
 import pytest
@@ -310,6 +311,25 @@ def test_tunables_cannot_explode(refused) -> None:
         ("<policy/>", 1, "<policy> is not expected as the root, expected <profiles> or <profile>", ""),
         ('<profile\nname="p"/>', 1, "<profile> is not complete", ""),
         (
+            profile("\n", re.sub("<permissions>.*</permissions>", "", allow("/x"))),
+            2,
+            "<ros_topic> is not complete, expected <permissions>",
+            "",
+        ),
+        (
+            '<profile name="p">\n<xi:include href="a.xml"/></profile>',
+            2,
+            "a prefix of this tag is not declared",
+            'add xmlns:xi="http://www.w3.org/2001/XInclude" to the root element',
+        ),
+        (profile("\n", '<a:b href="a.xml"/>'), 2, "a prefix of this tag is not declared", "declare the prefix"),
+        (
+            '<profiles>\n<xi:include xmlns:xi="http://www.w3.org/2003/XInclude" href="a.xml"/></profiles>',
+            2,
+            "include> is not expected here",
+            'the namespace of xi:include is "http://www.w3.org/2001/XInclude"',
+        ),
+        (
             '<profile name="p" modifer="AUDIT"><attachment>/s</attachment></profile>',
             1,
             "unknown attribute 'modifer'",
@@ -333,6 +353,8 @@ def test_schema_errors_say_what_was_expected(refused_any, text, line, message, h
     assert message in found.message
     assert hint in found.help
     assert found.where.line == line
+    if "expected <permissions>" in message:
+        assert found.message == message
 
 
 @pytest.fixture

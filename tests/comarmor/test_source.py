@@ -131,11 +131,22 @@ def test_includes_stay_inside(write, tmp_path, href, code) -> None:
     assert str(found.where) == f"{root}/p.xml:2"
 
 
-def test_missing_include_is_asked_back(write) -> None:
-    assert (
-        quickly_refused(write({"p.xml": including("s/nod.xml"), "s/node.xml": PROFILE})).help
-        == "did you mean node.xml?"
-    )
+def test_a_missing_include_says_where_it_was_looked_for(write, tmp_path) -> None:
+    root = write({"p.xml": including("s/nod.xml"), "s/node.xml": PROFILE})
+    found = quickly_refused(root / "p.xml")
+    assert "'s/nod.xml' does not exist" in found.message
+    assert found.help == f"looked for '{root}/s/nod.xml'; did you mean node.xml?"
+
+
+def test_and_in_the_library_as_well(write, tmp_path) -> None:
+    root = write({"p.xml": including("s/nod.xml")})
+    library = tmp_path / "library"
+    (library / "s").mkdir(parents=True)
+    (library / "s/node.xml").write_text(PROFILE)
+    with pytest.raises(comarmor.ComArmorError) as caught:
+        comarmor.load(root / "p.xml", library=library)
+    help_ = caught.value.diagnostics[0].help
+    assert help_ == f"looked for '{root}/s/nod.xml' and '{library}/s/nod.xml'; did you mean node.xml?"
 
 
 @pytest.mark.parametrize("target", ["/etc/passwd", "../outside.xml", "missing", "sub", "link.xml", "/dev/zero"])
