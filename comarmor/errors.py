@@ -23,11 +23,13 @@ class Location:
         file: path as the user would type it; never empty.
         line: line number from 1, or 0 for the file as a whole.
         chain: the places that included the file, innermost first; these have no chain of their own.
+        column: column from 1, or 0 if it is not known. It tells apart what stands on one line.
     """
 
     file: str
     line: int = 0
     chain: tuple[Location, ...] = ()
+    column: int = 0
 
     def __str__(self) -> str:
         """Return ``file:line``, followed by the chain of includes."""

@@ -13,7 +13,7 @@ from comarmor.errors import ComArmorError, Diagnostic, Location, quoted
 from comarmor.expression import literal
 from comarmor.model import PERMISSIONS, Effect, Expression, Profile, Rule
 from comarmor.policy import Policy
-from comarmor.reader import line
+from comarmor.reader import column, line
 from comarmor.scope import Budget, Scope
 from comarmor.source import INCLUDE, Document, Sources
 
@@ -36,7 +36,7 @@ class _Item:
 
     @property
     def where(self) -> Location:
-        return Location(self.document.name, line(self.element), self.chain)
+        return _place(self.document, self.element, self.chain)
 
 
 @dataclass(slots=True)
@@ -70,7 +70,7 @@ class _Parser:
         except ComArmorError as error:
             self.note(error, Location(document.name))
         for element, included in document.includes.items():
-            self.validate(included, (Location(document.name, line(element)), *chain))
+            self.validate(included, (_place(document, element), *chain))
 
     def root(self, document: Document) -> tuple[Profile, ...]:
         """Return the profiles of a root file."""
@@ -95,7 +95,7 @@ class _Parser:
                 yield _Item(element, item.document, item.chain)
                 continue
             included = item.document.includes[element]
-            chain = (Location(item.document.name, line(element)), *item.chain)
+            chain = (_place(item.document, element), *item.chain)
             inner = _Item(included.root, included, chain)
             if included.root.tag == "profiles":
                 yield from self.children(inner)
@@ -174,7 +174,7 @@ class _Parser:
     def attachments(self, item: _Item, scope: Scope) -> Iterator[Expression]:
         """Yield the expressions of an ``<attachment>`` or ``<attachments>`` element."""
         for element in item.element if item.element.tag == "attachments" else (item.element,):
-            where = Location(item.document.name, line(element), item.chain)
+            where = _place(item.document, element, item.chain)
             try:
                 values = scope.expand(element.text or "")
             except ComArmorError as error:
@@ -213,7 +213,7 @@ class _Parser:
         """Return the expressions of a ``<partitions>`` element; they take no tunables and no braces."""
         found: dict[str, None] = {}
         for child in element:
-            where = Location(item.document.name, line(child), item.chain)
+            where = _place(item.document, child, item.chain)
             try:
                 pieces = template.parse(template.strip(child.text or ""))
             except ComArmorError as error:
@@ -249,6 +249,10 @@ def parse(sources: Sources) -> Policy:
         raise ComArmorError.of(parser.found)
     unused = tuple(parser.budget.unused_tunables.values())
     return Policy(profiles, sources.files, sources.seen, unused)
+
+
+def _place(document: Document, element: etree._Element, chain: tuple[Location, ...] = ()) -> Location:
+    return Location(document.name, line(element), chain, column(element))
 
 
 def _unique(expressions: list[Expression]) -> tuple[Expression, ...]:

@@ -48,12 +48,17 @@ _UNBOUND = expat.errors.codes[expat.errors.XML_ERROR_UNBOUND_PREFIX]
 
 
 class _Element(etree.ElementBase):
-    """An element that knows its line, which libxml2 keeps in 16 bits, and as that of the end of the start tag."""
+    """An element that knows its place; libxml2 keeps the line in 16 bits, as that of the end of the start tag."""
 
     @property
     def sourceline(self) -> int:  # type: ignore[override]
         """Line number from 1, as expat counted it."""
-        counted: int = self.__dict__.get("line", 0)
+        return self.place[0]
+
+    @property
+    def place(self) -> tuple[int, int]:
+        """Line and column from 1, as expat counted them."""
+        counted: tuple[int, int] = self.__dict__.get("at", (0, 0))
         return counted
 
 
@@ -76,7 +81,7 @@ def parse(content: bytes, name: str, *, limits: Limits = LIMITS) -> etree._Eleme
         raise ComArmorError(
             f"the file has more than the {limits.file_bytes:,} bytes allowed", where=Location(name), code="xml-limit"
         )
-    lines = _Scanner(name, limits).scan(content)
+    places = _Scanner(name, limits).scan(content)
     parser = etree.XMLParser(
         resolve_entities=False, load_dtd=False, no_network=True, remove_comments=True, remove_pis=True
     )
@@ -89,12 +94,12 @@ def parse(content: bytes, name: str, *, limits: Limits = LIMITS) -> etree._Eleme
         ) from None
     elements = list(root.iter())
     docinfo: Any = root.getroottree().docinfo
-    if docinfo.doctype or len(elements) != len(lines):
+    if docinfo.doctype or len(elements) != len(places):
         # Two parsers that read different documents: a file made to be read differently by different tools.
         raise ComArmorError("the file is not plain XML", where=Location(name), code="xml-syntax")
-    for element, number in zip(elements, lines, strict=True):
-        element.__dict__["line"] = number
-    root.__dict__["elements"] = elements  # keeps the Python objects, which know their lines, alive
+    for element, place in zip(elements, places, strict=True):
+        element.__dict__["at"] = place
+    root.__dict__["elements"] = elements  # keeps the Python objects, which know their places, alive
     for hint in _HINTS:
         root.attrib.pop(f"{{{XSI}}}{hint}", "")
     return root
@@ -104,6 +109,11 @@ def line(element: etree._Element) -> int:
     """Return the line on which an element of a parsed document begins, from 1."""
     found = element.sourceline
     return found if isinstance(found, int) else 0
+
+
+def column(element: etree._Element) -> int:
+    """Return the column in which an element of a parsed document begins, from 1."""
+    return element.place[1] if isinstance(element, _Element) else 0
 
 
 class _Scanner:
@@ -117,15 +127,15 @@ class _Scanner:
     def __init__(self, name: str, limits: Limits) -> None:
         self.name = name
         self.limits = limits
-        self.lines: list[int] = []
+        self.places: list[tuple[int, int]] = []
         self.open: list[tuple[str, int]] = []
         self.parser = expat.ParserCreate(namespace_separator="}")
         self.parser.StartElementHandler = self.start
         self.parser.EndElementHandler = self.end
         self.parser.StartDoctypeDeclHandler = self.doctype
 
-    def scan(self, content: bytes) -> list[int]:
-        """Return the line of each element, in document order.
+    def scan(self, content: bytes) -> list[tuple[int, int]]:
+        """Return line and column of each element, in document order.
 
         Raises:
             ComArmorError: not well-formed, too large, or with a DOCTYPE.
@@ -146,7 +156,7 @@ class _Scanner:
                 help="save it as UTF-8",
                 code="xml-encoding",
             ) from None
-        return self.lines
+        return self.places
 
     def explain(self, error: expat.ExpatError) -> str:
         """Return what is wrong; of an end tag that does not fit, which one was expected."""
@@ -174,14 +184,14 @@ class _Scanner:
         """Note an element; expat calls this at each start tag."""
         current = self.parser.CurrentLineNumber
         self.open.append((tag, current))
-        self.lines.append(current)
+        self.places.append((current, self.parser.CurrentColumnNumber + 1))
         if len(self.open) > self.limits.depth:
             self.refuse(f"elements are nested more than {self.limits.depth} deep", "xml-limit")
-        if len(self.lines) > self.limits.nodes:
+        if len(self.places) > self.limits.nodes:
             self.refuse(f"the file has more than the {self.limits.nodes:,} elements allowed", "xml-limit")
         for attribute in attributes:
             space, _, local = attribute.rpartition("}")
-            if space == XSI and (len(self.lines) > 1 or local not in _HINTS):
+            if space == XSI and (len(self.places) > 1 or local not in _HINTS):
                 self.refuse(f"the attribute xsi:{local} is not expected here", "schema", "remove it")
 
     def end(self, _tag: str) -> None:

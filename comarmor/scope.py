@@ -14,6 +14,9 @@ MOST_CHARACTERS = 32 * 2**20
 """Most characters that all expressions of a policy together may have once its tunables are expanded."""
 
 
+_Key = tuple[str, int, int, str]
+
+
 @dataclass(slots=True)
 class Budget:
     """What the expressions of a policy have used: of :data:`MOST_CHARACTERS`, and of its tunables.
@@ -22,8 +25,8 @@ class Budget:
     """
 
     used: int = 0
-    unused_tunables: dict[tuple[str, int, str], Tunable] = field(default_factory=dict)
-    used_tunables: set[tuple[str, int, str]] = field(default_factory=set)
+    unused_tunables: dict[_Key, Tunable] = field(default_factory=dict)
+    used_tunables: set[_Key] = field(default_factory=set)
 
     def declared(self, tunable: Tunable) -> None:
         """Note a tunable that is declared."""
@@ -37,8 +40,8 @@ class Budget:
         self.unused_tunables.pop(key, None)
 
 
-def _key(tunable: Tunable) -> tuple[str, int, str]:
-    return tunable.where.file, tunable.where.line, tunable.name
+def _key(tunable: Tunable) -> _Key:
+    return tunable.where.file, tunable.where.line, tunable.where.column, tunable.name
 
 
 @dataclass(slots=True)

@@ -229,7 +229,7 @@ class _Reader:
         known = self.included.get(asked)
         if known is not None:  # many profiles include the same few files
             return known
-        chain = (Location(where.file, where.line), *where.chain)
+        chain = (Location(where.file, where.line, (), where.column), *where.chain)
         found = exists(folder, target, where)
         if not found:
             self.seen[Path(folder.shown, target)] = b""

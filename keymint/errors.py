@@ -6,6 +6,9 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 from enum import IntEnum, StrEnum
 
+Spot = tuple[str, int, int]
+"""File, line and column of a place. The line alone is no key: a minified policy has all its rules on one."""
+
 
 class ExitCode(IntEnum):
     """Exit codes of the command line."""
@@ -33,11 +36,22 @@ class Origin:
         file: path as the user would type it; never empty.
         line: line number from 1, or 0 for the file as a whole.
         chain: the places that included the file, innermost first.
+        column: column from 1, or 0 if it is not known. It tells apart what stands on one line.
     """
 
     file: str
     line: int = 0
     chain: tuple[Origin, ...] = ()
+    column: int = 0
+
+    @property
+    def spot(self) -> Spot:
+        """File, line and column: equal for what is written in one place, however often it is included."""
+        return self.file, self.line, self.column
+
+    def alone(self) -> Origin:
+        """Return the place without the chain of includes."""
+        return Origin(self.file, self.line, (), self.column)
 
     def __str__(self) -> str:
         """Return ``file:line``, followed by the chain of includes."""

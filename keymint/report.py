@@ -45,7 +45,7 @@ def as_typed(diagnostic: Diagnostic, folder: Path) -> Diagnostic:
 
     def place(origin: Origin) -> Origin:
         file = shown(Path(origin.file), folder) if origin.file.startswith("/") else origin.file
-        return Origin(file, origin.line, tuple(map(place, origin.chain)))
+        return replace(origin, file=file, chain=tuple(map(place, origin.chain)))
 
     return replace(
         diagnostic,

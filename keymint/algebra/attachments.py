@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 from keymint.algebra.lists import text
 from keymint.api import Clause, Structure
-from keymint.errors import Origin
+from keymint.errors import Origin, Spot
 from keymint.ir import Rule
 
 
@@ -42,7 +42,7 @@ class Attachments:
         clause = self._clauses.get(rule.origin)
         if clause is None:
             return None
-        there = [at for at, where in enumerate(clause.places) if where.line == attachment.where.line]
+        there = [at for at, where in enumerate(clause.places) if where.spot == attachment.where.spot]
         return (clause, there[attachment.number]) if attachment.number < len(there) else None
 
     def of(self, rule: Rule, subject: str) -> Mapping[str, Attachment]:
@@ -52,8 +52,8 @@ class Attachments:
             return {expression: Attachment(rule.origin, at) for at, expression in enumerate(rule.expressions)}
         head, _, last = subject.rpartition("/")
         found: dict[str, Attachment] = {}
-        counted: Counter[int] = Counter()
+        counted: Counter[Spot] = Counter()
         for expression, where in zip(clause.expand(text((f"{head}/",)), text((last,))), clause.places, strict=True):
-            found.setdefault(expression, Attachment(where, counted[where.line]))
-            counted[where.line] += 1
+            found.setdefault(expression, Attachment(where, counted[where.spot]))
+            counted[where.spot] += 1
         return found

@@ -10,14 +10,14 @@ from keymint.algebra.lists import allowed, asked, conjunction, keys, meet, patte
 from keymint.algebra.question import permitted
 from keymint.algebra.subjects import can_be, doubt, matching, rules_of, stand_ins
 from keymint.api import Expectation, LoadedPolicy
-from keymint.errors import Diagnostic, KeymintError, Origin, Severity
+from keymint.errors import Diagnostic, KeymintError, Origin, Severity, Spot
 from keymint.ir import Effect, Rule
 from keymint.keymake.algebra import disjoint, matches
 from keymint.keymake.composites import parts
 from keymint.keymake.glob import EVERYTHING, Glob, literal, parse, surround
 from keymint.proof import Block, Equal, Witness
 
-Place = tuple[str, int]
+Place = Spot
 
 
 @dataclass(frozen=True, slots=True)
@@ -55,7 +55,7 @@ class Checks:
 
     def rules(self) -> dict[Place, Rule]:
         """Return the rules that apply to any subject, by place."""
-        return {(rule.origin.file, rule.origin.line): rule for rules in self._rules.values() for rule in rules}
+        return {rule.origin.spot: rule for rules in self._rules.values() for rule in rules}
 
     def check(self, expected: Expectation) -> Checked:
         """Return whether an expectation holds.
@@ -147,7 +147,7 @@ class Checks:
                     for expression in rule.expressions
                     for one in patterns(rule, expression, key)
                 ):
-                    yield rule.origin.file, rule.origin.line
+                    yield rule.origin.spot
 
 
 def diagnostics(found: Sequence[Checked]) -> Iterator[Diagnostic]:
@@ -155,7 +155,7 @@ def diagnostics(found: Sequence[Checked]) -> Iterator[Diagnostic]:
     for each in found:
         where, test = each.expectation.where, each.expectation.test
         if each.failure:
-            rule = f"the rule is at {Origin(each.rule.file, each.rule.line)}" if each.rule else ""
+            rule = f"the rule is at {each.rule.alone()}" if each.rule else ""
             wanted = "allowed" if each.expectation.allowed else "denied"
             message = f"{test}: expected to be {wanted}, but {each.failure}"
             yield Diagnostic("expectation-failed", Severity.ERROR, message, where, rule)

@@ -17,7 +17,7 @@ from keymint.algebra.profiles import quoted, unreachable
 from keymint.algebra.similar import similar_names, similar_subjects
 from keymint.algebra.subjects import rules_of, stand_ins, structure
 from keymint.api import LoadedPolicy, Structure
-from keymint.errors import Diagnostic, Origin, Severity
+from keymint.errors import Diagnostic, Origin, Severity, Spot
 from keymint.ir import Effect, Rule
 from keymint.keymake.algebra import disjoint
 from keymint.keymake.glob import Glob
@@ -36,20 +36,18 @@ CODES: Mapping[str, str] = {
 }
 """The findings of this room, each with one line that says what it means."""
 
-_Place = tuple[str, int]
-
 
 @dataclass(frozen=True, slots=True)
 class _Unit:
     """An expression of a rule that is written at a place: the same one for every subject that it is expanded for.
 
-    The expression is told by the line of its attachment, and its number there, since its text may differ from subject
-    to subject.
+    The place of its attachment and its number there identify the expression, since its text may differ from subject to
+    subject.
     """
 
-    place: _Place
+    place: Spot
     effect: Effect
-    line: int
+    attached: Spot
     number: int
 
 
@@ -83,17 +81,17 @@ def in_order(found: Iterable[Diagnostic]) -> list[Diagnostic]:
     nowhere = Origin("")
     return sorted(
         dict.fromkeys(found),
-        key=lambda each: ((where := each.where or nowhere).file, where.line, each.code, each.message),
+        key=lambda each: ((each.where or nowhere).spot, each.code, each.message),
     )
 
 
 def _names(subjects: Mapping[str, tuple[Rule, ...]], attachments: Attachments) -> Iterator[Diagnostic]:
     """Yield expressions that no object can match, whatever the subject."""
-    verdicts: dict[tuple[_Place, str], tuple[bool, Rule, str]] = {}
+    verdicts: dict[tuple[Spot, str], tuple[bool, Rule, str]] = {}
     for subject, rules in subjects.items():
         for rule in rules:
             for expression in rule.expressions:
-                key = ((rule.origin.file, rule.origin.line), expression)
+                key = (rule.origin.spot, expression)
                 if key not in verdicts:
                     verdicts[key] = (_is_name(rule, expression), rule, subject)
     for (_, expression), (fine, rule, subject) in verdicts.items():
@@ -142,9 +140,9 @@ class _Vain:
 
         An expression that no object can match is left out: it is said to be one.
         """
-        found: dict[tuple[_Place, str], list[_Unit]] = defaultdict(list)
+        found: dict[tuple[Spot, str], list[_Unit]] = defaultdict(list)
         # From the last: of two that say the same the later one goes; and what went is no reason for another to go.
-        for unit in sorted(self._by_unit, key=lambda each: (each.place, each.line, each.number), reverse=True):
+        for unit in sorted(self._by_unit, key=lambda each: (each.place, each.attached, each.number), reverse=True):
             code = self._code(unit)
             if code:
                 self._gone.add(unit)
@@ -154,13 +152,13 @@ class _Vain:
             if self._is_whole(place, units):
                 yield self._said(code, units[::-1], whole=True)
                 continue
-            by_line: dict[int, list[_Unit]] = defaultdict(list)
+            by_attachment: dict[Spot, list[_Unit]] = defaultdict(list)
             for unit in units[::-1]:
-                by_line[unit.line].append(unit)
-            for together in by_line.values():
+                by_attachment[unit.attached].append(unit)
+            for together in by_attachment.values():
                 yield self._said(code, together, whole=False)
 
-    def _is_whole(self, place: _Place, units: Sequence[_Unit]) -> bool:
+    def _is_whole(self, place: Spot, units: Sequence[_Unit]) -> bool:
         return sum(unit.place == place and unit.effect is units[0].effect for unit in self._by_unit) == len(units)
 
     def _can_match(self, unit: _Unit) -> bool:
@@ -251,18 +249,18 @@ class _Vain:
                         continue
                     if any(not disjoint(one, pattern) for one in theirs for pattern in found):
                         where = self._applied[subject].units[other][2]
-                        return f", e.g. at {Origin(where.file, where.line)}"
+                        return f", e.g. at {where.alone()}"
         return ""
 
 
 def _applied(rules: Sequence[Rule], subject: str, attachments: Attachments) -> _Applied:
     found = _Applied()
     for at, rule in enumerate(rules):
-        place = (rule.origin.file, rule.origin.line)
+        place = rule.origin.spot
         written = attachments.of(rule, subject)
         for expression in rule.expressions:
             attachment = written[expression]
-            unit = _Unit(place, rule.effect, attachment.where.line, attachment.number)
+            unit = _Unit(place, rule.effect, attachment.where.spot, attachment.number)
             found.units.setdefault(unit, (rule, expression, attachment.where))
             for key in keys(rule):
                 if about := patterns(rule, expression, key):

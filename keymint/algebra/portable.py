@@ -38,12 +38,12 @@ def portability(
     """
     said: set[tuple[str, Origin | None, str]] = set()
     for subject, rules in subjects:
-        places = {(rule.origin.file, rule.origin.line) for rule in rules}
+        places = {rule.origin.spot for rule in rules}
         for found in (*_relaying(rules), *_built(build_type, _package(name, distro, subject, rules, now))):
             where = found.where
-            if found.severity is Severity.NOTE or where is None or (where.file, where.line) not in places:
+            if found.severity is Severity.NOTE or where is None or where.spot not in places:
                 continue  # it is about what only a package has
-            key = (found.code, Origin(where.file, where.line), found.message if found.code == "never-matches" else "")
+            key = (found.code, where.alone(), found.message if found.code == "never-matches" else "")
             if key not in said:
                 said.add(key)
                 yield replace(found, severity=Severity.WARNING, subject=found.subject or subject)

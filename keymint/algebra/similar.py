@@ -57,7 +57,7 @@ def similar_names(subjects: Mapping[str, tuple[Rule, ...]], attachments: Attachm
                     "name-similar",
                     Severity.WARNING,
                     f"{subject} may {_plain(permission)} the {kind} {name!r} and nobody may {_plain(other)} it, "
-                    f"but {whose} may {_plain(other)} {near!r} ({Origin(there.file, there.line)})",
+                    f"but {whose} may {_plain(other)} {near!r} ({there.alone()})",
                     attachments.of(rule, subject)[name].where,
                     f"did you mean {near!r}?",
                     subject,

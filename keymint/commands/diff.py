@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from contextlib import ExitStack
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -48,7 +49,7 @@ def diff(run: Run, old: str, new: str, kind: str, distro: str | None, profile_ty
 
     def said(where: Origin) -> str:
         in_tree = where.file.startswith(tuple(trees))
-        return _renamed(str(Origin(where.file, where.line)) if in_tree else place(run, where), trees)
+        return _renamed(str(where.alone()) if in_tree else place(run, where), trees)
 
     lines = as_markdown(found, said, (old, new)) if kind == "markdown" else as_text(found, said)
     for line in lines:
@@ -79,7 +80,7 @@ def _loaded(run: Run, policies: Policies, text: str, stack: ExitStack, trees: di
 
 def _as_known(found: Diagnostic, trees: dict[str, str]) -> Diagnostic:
     def origin(where: Origin) -> Origin:
-        return Origin(_renamed(where.file, trees), where.line, tuple(map(origin, where.chain)))
+        return replace(where, file=_renamed(where.file, trees), chain=tuple(map(origin, where.chain)))
 
     where = origin(found.where) if found.where else None
     message, help_ = (_renamed(text, trees) for text in (found.message, found.help))

@@ -136,7 +136,7 @@ def _idle(rules: Sequence[Rule]) -> list[Diagnostic]:
             "rule-untested",
             Severity.NOTE,
             f"no expectation is about this {rule.effect} {rule.kind} rule ({', '.join(rule.permissions)})",
-            Origin(rule.origin.file, rule.origin.line),
+            rule.origin.alone(),
         )
         for rule in rules
     ]

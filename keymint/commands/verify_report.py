@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 
 from keymint.api import PolicyDecision
@@ -89,7 +90,7 @@ def _of_finding(finding: Finding, typed: Callable[[str], str]) -> Said:
 
 
 def _place(origin: Origin, typed: Callable[[str], str]) -> Origin:
-    return Origin(typed(origin.file), origin.line, tuple(_place(outer, typed) for outer in origin.chain))
+    return replace(origin, file=typed(origin.file), chain=tuple(_place(outer, typed) for outer in origin.chain))
 
 
 def write_report(run: Run, folder: Path, labelled: Labelled) -> list[str]:

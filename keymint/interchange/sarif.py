@@ -37,5 +37,5 @@ def location(where: Origin, typed: Callable[[str], str]) -> dict[str, Any]:
     path = typed(where.file)
     place: dict[str, Any] = {"artifactLocation": {"uri": ("file://" if path.startswith("/") else "") + quote(path)}}
     if where.line:
-        place["region"] = {"startLine": where.line}
+        place["region"] = {"startLine": where.line} | ({"startColumn": where.column} if where.column else {})
     return {"physicalLocation": place}

@@ -166,7 +166,7 @@ class _Said:
         return LabelledEdge(edge, self._known[decision], (), decision.audit)
 
     def _place(self, origin: Origin) -> Origin:
-        return Origin(self._typed(origin.file), origin.line, tuple(map(self._place, origin.chain)))
+        return replace(origin, file=self._typed(origin.file), chain=tuple(map(self._place, origin.chain)))
 
 
 def _objects(rule: Rule) -> Iterator[Object]:

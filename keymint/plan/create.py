@@ -139,7 +139,7 @@ class _Relocated:
 
     @functools.cache  # noqa: B019 - lives as long as the run
     def _origin(self, origin: Origin) -> Origin:
-        return Origin(self._moved(origin.file), origin.line, tuple(map(self._origin, origin.chain)))
+        return replace(origin, file=self._moved(origin.file), chain=tuple(map(self._origin, origin.chain)))
 
     def _moved(self, file: str) -> str:
         return self._place + file.removeprefix(self._source) if file.startswith(self._source) else file

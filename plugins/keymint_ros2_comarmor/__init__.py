@@ -17,7 +17,7 @@ __all__ = ["ComArmorPolicyType", "policy_type"]
 
 
 def _origin(where: comarmor.Location) -> Origin:
-    return Origin(where.file, where.line, tuple(_origin(outer) for outer in where.chain))
+    return Origin(where.file, where.line, tuple(_origin(outer) for outer in where.chain), where.column)
 
 
 def _diagnostic(found: comarmor.Diagnostic) -> Diagnostic:

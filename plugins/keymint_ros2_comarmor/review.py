@@ -7,11 +7,11 @@ from collections.abc import Iterable, Iterator
 import comarmor
 from comarmor.errors import quoted
 from comarmor.expression import matches
-from keymint.errors import Diagnostic, Origin, Severity
+from keymint.errors import Diagnostic, Origin, Severity, Spot
 from keymint.graph import Edge, Graph
 
 _Need = tuple[str, str, str, tuple[str, ...]]
-_Place = tuple[str, int]
+_Place = Spot
 _Unit = tuple[_Place, str]
 """Place of an attachment, and a permission. The place, for its text may differ from subject to subject."""
 
@@ -25,7 +25,7 @@ def conflict(edge: Edge, decision: comarmor.Decision) -> Diagnostic | None:
         "learn-denied",
         Severity.WARNING,
         f"this rule denies {edge.subject} the {edge.permission} on {quoted(edge.object.name)} that the graph has",
-        Origin(denied.where.file, denied.where.line),
+        Origin(denied.where.file, denied.where.line, (), denied.where.column),
         "narrow the rule, or leave it: a DENY wins over every ALLOW",
         edge.subject,
     )
@@ -97,8 +97,10 @@ def _said(place: _Place, found: dict[_Unit, bool]) -> Iterator[Diagnostic]:
 
 
 def _note(code: str, place: _Place, message: str) -> Diagnostic:
-    return Diagnostic(code, Severity.NOTE, message, Origin(*place), "remove it if it is not for something rare")
+    file, line, column = place
+    where = Origin(file, line, (), column)
+    return Diagnostic(code, Severity.NOTE, message, where, "remove it if it is not for something rare")
 
 
 def _place(where: comarmor.Location) -> _Place:
-    return where.file, where.line
+    return where.file, where.line, where.column

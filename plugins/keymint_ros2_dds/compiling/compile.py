@@ -7,7 +7,7 @@ from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 
 from keymint.api import BuildOptions, Demand, Permissions
-from keymint.errors import Diagnostic, KeymintError, Origin, Severity
+from keymint.errors import Diagnostic, KeymintError, Severity
 from keymint.ir import Rule
 from keymint.keymake.algebra import disjoint
 from keymint.keymake.glob import Glob
@@ -120,7 +120,7 @@ class _Collector:
         self._lowered = lowered
         self._subject = subject
         self._severity = Severity.WARNING if warn else Severity.ERROR
-        self._found: dict[tuple[str, Origin | None, str], Diagnostic] = {}
+        self._found: dict[tuple[str, Rule | None, str], Diagnostic] = {}
 
     @property
     def problems(self) -> tuple[Diagnostic, ...]:
@@ -141,7 +141,7 @@ class _Collector:
             hint = "write the names out, or build with --allow-vendor-specific"
         what = f"this {rule.effect} {rule.kind} rule cannot be said alike for all vendors: " if rule else ""
         diagnostic = Diagnostic(code, self._severity, what + message, where, hint, self._subject)
-        self._found.setdefault((code, where, reason), diagnostic)
+        self._found.setdefault((code, rule, reason), diagnostic)
 
     def written(self, found: Iterable[Block]) -> tuple[Criteria, ...]:
         """Return rules as they are written."""

@@ -32,6 +32,11 @@ def profile(attachment: str, *inside: str) -> str:
 
 def loaded(folder: Path, *profiles: str, name: str = "policy.xml") -> LoadedPolicy:
     """Return the policy of these profiles; the first one stands in line 2."""
+    return loaded_text(folder, "<profiles>\n" + "".join(profiles) + "</profiles>", name=name)
+
+
+def loaded_text(folder: Path, text: str, *, name: str = "policy.xml") -> LoadedPolicy:
+    """Return the policy of a text."""
     path = folder / name
-    path.write_text("<profiles>\n" + "".join(profiles) + "</profiles>")
+    path.write_text(text)
     return keymint_ros2_comarmor.policy_type.load([PolicySource(name, path, Origin(name))], None)

@@ -33,7 +33,7 @@ def test_findings(keymint, tmp_path: Path) -> None:
     for result in run["results"]:
         assert rules[result["ruleIndex"]] == result["ruleId"]
     place = run["results"][0]["locations"][0]["physicalLocation"]
-    assert place == {"artifactLocation": {"uri": "p.xml"}, "region": {"startLine": 3}}
+    assert place == {"artifactLocation": {"uri": "p.xml"}, "region": {"startLine": 3, "startColumn": 1}}
 
 
 def test_what_the_compiler_refuses(keymint, tmp_path: Path) -> None:

@@ -98,7 +98,8 @@ def test_why_and_where(load: Load) -> None:
     policy = load(_a=rule("ros_topic", "ros_publish", "/t", more=' modifier="AUDIT"'))
     (one,) = of_policy("t", policy, typed=lambda file: Path(file).name).edges
     assert one.audit
-    assert one.policy.where == Origin("policy.xml", 3)
+    assert one.policy.where is not None
+    assert (one.policy.where.file, one.policy.where.line) == ("policy.xml", 3)
     assert "policy.xml" not in one.policy.reason
 
 

@@ -52,7 +52,8 @@ def test_rules_are_expanded_and_have_their_origin(folder) -> None:
     assert rule.expressions == ("/robot1/x", "/robot1/[!a]")
     assert rule.partitions == ("p",)
     assert rule.audit
-    assert rule.origin == Origin(f"{folder}/common/node.xml", 1, (Origin(f"{folder}/policy.xml", 4),))
+    outer = Origin(f"{folder}/policy.xml", 4, (), 5)
+    assert rule.origin == Origin(f"{folder}/common/node.xml", 1, (outer,), 1)
     assert {"policy.xml", "node.xml"} <= {path.name for path in loaded.seen}
     assert all(policy_type.fingerprint(path) == seen for path, seen in loaded.seen.items())
 
