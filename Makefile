@@ -4,11 +4,12 @@ DEMO ?= demo_ws
 BIN = $(VENV)/bin
 WORKERS ?= $(shell nproc)
 
-.PHONY: help setup vendors demo test lint bench lock clean
+.PHONY: help setup vendors demo test test-all lint bench lock clean
 
 help:
 	@echo "make demo    provision the talker/listener example and show the keystore"
 	@echo "make test    the whole suite, including the tests on real DDS software"
+	@echo "make test-all the same on every Python from 3.11 on that is here"
 	@echo "make lint    ruff, mypy, import-linter"
 	@echo "make bench   the benchmarks"
 	@echo "make lock    resolve requirements.lock anew"
@@ -24,6 +25,9 @@ demo: setup
 
 test: setup vendors
 	@BIN=$(BIN) WORKERS=$(WORKERS) .ci/test $(PYTEST_ARGS)
+
+test-all: vendors
+	@WORKERS=$(WORKERS) .ci/test-all $(PYTEST_ARGS)
 
 lint: setup
 	$(BIN)/ruff check .

@@ -23,4 +23,6 @@ def locate(kind: str) -> Path:
         folder = root / kind
         if folder.is_dir():
             return folder
-    raise FileNotFoundError(f"the installation lacks its folder of {kind}; reinstall keymint-tools")
+    raise FileNotFoundError(
+        f"the installation lacks its folder of {kind}; reinstall Keymint from its checkout or wheel"
+    )

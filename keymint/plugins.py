@@ -7,9 +7,15 @@ from __future__ import annotations
 
 import difflib
 import functools
-from collections.abc import Iterable, Mapping
+import importlib.util
+import json
+import re
+import shlex
+import sys
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
-from importlib.metadata import EntryPoint, PackageNotFoundError, entry_points
+from importlib.metadata import Distribution, EntryPoint, distributions
+from pathlib import Path
 from typing import Any, cast
 
 from keymint.api import (
@@ -25,6 +31,7 @@ from keymint.api import (
 )
 from keymint.errors import KeymintError, Origin
 
+_OURS = "keymint-tools"
 GROUPS: Mapping[str, str] = {
     "keymint.profile_types": "bootstraps and loads a workspace profile",
     "keymint.package_types": "creates and loads a source package",
@@ -60,11 +67,68 @@ def _info(entry: EntryPoint) -> PluginInfo:
     distribution = entry.dist
     if distribution is None:
         return PluginInfo(entry.group, entry.name, entry.value, "", "", "")
-    try:
-        name, version = distribution.name, distribution.version
-    except (PackageNotFoundError, KeyError):  # damaged metadata must not hide the plugin
-        name, version = "", ""
+    name, version = (_header(distribution, header) for header in ("Name", "Version"))
     return PluginInfo(entry.group, entry.name, entry.value, name, version, str(distribution.locate_file("")))
+
+
+def how_to_add(package: str) -> str:
+    """Return the command that installs a package into the environment that Keymint runs in.
+
+    It never fetches Keymint's own distribution: an index may have another project of that name.
+    """
+    environment = Path(sys.prefix)
+    if (environment / "pipx_metadata.json").is_file():  # pipx may or may not put pip into its environments
+        command = ["pipx", "inject", environment.name, package]
+    elif importlib.util.find_spec("pip") is None:  # as in the environments that uv makes
+        command = ["uv", "pip", "install", "--python", sys.executable, package]
+    else:
+        command = [sys.executable, "-m", "pip", "install", package]
+    return shlex.join(command)
+
+
+def _source(entry: EntryPoint) -> str:
+    """Return what to install again: a distribution, and where its installer took it from (PEP 610)."""
+    name = _info(entry).distribution
+    try:
+        url = json.loads((entry.dist and entry.dist.read_text("direct_url.json")) or "{}").get("url", "")
+    except (OSError, ValueError, AttributeError):
+        url = ""
+    if url:
+        return f"{name or 'it'} from {url}"
+    return name if name and name != _OURS else "it from its checkout or wheel"
+
+
+def _brought_by(entry: EntryPoint) -> str:
+    """Return what tells distributions apart: the name, or the place of one that does not say its name."""
+    info = _info(entry)
+    return info.distribution or info.location
+
+
+def _header(distribution: Distribution, header: str) -> str:
+    """Return a header of a distribution's metadata, empty where it is missing: damage must not hide a plugin."""
+    try:
+        # Looking a missing header up by [] gives None, warns, or raises, depending on the version of Python.
+        return str((distribution.metadata.get_all(header) or [""])[0])
+    except (OSError, ValueError, LookupError, AttributeError):
+        return ""
+
+
+def _installed() -> Iterator[EntryPoint]:
+    """Yield the entry points of our groups; a distribution that is seen twice on ``sys.path`` counts once.
+
+    A distribution whose entry points cannot be read is left out: it may have nothing to do with Keymint.
+    """
+    seen: set[str] = set()
+    for distribution in distributions():
+        name = re.sub(r"[-_.]+", "-", _header(distribution, "Name")).lower()
+        if name and name in seen:
+            continue
+        seen.add(name)
+        try:
+            entries = tuple(distribution.entry_points)
+        except Exception:  # noqa: BLE001, S112 - its file may hold anything, and the reader is not ours
+            continue
+        yield from (entry for entry in entries if entry.group in GROUPS)
 
 
 class Plugins:
@@ -80,11 +144,10 @@ class Plugins:
         self._transports: dict[str, Transport] = {}
         self._entries: dict[str, dict[str, list[EntryPoint]]] = {}
         self._loaded: dict[tuple[str, str], object] = {}
-        found = [e for group in GROUPS for e in entry_points(group=group)] if entries is None else entries
-        for entry in found:
+        for entry in _installed() if entries is None else entries:
             versions = self._entries.setdefault(entry.group, {}).setdefault(entry.name, [])
             # The same distribution seen twice on sys.path is one plugin, two distributions are two.
-            if all(_info(entry).distribution != _info(other).distribution for other in versions):
+            if all(_brought_by(entry) != _brought_by(other) for other in versions):
                 versions.append(entry)
 
     @functools.cached_property
@@ -165,7 +228,7 @@ class Plugins:
             raise KeymintError(f"no {kind} {name!r} is installed", where=where, help=hint, code="plugin-unknown")
         entries = known[name]
         if len(entries) > 1:
-            brought_by = " and ".join(sorted(_info(entry).distribution for entry in entries))
+            brought_by = " and ".join(sorted(map(_brought_by, entries)))
             raise KeymintError(
                 f"the {kind} {name!r} is brought by {brought_by}",
                 where=where,
@@ -179,7 +242,7 @@ class Plugins:
             raise KeymintError(
                 f"the {kind} {name!r} ({entry.value}) fails to load: {type(error).__name__}: {error}",
                 where=where,
-                help=f"reinstall {_info(entry).distribution or 'its distribution'}",
+                help=f"reinstall {_source(entry)}",
                 code="plugin-broken",
             ) from error
         version = getattr(plugin, "API", None)

@@ -6,6 +6,7 @@ from lxml import etree
 
 from keymint.errors import KeymintError
 from keymint.pictures.palette import FONTS
+from keymint.plugins import how_to_add
 
 _MOST_PIXELS = 100_000_000
 """Of a picture: 400 MB while it is drawn."""
@@ -28,7 +29,7 @@ def png(document: bytes, scale: float = 2.0) -> bytes:
     except ImportError as error:
         raise KeymintError(
             "PNG pictures need resvg, which is not installed",
-            help="install it by 'pip install \"keymint-tools[png]\"', or write .svg",
+            help=f"install it with '{how_to_add('resvg-py')}', or write .svg",
             code="png-unavailable",
         ) from error
     root = etree.fromstring(document)

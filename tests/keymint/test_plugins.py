@@ -128,12 +128,58 @@ def test_an_entry_point_without_a_distribution_is_loaded_too(module: ModuleType)
     assert plugins.infos[0].distribution == ""
 
 
-def test_damaged_metadata_does_not_hide_a_plugin(tmp_path: Path, module: ModuleType) -> None:
+DAMAGED = {
+    "missing": None,
+    "empty": b"",
+    "nameless": b"Metadata-Version: 2.1\nVersion: 1.2\n",
+    "blank name": b"Metadata-Version: 2.1\nName:\nVersion:\n",
+    "not UTF-8": b"Metadata-Version: 2.1\nName: d\xefst\nVersion: 1.2\n",
+    "binary": bytes(range(256)),
+    "no header": b"\n\nName: in the body\n",
+}
+
+
+def damage(info: Path, content: bytes | None) -> None:
+    if content is None:
+        info.unlink()
+    else:
+        info.write_bytes(content)
+
+
+@pytest.mark.parametrize("content", DAMAGED.values(), ids=DAMAGED)
+def test_damaged_metadata_does_not_hide_a_plugin(tmp_path: Path, module: ModuleType, content: bytes | None) -> None:
     entries = distribution(tmp_path, "dist", {"mine": f"{module.__name__}:good"})
-    (tmp_path / "dist-1.2.dist-info" / "METADATA").unlink()
+    damage(tmp_path / "dist-1.2.dist-info" / "METADATA", content)
     plugins = Plugins(entries)
     assert plugins.build_type("mine") is module.good
     assert plugins.infos[0].name == "mine"
+    assert isinstance(plugins.infos[0].distribution + plugins.infos[0].version, str)
+    assert plugins.versions
+
+
+@pytest.mark.parametrize("content", DAMAGED.values(), ids=DAMAGED)
+def test_an_installed_distribution_that_is_damaged_is_no_matter(
+    tmp_path: Path, module: ModuleType, content: bytes | None, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Python gives None, warns or raises where metadata lacks a name: in 3.11, 3.12 and 3.14."""
+    distribution(tmp_path, "dist", {"mine": f"{module.__name__}:good"})
+    damage(tmp_path / "dist-1.2.dist-info" / "METADATA", content)
+    monkeypatch.syspath_prepend(str(tmp_path))
+    assert Plugins().build_type("mine") is module.good
+    # The same folder twice on the path is one plugin, whether or not its distribution says a name.
+    monkeypatch.setattr(sys, "path", [str(tmp_path), *sys.path])
+    assert Plugins().build_type("mine") is module.good
+
+
+@pytest.mark.parametrize("content", [b"\xff\xfe", b"mine = x:y\n", b"[keymint.build_types]\nmine\n"])
+def test_entry_points_that_cannot_be_read_hide_nobody_else(
+    tmp_path: Path, module: ModuleType, content: bytes, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for name in ("a", "b"):
+        distribution(tmp_path, name, {"of-" + name: f"{module.__name__}:good"})
+    (tmp_path / "a-1.2.dist-info" / "entry_points.txt").write_bytes(content)
+    monkeypatch.syspath_prepend(str(tmp_path))
+    assert Plugins().build_type("of-b") is module.good
 
 
 def test_the_shipped_plugins_are_found_in_the_environment() -> None:

@@ -50,7 +50,7 @@ def test_the_wheel_holds_the_packages_and_nothing_else(project: Path, wheel: Pat
     assert {name for name in names if name.startswith("comarmor/_data/")} == {
         f"comarmor/_data/{kind}/{name}" for kind in ("schemas", "templates") for name in tree(project / kind)
     }
-    assert {"comarmor/py.typed", "keymint/py.typed"} <= names
+    assert {f"{package}/py.typed" for package in PACKAGES} <= names
 
 
 def test_the_wheel_of_the_source_distribution_is_that_of_the_checkout(dist: Path, wheel: Path) -> None:
@@ -142,4 +142,4 @@ def test_an_incomplete_installation_says_so(wheel: Path, new_environment: Callab
     (environment.site_packages / "comarmor/_data/schemas").rename(environment.cwd / "gone")
     (environment.cwd / "policy.xml").write_text(POLICY)
     said = environment.keymint("provision", "policy.xml", "-w", "ws", code=1)
-    assert "lacks its folder of schemas; reinstall keymint-tools" in said
+    assert "lacks its folder of schemas; reinstall Keymint from its checkout or wheel" in said

@@ -1,0 +1,52 @@
+"""What Keymint tells people to install: a thing that exists, into the environment that Keymint runs in."""
+
+from __future__ import annotations
+
+import os
+import re
+import shlex
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from .conftest import CHECKOUT, Environment
+
+TOLD = [
+    *(
+        path
+        for folder in ("keymint", "comarmor", "plugins", "docs", "examples")
+        for path in (CHECKOUT / folder).rglob("*")
+    ),
+    *CHECKOUT.glob("*.md"),
+]
+
+
+def test_nobody_is_told_to_fetch_keymint_from_an_index() -> None:
+    """An index may have another project of our distribution's name: it is installed from a checkout or a wheel."""
+    texts = {path: path.read_text() for path in TOLD if path.suffix in {".py", ".md", ".xml", ".j2"}}
+    assert any("pipx install" in text for text in texts.values())
+    fetched = re.compile(r"install[^\n]{0,40}keymint-tools|keymint-tools\[")
+    assert [str(path) for path, text in texts.items() if fetched.search(text)] == []
+
+
+@pytest.mark.xdist_group("packaging")
+def test_the_command_for_pictures_names_the_environment(
+    wheel: Path, new_environment: Callable[..., Environment]
+) -> None:
+    environment = new_environment()
+    environment.install(wheel)
+    policy = CHECKOUT / "examples" / "talker_listener"
+    assert uses(environment, policy) == ["uv", "pip", "install", "--python", f"{environment.python}", "resvg-py"]
+    (environment.site_packages / "pip").mkdir()
+    (environment.site_packages / "pip" / "__init__.py").touch()
+    assert uses(environment, policy) == [f"{environment.python}", "-m", "pip", "install", "resvg-py"]
+    (environment.folder / "pipx_metadata.json").touch()
+    assert uses(environment, policy) == ["pipx", "inject", environment.folder.name, "resvg-py"]
+
+
+def uses(environment: Environment, policy: Path) -> list[str]:
+    said = environment.keymint("graph", policy, "-o", "policy.png", code=1)
+    (command,) = re.findall(r"install it with '(.*)', or write \.svg", said)
+    assert os.access(environment.python, os.X_OK)
+    return shlex.split(command)
