@@ -1,0 +1,72 @@
+"""What is found in the install space outside of the enclaves."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+
+from keymint.api import Artifact
+from keymint.check.enclaves import installed_files
+from keymint.check.places import modes
+from keymint.errors import Diagnostic, Origin, Severity
+from keymint.plan import install
+from keymint.plan.inputs import Inputs, LoadedProfile
+from keymint.workspace import packages
+
+
+def shared(inputs: Inputs, loaded: LoadedProfile) -> Iterator[Diagnostic]:
+    """Judge what lies in the install space outside of the enclaves."""
+    workspace, layout = inputs.workspace, loaded.profile.layout
+    enclaves = {workspace.enclaves(layout) / name for name in install.installed(inputs, loaded)}
+    expected: dict[str, bytes] = {}
+    known = set(packages(inputs.tree, workspace.src))
+    artifacts = {
+        f"/{folder.relative_to(workspace.enclaves(layout))}": {
+            name: Artifact(content) for name, content in installed_files(inputs, folder).items()
+        }
+        for folder in enclaves
+        if str(folder.relative_to(workspace.enclaves(layout))) in known
+    }
+    for info in inputs.plugins.infos:
+        if info.group == "keymint.build_types" and artifacts:
+            shared = inputs.plugins.build_type(info.name).shared(artifacts, layout)
+            expected |= {path: artifact.content for path, artifact in shared.items()}
+    for path in _files_below(inputs, workspace.install):
+        relative = str(path.relative_to(workspace.install))
+        if path.parent in enclaves:
+            continue
+        if relative not in expected:
+            yield Diagnostic(
+                "file-unexpected",
+                Severity.WARNING,
+                "is in the install space, but Keymint did not put it there",
+                Origin(workspace.shown(path)),
+                "remove it",
+            )
+        else:
+            yield from modes(workspace.shown(path), path, 0o644, "")
+            if not path.is_symlink() and inputs.tree.read(path) != expected[relative]:
+                yield Diagnostic(
+                    "file-changed",
+                    Severity.ERROR,
+                    "differs from what the enclaves hold",
+                    Origin(workspace.shown(path)),
+                    "'keymint install' restores it",
+                )
+    for relative in expected:
+        if not (workspace.install / relative).exists():
+            yield Diagnostic(
+                "file-missing",
+                Severity.ERROR,
+                "is missing",
+                Origin(workspace.shown(workspace.install / relative)),
+                "'keymint install' restores it",
+            )
+
+
+def _files_below(inputs: Inputs, folder: Path) -> Iterator[Path]:
+    for name, is_folder in inputs.tree.names(folder):
+        if is_folder:
+            yield from _files_below(inputs, folder / name)
+        else:
+            yield folder / name
