@@ -176,7 +176,7 @@ class _Parser:
         for element in item.element if item.element.tag == "attachments" else (item.element,):
             where = _place(item.document, element, item.chain)
             try:
-                values = scope.expand(element.text or "")
+                values = scope.expand(element.text or "", where)
             except ComArmorError as error:
                 self.note(error, where)
                 continue

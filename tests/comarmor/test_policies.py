@@ -219,12 +219,58 @@ def test_inner_tunable_hides_outer_one(load) -> None:
     policy = load(
         profiles(
             tunable("T", "/outer"),
-            profile(allow("@{T}"), tunable("T", "/inner"), allow("@{T}"), profile(allow("@{T}"))),
+            profile(tunable("T", "/inner"), allow("@{T}"), profile(allow("@{T}"))),
             profile(allow("@{T}"), attachment="/t"),
         )
     )
-    assert topics(policy) == ["/outer", "/inner", "/inner"]
+    assert topics(policy) == ["/inner", "/inner"]
     assert topics(policy, "/t") == ["/outer"]
+
+
+@pytest.mark.parametrize(
+    "inside",
+    [
+        (allow("@{T}"), tunable("T", "/inner")),
+        (profile(allow("@{T}")), tunable("T", "/inner")),
+        (profile(attachment="@{T}"), tunable("T", "/inner")),
+        (tunable("U", "@{T}"), tunable("T", "/inner")),
+        (include("sub/rule.xml"), tunable("T", "/inner")),
+        (allow("@{T}"), include("sub/tunable.xml")),
+        (profile(profile(allow("@{T}"))), profile(allow("/x"), tunable("T", "/here")), tunable("T", "/inner")),
+    ],
+)
+def test_tunable_is_declared_before_its_use(refused, inside) -> None:
+    found = refused(
+        policy=profiles(tunable("T", "/s"), "\n", profile(*inside)),
+        sub__rule=allow("@{T}"),
+        sub__tunable=profiles(tunable("T", "/inner")),
+    )
+    assert found.code == "tunable"
+    assert "declared after its use at" in found.message
+    assert found.message.endswith("policy.xml:1")
+    assert "above its use" in found.help
+
+
+def test_profile_attachment_before_its_tunable(refused) -> None:
+    attached = (
+        '<profile name="p"><attachment>@{T}</attachment>\n<tunable name="T"><value>/b</value></tunable></profile>'
+    )
+    found = refused(profiles(tunable("T", "/a"), "\n", attached))
+    assert found.code == "tunable"
+    assert (found.where.line, "policy.xml:2," in found.message) == (3, True)
+
+
+def test_uses_in_other_scopes_do_not_matter(load) -> None:
+    policy = load(
+        profiles(
+            tunable("T", "/t"),
+            profile(allow("@{T}")),
+            profile(tunable("T", "/inner"), allow("@{T}"), attachment="/t"),
+            profile(profile(tunable("T", "/a"), allow("@{T}")), tunable("T", "/b"), allow("@{T}")),
+        )
+    )
+    assert topics(policy) == ["/t", "/b", "/a"]
+    assert topics(policy, "/t") == ["/inner"]
 
 
 def test_included_file_sees_the_scope_of_its_include_and_adds_to_it(load) -> None:
