@@ -53,13 +53,15 @@ from keymint.api.profiles import (
     ProfileType,
     RulePlaces,
 )
-from keymint.api.proving import Claim, Counterexample, Obligation, Proof, Prover
+from keymint.api.proving import Anchor, Anchors, Claim, Counterexample, Obligation, Proof, Prover
 from keymint.api.transports import Enclave, Surroundings, Tier, Transport, TransportType, Usable, Verdict
 
 API_VERSION = "1.0"
 
 __all__ = [
     "API_VERSION",
+    "Anchor",
+    "Anchors",
     "AppliedProfile",
     "Artifact",
     "AttachedProfile",

@@ -10,8 +10,41 @@ from typing import Protocol
 from keymint.api.packages import DomainRange
 from keymint.api.policies import PolicyDecision
 from keymint.api.transports import Verdict
+from keymint.errors import Diagnostic
 from keymint.graph import Edge
 from keymint.ir import SubjectRules
+
+
+@dataclass(frozen=True, slots=True)
+class Anchor:
+    """An authority of the workspace that an enclave must trust.
+
+    Attributes:
+        name: its name in the profile.
+        file: its certificate, as the user would type it.
+        chain: PEM of its certificate, followed by those of the authorities above it; empty if the workspace has none.
+    """
+
+    name: str
+    file: str
+    chain: bytes = field(repr=False)
+
+
+@dataclass(frozen=True, slots=True)
+class Anchors:
+    """What an enclave must rest on. It comes from the workspace: an enclave cannot vouch for itself.
+
+    Attributes:
+        identity: the authority that issues the identity's certificate.
+        permissions: the authority that signs permissions and governance.
+        subject_name: the identity's distinguished name, as the package says it.
+        layout: ``sros2`` or ``flat``.
+    """
+
+    identity: Anchor
+    permissions: Anchor
+    subject_name: str
+    layout: str
 
 
 @dataclass(frozen=True, slots=True)
@@ -24,6 +57,7 @@ class Obligation:
         domains: the domains in which the policy holds.
         files: the enclave's files by name, as they are installed.
         folder: the enclave's folder as the user would type it.
+        anchors: the authorities that the enclave must rest on.
         states: how many states a question may visit.
         go_on: asked again and again; a question is given up when it returns False.
         standard_only: claims about vendors are not wanted, as what they decide differently is accepted.
@@ -34,6 +68,7 @@ class Obligation:
     domains: tuple[DomainRange, ...]
     files: Mapping[str, bytes] = field(repr=False)
     folder: str
+    anchors: Anchors
     states: int
     go_on: Callable[[], bool]
     standard_only: bool = False
@@ -95,9 +130,18 @@ class Prover(Protocol):
     def assumptions(self) -> Mapping[str, Sequence[str]]:
         """Return what every claim takes for granted, one line each, by model: that of the standard first."""
 
+    def differences(self, files: Mapping[str, bytes], folder: str, anchors: Anchors) -> Sequence[Diagnostic]:
+        """Return what does not rest on the workspace's authorities; each is an error, and its code is stable.
+
+        Args:
+            files: an enclave's files by name.
+            folder: its folder as the user would type it.
+            anchors: what it must rest on.
+        """
+
     def prove(self, obligation: Obligation) -> Sequence[Claim]:
         """Return a claim for each model, action and group of domains.
 
         Raises:
-            KeymintError: the enclave has no document that can be read.
+            KeymintError: the enclave has no document that can be read, or does not rest on its anchors.
         """

@@ -14,6 +14,7 @@ from keymint.commands.transport_option import transport_option
 from keymint.commands.verify_report import labelled_edges, write_report
 from keymint.errors import ExitCode
 from keymint.graph_json import load
+from keymint.plan.anchors import differences
 from keymint.plan.create import load_policy
 from keymint.plan.inputs import Sources
 from keymint.plan.model import Action, Step
@@ -78,13 +79,17 @@ def verify(
     false positive: a transport allows what the policy does not
     false negative: a transport denies what the policy allows
 
-    Each is shown with the rule of the policy and the rule of the document that decide. Ends with 3 when there is any.
+    Each is shown with the rule of the policy and the rule of the document that decide. Ends with 3 when there is any,
+    and when an enclave does not rest on the workspace's authorities: transports trust those that lie in the enclave.
     NAME is a package; by default all of them.
     """
     workspace = run.workspace()
     inputs = run.inputs(workspace)
     loaded = inputs.profile()
-    found = scope(inputs, loaded, run.names(inputs, names), Sources(run.plugins))
+    chosen_names, sources = run.names(inputs, names), Sources(run.plugins)
+    found = scope(inputs, loaded, chosen_names, sources)
+    # A transport trusts the authorities in the enclave. Whether they are the workspace's is asked here.
+    strange = differences(inputs, loaded, chosen_names, sources)
     policy = load_policy(inputs, loaded)
     subjects = tuple(found.enclaves)
     if graph is None:
@@ -114,9 +119,9 @@ def verify(
         run.verb,
         workspace,
         (),
-        tuple(messages(outcomes)),
+        (*strange, *messages(outcomes)),
         as_result(outcomes, subjects, len(said), _typed(run)),
-        ExitCode.FINDINGS if wrong else ExitCode.DONE,
+        ExitCode.FINDINGS if wrong or strange else ExitCode.DONE,
     )
 
 

@@ -13,7 +13,9 @@ from keymint.commands.common import Run, verb
 from keymint.commands.transport_option import transport_option
 from keymint.errors import Diagnostic, ExitCode, Origin, Severity
 from keymint.graph import LABELLED, Edge
+from keymint.plan.anchors import differences
 from keymint.plan.create import load_policy
+from keymint.plan.inputs import Inputs, LoadedProfile, Sources
 from keymint.report import Report
 from keymint.verify.choose import choose, models
 from keymint.verify.report import edge_document, place, remedy, transport_document
@@ -50,7 +52,8 @@ def why(
     keymint why /robot1/nav ros_call /map/get
     keymint why /bridge publish telemetry --partition ops
 
-    The kind of the object is that of the permission. Ends with 3 when a transport decides otherwise than the policy.
+    The kind of the object is that of the permission. Ends with 3 when a transport decides otherwise than the policy,
+    or the enclave does not rest on the workspace's authorities.
     """
     workspace = run.workspace()
     inputs = run.inputs(workspace)
@@ -65,9 +68,16 @@ def why(
 
     for line in _lines(found, typed):
         run.console.line(line.replace(f"{run.setting.cwd}/", ""))
-    said = _findings(found)
+    said = [*_strange(run, inputs, loaded, found), *_findings(found)]
     result = _document(found, typed)
     return Report(run.verb, workspace, (), said, result, ExitCode.FINDINGS if said else ExitCode.DONE)
+
+
+def _strange(run: Run, inputs: Inputs, loaded: LoadedProfile, found: Explanation) -> tuple[Diagnostic, ...]:
+    """Return what in the subject's enclave does not rest on the workspace's authorities."""
+    if not (found.installed and found.packaged):
+        return ()
+    return differences(inputs, loaded, (found.edge.subject.removeprefix("/"),), Sources(run.plugins))
 
 
 def _findings(found: Explanation) -> list[Diagnostic]:

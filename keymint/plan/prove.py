@@ -14,6 +14,8 @@ from keymint import __version__
 from keymint.api import Claim, DomainRange, LoadedPolicy, Obligation, Package, Proof, Prover
 from keymint.errors import Diagnostic, KeymintError, Origin, Severity
 from keymint.ir import SubjectRules
+from keymint.plan.anchors import anchors_of
+from keymint.plan.authorities import trusted_chains
 from keymint.plan.inputs import Inputs, LoadedProfile, Sources
 from keymint.state import Stamp, State, digest, digest_files
 
@@ -116,6 +118,7 @@ class _Stage:
         self._effort = effort
         self._standard_only = standard_only
         self._folder = folder
+        self._chains = trusted_chains(inputs, loaded)
         self._seen = digest(*(f"{path} {value.hex()}" for path, value in sorted(policy.seen.items())))
         self._found: list[Proven] = []
         self._stamps: dict[str, Stamp] = {}
@@ -177,6 +180,7 @@ class _Stage:
             package.permissions.domains,
             files,
             inputs.workspace.shown(self._folder(package.name) if self._folder else folder),
+            anchors_of(inputs, self._loaded, package, self._chains),
             self._effort.states,
             self._effort.deadline(),
             self._standard_only,
@@ -195,10 +199,14 @@ class _Stage:
         return prover
 
     def _wanted(self, source: Mapping[str, bytes], files: Mapping[str, bytes]) -> str:
-        """Return the digest of all that a proof depends on beside the policy; private keys are no part of it."""
-        public = {name: content for name, content in files.items() if not name.endswith("key.pem")}
+        """Return the digest of all that a proof depends on beside the policy."""
         return digest(
-            digest_files(public), digest_files(source), self._loaded.digest, self._inputs.plugins.versions, __version__
+            digest_files(files),
+            digest_files(source),
+            digest_files(self._chains),
+            self._loaded.digest,
+            self._inputs.plugins.versions,
+            __version__,
         )
 
 
@@ -224,8 +232,7 @@ def _prove(prover: Prover, obligation: Obligation, name: str) -> Proven:
     try:
         claims = tuple(prover.prove(obligation))
     except KeymintError as error:
-        said_all = (Diagnostic(d.code, d.severity, d.message, d.where, d.help, subject) for d in error.diagnostics)
-        return Proven(subject, (), diagnostics=tuple(said_all))
+        return Proven(subject, (), diagnostics=tuple(replace(each, subject=subject) for each in error.diagnostics))
     return Proven(subject, claims)
 
 

@@ -6,6 +6,7 @@ from collections.abc import Mapping, Sequence
 
 from keymint.api import (
     API_VERSION,
+    Anchors,
     Artifact,
     BuildOptions,
     Built,
@@ -81,6 +82,12 @@ class DdsSecurity:
         from keymint_ros2_dds.proving import ASSUMPTIONS  # noqa: PLC0415
 
         return ASSUMPTIONS
+
+    def differences(self, files: Mapping[str, bytes], folder: str, anchors: Anchors) -> Sequence[Diagnostic]:
+        """See :func:`keymint_ros2_dds.proving.anchors.differences`."""
+        from keymint_ros2_dds.proving.anchors import differences  # noqa: PLC0415
+
+        return differences(files, folder, anchors)
 
     def prove(self, obligation: Obligation) -> Sequence[Claim]:
         """See :func:`keymint_ros2_dds.proving.prove`."""

@@ -7,8 +7,9 @@ from collections.abc import Sequence
 from keymint.api import Claim, Obligation
 from keymint.errors import KeymintError, Origin
 from keymint_ros2_dds.document import PERMISSIONS_XML
-from keymint_ros2_dds.install import CA, CERTIFICATE, PERMISSIONS_CA, PERMISSIONS_P7S
+from keymint_ros2_dds.install import CERTIFICATE, PERMISSIONS_P7S
 from keymint_ros2_dds.proving import signed
+from keymint_ros2_dds.proving.anchors import differences
 from keymint_ros2_dds.proving.claims import Held
 from keymint_ros2_dds.proving.content import prove_content
 from keymint_ros2_dds.transports.files import subject_name
@@ -17,16 +18,20 @@ from keymint_ros2_dds.transports.files import subject_name
 def prove(obligation: Obligation, *, models: Sequence[str] | None = None) -> tuple[Claim, ...]:
     """Return the claims about an enclave, by model, action and domains.
 
+    Nothing is claimed of an enclave that does not rest on the workspace's authorities.
+
     Args:
         obligation: what is to be proven.
         models: names of the models; None: all.
 
     Raises:
-        KeymintError: a file of the enclave is missing or cannot be read, a signature does not hold, or a rule of the
-            policy cannot be mapped.
+        KeymintError: a file of the enclave is missing, cannot be read, or does not rest on the anchors, or a rule of
+            the policy cannot be mapped.
     """
     folder = obligation.folder
-    authority = _file(obligation, PERMISSIONS_CA if PERMISSIONS_CA in obligation.files else CA)
+    if found := differences(obligation.files, folder, obligation.anchors):
+        raise KeymintError.of(found)
+    authority = obligation.anchors.permissions.chain
     where = Origin(f"{folder}/{PERMISSIONS_P7S}")
     file = _file(obligation, PERMISSIONS_P7S)
     content = signed.content(file, authority, where)

@@ -8,7 +8,18 @@ from functools import cache
 
 from keymint_ros2_dds import build_type
 
-from keymint.api import BuildOptions, CertificateSpec, Credentials, Inspection, KeySpec, Package, Signer, Validity
+from keymint.api import (
+    Anchor,
+    Anchors,
+    BuildOptions,
+    CertificateSpec,
+    Credentials,
+    Inspection,
+    KeySpec,
+    Package,
+    Signer,
+    Validity,
+)
 from keymint.pki import certificates, keys
 
 from .packages import ORIGIN, VALIDITY
@@ -69,3 +80,12 @@ def inspection(package: Package, files: dict[str, bytes], **fields) -> Inspectio
         30,
     )
     return replace(usual, **fields)
+
+
+def anchors(package: Package, layout: str = "sros2", **chains: bytes) -> Anchors:
+    """Return the authorities that the enclave of a package must rest on."""
+    identity, permissions = (
+        Anchor(name, f"public/{name}.cert.pem", chains.get(name, authority(name).pem))
+        for name in ("identity_ca", "permissions_ca")
+    )
+    return Anchors(identity, permissions, package.identity.subject_name, layout)

@@ -16,7 +16,7 @@ from keymint.api import BuildOptions, DomainRange, Obligation, Proof
 from keymint.errors import KeymintError, Origin
 from keymint.pki import certificates, keys, smime
 from tests.plugins.keymint_ros2_dds.compiling.test_decisions import DENIED, PARTITIONS, rules
-from tests.plugins.keymint_ros2_dds.enclaves import authority, installed
+from tests.plugins.keymint_ros2_dds.enclaves import anchors, authority, installed
 from tests.plugins.keymint_ros2_dds.oracles import policy as oracle
 from tests.plugins.keymint_ros2_dds.packages import DOMAIN, package, rule
 
@@ -37,7 +37,8 @@ def sign(content: bytes) -> bytes:
 def obligation(loaded, files, **fields):
     given_ = {
         "rules": loaded.permissions.rules, "distro": loaded.distro, "domains": loaded.permissions.domains,
-        "files": files, "folder": "install/talker", "states": 200_000, "go_on": lambda: True,
+        "files": files, "folder": "install/talker", "anchors": anchors(loaded),
+        "states": 200_000, "go_on": lambda: True,
     }  # fmt: skip
     return Obligation(**{**given_, **fields})
 

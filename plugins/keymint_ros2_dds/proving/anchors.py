@@ -1,0 +1,151 @@
+"""What in an enclave does not rest on the workspace's authorities.
+
+A vendor trusts the authorities that lie in the enclave. So an enclave that is wholly someone else's is sound in itself:
+only the workspace can tell.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import replace
+from datetime import UTC, datetime
+from functools import lru_cache
+
+from cryptography import x509
+
+from keymint.api import Anchor, Anchors
+from keymint.errors import Diagnostic, KeymintError, Origin, Severity
+from keymint.pki import certificates, keys, names, verify
+from keymint_ros2_dds.install import (
+    CA,
+    CERTIFICATE,
+    FILES,
+    GOVERNANCE_P7S,
+    IDENTITY_CA,
+    KEY,
+    PERMISSIONS_CA,
+    PERMISSIONS_P7S,
+)
+from keymint_ros2_dds.proving import signed
+
+_ANY_TIME = datetime(2000, 1, 1, tzinfo=UTC)
+_TIMES = frozenset(("certificate-expired", "certificate-not-yet-valid"))
+"""What a certificate is at a time is not a matter of whom it rests on."""
+
+
+def differences(files: Mapping[str, bytes], folder: str, anchors: Anchors) -> tuple[Diagnostic, ...]:
+    """Return what does not rest on the workspace's authorities; see :meth:`keymint.api.Prover.differences`."""
+    missing = tuple(_missing(anchors))
+    return missing or tuple(_Enclave(files, folder, anchors).found())
+
+
+def _missing(anchors: Anchors) -> Iterator[Diagnostic]:
+    for anchor in dict.fromkeys((anchors.identity, anchors.permissions)):
+        if not anchor.chain:
+            message = (
+                f"the certificate of the authority {anchor.name!r} is missing: nothing says whom enclaves may trust"
+            )
+            help_ = "restore it from a copy of the workspace; that in the enclave vouches for nothing"
+            yield Diagnostic("authority-missing", Severity.ERROR, message, Origin(anchor.file), help_)
+            continue
+        try:
+            certificates.load_bundle(anchor.chain, Origin(anchor.file))
+        except KeymintError as error:
+            yield from error.diagnostics
+
+
+class _Enclave:
+    """One enclave, held against what it must rest on."""
+
+    def __init__(self, files: Mapping[str, bytes], folder: str, anchors: Anchors) -> None:
+        self._files = files
+        self._folder = folder
+        self._anchors = anchors
+
+    def found(self) -> Iterator[Diagnostic]:
+        yield from self._authorities()
+        yield from self._identity()
+        yield from self._signed(PERMISSIONS_P7S)
+        yield from self._signed(GOVERNANCE_P7S)
+
+    def _where(self, name: str) -> Origin:
+        return Origin(f"{self._folder}/{name}")
+
+    def _error(self, code: str, name: str, message: str, help_: str) -> Diagnostic:
+        return Diagnostic(code, Severity.ERROR, message, self._where(name), help_)
+
+    def _file(self, name: str) -> bytes:
+        """Return a file.
+
+        Raises:
+            KeymintError: it is missing.
+        """
+        content = self._files.get(name)
+        if content is None:
+            raise KeymintError(
+                "is missing", where=self._where(name), help="'keymint install' restores it", code="file-missing"
+            )
+        return content
+
+    def _authorities(self) -> Iterator[Diagnostic]:
+        """Compare the authorities that the enclave trusts, also those that its layout does not have."""
+        wanted: Mapping[str, Anchor] = {
+            IDENTITY_CA: self._anchors.identity,
+            PERMISSIONS_CA: self._anchors.permissions,
+            CA: self._anchors.permissions,
+        }
+        for name, anchor in wanted.items():
+            content = self._files.get(name)
+            if content is None and name in FILES.get(self._anchors.layout, ()):
+                yield self._error("file-missing", name, "is missing", "'keymint install' restores it")
+            elif content is not None and content != anchor.chain:
+                message = f"is not the certificate of the workspace's authority {anchor.name!r}, {anchor.file}"
+                help_ = "the enclave trusts someone else: find out who wrote it, then 'keymint install' restores it"
+                yield self._error("authority-differs", name, message, help_)
+
+    def _identity(self) -> Iterator[Diagnostic]:
+        where = self._where(CERTIFICATE)
+        try:
+            pem = self._file(CERTIFICATE)
+            certificate = certificates.load(pem, where)
+            wanted = names.parse(self._anchors.subject_name)
+        except KeymintError as error:
+            yield from error.diagnostics
+            return
+        found = verify.verify_chain(pem, self._anchors.identity.chain, _ANY_TIME, where)
+        yield from (each for each in found if each.code not in _TIMES)
+        if certificate.subject != wanted:
+            message = f"is for {names.to_text(certificate.subject)!r}, not {names.to_text(wanted)!r}"
+            yield self._error("certificate-subject", CERTIFICATE, message, "'keymint install' restores it")
+        yield from self._key(certificate)
+
+    def _key(self, certificate: x509.Certificate) -> Iterator[Diagnostic]:
+        pem = self._files.get(KEY)
+        if pem is None:
+            return  # the key may be kept elsewhere
+        try:
+            key = keys.from_pem(pem, None, self._where(KEY))
+        except KeymintError as error:
+            # An encrypted key cannot be read without its password, and nothing is claimed of it.
+            yield from (each for each in error.diagnostics if each.code != "key-password")
+            return
+        if not keys.matches(key, certificate):
+            message = "is not the key of the certificate beside it"
+            yield self._error("key-mismatch", KEY, message, "restore it, or mint both with --renew")
+
+    def _signed(self, name: str) -> Iterator[Diagnostic]:
+        try:
+            found = _refused(self._file(name), self._anchors.permissions.chain)
+        except KeymintError as error:
+            found = error.diagnostics
+        yield from (replace(each, where=self._where(name)) for each in found)
+
+
+# As a rule all enclaves have the same governance.
+@lru_cache(maxsize=64)
+def _refused(document: bytes, authority: bytes) -> tuple[Diagnostic, ...]:
+    try:
+        signed.content(document, authority, Origin("a signed document"))
+    except KeymintError as error:
+        return error.diagnostics
+    return ()
