@@ -29,7 +29,7 @@ from keymint.api import (
     Transport,
     TransportType,
 )
-from keymint.errors import KeymintError, Origin
+from keymint.errors import ExitCode, KeymintError, Origin
 
 _OURS = "keymint-tools"
 GROUPS: Mapping[str, str] = {
@@ -84,6 +84,10 @@ def how_to_add(package: str) -> str:
     else:
         command = [sys.executable, "-m", "pip", "install", package]
     return shlex.join(command)
+
+
+def _kind(group: str) -> str:
+    return group.removeprefix("keymint.").removesuffix("s").replace("_", " ")
 
 
 def _source(entry: EntryPoint) -> str:
@@ -219,14 +223,33 @@ class Plugins:
             self._loaded[key] = self._load(group, name, where)
         return self._loaded[key]
 
-    def _load(self, group: str, name: str, where: Origin | None) -> object:
+    def require(self, group: str, name: str, where: Origin | None = None, exit_code: ExitCode = ExitCode.USAGE) -> None:
+        """Require that a plugin is installed, without loading it.
+
+        Args:
+            group: a key of :data:`GROUPS`.
+            name: the plugin's name.
+            where: the file that asks for it, for the message.
+            exit_code: what the command line ends with when there is none; by default, as for a wrong option.
+
+        Raises:
+            KeymintError: there is none of this name; says which is near.
+        """
         known = self._entries.get(group, {})
-        kind = group.removeprefix("keymint.").removesuffix("s").replace("_", " ")
         if name not in known:
             near = difflib.get_close_matches(name, known, n=1)
-            hint = f"did you mean {near[0]!r}?" if near else "'keymint plugins' lists what is installed"
-            raise KeymintError(f"no {kind} {name!r} is installed", where=where, help=hint, code="plugin-unknown")
-        entries = known[name]
+            raise KeymintError(
+                f"no {_kind(group)} {name!r} is installed",
+                where=where,
+                help=f"did you mean {near[0]!r}?" if near else "'keymint plugins' lists what is installed",
+                code="plugin-unknown",
+                exit_code=exit_code,
+            )
+
+    def _load(self, group: str, name: str, where: Origin | None) -> object:
+        self.require(group, name, where, ExitCode.FAILURE)
+        kind = _kind(group)
+        entries = self._entries[group][name]
         if len(entries) > 1:
             brought_by = " and ".join(sorted(map(_brought_by, entries)))
             raise KeymintError(

@@ -12,6 +12,7 @@ from typing import Any
 import click
 
 from keymint.api import Surroundings
+from keymint.commands.plugin_options import require_known
 from keymint.console import Console, Streams
 from keymint.errors import ExitCode, KeymintError
 from keymint.execute import RECORD, execute, open_store
@@ -170,7 +171,12 @@ def verb(*, writes: bool = False, help: str | None = None) -> Callable[[Verb], c
             common = {key: options.pop(key) for key in list(options) if key in _COMMON or key.endswith("_space")}
             setting: Setting = context.find_root().obj()
             run = Run(setting, name, common)
-            context.exit(int(_guarded(run, functools.partial(function, run, **options))))
+
+            def work() -> Report:
+                require_known(context, run.plugins)
+                return function(run, **options)
+
+            context.exit(int(_guarded(run, work)))
 
         functools.update_wrapper(command, function)
         # Click lists the parameters from the last to the first: the verb's own come before the common ones.

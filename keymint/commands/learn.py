@@ -63,6 +63,8 @@ def learn(
     learner = run.plugins.policy_type(policy_type)
     if not hasattr(learner, "learn"):
         raise KeymintError(f"the policy type {policy_type!r} cannot learn", code="learn-unsupported")
+    if distro:
+        run.plugins.profile_type(profile_type).library(distro)  # an unknown one is an error with and without --policy
     wanted = graph_json.load(read_input(run, graph), str(graph))
     existing = _existing(run, policy, policy_type, profile_type, distro) if policy else None
     if output and existing:

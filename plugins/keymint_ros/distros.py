@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from comarmor.data import locate
-from keymint.errors import KeymintError, Origin
+from keymint.errors import ExitCode, KeymintError, Origin
 from keymint_ros.document import did_you_mean
 
 _FAMILIES = {
@@ -28,7 +28,7 @@ def check(distro: str, where: Origin | None = None) -> str:
     """Return the name of a known distribution.
 
     Raises:
-        KeymintError: it is not known.
+        KeymintError: it is not known; wrong usage where no file names it.
     """
     if distro in DISTROS:
         return distro
@@ -37,6 +37,7 @@ def check(distro: str, where: Origin | None = None) -> str:
         where=where,
         help=did_you_mean(distro.lower(), DISTROS) or f"known are {', '.join(DISTROS)}",
         code="distro-unknown",
+        exit_code=ExitCode.FAILURE if where else ExitCode.USAGE,  # no file says it, so an option or $ROS_DISTRO does
     )
 
 

@@ -103,7 +103,7 @@ def test_as_json(keymint, capture: str) -> None:
         (["--from", "c.xml", "--domain", "3"], 2, "--domain is of no use with --from"),
         (["--from", "c.xml", "--subject", "x"], 2, "GUID=NAME"),
         (["--from", "c.xml", "--subject", "x=/a"], 2, "'x' is not a GUID"),
-        (["--from", "c.xml", "--source", "keymint_ros2_dd"], 1, "did you mean 'keymint_ros2_dds'?"),
+        (["--from", "c.xml", "--source", "keymint_ros2_dd"], 2, "did you mean 'keymint_ros2_dds'?"),
         (["--from", "c.xml", "-o", "link.json"], 1, "symbolic link"),
         (["--from", "c.xml", "-o", "junk/g.json"], 1, "junk"),
         (["--domain", "300"], 2, "300"),

@@ -347,7 +347,7 @@ class TestGraph:
 class TestUsage:
     def test_an_unknown_transport(self, keymint, cell: Path) -> None:
         outcome = keymint("verify", "-t", "omgg", cwd=cell)
-        assert outcome.code == 1
+        assert outcome.code == 2
         assert "did you mean 'omg'?" in outcome.err
 
     def test_a_tier_that_a_transport_has_not(self, keymint, cell: Path) -> None:
