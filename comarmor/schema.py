@@ -77,7 +77,7 @@ def _unexpected(found: re.Match[str], vocabulary: Vocabulary, element: etree._El
             return f"<{found[1]}> is not expected here", "it stands in another place, or more often than it may"
     wanted = f"expected {_one_of(expected)}" if expected else "expected nothing more"
     help_ = did_you_mean(found[1], expected)
-    if element is not None and str(element.tag).endswith("}include"):
+    if found[1].endswith("}include"):
         help_ = f'the namespace of xi:include is "{XINCLUDE}"'
     return f"<{found[1]}> is not expected here, {wanted}", help_
 
