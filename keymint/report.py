@@ -55,6 +55,23 @@ def as_typed(diagnostic: Diagnostic, folder: Path) -> Diagnostic:
     )
 
 
+def folded(diagnostics: Sequence[Diagnostic]) -> tuple[Diagnostic, ...]:
+    """Fold diagnostics that differ in their subject only: a defect in shared defaults is one defect.
+
+    The message then says for how many packages it stands. Diagnostics without a place stay as they are.
+    """
+    together: dict[Diagnostic, int] = {}
+    first: dict[Diagnostic, Diagnostic] = {}
+    for diagnostic in diagnostics:
+        key = replace(diagnostic, subject="") if diagnostic.where else diagnostic
+        together[key] = together.get(key, 0) + 1
+        first.setdefault(key, diagnostic)
+    return tuple(
+        first[key] if count == 1 or not key.where else replace(key, message=f"{key.message} [{count} packages]")
+        for key, count in together.items()
+    )
+
+
 def findings_exit(diagnostics: Sequence[Diagnostic]) -> ExitCode:
     """Return the exit code of a verb that looks for findings: notes are none."""
     found = any(diagnostic.severity is not Severity.NOTE for diagnostic in diagnostics)

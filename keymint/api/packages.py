@@ -42,7 +42,11 @@ class TopicProtection:
 
 @dataclass(frozen=True, slots=True)
 class DomainRule:
-    """A domain rule of a governance document (DDS Security 1.1, 9.4.1.2.4)."""
+    """A domain rule of a governance document (DDS Security 1.1, 9.4.1.2.4).
+
+    Attributes:
+        domains_origin: where its domains are written, if not at ``origin``.
+    """
 
     domains: tuple[DomainRange, ...]
     allow_unauthenticated_participants: bool
@@ -52,6 +56,7 @@ class DomainRule:
     rtps_protection_kind: str
     topic_rules: tuple[TopicProtection, ...]
     origin: Origin
+    domains_origin: Origin | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -70,6 +75,7 @@ class Permissions:
         grant_name: the grant's name attribute.
         subject_name: distinguished name as text; must be that of the identity.
         domains: domains in which the grant holds.
+        domains_origin: where these are written, if not at ``origin``.
     """
 
     issuer: str
@@ -79,6 +85,7 @@ class Permissions:
     domains: tuple[DomainRange, ...]
     rules: SubjectRules
     origin: Origin
+    domains_origin: Origin | None = None
 
 
 @dataclass(frozen=True, slots=True)

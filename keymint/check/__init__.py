@@ -6,7 +6,7 @@ the record of what was installed, files that nobody accounts for, authorities, a
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Sequence
 from datetime import timedelta
 
 from keymint.api import Inspection
@@ -59,8 +59,4 @@ def check(
         findings += inputs.plugins.build_type(build_type).check_all(together)
     findings += (install.orphan_finding(name) for name in install.orphans(inputs, loaded))
     findings += shared(inputs, loaded)
-    return tuple(_unique(findings))
-
-
-def _unique(findings: Iterable[Diagnostic]) -> Iterator[Diagnostic]:
-    yield from dict.fromkeys(findings)
+    return tuple(findings)

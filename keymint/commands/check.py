@@ -11,7 +11,7 @@ from keymint.check import check as find
 from keymint.commands.common import Run, complete_package, verb
 from keymint.errors import Severity
 from keymint.plan.inputs import Sources
-from keymint.report import Report, findings_exit
+from keymint.report import Report, findings_exit, folded
 
 _UNITS = {"h": timedelta(hours=1), "d": timedelta(days=1), "w": timedelta(weeks=1)}
 _MOST_DAYS = 365 * 200
@@ -45,7 +45,7 @@ def check(run: Run, names: tuple[str, ...], within: timedelta) -> Report:
     workspace = run.workspace()
     inputs = run.inputs(workspace)
     chosen = run.names(inputs, names)
-    findings = find(inputs, inputs.profile(), chosen, Sources(run.plugins), within)
+    findings = folded(find(inputs, inputs.profile(), chosen, Sources(run.plugins), within))
     counted = sum(finding.severity is not Severity.NOTE for finding in findings)
     plural = "" if len(chosen) == 1 else "s"
     run.console.line(f"checked {len(chosen)} enclave{plural}: {counted or 'no'} finding{'' if counted == 1 else 's'}")

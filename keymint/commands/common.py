@@ -20,7 +20,7 @@ from keymint.names import package_name
 from keymint.plan.inputs import Inputs
 from keymint.plan.model import Plan
 from keymint.plugins import Plugins
-from keymint.report import Report, as_typed
+from keymint.report import Report, as_typed, folded
 from keymint.state import MAX_RECORD
 from keymint.state import load as load_state
 from keymint.tree import Tree, read_file
@@ -199,7 +199,7 @@ def _guarded(run: Run, function: Callable[[], Report]) -> ExitCode:
         found = run._found  # noqa: SLF001 - none is looked for, for a message
         report = Report(run.verb, found, (), error.diagnostics, exit_code=error.exit_code, dry_run=run.dry_run)
     typed = tuple(as_typed(diagnostic, run.setting.cwd) for diagnostic in report.diagnostics)
-    run.console.show(replace(report, diagnostics=typed))
+    run.console.show(replace(report, diagnostics=folded(typed)))
     return report.exit_code
 
 

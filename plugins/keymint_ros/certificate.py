@@ -49,6 +49,11 @@ class Written:
     extensions: tuple[Extension, ...] | None = None
     key: KeySpec | None = None
 
+    @property
+    def says_something(self) -> bool:
+        """Whether the document sets anything, so that not all comes from the defaults."""
+        return self != Written(self.line)
+
 
 @dataclass(frozen=True, slots=True)
 class Source:
@@ -107,9 +112,9 @@ def complete(own: Source | None, defaults: Source, values: Mapping[str, str]) ->
     if subject_name is None or period is None:
         missing = "subject_name" if subject_name is None else "validity"
         raise KeymintError(
-            f"the certificate has no <{missing}>, neither here nor in its defaults",
-            where=first.origin,
-            help=f"add a <{missing}> to {defaults.file}",
+            f"the certificate has no <{missing}>, neither in its own document nor in these defaults",
+            where=defaults.origin,
+            help=f"add a <{missing}> to it",
             code="certificate-incomplete",
         )
     extensions, file = (
@@ -124,7 +129,7 @@ def complete(own: Source | None, defaults: Source, values: Mapping[str, str]) ->
         hash_algorithm=said.hash_algorithm or other.hash_algorithm or _HASH,
         key=said.key or other.key or _KEY,
         extensions=tuple(replace(one, origin=Origin(file, one.origin.line)) for one in extensions or ()),
-        origin=first.origin,
+        origin=first.origin if first.written.says_something else defaults.origin,
     )
 
 

@@ -140,14 +140,20 @@ def complete(own: Iterable[Written], file: str, defaults: Written, defaults_file
     inherited = tuple(_protection(rule, general, defaults_file) for rule in defaults.topic_rules)
     rules = [
         _domain_rule(
-            rule, defaults, tuple(_protection(one, general, file) for one in rule.topic_rules) + inherited, file
+            rule,
+            defaults,
+            tuple(_protection(one, general, file) for one in rule.topic_rules) + inherited,
+            Origin(file, rule.line),
+            None if rule.domains else Origin(defaults_file, defaults.line),
         )
         for rule in own
     ]
-    return tuple(rules) or (_domain_rule(defaults, defaults, inherited, defaults_file),)
+    return tuple(rules) or (_domain_rule(defaults, defaults, inherited, Origin(defaults_file, defaults.line)),)
 
 
-def _domain_rule(said: Written, other: Written, topics: tuple[TopicProtection, ...], file: str) -> DomainRule:
+def _domain_rule(
+    said: Written, other: Written, topics: tuple[TopicProtection, ...], origin: Origin, domains: Origin | None = None
+) -> DomainRule:
     return DomainRule(
         domains=_first(said.domains, other.domains, STRICT.domains),
         allow_unauthenticated_participants=_first(
@@ -160,7 +166,8 @@ def _domain_rule(said: Written, other: Written, topics: tuple[TopicProtection, .
         liveliness_protection_kind=_first(said.liveliness, other.liveliness, STRICT.liveliness),
         rtps_protection_kind=_first(said.rtps, other.rtps, STRICT.rtps),
         topic_rules=topics,
-        origin=Origin(file, said.line),
+        origin=origin,
+        domains_origin=domains,
     )
 
 

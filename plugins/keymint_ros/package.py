@@ -138,9 +138,9 @@ class _Loader:
         if subject_name is None or period is None:
             missing = "subject_name" if subject_name is None else "validity"
             raise KeymintError(
-                f"the grant has no <{missing}>, neither here nor in its defaults",
-                where=Origin(file, grant.line),
-                help=f"add a <{missing}> to {defaults_file}",
+                f"the grant has no <{missing}>, neither in the package nor in these defaults",
+                where=Origin(defaults_file, defaults.line),
+                help=f"add a <{missing}> to it",
                 code="grant-incomplete",
             )
         return Permissions(
@@ -151,6 +151,7 @@ class _Loader:
             domains=grant.domains or defaults.domains or governance.STRICT.domains or (),
             rules=permissions.to_ir(grant, subject, file, self.base),
             origin=Origin(file, grant.line),
+            domains_origin=None if grant.domains else Origin(defaults_file, defaults.line),
         )
 
     def governance(self) -> Governance:

@@ -78,7 +78,8 @@ def _check(package: Package) -> Iterator[Diagnostic]:
         yield Diagnostic(
             "domain-uncovered", Severity.ERROR,
             f"the permissions are for {which}, of which the governance says nothing",
-            granted.origin, "add the domain to a domain rule of the governance", package.subject,
+            granted.domains_origin or granted.origin, "add the domain to a domain rule of the governance",
+            package.subject,
         )  # fmt: skip
 
 

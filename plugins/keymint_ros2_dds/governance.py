@@ -72,7 +72,7 @@ def _check(governance: Governance, lenient: bool) -> Iterator[Diagnostic]:
     if not governance.domain_rules:
         yield Diagnostic("governance-empty", Severity.ERROR, "the governance has no domain rule")
     for rule in governance.domain_rules:
-        yield from document.check_domains(rule.domains, rule.origin, "")
+        yield from document.check_domains(rule.domains, rule.domains_origin or rule.origin, "")
         for name in ("discovery", "liveliness", "rtps"):
             yield from _kind(f"{name}_protection_kind", getattr(rule, f"{name}_protection_kind"), KINDS, rule.origin)
         if rule.allow_unauthenticated_participants and rule.rtps_protection_kind != "NONE":

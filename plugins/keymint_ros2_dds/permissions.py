@@ -25,7 +25,7 @@ def render(permissions: Permissions, rules: Iterable[Criteria]) -> bytes:
         KeymintError: the subject's name, a date or a domain cannot be said alike for all vendors.
     """
     subject = permissions.rules.subject
-    problems = document.check_domains(permissions.domains, permissions.origin, subject)
+    problems = document.check_domains(permissions.domains, permissions.domains_origin or permissions.origin, subject)
     if permissions.validity.not_after.year > document.MAX_YEAR:
         message = (
             f"the permissions end in the year {permissions.validity.not_after.year}, which Cyclone DDS takes to be over"

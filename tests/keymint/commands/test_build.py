@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 
 import pytest
@@ -269,3 +270,40 @@ class TestForms:
         assert outcome.code == code
         assert said in outcome.err
         assert snapshot(ws) == before
+
+
+@pytest.mark.parametrize(
+    ("file", "pattern", "by"),
+    [
+        ("permissions", "<not_after>.*?<", "<not_after>garbage<"),
+        ("permissions", "<id>0<", "<id>300<"),
+        ("permissions", "<subject_name>.*</subject_name>", ""),
+        ("permissions", "{common_name}", "{comon}"),
+        ("permissions", "permissions_ca", "prmissions_ca"),
+        ("permissions", "</defaults>", ""),
+        ("governance", "<id>0<", "<id>300<"),
+        ("governance", "ENCRYPT<", "ENCRIPT<"),
+        ("identities", "<not_after>.*?<", "<not_after>2020-01-01T00:00:00<"),
+        ("identities", "<subject_name>.*</subject_name>", ""),
+        ("identities", "SECP256R1", "SECT233K1"),
+        ("identities", "SHA256", "SHA1"),
+    ],
+)
+@pytest.mark.parametrize("verb", ["build", "check"])
+def test_a_defect_in_the_defaults_is_one_line_for_all_packages(
+    keymint, tmp_path: Path, verb: str, file: str, pattern: str, by: str
+) -> None:
+    (tmp_path / "p.xml").write_text(
+        "<profiles>"
+        + "".join(f"<profile name='n{n}'><attachment>/n{n}</attachment></profile>" for n in range(3))
+        + "</profiles>"
+    )
+    keymint("provision", "p.xml", "-w", "ws")
+    defaults = tmp_path / f"ws/profile/package.defaults/{file}.xml"
+    defaults.write_text(re.sub(pattern, by, defaults.read_text()))
+    outcome = keymint(verb, "-w", "ws")
+    lines = [line for line in outcome.err.splitlines() if "package.defaults" in line]
+    assert lines
+    assert len(lines) == len(set(lines))
+    assert all("[3 packages]" in line for line in lines)
+    assert not [line for line in outcome.err.splitlines() if "ws/src/" in line]

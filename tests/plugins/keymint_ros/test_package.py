@@ -30,7 +30,7 @@ def test_a_new_package_is_all_defaults(workspace: Workspace) -> None:
     assert package.permissions.rules == RULES
     assert package.permissions.grant_name == "/robot1/talker"
     assert package.identity.key == KeySpec("ec", "SECP256R1")
-    assert str(package.identity.origin).startswith("src/robot1/talker/identities.xml:")
+    assert str(package.identity.origin).startswith("/ws/profile/package.defaults/identities.xml:")
 
 
 def test_an_identity_overrides_its_defaults(workspace: Workspace) -> None:
@@ -230,4 +230,5 @@ def test_an_incomplete_grant_names_the_defaults(workspace: Workspace) -> None:
         workspace.edit("profile/package.defaults/permissions.xml", text, "").load()
     (found,) = error.value.diagnostics
     assert found.code == "grant-incomplete"
-    assert found.help == "add a <subject_name> to /ws/profile/package.defaults/permissions.xml"
+    assert found.where
+    assert found.where.file == "/ws/profile/package.defaults/permissions.xml"

@@ -186,7 +186,8 @@ def test_a_missing_validity_is_asked_for_in_the_defaults(workspace: Workspace) -
         profile_type.load(ROOT, files)
     (found,) = error.value.diagnostics
     assert found.code == "certificate-incomplete"
-    assert found.help.endswith("/ws/profile/profile.defaults/authorities.xml")
+    assert found.where
+    assert found.where.file == "/ws/profile/profile.defaults/authorities.xml"
 
 
 @pytest.mark.parametrize("path", ["keymint_profile.xml", "policies.xml", "profile.defaults/authorities.xml"])
