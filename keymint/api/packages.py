@@ -76,6 +76,7 @@ class Permissions:
         subject_name: distinguished name as text; must be that of the identity.
         domains: domains in which the grant holds.
         domains_origin: where these are written, if not at ``origin``.
+        edited: a person changed the rules; they are not those that the policy says.
     """
 
     issuer: str
@@ -86,6 +87,7 @@ class Permissions:
     rules: SubjectRules
     origin: Origin
     domains_origin: Origin | None = None
+    edited: bool = False
 
 
 @dataclass(frozen=True, slots=True)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -10,8 +10,9 @@ import click
 
 from keymint.api import LoadedPolicy, Proof
 from keymint.commands.common import Run
-from keymint.errors import ExitCode, KeymintError, Severity
+from keymint.errors import Diagnostic, ExitCode, KeymintError, Origin, Severity
 from keymint.plan.inputs import Inputs, LoadedProfile, Sources
+from keymint.plan.install import HAND_EDITED
 from keymint.plan.model import Plan
 from keymint.plan.prove import NO_PROVER, Proven, prove
 
@@ -72,10 +73,32 @@ def proven(
         if each.code != NO_PROVER
     ]
     if refused:
-        # What is said of the plan often says why: an edit by hand, or a policy that changed.
-        raise KeymintError.of([*plan.diagnostics, *refused], ExitCode.FINDINGS)
+        edits = _refused_edits(planned, loaded, sources, plan, {each.subject for each in refused})
+        by_edit = {each.subject for each in edits}
+        # Other warnings of the plan often say why, e.g. a policy that changed.
+        warned = [each for each in plan.diagnostics if each.code != HAND_EDITED or each.subject not in by_edit]
+        raise KeymintError.of([*warned, *edits, *refused], ExitCode.FINDINGS)
     unsupported = [replace(each, severity=Severity.WARNING) for each in said]
     return replace(plan, state=found.state, diagnostics=(*plan.diagnostics, *unsupported))
+
+
+def _refused_edits(
+    planned: Inputs, loaded: LoadedProfile, sources: Sources, plan: Plan, subjects: Collection[str]
+) -> list[Diagnostic]:
+    """Return an error for each document that was edited by hand, of subjects whose proof fails."""
+    found: dict[Origin, Diagnostic] = {}
+    for subject in sorted(subjects):
+        name = subject.removeprefix("/")
+        package = sources.load(planned, loaded, name, sources.files(planned, name))
+        built = [each.where for each in plan.diagnostics if each.code == HAND_EDITED and each.subject == subject]
+        discard = {where: f"keymint build -f {name}" for where in built if where}
+        if package.permissions.edited:
+            discard[package.permissions.origin] = f"keymint create -f {name}"
+        for where, command in discard.items():
+            message = f"was edited by hand, and the edit changes what {subject} may do"
+            help_ = f"write it into the policy instead; '{command}' discards the edit"
+            found[where] = Diagnostic(HAND_EDITED, Severity.ERROR, message, where, help_, subject)
+    return list(found.values())
 
 
 def _holds(enclave: Proven, standard: str) -> bool:
@@ -86,5 +109,5 @@ def _holds(enclave: Proven, standard: str) -> bool:
 
 def _with_mend(help_: str, *, of_vendors: bool) -> str:
     accept = "accept what vendors decide differently with --allow-vendor-specific, " if of_vendors else ""
-    mend = f"nothing is installed; build it anew from the policy, {accept}or install it all the same with --no-prove"
+    mend = f"nothing was installed; rebuild it from the policy, {accept}or sign it anyway with --no-prove"
     return f"{help_}; {mend}" if help_ else mend

@@ -17,6 +17,8 @@ from keymint.plan.secrets import load_key
 from keymint.state import Stamp, digest, digest_files
 from keymint.workspace import packages
 
+HAND_EDITED = "hand-edited"
+"""Code of what is reported of a document that a person edited."""
 STAGE = "install"
 CERTIFICATE = "cert.pem"
 
@@ -181,9 +183,9 @@ def _outdated(inputs: Inputs, name: str) -> Diagnostic:
     return Diagnostic(
         "build-outdated",
         Severity.WARNING,
-        "was built from sources that changed since, and is signed as it is",
+        "is stale; signing the existing build",
         Origin(str(inputs.workspace.build / name)),
-        f"'keymint build {name}' builds it anew",
+        f"'keymint build {name}' rebuilds it",
         f"/{name}",
     )
 
@@ -192,11 +194,11 @@ def _edits(inputs: Inputs, name: str, documents: Mapping[str, bytes]) -> Sequenc
     """Return a warning for each document that is signed although it is not what the sources built."""
     return [
         Diagnostic(
-            "hand-edited",
+            HAND_EDITED,
             Severity.WARNING,
-            "was edited by hand, and is signed as it is",
+            "was edited by hand; signing the edited document",
             Origin(inputs.workspace.shown(inputs.workspace.build / name / file)),
-            f"'keymint build -f {name}' builds it anew",
+            f"'keymint build -f {name}' discards the edit",
             f"/{name}",
         )
         for file, content in documents.items()

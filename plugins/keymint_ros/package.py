@@ -152,6 +152,7 @@ class _Loader:
             rules=permissions.to_ir(grant, subject, file, self.base),
             origin=Origin(file, grant.line),
             domains_origin=None if grant.domains else Origin(defaults_file, defaults.line),
+            edited=grant.edited,
         )
 
     def governance(self) -> Governance:

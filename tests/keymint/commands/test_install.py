@@ -121,9 +121,44 @@ def test_a_document_edited_by_hand_is_signed_and_said(keymint, provisioned: Path
     path.write_text(path.read_text().replace("rt/chatter", "rt/edited"))
     outcome = keymint("install", "--no-prove", cwd=provisioned)
     assert outcome.code == 0
-    assert "build/talker/permissions.xml: warning: was edited by hand, and is signed as it is" in outcome.err
+    assert "build/talker/permissions.xml: warning: was edited by hand; signing the edited document" in outcome.err
     assert b"rt/edited" in (provisioned / "install/enclaves/talker/permissions.p7s").read_bytes()
     assert keymint("check", cwd=provisioned).code == 3
+
+
+@pytest.mark.parametrize(
+    ("file", "old", "new", "discard"),
+    [
+        ("build/talker/permissions.xml", "rt/chatter", "rt/edited", "'keymint build -f talker'"),
+        ("src/talker/permissions.xml", "<attachment>/chatter<", "<attachment>/edited<", "'keymint create -f talker'"),
+    ],
+)
+def test_an_edit_that_changes_the_meaning_is_refused_by_name(
+    keymint, provisioned: Path, file: str, old: str, new: str, discard: str
+) -> None:
+    path = provisioned / file
+    path.write_text(path.read_text().replace(old, new))
+    assert keymint("build", cwd=provisioned).code == 0
+    before = snapshot(provisioned / "install")
+    outcome = keymint("install", cwd=provisioned)
+    assert outcome.code == 3
+    first = next(line for line in outcome.err.splitlines() if line.startswith(file))
+    assert "error: was edited by hand, and the edit changes what /talker may do" in first
+    assert discard in first
+    assert "signing the edited document" not in outcome.err
+    assert snapshot(provisioned / "install") == before
+    keymint(*discard.strip("'").split()[1:], cwd=provisioned)
+    assert keymint("build", cwd=provisioned).code == 0
+    assert keymint("install", cwd=provisioned).code == 0
+
+
+def test_an_edit_that_keeps_the_meaning_is_signed_and_reported(keymint, provisioned: Path) -> None:
+    path = provisioned / "build/talker/permissions.xml"
+    path.write_text(path.read_text().replace('<grant name="/talker">', '<grant name="mine">'))
+    outcome = keymint("install", cwd=provisioned)
+    assert outcome.code == 0
+    assert "build/talker/permissions.xml: warning: was edited by hand; signing the edited document" in outcome.err
+    assert b'"mine"' in (provisioned / "install/enclaves/talker/permissions.p7s").read_bytes()
 
 
 def test_a_document_that_breaks_its_schema_is_not_signed(keymint, provisioned: Path) -> None:
@@ -143,7 +178,7 @@ def test_sources_and_policy_that_changed_are_said(keymint, provisioned: Path, po
         assert "the policy, or the profile, changed since the packages were made from it" in outcome.err
     keymint("create", "--all", cwd=provisioned)
     outcome = keymint("install", "--no-prove", cwd=provisioned)
-    assert "build/talker: warning: was built from sources that changed since" in outcome.err
+    assert "build/talker: warning: is stale; signing the existing build" in outcome.err
     keymint("build", cwd=provisioned)
     outcome = keymint("install", cwd=provisioned)
     assert (outcome.code, outcome.err) == (0, "")
