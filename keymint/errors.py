@@ -18,6 +18,7 @@ class ExitCode(IntEnum):
     USAGE = 2
     FINDINGS = 3
     INTERRUPTED = 130
+    TERMINATED = 143
 
 
 class Severity(StrEnum):

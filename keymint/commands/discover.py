@@ -15,6 +15,7 @@ from keymint import graph_json
 from keymint.api import Discovered, GraphSource
 from keymint.commands.common import Run, verb
 from keymint.commands.files import exists, read_input, write_outputs
+from keymint.commands.signals import ended_by_signals
 from keymint.errors import Diagnostic, ExitCode, KeymintError, Origin, Severity
 from keymint.graph import Graph
 from keymint.report import Report
@@ -79,7 +80,8 @@ def discover(
     """Find the graph of a running system: which subject does what with which topic, service, action, parameter.
 
     It looks at a DDS domain (with Cyclone DDS, whatever the others use), or reads captures. One look misses clients
-    that live for a moment: look longer, or again with --append. The JSON is described in docs/graph.md.
+    that live for a moment: look longer, or again with --append. Ctrl-C ends the look early and keeps what was seen
+    (exit code 130). The JSON is described in docs/graph.md.
 
     \b
     keymint discover --seconds 30 -o graph.json      while the application runs, without security
@@ -96,10 +98,12 @@ def discover(
             exit_code=ExitCode.USAGE,
         )
     found = [_load(run, source, append, {})] if append and exists(run, append) else []
+    ended: ExitCode | None = None
     if captures:
         found += [_load(run, source, capture, names) for capture in captures]
     else:
-        found.append(_observe(run, source, domain, seconds, names))
+        observed, ended = _observe(run, source, domain, seconds, names)
+        found.append(observed)
     merged = Graph(subjects=(), edges=())
     for one in found:
         merged = graph_json.merge(merged, one.graph)
@@ -121,7 +125,7 @@ def discover(
         "graph": None if target else json.loads(content),
     }
     diagnostics = tuple(dict.fromkeys(said for one in found for said in one.diagnostics))
-    return Report(run.verb, None, (), diagnostics, result, dry_run=run.dry_run)
+    return Report(run.verb, None, (), diagnostics, result, ended or ExitCode.DONE, run.dry_run)
 
 
 def _names(typed: Iterable[str]) -> dict[str, str]:
@@ -153,24 +157,39 @@ def _load(run: Run, source: GraphSource, path: Path, names: dict[str, str]) -> D
     )
 
 
-def _observe(run: Run, source: GraphSource, domain: int | None, seconds: float, names: dict[str, str]) -> Discovered:
+def _observe(
+    run: Run, source: GraphSource, domain: int | None, seconds: float, names: dict[str, str]
+) -> tuple[Discovered, ExitCode | None]:
+    """Return what is seen of a running system, and the exit code of a signal that ended the look early."""
     usable = source.usable()
     if not usable.usable:
         raise KeymintError(
             f"no running system can be observed: {usable.reason}", help=usable.help, code="discovery-unusable"
         )
     chosen = _domain(run) if domain is None else domain
-    end = run.setting.monotonic() + seconds
-    found = source.observe(chosen, lambda: run.setting.monotonic() < end, names)
+    start = run.setting.monotonic()
+    with ended_by_signals() as ending:
+        found = source.observe(
+            chosen, lambda: ending.exit_code is None and run.setting.monotonic() < start + seconds, names
+        )
+    if ending.exit_code is not None:
+        early = Diagnostic(
+            "discovery-interrupted",
+            Severity.WARNING,
+            f"interrupted after {run.setting.monotonic() - start:.0f} of {seconds:g} s: "
+            "the graph has what was seen until then",
+            help="--append GRAPH looks again and adds",
+        )
+        return replace(found, diagnostics=(*found.diagnostics, early)), ending.exit_code
     if found.graph.subjects:
-        return found
+        return found, None
     nobody = Diagnostic(
         "discovery-empty",
         Severity.WARNING,
         f"no participant was seen in domain {chosen} in {seconds:g} s",
         help="check --domain, --seconds, CYCLONEDDS_URI and the network; secured participants hide from this one",
     )
-    return replace(found, diagnostics=(*found.diagnostics, nobody))
+    return replace(found, diagnostics=(*found.diagnostics, nobody)), None
 
 
 def _domain(run: Run) -> int:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import signal
 import subprocess
 import sys
 import time
@@ -224,3 +225,18 @@ def test_from_a_running_system_to_the_same_one_secured(
         ):
             with pytest.raises(DeniedError):
                 participant.edge(permission, topic)
+
+
+@pytest.mark.parametrize(("number", "code"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
+def test_what_was_seen_is_kept_when_a_signal_ends_the_look(
+    running: Unsecured, tmp_path: Path, number: signal.Signals, code: int
+) -> None:
+    running.begin(name="talker", edges=[("publish", "rt/chatter", [])])
+    output = tmp_path / "g.json"
+    process = running.discovering(output, seconds=600)
+    time.sleep(4)
+    process.send_signal(number)
+    _, err = process.communicate(timeout=60)
+    assert process.returncode == code, err
+    assert "warning: interrupted after" in err
+    assert json.loads(output.read_text())["subjects"] == ["/talker"]

@@ -17,7 +17,7 @@ is the enclave, hence the participant, that permissions are granted to.
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING
 
 from keymint.errors import Diagnostic, ExitCode, KeymintError, Severity
@@ -30,6 +30,8 @@ if TYPE_CHECKING:
 _GUID = re.compile(r"[0-9a-f]{8,32}\Z")
 _PARAMETERS = "/get_parameters"
 _ASKED = "--subject GUID=NAME"
+_MOST = 4
+"""GUIDs in a message."""
 
 
 def name_participants(
@@ -75,7 +77,34 @@ def name_participants(
         how, names[one.guid] = found
         message = f"participant {one.guid} in domain {one.domain} is {names[one.guid]}: {how}"
         said.append(Diagnostic("subject-named", Severity.NOTE, message, subject=names[one.guid]))
+    said += _shared(participants, names, given)
     return names, said
+
+
+def _shared(
+    participants: Iterable[Participant], names: Mapping[str, str], given: Mapping[str, str]
+) -> Iterator[Diagnostic]:
+    """Yield a finding for each subject that several participants are: what they do is merged.
+
+    Processes of one enclave share its rights on purpose; of any other name this may be a restart, or two nodes that
+    must not get each other's rights. Names that the user gave are no matter of doubt.
+    """
+    merged: dict[tuple[int, str], list[Participant]] = {}
+    for one in sorted(participants):
+        merged.setdefault((one.domain, names[one.guid]), []).append(one)
+    for (domain, name), together in merged.items():
+        if len(together) < 2 or name in given.values():  # noqa: PLR2004 - nothing is merged
+            continue
+        enclave = all(_fields(one.user_data).get("enclave") == name for one in together)
+        guids = ", ".join(one.guid for one in together[:_MOST]) + (", …" if len(together) > _MOST else "")
+        yield Diagnostic(
+            "subject-shared",
+            Severity.NOTE if enclave else Severity.WARNING,
+            f"{len(together)} participants in domain {domain} are named {name} ({guids}): the graph has them as one "
+            "subject, with the edges of all",
+            help=f"fine for a process that was restarted; tell others apart with {_ASKED}",
+            subject=name,
+        )
 
 
 def _own(one: Participant, serves: Mapping[str, set[str]], meets: Mapping[str, set[str]]) -> tuple[str, str] | None:

@@ -73,3 +73,31 @@ def test_what_no_name_can_hold_is_left_out_with_a_warning() -> None:
     found = discovered(Capture((Participant(GUID, 0, "a"),), (*odd, fine)), {})
     assert [edge.object.name for edge in found.graph.edges] == ["rt/fine"]
     assert [said.code for said in found.diagnostics if said.severity is Severity.WARNING] == ["endpoint-odd"]
+
+
+THIRD = "0110a5a5deadbeef00000003000001c1"
+
+
+@pytest.mark.parametrize(
+    ("first", "second", "names", "expected"),
+    [
+        (Participant(GUID, 0, "talker"), Participant(OTHER, 0, "talker"), {}, Severity.WARNING),
+        (Participant(GUID, 0, "talker"), Participant(OTHER, 0, "/talker"), {}, Severity.WARNING),
+        (Participant(GUID, 0, "talker"), Participant(OTHER, 0, "", b"name=talker;namespace=/;"), {}, Severity.WARNING),
+        (Participant(GUID, 0, "", b"enclave=/a;"), Participant(OTHER, 0, "", b"enclave=/a;"), {}, Severity.NOTE),
+        (Participant(GUID, 0, "talker"), Participant(OTHER, 0, "listener"), {}, None),
+        (Participant(GUID, 0, "talker"), Participant(OTHER, 0, "talker"), {OTHER: "/other"}, None),
+        (Participant(GUID, 0, "talker"), Participant(OTHER, 0, "talker"), {"0110a5a5": "/both"}, None),
+        (Participant(GUID, 0, "talker"), Participant(OTHER, 1, "talker"), {}, None),
+    ],
+)
+def test_participants_that_are_merged_are_reported(
+    first: Participant, second: Participant, names: dict[str, str], expected: Severity | None
+) -> None:
+    found = discovered(Capture((first, second, Participant(THIRD, 0, "alone")), ()), names)
+    merged = [each for each in found.diagnostics if each.code == "subject-shared"]
+    assert [each.severity for each in merged] == ([] if expected is None else [expected])
+    for each in merged:
+        assert GUID in each.message
+        assert OTHER in each.message
+        assert "--subject" in each.help
