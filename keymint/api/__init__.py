@@ -53,7 +53,7 @@ from keymint.api.profiles import (
     ProfileType,
     RulePlaces,
 )
-from keymint.api.proving import Anchor, Anchors, Claim, Counterexample, Obligation, Proof, Prover
+from keymint.api.proving import Anchor, Anchors, Claim, Counterexample, Obligation, Proof, Prover, Term
 from keymint.api.transports import Enclave, Surroundings, Tier, Transport, TransportType, Usable, Verdict
 
 API_VERSION = "1.0"
@@ -108,6 +108,7 @@ __all__ = [
     "Structure",
     "StructuredPolicy",
     "Surroundings",
+    "Term",
     "Tier",
     "TopicProtection",
     "Transport",

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
+from datetime import datetime
 from enum import StrEnum
 from typing import Protocol
 
 from keymint.api.packages import DomainRange
 from keymint.api.policies import PolicyDecision
 from keymint.api.transports import Verdict
-from keymint.errors import Diagnostic
+from keymint.errors import Diagnostic, Origin
 from keymint.graph import Edge
 from keymint.ir import SubjectRules
 
@@ -124,6 +125,25 @@ class Claim:
     spent: bool = False
 
 
+@dataclass(frozen=True, slots=True)
+class Term:
+    """When something holds without which an enclave is permitted nothing: a certificate, or its grants.
+
+    Attributes:
+        code: ``certificate``, ``authority`` or ``grant``.
+        what: the same in words, with its name.
+        where: its place.
+        periods: when it holds, both ends included; sorted, and apart from each other. None at all is never.
+        models: whose reading that is; empty: everybody's.
+    """
+
+    code: str
+    what: str
+    where: Origin
+    periods: tuple[tuple[datetime, datetime], ...]
+    models: tuple[str, ...] = ()
+
+
 class Prover(Protocol):
     """What a build type may offer beside :class:`BuildType`: proofs about what it installs."""
 
@@ -137,6 +157,18 @@ class Prover(Protocol):
             files: an enclave's files by name.
             folder: its folder as the user would type it.
             anchors: what it must rest on.
+        """
+
+    def terms(self, files: Mapping[str, bytes], folder: str, anchors: Anchors) -> Sequence[Term]:
+        """Return the times in which an enclave is permitted anything, as each model reads dates; no clock is read.
+
+        Args:
+            files: an enclave's files by name.
+            folder: its folder as the user would type it.
+            anchors: what it must rest on.
+
+        Raises:
+            KeymintError: a file cannot be read, or does not rest on the anchors.
         """
 
     def prove(self, obligation: Obligation) -> Sequence[Claim]:

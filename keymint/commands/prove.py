@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from datetime import datetime
 from typing import Any
 
 import click
@@ -12,6 +13,7 @@ from keymint.commands.common import Run, complete_package, verb
 from keymint.commands.proving import standard_only_option
 from keymint.errors import Diagnostic, ExitCode, Origin, Severity
 from keymint.graph import Edge
+from keymint.plan import terms
 from keymint.plan.create import recall_policy
 from keymint.plan.inputs import Inputs, Sources
 from keymint.plan.install import orphan_finding, orphans
@@ -48,9 +50,10 @@ def prove(run: Run, names: tuple[str, ...], seconds: float, states: int, allow_v
     compared with the policy over all names at once. Where they differ a shortest name is shown, with the rule of the
     policy and the rule of the document.
 
-    Ends with 3 when a claim is refuted or unknown, or an enclave is installed that has no source package. What was
-    proven is recorded, and not proven again until something changes. -v says what the proof takes for granted. ENCLAVE
-    is a package; by default all of them.
+    Ends with 3 when a claim is refuted or unknown, when a certificate or grant has expired or is not yet valid, when an
+    enclave does not rest on the workspace's authorities, or when one is installed that has no source package. What was
+    proven is recorded, and not proven again until something changes; its time is judged at each run. -v says what the
+    proof takes for granted. ENCLAVE is a package; by default all of them.
     """
     workspace = run.workspace()
     known: list[tuple[Findings, tuple[Diagnostic, ...]]] = []
@@ -74,16 +77,24 @@ def prove(run: Run, names: tuple[str, ...], seconds: float, states: int, allow_v
     _summary(run, found)
     proven = all(claim.proof is Proof.PROVEN for claim in claims)
     unread = any(enclave.diagnostics for enclave in found.enclaves)
+    dated = tuple(terms.together(dated_of(found)))
     return Report(
         run.verb,
         workspace,
         (),
-        [*_assumptions(found), *(said for enclave in found.enclaves for said in diagnostics_of(enclave)), *unknown],
+        [
+            *_assumptions(found),
+            *(said for enclave in found.enclaves for said in diagnostics_of(enclave)),
+            *dated,
+            *unknown,
+        ],
         {
+            "at": terms.shown(found.now),
+            "until": _shown(_until(found)),
             "assumptions": {model: list(lines) for model, lines in _taken(found).items()},
-            "enclaves": [_enclave(enclave, run) for enclave in found.enclaves],
+            "enclaves": [_enclave(enclave, found.now, run) for enclave in found.enclaves],
         },
-        ExitCode.DONE if proven and not unread and not unknown else ExitCode.FINDINGS,
+        ExitCode.FINDINGS if unread or dated or unknown or not proven else ExitCode.DONE,
         run.dry_run,
     )
 
@@ -111,7 +122,34 @@ def _summary(run: Run, found: Findings) -> None:
     parts += [f"{unread} enclave{'' if unread == 1 else 's'} could not be read"] * bool(unread)
     parts += [f"{remembered} unchanged since proven"] * bool(remembered)
     models = ", ".join(_taken(found))
-    say(f"proved {count} enclave{'' if count == 1 else 's'}{f' for {models}' if models else ''}: {', '.join(parts)}")
+    enclaves = f"{count} enclave{'' if count == 1 else 's'}{f' for {models}' if models else ''}"
+    say(f"proved {enclaves}: {', '.join(parts)}{_when(found)}")
+
+
+def dated_of(found: Findings) -> Iterator[Diagnostic]:
+    """Yield what is not in force at the time at which the claims are judged."""
+    for enclave in found.enclaves:
+        yield from terms.findings(enclave.terms, found.now, enclave.subject)
+
+
+def _until(found: Findings) -> datetime | None:
+    """Return until when all that was claimed is in force, or None if something is not now."""
+    return terms.end([term for enclave in found.enclaves for term in enclave.terms], found.now)
+
+
+def _when(found: Findings) -> str:
+    """Return the time of the claims, in words."""
+    if not any(enclave.terms for enclave in found.enclaves):
+        return ""
+    until = _until(found)
+    if until is not None:
+        return f"; in force at {terms.shown(found.now)}, until {terms.shown(until)}"
+    out = sum(terms.end(enclave.terms, found.now) is None for enclave in found.enclaves if enclave.terms)
+    return f"; {out} enclave{' is' if out == 1 else 's are'} not in force at {terms.shown(found.now)}"
+
+
+def _shown(moment: datetime | None) -> str | None:
+    return None if moment is None else terms.shown(moment)
 
 
 def _taken(found: Findings) -> Mapping[str, Sequence[str]]:
@@ -175,12 +213,13 @@ def _entity(meaning: Edge) -> str:
     return f"the {meaning.object.kind.replace('ros_', 'ROS ')} {meaning.object.name}"
 
 
-def _enclave(enclave: Proven, run: Run) -> dict[str, Any]:
+def _enclave(enclave: Proven, now: datetime, run: Run) -> dict[str, Any]:
     return {
         "subject": enclave.subject,
         "proof": str(_whole(enclave)),
+        "until": _shown(terms.end(enclave.terms, now)),
         "unchanged": enclave.remembered,
-        "claims": [_claim(claim, run) for claim in enclave.claims],
+        "claims": [_claim(claim, terms.end(enclave.of_claim(claim), now), run) for claim in enclave.claims],
     }
 
 
@@ -191,13 +230,14 @@ def _whole(enclave: Proven) -> Proof:
     return Proof.UNKNOWN if enclave.diagnostics or Proof.UNKNOWN in proofs else Proof.PROVEN
 
 
-def _claim(claim: Claim, run: Run) -> dict[str, Any]:
+def _claim(claim: Claim, until: datetime | None, run: Run) -> dict[str, Any]:
     return {
         "model": claim.model,
         "action": claim.action,
         "domains": [{"first": each.first, "last": each.last} for each in claim.domains],
         "universe": claim.universe,
         "proof": str(claim.proof),
+        "until": _shown(until),
         "reason": claim.reason,
         "counterexample": None if claim.counterexample is None else _counterexample(claim.counterexample, run),
     }

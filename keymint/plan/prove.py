@@ -7,13 +7,15 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from datetime import datetime
 from pathlib import Path
 from typing import cast
 
 from keymint import __version__
-from keymint.api import Claim, DomainRange, LoadedPolicy, Obligation, Package, Proof, Prover
+from keymint.api import Claim, DomainRange, LoadedPolicy, Obligation, Package, Proof, Prover, Term
 from keymint.errors import Diagnostic, KeymintError, Origin, Severity
 from keymint.ir import SubjectRules
+from keymint.plan import terms
 from keymint.plan.anchors import anchors_of
 from keymint.plan.authorities import trusted_chains
 from keymint.plan.inputs import Inputs, LoadedProfile, Sources
@@ -45,22 +47,36 @@ class Proven:
         subject: its subject.
         claims: by model, action and domains; none if the enclave could not be read.
         remembered: every claim was proven before, and nothing changed.
-        diagnostics: what could not be read.
+        diagnostics: what could not be read, or does not rest on the workspace's authorities.
+        terms: when what was claimed is in force.
     """
 
     subject: str
     claims: tuple[Claim, ...]
     remembered: bool = False
     diagnostics: tuple[Diagnostic, ...] = ()
+    terms: tuple[Term, ...] = ()
+
+    def of_claim(self, claim: Claim) -> tuple[Term, ...]:
+        """Return the terms that a claim needs."""
+        return terms.read_by(self.terms, {claim.model})
 
 
 @dataclass(frozen=True, slots=True)
 class Findings:
-    """What is known of all enclaves, the record to keep, and what the claims take for granted, by model."""
+    """What is known of all enclaves.
+
+    Attributes:
+        enclaves: what is known of each.
+        state: the record to keep.
+        assumptions: what the claims take for granted, by model.
+        now: the time at which the claims are judged, UTC.
+    """
 
     enclaves: tuple[Proven, ...]
     state: State
     assumptions: Mapping[str, Sequence[str]]
+    now: datetime
 
 
 def prove(
@@ -131,7 +147,7 @@ class _Stage:
         state = self._inputs.state
         if self._stamps or any(state.stamp(STAGE, name) for name in self._refuted):
             state = state.updated(STAGE, self._stamps, self._refuted)
-        return Findings(tuple(self._found), state, self._assumptions)
+        return Findings(tuple(self._found), state, self._assumptions, self._inputs.now)
 
     def prove(self, name: str) -> None:
         """Prove the claims about one enclave, unless they are known."""
@@ -140,8 +156,10 @@ class _Stage:
         source, files = self._sources.files(inputs, name), inputs.tree.files(folder)
         wanted = self._wanted(source, files)
         stamp = inputs.state.stamp(STAGE, name)
-        if stamp is not None and stamp.inputs == wanted and self._same_rules(name, stamp):
-            self._found.append(Proven(f"/{name}", _recalled(stamp), remembered=True))
+        known = terms.load(stamp.outputs.get(_TERMS, "")) if stamp is not None else None
+        if stamp is not None and known is not None and stamp.inputs == wanted and self._same_rules(name, stamp):
+            # Only what does not depend on the clock is remembered. Whether it is in force is judged at each run.
+            self._found.append(Proven(f"/{name}", _recalled(stamp), remembered=True, terms=known))
             self._assume(stamp.outputs[_BUILD_TYPE], name)
             return
         package = self._sources.load(inputs, self._loaded, name, source)
@@ -154,6 +172,7 @@ class _Stage:
         else:
             outputs = {_key(claim): claim.universe for claim in self._found[-1].claims}
             outputs[_RULES] = _meaning(rules)
+            outputs[_TERMS] = terms.dump(self._found[-1].terms)
             outputs[_BUILD_TYPE] = package.build_type
             self._stamps[name] = Stamp(wanted, outputs, context=self._seen)
 
@@ -210,7 +229,7 @@ class _Stage:
         )
 
 
-_RULES, _BUILD_TYPE = "rules", "build type"
+_RULES, _BUILD_TYPE, _TERMS = "rules", "build type", "terms"
 """What a stamp has beside claims."""
 
 
@@ -231,9 +250,10 @@ def _prove(prover: Prover, obligation: Obligation, name: str) -> Proven:
         return Proven(subject, (), diagnostics=(said,))
     try:
         claims = tuple(prover.prove(obligation))
+        found = prover.terms(obligation.files, obligation.folder, obligation.anchors)
     except KeymintError as error:
         return Proven(subject, (), diagnostics=tuple(replace(each, subject=subject) for each in error.diagnostics))
-    return Proven(subject, claims)
+    return Proven(subject, claims, terms=terms.read_by(found, {claim.model for claim in claims}))
 
 
 def _key(claim: Claim) -> str:
@@ -245,7 +265,7 @@ def _recalled(stamp: Stamp) -> tuple[Claim, ...]:
     """Return the claims that a stamp says were proven."""
     found: list[Claim] = []
     for key, universe in stamp.outputs.items():
-        if key not in {_RULES, _BUILD_TYPE}:
+        if key not in {_RULES, _BUILD_TYPE, _TERMS}:
             model, action, listed = key.rsplit(" ", 2)
             ends = (each.split("-") for each in listed.split(","))
             domains = tuple(DomainRange(int(first), int(last)) for first, last in ends)

@@ -16,6 +16,7 @@ from keymint.api import (
     Inspection,
     Obligation,
     Package,
+    Term,
 )
 from keymint.errors import Diagnostic
 from keymint.graph import Edge
@@ -88,6 +89,12 @@ class DdsSecurity:
         from keymint_ros2_dds.proving.anchors import differences  # noqa: PLC0415
 
         return differences(files, folder, anchors)
+
+    def terms(self, files: Mapping[str, bytes], folder: str, anchors: Anchors) -> Sequence[Term]:
+        """See :func:`keymint_ros2_dds.proving.prove.terms`."""
+        from keymint_ros2_dds.proving import terms  # noqa: PLC0415
+
+        return terms(files, folder, anchors)
 
     def prove(self, obligation: Obligation) -> Sequence[Claim]:
         """See :func:`keymint_ros2_dds.proving.prove`."""

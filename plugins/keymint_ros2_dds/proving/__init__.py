@@ -9,6 +9,6 @@ from __future__ import annotations
 
 from keymint_ros2_dds.proving.claims import ASSUMPTIONS, Held, Question, prove_document
 from keymint_ros2_dds.proving.content import prove_content
-from keymint_ros2_dds.proving.prove import prove
+from keymint_ros2_dds.proving.prove import prove, terms
 
-__all__ = ["ASSUMPTIONS", "Held", "Question", "prove", "prove_content", "prove_document"]
+__all__ = ["ASSUMPTIONS", "Held", "Question", "prove", "prove_content", "prove_document", "terms"]

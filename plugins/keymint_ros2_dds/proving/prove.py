@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
-from keymint.api import Claim, Obligation
+from keymint.api import Anchors, Claim, Obligation, Term
 from keymint.errors import KeymintError, Origin
+from keymint_ros2_dds import decision
 from keymint_ros2_dds.document import PERMISSIONS_XML
 from keymint_ros2_dds.install import CERTIFICATE, PERMISSIONS_P7S
-from keymint_ros2_dds.proving import signed
+from keymint_ros2_dds.proving import signed, validity
 from keymint_ros2_dds.proving.anchors import differences
 from keymint_ros2_dds.proving.claims import Held
 from keymint_ros2_dds.proving.content import prove_content
@@ -28,30 +29,50 @@ def prove(obligation: Obligation, *, models: Sequence[str] | None = None) -> tup
         KeymintError: a file of the enclave is missing, cannot be read, or does not rest on the anchors, or a rule of
             the policy cannot be mapped.
     """
-    folder = obligation.folder
-    if found := differences(obligation.files, folder, obligation.anchors):
+    files, folder = obligation.files, obligation.folder
+    if found := differences(files, folder, obligation.anchors):
         raise KeymintError.of(found)
-    authority = obligation.anchors.permissions.chain
-    where = Origin(f"{folder}/{PERMISSIONS_P7S}")
-    file = _file(obligation, PERMISSIONS_P7S)
-    content = signed.content(file, authority, where)
-    same = obligation.files.get(PERMISSIONS_XML) == content
-    name, offset = (PERMISSIONS_XML, 0) if same else (PERMISSIONS_P7S, signed.lines_before(content, file))
+    content, place = _document(files, folder, obligation.anchors)
     held = Held(
-        subject_name(_file(obligation, CERTIFICATE), Origin(f"{folder}/{CERTIFICATE}")),
+        _subject_name(files, folder),
         obligation.rules,
         obligation.distro,
         obligation.domains,
         obligation.states,
         obligation.go_on,
     )
-    return prove_content(content, (f"{folder}/{name}", offset), held, models=models)
+    return prove_content(content, place, held, models=models)
 
 
-def _file(obligation: Obligation, name: str) -> bytes:
-    content = obligation.files.get(name)
+def terms(files: Mapping[str, bytes], folder: str, anchors: Anchors) -> tuple[Term, ...]:
+    """Return when an enclave is permitted anything; see :meth:`keymint.api.Prover.terms`.
+
+    Raises:
+        KeymintError: a file is missing, cannot be read, or is not signed by the workspace's authority.
+    """
+    content, place = _document(files, folder, anchors)
+    document = decision.read(content, *place)
+    of_grants = validity.of_grants(document, _subject_name(files, folder))
+    return (*of_grants, *validity.of_certificates(files, folder))
+
+
+def _document(files: Mapping[str, bytes], folder: str, anchors: Anchors) -> tuple[bytes, tuple[str, int]]:
+    """Return the signed permissions document, and its place: a file, and how many lines of it come before."""
+    file = _file(files, folder, PERMISSIONS_P7S)
+    content = signed.content(file, anchors.permissions.chain, Origin(f"{folder}/{PERMISSIONS_P7S}"))
+    same = files.get(PERMISSIONS_XML) == content
+    name, offset = (PERMISSIONS_XML, 0) if same else (PERMISSIONS_P7S, signed.lines_before(content, file))
+    return content, (f"{folder}/{name}", offset)
+
+
+def _subject_name(files: Mapping[str, bytes], folder: str) -> str:
+    return subject_name(_file(files, folder, CERTIFICATE), Origin(f"{folder}/{CERTIFICATE}"))
+
+
+def _file(files: Mapping[str, bytes], folder: str, name: str) -> bytes:
+    content = files.get(name)
     if content is None:
         raise KeymintError(
-            "is missing", where=Origin(f"{obligation.folder}/{name}"), help="run 'keymint install'", code="file-missing"
+            "is missing", where=Origin(f"{folder}/{name}"), help="run 'keymint install'", code="file-missing"
         )
     return content

@@ -1,0 +1,98 @@
+"""Time: whether what a claim needs is in force now, until when, and the findings on what is not."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Collection, Iterable, Iterator, Sequence
+from dataclasses import replace
+from datetime import UTC, datetime
+
+from keymint.api import Term
+from keymint.errors import Diagnostic, Origin, Severity
+
+_HELP = "extend its validity in the sources, then run 'keymint build' and 'keymint install'"
+
+
+def shown(moment: datetime) -> str:
+    """Return a time as ISO 8601 in UTC, to the second."""
+    return moment.astimezone(UTC).replace(microsecond=0, tzinfo=None).isoformat() + "Z"
+
+
+def read_by(terms: Sequence[Term], models: Collection[str]) -> tuple[Term, ...]:
+    """Return the terms of some models: a term that others read differently is not theirs."""
+    found: list[Term] = []
+    for term in terms:
+        theirs = tuple(model for model in term.models if model in models)
+        if theirs or not term.models:
+            found.append(replace(term, models=theirs))
+    return tuple(found)
+
+
+def end(terms: Sequence[Term], now: datetime) -> datetime | None:
+    """Return the last moment at which all terms still hold, or None if one does not hold now."""
+    ends = [next((last for first, last in term.periods if first <= now <= last), None) for term in terms]
+    known = [each for each in ends if each is not None]
+    return min(known) if known and len(known) == len(ends) else None
+
+
+def findings(terms: Sequence[Term], now: datetime, subject: str) -> Iterator[Diagnostic]:
+    """Yield an error for each term that does not hold now."""
+    for term in terms:
+        if any(first <= now <= last for first, last in term.periods):
+            continue
+        later = next((first for first, _ in term.periods if first > now), None)
+        reading = f", as {', '.join(term.models)} read{'s' * (len(term.models) == 1)} its dates" if term.models else ""
+        if later is not None:
+            code, message = "not-yet-valid", f"is not valid before {shown(later)}"
+        elif term.periods:
+            code, message = "expired", f"expired on {shown(term.periods[-1][1])}"
+        else:
+            code, message = "never-valid", "is never valid"
+        text = f"{term.what} {message}{reading}; now is {shown(now)}, and nothing is permitted"
+        yield Diagnostic(f"{term.code}-{code}", Severity.ERROR, text, term.where, _HELP, subject)
+
+
+def together(found: Iterable[Diagnostic]) -> Iterator[Diagnostic]:
+    """Yield findings, with those that many enclaves have in common once: with the first, and how many have it."""
+    alike: dict[tuple[str, str], list[Diagnostic]] = {}
+    for each in found:
+        alike.setdefault((each.code, each.message), []).append(each)
+    for group in alike.values():
+        first, others = group[0], len({each.subject for each in group}) - 1
+        also = f", so in {first.subject} and {others:,} more enclave{'s' * (others > 1)}" if others else ""
+        yield replace(first, message=first.message + also)
+
+
+def dump(terms: Sequence[Term]) -> str:
+    """Return terms as text, for the record."""
+    return json.dumps(
+        [
+            [
+                t.code,
+                t.what,
+                t.where.file,
+                t.where.line,
+                [[a.isoformat(), b.isoformat()] for a, b in t.periods],
+                t.models,
+            ]
+            for t in terms
+        ],
+        separators=(",", ":"),
+    )
+
+
+def load(text: str) -> tuple[Term, ...] | None:
+    """Return the terms of :func:`dump`, or None if the text is none of its own."""
+    try:
+        return tuple(
+            Term(
+                str(code),
+                str(what),
+                Origin(str(file), int(line)),
+                tuple((datetime.fromisoformat(first), datetime.fromisoformat(last)) for first, last in periods),
+                tuple(map(str, models)),
+            )
+            for code, what, file, line, periods, models in json.loads(text)
+        )
+    except (ValueError, TypeError):
+        return None

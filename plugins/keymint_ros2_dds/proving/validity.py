@@ -1,0 +1,94 @@
+"""When an enclave is permitted anything: validity of its certificates, and of its grants as each model reads dates."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import replace
+from datetime import UTC, datetime, timedelta
+from functools import cache, lru_cache
+
+from keymint.api import Term
+from keymint.errors import KeymintError, Origin
+from keymint.pki import certificates, names
+from keymint_ros2_dds.decision import VARIATIONS, PermissionsDocument
+from keymint_ros2_dds.decision.document import Grant
+from keymint_ros2_dds.decision.semantics import Semantics
+from keymint_ros2_dds.install import CA, CERTIFICATE, IDENTITY_CA, PERMISSIONS_CA
+
+Period = tuple[datetime, datetime]
+_SECOND = timedelta(seconds=1)
+_LAST = datetime.max.replace(tzinfo=UTC) - _SECOND
+
+
+def of_certificates(files: Mapping[str, bytes], folder: str) -> Iterator[Term]:
+    """Yield a term for each certificate of an enclave.
+
+    Raises:
+        KeymintError: a file holds no certificate.
+    """
+    for name in (CERTIFICATE, IDENTITY_CA, PERMISSIONS_CA, CA):
+        if name in files:
+            code = "certificate" if name == CERTIFICATE else "authority"
+            where = Origin(f"{folder}/{name}")
+            try:
+                found = _certificates(files[name])
+            except KeymintError as error:
+                raise KeymintError.of([replace(each, where=where) for each in error.diagnostics]) from None
+            for subject, period in found:
+                yield Term(code, f"the certificate of {subject!r}", where, (period,))
+
+
+# As a rule all enclaves have the same authorities.
+@lru_cache(maxsize=64)
+def _certificates(pem: bytes) -> tuple[tuple[str, Period], ...]:
+    return tuple(
+        (names.to_text(each.subject), (each.not_valid_before_utc, each.not_valid_after_utc))
+        for each in certificates.load_bundle(pem)
+    )
+
+
+def of_grants(document: PermissionsDocument, subject_name: str) -> Iterator[Term]:
+    """Yield when a grant of the document is in force, as each model reads it; models that agree have one term.
+
+    A model that refuses the document, or finds no grant in it, has none: a claim says so.
+
+    Args:
+        document: the permissions document.
+        subject_name: the identity's, in the order of RFC 2253.
+    """
+    together: dict[tuple[int, tuple[Period, ...]], list[str]] = {}
+    for name in VARIATIONS:
+        semantics = _semantics(name)
+        if semantics.refuses(document) or semantics.untold(document):
+            continue
+        grants = semantics.grants(document, subject_name)
+        counting = grants if semantics.passes_over_invalid else grants[:1]
+        if counting:
+            periods = joined(_periods(counting, semantics))
+            together.setdefault((counting[0].line, periods), []).append(name)
+    for (line, periods), models in together.items():
+        where = Origin(document.file, line + document.offset)
+        yield Term("grant", f"the grant of {subject_name!r}", where, periods, tuple(models))
+
+
+def joined(periods: Iterable[Period]) -> tuple[Period, ...]:
+    """Return periods sorted, those that meet or overlap as one; dates count in seconds."""
+    found: list[Period] = []
+    for first, last in sorted(periods):
+        if found and first <= min(found[-1][1], _LAST) + _SECOND:
+            found[-1] = (found[-1][0], max(found[-1][1], last))
+        else:
+            found.append((first, last))
+    return tuple(found)
+
+
+def _periods(grants: Iterable[Grant], semantics: Semantics) -> Iterator[Period]:
+    for grant in grants:
+        period = semantics.period(grant)
+        if period is not None:
+            yield period
+
+
+@cache
+def _semantics(name: str) -> Semantics:
+    return VARIATIONS[name].semantics

@@ -1,0 +1,106 @@
+"""When a document is in force, as each model reads dates: held against the decision point at that time."""
+
+from __future__ import annotations
+
+from datetime import UTC, datetime, timedelta
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from keymint_ros2_dds import decision, proving
+from keymint_ros2_dds.decision import VARIATIONS, Judge
+from keymint_ros2_dds.proving.validity import joined, of_grants
+
+from keymint.errors import KeymintError
+from tests.plugins.keymint_ros2_dds.enclaves import anchors, installed
+from tests.plugins.keymint_ros2_dds.packages import package, rule
+
+NAME = "CN=/talker"
+DATES = st.sampled_from(
+    [
+        "2026-01-01T00:00:00", "2026-01-01T00:00:00Z", "2026-01-01T05:00:00+05:00", "2025-12-31T23:59:59",
+        "2026-01-01T00:00:00-11:00", "2026-01-01T00:00:00+13:00", "2026-06-01T24:00:00", "2026-02-30T00:00:00",
+        "2262-04-12T00:00:00", "2400-01-01T00:00:00", "12026-01-01T00:00:00", "0001-01-01T00:00:00", "today",
+        "2026-06-02T00:00:00", "2026-06-01T23:59:59.5",
+    ]
+)  # fmt: skip
+MOMENTS = st.sampled_from(
+    [
+        datetime(2026, 1, 1, tzinfo=UTC), datetime(2026, 6, 2, tzinfo=UTC), datetime(2026, 3, 2, tzinfo=UTC),
+        datetime(2262, 4, 12, tzinfo=UTC), datetime(2300, 1, 1, tzinfo=UTC), datetime(1, 1, 2, tzinfo=UTC),
+    ]
+)  # fmt: skip
+OFFSETS = st.sampled_from([0, 1, -1, 3600 * 5, -3600 * 5, 3600 * 12])
+
+
+def grant(first: str, last: str, name: str = NAME) -> str:
+    return (
+        f'<grant name="g"><subject_name>{name}</subject_name><validity><not_before>{first}</not_before>'
+        f"<not_after>{last}</not_after></validity><allow_rule><domains><id>0</id></domains><publish><topics>"
+        "<topic>rt/a</topic></topics></publish></allow_rule><default>DENY</default></grant>"
+    )
+
+
+def document(*grants: str) -> decision.PermissionsDocument:
+    content = f"<dds>\n<permissions>{chr(10).join(grants)}\n</permissions></dds>"
+    return decision.read(content.encode(), "permissions.p7s", 7)
+
+
+@settings(max_examples=400)
+@given(st.lists(st.tuples(DATES, DATES), min_size=1, max_size=3), st.lists(st.tuples(MOMENTS, OFFSETS), max_size=8))
+def test_a_document_is_in_force_exactly_when_the_decision_point_finds_a_grant(dates, moments):
+    read = document(*(grant(*each) for each in dates))
+    found = {model: term.periods for term in of_grants(read, NAME) for model in term.models}
+    for model, variation in VARIATIONS.items():
+        semantics = variation.semantics
+        if semantics.refuses(read) or semantics.untold(read):
+            assert model not in found
+            continue
+        ends = [end for period in found[model] for end in period]
+        for moment, offset in [*moments, *((end, by) for end in ends for by in (0, 1, -1))]:
+            try:
+                now = moment + timedelta(seconds=offset)
+            except OverflowError:
+                continue
+            in_force = any(first <= now <= last for first, last in found[model])
+            assert in_force is (Judge(read, NAME, now, 0, variation).refusal is None), (model, now, found[model])
+
+
+def test_models_that_agree_have_one_term_with_its_line():
+    read = document(grant("2026-01-01T00:00:00", "2400-01-01T00:00:00"))
+    found = {term.models: term for term in of_grants(read, NAME)}
+    assert found.keys() == {("omg", "fastdds-2.9"), ("cyclonedds-0.10",)}
+    assert found["cyclonedds-0.10",].periods == (), "its time ends in 2262"
+    assert {str(term.where) for term in found.values()} == {"permissions.p7s:9"}
+
+
+def test_a_grant_of_another_subject_has_no_term():
+    assert not list(of_grants(document(grant("2026-01-01T00:00:00", "2027-01-01T00:00:00", "CN=/x")), NAME))
+
+
+def test_an_enclave_has_a_term_for_its_grant_and_each_of_its_certificates():
+    loaded = package(rule("ALLOW", "ros_topic", "ros_publish", "/chatter"))
+    files = installed(loaded)
+    found = proving.terms(files, "install/talker", anchors(loaded))
+    assert [(term.code, term.where.file.rpartition("/")[2]) for term in found] == [
+        ("grant", "permissions.xml"),
+        ("certificate", "cert.pem"),
+        ("authority", "identity_ca.cert.pem"),
+        ("authority", "permissions_ca.cert.pem"),
+    ]
+    with pytest.raises(KeymintError, match="missing"):
+        proving.terms({}, "install/talker", anchors(loaded))
+
+
+def day(number: int) -> datetime:
+    return datetime(2026, 1, number, tzinfo=UTC)
+
+
+def test_periods_that_meet_are_one():
+    second = timedelta(seconds=1)
+    end = datetime.max.replace(tzinfo=UTC)
+    assert joined([(day(3), day(4)), (day(1), day(2))]) == ((day(1), day(2)), (day(3), day(4)))
+    assert joined([(day(1), day(2)), (day(2) + second, day(4))]) == ((day(1), day(4)),)
+    assert joined([(day(1), day(9)), (day(2), day(3))]) == ((day(1), day(9)),)
+    assert joined([(day(1), end), (day(2), end)]) == ((day(1), end),)
+    assert joined([]) == ()
