@@ -25,6 +25,7 @@ _UNREADABLE = (
     UserWarning,  # where warnings are errors: a serial number of 0, a country of three letters
 )
 """What the library raises on a damaged certificate."""
+_BEGIN, _END = b"-----BEGIN CERTIFICATE-----", b"-----END CERTIFICATE-----"
 
 
 @dataclass(frozen=True, slots=True)
@@ -71,6 +72,34 @@ def load_bundle(pem: bytes, where: Origin | None = None) -> tuple[x509.Certifica
             help="restore the file, or issue it anew with --renew",
             code="certificate-invalid",
         ) from None
+
+
+def load_first(pem: bytes, where: Origin | None = None) -> x509.Certificate:
+    """Return the first certificate of a PEM file: the permissions authority, as Cyclone DDS and OpenDDS read it.
+
+    Readers of PEM differ in what they take for the beginning of a block: text before it in its line, blocks with other
+    labels such as ``TRUSTED CERTIFICATE``. So five hyphens may only stand in the first and last line of a block of a
+    certificate, whose base64 is in the form of RFC 7468. Other text may come before, between and after.
+
+    Raises:
+        KeymintError: no certificate, or a file that readers of PEM may read differently.
+    """
+    lines = pem.replace(b"\r\n", b"\n").split(b"\n")
+    marks = [line for line in lines if b"-----" in line]
+    pairs = [_BEGIN, _END] * (len(marks) // 2)
+    found = load_bundle(pem, where)
+    if marks != pairs or b"\r" in b"".join(lines) or b"\0" in pem:
+        problem = "has lines beside its certificates that other readers of PEM may take for the beginning of one"
+    elif b"\n".join(lines[lines.index(_BEGIN) : lines.index(_END) + 1]) + b"\n" != to_pem(found[0]):
+        problem = "is not exactly the encoding of the certificate that it holds"
+    else:
+        return found[0]
+    raise KeymintError(
+        f"the certificate of the authority {problem}",
+        where=where,
+        help="install it again, or write it anew: openssl x509 -in FILE -out FILE",
+        code="certificate-ambiguous",
+    )
 
 
 @functools.lru_cache(maxsize=64)

@@ -1,12 +1,13 @@
-"""Detached CMS signatures (RFC 5652): one signer, its certificate inside, SHA-256, signed attributes.
+"""Detached CMS signatures (RFC 5652): one signer, its certificate inside, SHA-2, signed attributes.
 
-Made by ``cryptography``, and verified here: every field either has one legal value and is compared with it, or is
-covered by the signature.
+Made by ``cryptography`` with SHA-256, and verified here also with SHA-384 and SHA-512, which openssl and SROS2 can be
+told to use: every field either has one legal value and is compared with it, or is covered by the signature.
 """
 
 from __future__ import annotations
 
 import hashlib
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 from cryptography import x509
@@ -31,8 +32,22 @@ def _algorithm(dotted: str) -> tuple[bytes, bytes]:
     return der.tlv(der.SEQUENCE, identifier, der.tlv(der.NULL)), der.tlv(der.SEQUENCE, identifier)
 
 
-_SHA256 = _algorithm("2.16.840.1.101.3.4.2.1")
-_ECDSA_SHA256 = _algorithm("1.2.840.10045.4.3.2")
+_DIGESTS = {
+    "sha256": _algorithm("2.16.840.1.101.3.4.2.1"),
+    "sha384": _algorithm("2.16.840.1.101.3.4.2.2"),
+    "sha512": _algorithm("2.16.840.1.101.3.4.2.3"),
+}
+"""Digests that collide for nobody: SHA-1 does not belong here, though vendors take it."""
+_ECDSA = {
+    "sha256": _algorithm("1.2.840.10045.4.3.2"),
+    "sha384": _algorithm("1.2.840.10045.4.3.3"),
+    "sha512": _algorithm("1.2.840.10045.4.3.4"),
+}
+_HASHES: Mapping[str, hashes.HashAlgorithm] = {
+    "sha256": hashes.SHA256(),
+    "sha384": hashes.SHA384(),
+    "sha512": hashes.SHA512(),
+}
 # RSA by the key's identifier alone (RFC 3370, 3.2): sha256WithRSAEncryption is one altered byte away from it.
 _RSA = _algorithm("1.2.840.113549.1.1.1")
 
@@ -49,6 +64,7 @@ class Signature:
 
     Attributes:
         certificate: the signer's certificate that is embedded, DER.
+        digest: the digest: ``sha256``, ``sha384`` or ``sha512``.
         issuer_and_serial: what names the signer's certificate, DER.
         attributes: signed attributes as they are signed (a SET), DER.
         algorithm: signature algorithm, DER.
@@ -56,6 +72,7 @@ class Signature:
     """
 
     certificate: bytes
+    digest: str
     issuer_and_serial: bytes
     attributes: bytes
     algorithm: bytes
@@ -72,25 +89,26 @@ def parse(signature: bytes) -> Signature:
     """Take a signature apart.
 
     Raises:
-        ValueError: not of the one form that is accepted.
+        ValueError: not of the one form that is accepted; says why.
     """
-    content_type, explicit = _parts(der.single(signature, der.SEQUENCE), 2)
+    content_type, explicit = _parts(der.single(signature, der.SEQUENCE), 2, "CMS content")
     version, digests, content, certificates, signers = _parts(
-        der.single(der.single(explicit, der.CONTEXT_0), der.SEQUENCE), 5
+        der.single(der.single(explicit, der.CONTEXT_0), der.SEQUENCE), 5, "signed data with one certificate"
     )
     signer = der.single(der.single(signers, der.SET), der.SEQUENCE)
-    signer_version, name, digest, attributes, algorithm, value = _parts(signer, 6)
-    expected = (
-        content_type == _SIGNED_DATA
-        and version == signer_version == _VERSION_1
-        and der.single(digests, der.SET) in _SHA256
-        and digest in _SHA256
-        and content == der.tlv(der.SEQUENCE, _DATA)
+    signer_version, name, digest, attributes, algorithm, value = _parts(
+        signer, 6, "one signer with signed attributes, and no others"
     )
-    if not expected:
-        raise ValueError("not a detached signature with SHA-256")
+    digest_name = next((known for known, forms in _DIGESTS.items() if digest in forms), None)
+    if digest_name is None or der.single(digests, der.SET) not in _DIGESTS[digest_name]:
+        raise ValueError("its digest is not one of SHA-256, SHA-384 and SHA-512")
+    if content != der.tlv(der.SEQUENCE, _DATA):
+        raise ValueError("the content is inside of it, expected a detached signature")
+    if content_type != _SIGNED_DATA or not version == signer_version == _VERSION_1:
+        raise ValueError("it is not signed data of version 1")
     return Signature(
         certificate=der.single(certificates, der.CONTEXT_0),
+        digest=digest_name,
         issuer_and_serial=name,
         attributes=der.tlv(der.SET, der.single(attributes, der.CONTEXT_0)),
         algorithm=algorithm,
@@ -103,20 +121,21 @@ def verify(signature: Signature, text: bytes, certificate: x509.Certificate) -> 
     return (
         signature.certificate == certificate.public_bytes(serialization.Encoding.DER)
         and signature.issuer_and_serial == _issuer_and_serial(certificate)
-        and _attributes_match(signature.attributes, text)
+        and _attributes_match(signature, text)
         and _signed(signature, certificate)
     )
 
 
-def _attributes_match(attributes: bytes, text: bytes) -> bool:
+def _attributes_match(signature: Signature, text: bytes) -> bool:
     """Compare the content type and the message digest, each present once (RFC 5652, 5.3 and 11)."""
     try:
-        found = [_parts(content, 2) for tag, content in der.elements(der.single(attributes, der.SET))]
+        attributes = der.single(signature.attributes, der.SET)
+        found = [_parts(content, 2, "an attribute") for tag, content in der.elements(attributes)]
     except ValueError:
         return False
     wanted = {
         _CONTENT_TYPE: der.tlv(der.SET, _DATA),
-        _MESSAGE_DIGEST: der.tlv(der.SET, der.tlv(der.OCTET_STRING, hashlib.sha256(text).digest())),
+        _MESSAGE_DIGEST: der.tlv(der.SET, der.tlv(der.OCTET_STRING, hashlib.new(signature.digest, text).digest())),
     }
     return len({kind for kind, _ in found}) == len(found) and wanted.items() <= {tuple(pair) for pair in found}
 
@@ -124,10 +143,10 @@ def _attributes_match(attributes: bytes, text: bytes) -> bool:
 def _signed(signature: Signature, certificate: x509.Certificate) -> bool:
     key = certificate.public_key()
     try:
-        if isinstance(key, ec.EllipticCurvePublicKey) and signature.algorithm in _ECDSA_SHA256:
-            key.verify(signature.value, signature.attributes, ec.ECDSA(hashes.SHA256()))
+        if isinstance(key, ec.EllipticCurvePublicKey) and signature.algorithm in _ECDSA[signature.digest]:
+            key.verify(signature.value, signature.attributes, ec.ECDSA(_HASHES[signature.digest]))
         elif isinstance(key, rsa.RSAPublicKey) and signature.algorithm in _RSA:
-            key.verify(signature.value, signature.attributes, padding.PKCS1v15(), hashes.SHA256())
+            key.verify(signature.value, signature.attributes, padding.PKCS1v15(), _HASHES[signature.digest])
         else:
             return False
     except InvalidSignature:
@@ -142,9 +161,9 @@ def _issuer_and_serial(certificate: x509.Certificate) -> bytes:
     return der.tlv(der.SEQUENCE, der.tlv(*issuer), der.tlv(*serial))
 
 
-def _parts(content: bytes, count: int) -> list[bytes]:
+def _parts(content: bytes, count: int, what: str = "certificate") -> list[bytes]:
     """Return the elements of a content, each with its header, of which there must be so many."""
     found = [der.tlv(tag, part) for tag, part in der.elements(content)]
     if len(found) != count:
-        raise ValueError("not the expected number of fields")
+        raise ValueError(f"expected {what}")
     return found

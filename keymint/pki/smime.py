@@ -1,6 +1,7 @@
 """Signed documents: S/MIME as DDS Security demands of permissions and governance (DDS Security 1.1, 9.4.1.1).
 
-Written in one form, that Cyclone DDS and Fast DDS read, and read back strictly: any altered byte is an error.
+Written in one form, that Cyclone DDS and Fast DDS read. Read in the forms that Keymint, openssl and SROS2 write, and
+only where every reader sees the same content.
 """
 
 from __future__ import annotations
@@ -15,6 +16,9 @@ from cryptography.hazmat.primitives import serialization
 from keymint import api
 from keymint.errors import KeymintError, Origin
 from keymint.pki import certificates, cms, keys, mime
+from keymint.pki.mime import SignedDocument
+
+_MICALG_LINE = 2
 
 
 @dataclass(frozen=True, slots=True)
@@ -70,10 +74,12 @@ def sign(content: bytes, certificate: x509.Certificate, key: keys.PrivateKey, wh
     return mime.wrap(content, cms.sign(mime.canonical_text(content), certificate, key))
 
 
-def verify(signed: bytes, ca_pem: bytes, *, at: datetime | None = None, where: Origin | None = None) -> bytes:
-    """Return the content of a signed document, verified.
+def read(signed: bytes, ca_pem: bytes, *, at: datetime | None = None, where: Origin | None = None) -> SignedDocument:
+    """Return a signed document, verified: the one reader of signed files that every claim goes through.
 
-    The signer must be the permissions authority itself, as the vendors demand that pass ``PKCS7_NOINTERN``.
+    It accepts what Keymint, ``openssl smime -sign -text`` and SROS2 write, and of that only what has exactly one
+    reading (:mod:`keymint.pki.mime`). The signer must be the permissions authority itself, as the vendors demand that
+    pass ``PKCS7_NOINTERN``; a certificate that the authority issued is not enough (CVE-2023-24010).
 
     Args:
         signed: the bytes of the signed file.
@@ -82,11 +88,13 @@ def verify(signed: bytes, ca_pem: bytes, *, at: datetime | None = None, where: O
         where: the file, for messages.
 
     Raises:
-        KeymintError: an altered byte, another signer, or an authority that may not sign; says which.
+        KeymintError: ``smime-form``: vendors may read the file, and not all in the same way. ``smime-altered``: the
+            signature does not hold. ``smime-signer``: another signer. ``authority-cannot-sign``,
+            ``smime-authority-expired`` and ``certificate-invalid``: the authority may not sign, or cannot be read.
     """
-    content, raw = mime.unwrap(signed, where)
-    authority = certificates.load_bundle(ca_pem, where)[0]
-    signature = _parsed(raw, where)
+    document = mime.unwrap(signed, where)
+    signature = _parsed(document, where)
+    authority = certificates.load_first(ca_pem, where)
     if signature.certificate != authority.public_bytes(serialization.Encoding.DER):
         raise KeymintError(
             "signed by another certificate than the permissions authority's",
@@ -105,25 +113,39 @@ def verify(signed: bytes, ca_pem: bytes, *, at: datetime | None = None, where: O
             help="renew the authority with --renew",
             code="smime-authority-expired",
         )
-    if not cms.verify(signature, mime.canonical_text(content), authority):
-        raise _altered(where)
-    return content
+    if not cms.verify(signature, mime.canonical_text(document.content), authority):
+        raise KeymintError(
+            "the signature does not hold: the document or its signature was altered",
+            where=where,
+            help="sign it again with keymint install",
+            code="smime-altered",
+        )
+    return document
+
+
+def verify(signed: bytes, ca_pem: bytes, *, at: datetime | None = None, where: Origin | None = None) -> bytes:
+    """Return the content of a signed document, verified: that of :func:`read`.
+
+    Raises:
+        KeymintError: as :func:`read`.
+    """
+    return read(signed, ca_pem, at=at, where=where).content
 
 
 def signed_content(signed: bytes, where: Origin | None = None) -> bytes:
     """Return the content of a signed document without verifying the signature.
 
     Raises:
-        KeymintError: not a document in the form that :func:`sign` writes.
+        KeymintError: it is not in a form with exactly one reading (code ``smime-form``).
     """
-    return mime.unwrap(signed, where)[0]
+    return mime.unwrap(signed, where).content
 
 
 def signer_is(signed: bytes, certificate: x509.Certificate) -> bool:
     """Tell whether a signed document names a certificate as its signer; the signature is not verified."""
     try:
-        signature = cms.parse(mime.unwrap(signed)[1])
-    except (KeymintError, ValueError):
+        signature = _parsed(mime.unwrap(signed), None)
+    except KeymintError:
         return False
     return signature.certificate == certificate.public_bytes(serialization.Encoding.DER)
 
@@ -131,24 +153,18 @@ def signer_is(signed: bytes, certificate: x509.Certificate) -> bool:
 def is_current(signed: bytes, content: bytes, certificate: x509.Certificate) -> bool:
     """Tell whether signing again is needless: this content is signed, by this certificate, and soundly."""
     try:
-        found, raw = mime.unwrap(signed)
-        signature = cms.parse(raw)
-    except (KeymintError, ValueError):
+        document = mime.unwrap(signed)
+        signature = _parsed(document, None)
+    except KeymintError:
         return False
-    return found == content and cms.verify(signature, mime.canonical_text(content), certificate)
+    return document.content == content and cms.verify(signature, mime.canonical_text(content), certificate)
 
 
-def _parsed(raw: bytes, where: Origin | None) -> cms.Signature:
+def _parsed(document: SignedDocument, where: Origin | None) -> cms.Signature:
     try:
-        return cms.parse(raw)
-    except ValueError:
-        raise _altered(where) from None
-
-
-def _altered(where: Origin | None) -> KeymintError:
-    return KeymintError(
-        "the signature does not hold: the document or its signature was altered",
-        where=where,
-        help="sign it again with keymint install",
-        code="smime-altered",
-    )
+        signature = cms.parse(document.signature)
+    except ValueError as error:
+        mime.refuse(where, 0, f"its signature is not in the one form that is read: {error}")
+    if signature.digest != document.digest:
+        mime.refuse(where, _MICALG_LINE, f"micalg names {document.digest}, the signature has {signature.digest}")
+    return signature

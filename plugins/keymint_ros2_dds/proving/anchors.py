@@ -15,7 +15,7 @@ from cryptography import x509
 
 from keymint.api import Anchor, Anchors
 from keymint.errors import Diagnostic, KeymintError, Origin, Severity
-from keymint.pki import certificates, keys, names, verify
+from keymint.pki import certificates, keys, names, smime, verify
 from keymint_ros2_dds.install import (
     CA,
     CERTIFICATE,
@@ -26,7 +26,6 @@ from keymint_ros2_dds.install import (
     PERMISSIONS_CA,
     PERMISSIONS_P7S,
 )
-from keymint_ros2_dds.proving import signed
 
 _ANY_TIME = datetime(2000, 1, 1, tzinfo=UTC)
 _TIMES = frozenset(("certificate-expired", "certificate-not-yet-valid"))
@@ -138,14 +137,16 @@ class _Enclave:
             found = _refused(self._file(name), self._anchors.permissions.chain)
         except KeymintError as error:
             found = error.diagnostics
-        yield from (replace(each, where=self._where(name)) for each in found)
+        for each in found:
+            line = each.where.line if each.where else 0
+            yield replace(each, where=Origin(f"{self._folder}/{name}", line))
 
 
 # As a rule all enclaves have the same governance.
 @lru_cache(maxsize=64)
 def _refused(document: bytes, authority: bytes) -> tuple[Diagnostic, ...]:
     try:
-        signed.content(document, authority, Origin("a signed document"))
+        smime.read(document, authority, where=Origin("a signed document"))
     except KeymintError as error:
         return error.diagnostics
     return ()

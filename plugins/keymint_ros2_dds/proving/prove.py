@@ -6,10 +6,11 @@ from collections.abc import Mapping, Sequence
 
 from keymint.api import Anchors, Claim, Obligation, Term
 from keymint.errors import KeymintError, Origin
+from keymint.pki import smime
 from keymint_ros2_dds import decision
 from keymint_ros2_dds.document import PERMISSIONS_XML
 from keymint_ros2_dds.install import CERTIFICATE, PERMISSIONS_P7S
-from keymint_ros2_dds.proving import signed, validity
+from keymint_ros2_dds.proving import validity
 from keymint_ros2_dds.proving.anchors import differences
 from keymint_ros2_dds.proving.claims import Held
 from keymint_ros2_dds.proving.content import prove_content
@@ -58,11 +59,11 @@ def terms(files: Mapping[str, bytes], folder: str, anchors: Anchors) -> tuple[Te
 
 def _document(files: Mapping[str, bytes], folder: str, anchors: Anchors) -> tuple[bytes, tuple[str, int]]:
     """Return the signed permissions document, and its place: a file, and how many lines of it come before."""
-    file = _file(files, folder, PERMISSIONS_P7S)
-    content = signed.content(file, anchors.permissions.chain, Origin(f"{folder}/{PERMISSIONS_P7S}"))
-    same = files.get(PERMISSIONS_XML) == content
-    name, offset = (PERMISSIONS_XML, 0) if same else (PERMISSIONS_P7S, signed.lines_before(content, file))
-    return content, (f"{folder}/{name}", offset)
+    file, where = _file(files, folder, PERMISSIONS_P7S), Origin(f"{folder}/{PERMISSIONS_P7S}")
+    signed = smime.read(file, anchors.permissions.chain, where=where)
+    same = files.get(PERMISSIONS_XML) == signed.content
+    name, offset = (PERMISSIONS_XML, 0) if same else (PERMISSIONS_P7S, signed.lines_before)
+    return signed.content, (f"{folder}/{name}", offset)
 
 
 def _subject_name(files: Mapping[str, bytes], folder: str) -> str:

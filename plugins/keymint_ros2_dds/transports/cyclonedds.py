@@ -74,11 +74,15 @@ def _open(folder: Path, domain: int, stack: ExitStack) -> AccessControl | str:
     """Return the plugin with an enclave, or why it is refused.
 
     Some documents stop the process that gives them to Cyclone DDS; they are not given to it.
+
+    Raises:
+        KeymintError: a signed file is in a form that is not read here, so it cannot be seen whether it is such a one.
     """
     try:
         signed = files.content(folder, PERMISSIONS_P7S)
         stops = stops_cyclone(decision.read(smime.signed_content(signed, Origin(PERMISSIONS_P7S))))
     except KeymintError as error:
+        files.raise_if_unread(error, folder)
         return str(error)
     if stops:
         return f"permissions.xml: {stops}"

@@ -3,16 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 
 from cryptography import x509
 
 from keymint.api import Enclave
 from keymint.errors import KeymintError, Origin
-from keymint.pki import certificates, names
+from keymint.pki import certificates, mime, names
 from keymint_ros2_dds.install import CA, IDENTITY_CA, PERMISSIONS_CA
 
-__all__ = ["authority", "by_subject", "content", "subject_name"]
+__all__ = ["authority", "by_subject", "content", "raise_if_unread", "subject_name"]
 
 
 def by_subject(enclaves: Sequence[Enclave]) -> Mapping[str, Enclave]:
@@ -58,3 +59,23 @@ def subject_name(certificate: bytes, where: Origin) -> str:
         return names.render(loaded.subject)
     except KeymintError:  # not portable, which is for ``keymint check`` to say
         return loaded.subject.rfc4514_string()
+
+
+def raise_if_unread(error: KeymintError, folder: Path) -> None:
+    """Raise the error for an enclave with a signed file in a form that is not read here; return for any other error.
+
+    A vendor may accept such a file, so nothing can be claimed of what it decides.
+
+    Args:
+        error: what the reader said.
+        folder: the enclave's folder.
+
+    Raises:
+        KeymintError: the file, with its path, and what cannot be said.
+    """
+    found = error.diagnostics[0]
+    if found.code != mime.UNREAD or found.where is None:
+        return
+    place = Origin(str(folder / found.where.file), found.where.line)
+    message = f"{found.message}; so it is not known what vendors permit here"
+    raise KeymintError.of([replace(found, message=message, where=place)])

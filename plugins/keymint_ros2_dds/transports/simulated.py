@@ -26,6 +26,9 @@ class Court:
         folder: the enclave's folder.
         now: the clock, UTC.
         domain: DDS domain id.
+
+    Raises:
+        KeymintError: a signed file is in a form that is not read here, though a vendor may read it.
     """
 
     def __init__(self, folder: Path, now: datetime, domain: int) -> None:
@@ -44,6 +47,7 @@ class Court:
             self._governance = governance.read(verified[GOVERNANCE_P7S], domain)
             self._subject_name = files.subject_name(files.content(folder, CERTIFICATE), Origin(CERTIFICATE))
         except KeymintError as error:
+            files.raise_if_unread(error, folder)
             self.refusal = str(error)
 
     @cached_property
