@@ -22,6 +22,7 @@ from keymint.report import Report
 from keymint.verify.choose import choose, models
 from keymint.verify.compare import compare
 from keymint.verify.explain import Explainer
+from keymint.verify.halves import with_halves
 from keymint.verify.judge import Judge, label
 from keymint.verify.junit import junit as as_junit
 from keymint.verify.model import Outcome
@@ -104,8 +105,9 @@ def verify(
         said = label(judge, edges(), _advancing(advance, "policy"))
         for name, transport in transports.items():
             on_subject = _advancing(advance, name)
+            outcome = compare(name, transport, found.enclaves, edges(), said, Tier(tier), explain, limit, on_subject)
             outcomes.append(
-                compare(name, transport, found.enclaves, edges(), said, Tier(tier), explain, limit, on_subject)
+                with_halves(outcome, transport, found.enclaves, edges(), judge, found.namings, explain, limit)
             )
     _show(run, outcomes, len(subjects), len(said))
     _write(run, outcomes, subjects, sarif, junit)

@@ -49,7 +49,7 @@ def labelled_edges(
 
     def labels() -> Iterator[LabelledEdge]:
         room = {True: MOST_TRUE, False: MOST_TRUE}
-        for edge, may in zip(edges, allowed, strict=True):
+        for edge, may in _with_endpoints(zip(edges, allowed, strict=True), findings):
             found = [each.get(edge) for each in findings]
             if any(found) or room[bool(may)]:
                 room[bool(may)] -= not any(found)
@@ -74,6 +74,17 @@ def labelled_edges(
     ]
     names = [outcome.transport for outcome in outcomes]
     return Labelled.of(title, labels(), transports=names, confusions=confusions)
+
+
+def _with_endpoints(
+    edges: Iterable[tuple[Edge, int]], findings: Sequence[Mapping[Edge, Finding]]
+) -> Iterator[tuple[Edge, int]]:
+    """Yield edges with their labels, and then findings on endpoints, which are no edges of the graph."""
+    left = dict.fromkeys(edge for each in findings for edge in each)
+    for edge, may in edges:
+        left.pop(edge, None)
+        yield edge, may
+    yield from ((edge, 0) for edge in left)
 
 
 def _of_policy(decision: PolicyDecision, typed: Callable[[str], str]) -> Said:

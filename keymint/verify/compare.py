@@ -50,7 +50,7 @@ def compare(
     counts = [[0, 0], [0, 0]]
     findings: list[Finding] = []
     by_subject: dict[str, int] = {}
-    for subject, labelled in _by_subject(transport, enclaves, edges, tier):
+    for subject, labelled in label_by_subject(transport, enclaves, edges, tier):
         wrong: list[tuple[Edge, Verdict]] = []
         for edge, verdict in labelled:
             allowed = next(expected)
@@ -72,7 +72,7 @@ def error_of(allowed_by_transport: bool) -> Error:
     return Error.FALSE_POSITIVE if allowed_by_transport else Error.FALSE_NEGATIVE
 
 
-def _by_subject(
+def label_by_subject(
     transport: Transport, enclaves: Mapping[str, Enclave], edges: Iterable[Edge], tier: Tier
 ) -> Iterator[tuple[str, Iterator[tuple[Edge, Verdict]]]]:
     """Yield the labelled edges of each subject.

@@ -51,6 +51,14 @@ def test_no_finding_was_kept() -> None:
     assert [one.transports for one in graph.edges] == [(None,)] * 4
 
 
+def test_a_finding_on_an_endpoint_follows_the_edges_of_the_graph() -> None:
+    endpoint = Edge("/a", "publish", Object("topic", "rq/sRequest"))
+    graph = labels(outcome("x", Counts(0, 0, 1, 4), finding(endpoint)), outcome("y", Counts(0, 0, 0, 4)))
+    assert [one.edge for one in graph.edges] == sorted([endpoint, *EDGES])
+    (found,) = [one for one in graph.edges if one.edge == endpoint]
+    assert [said and said.allowed for said in found.transports] == [True, False]
+
+
 def test_the_report_of_a_workspace(keymint, provisioned: Path) -> None:
     found = keymint("verify", "-t", "omg", "--report", "report", cwd=provisioned)
     assert found.code == 0, found.err

@@ -1,0 +1,106 @@
+"""Endpoints that a transport allows against the policy, of a service, action or parameter that it denies as a whole.
+
+A transport allows a ROS service only if it allows both of its topics. A document that permits one of them is
+therefore not seen on the service's edge, though a subject that may publish requests can already make a server act.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from itertools import groupby
+from operator import attrgetter
+
+from keymint.api import Enclave, Transport, Verdict
+from keymint.graph import Edge
+from keymint.verify.compare import Explain, label_by_subject
+from keymint.verify.judge import RAW, Judge, Naming
+from keymint.verify.model import Outcome
+
+
+@dataclass(frozen=True, slots=True)
+class _Composites:
+    """What a subject is asked for: the endpoints of each edge that has several, and those that are edges themselves."""
+
+    endpoints: Sequence[Sequence[Edge]]
+    known: frozenset[Edge]
+
+
+def with_halves(
+    outcome: Outcome,
+    transport: Transport,
+    enclaves: Mapping[str, Enclave],
+    edges: Iterable[Edge],
+    judge: Judge,
+    namings: Mapping[str, Naming],
+    explain: Explain,
+    limit: int,
+) -> Outcome:
+    """Return an outcome with the endpoints that are false positives, each as an edge of its own.
+
+    An endpoint is left out where the edge that it belongs to is a false positive already.
+
+    Args:
+        outcome: what came of the edges.
+        transport: the transport.
+        enclaves: the enclave of each subject of the edges.
+        edges: the edges, grouped by subject.
+        judge: what the policy says.
+        namings: the naming of each subject that has one.
+        explain: says why a label is wrong.
+        limit: findings to keep; all are counted.
+
+    Raises:
+        KeymintError: the transport does not work.
+    """
+    waiting: dict[str, _Composites] = {}
+    findings = list(outcome.findings)
+    wrong = dict(outcome.wrong)
+    count = 0
+    asked = _endpoints(edges, judge, namings, waiting)
+    for subject, labelled in label_by_subject(transport, enclaves, asked, outcome.tier):
+        verdicts = dict(labelled)
+        found = [each for each in _halves(waiting.pop(subject), verdicts) if not judge.decide(each).allowed]
+        if found:
+            count += len(found)
+            wrong[subject] = wrong.get(subject, 0) + len(found)
+            kept = found[: max(0, limit - len(findings))]
+            if kept:
+                findings += explain(outcome.transport, enclaves[subject], [(each, verdicts[each]) for each in kept])
+    confusion = replace(outcome.confusion, false_positive=outcome.confusion.false_positive + count)
+    return replace(outcome, confusion=confusion, findings=tuple(findings), wrong=wrong)
+
+
+def _endpoints(
+    edges: Iterable[Edge], judge: Judge, namings: Mapping[str, Naming], waiting: dict[str, _Composites]
+) -> Iterator[Edge]:
+    """Yield the endpoints of edges that the policy denies and that have several, each once, grouped by subject.
+
+    Args:
+        edges: the edges, grouped by subject.
+        judge: what the policy says.
+        namings: the naming of each subject that has one.
+        waiting: gets, by subject, what the endpoints belong to, before the first of them is yielded.
+    """
+    for subject, group in groupby(edges, key=attrgetter("subject")):
+        naming = namings.get(subject)
+        if naming is None:
+            continue
+        known, composites = set[Edge](), list[Sequence[Edge]]()
+        for edge in group:
+            if edge.object.kind == RAW:
+                known.add(edge)
+            elif len(needed := naming.endpoints(edge)) > 1 and not judge.decide(edge).allowed:
+                composites.append(needed)
+        if composites:
+            waiting[subject] = _Composites(composites, frozenset(known))
+            yield from dict.fromkeys(endpoint for needed in composites for endpoint in needed)
+
+
+def _halves(composites: _Composites, verdicts: Mapping[Edge, Verdict]) -> Sequence[Edge]:
+    """Return the endpoints that are allowed and belong to no edge that is allowed as a whole."""
+    allowed = {endpoint for endpoint, verdict in verdicts.items() if verdict.allowed} - composites.known
+    for needed in composites.endpoints:
+        if all(verdicts[endpoint].allowed for endpoint in needed):
+            allowed.difference_update(needed)
+    return sorted(allowed)
