@@ -24,6 +24,7 @@ in other ways. So the reader here takes a grammar in which all of them see the s
     --BOUNDARY--
 
 TYPE is ``application/x-pkcs7-signature``, or the same without ``x-``; the digest is SHA-256, SHA-384 or SHA-512.
+BOUNDARY has 8 to 70 characters, none of which any reader treats specially (OpenSSL loses one of a single character).
 ``--BOUNDARY`` stands nowhere else, not even within a line. Only blank lines follow. The frame, the text part and the
 base64 each have line ends of one kind, LF or CRLF: Keymint writes LF, SROS2 (``cryptography``) CRLF, ``openssl smime
 -sign -text`` LF around a text part in CRLF, and with ``-crlfeol`` CRLF around base64 in LF.
@@ -56,7 +57,7 @@ _TAIL = b"\n------%b--\n\n"
 
 _MULTIPART = re.compile(
     rb'Content-Type: multipart/signed; protocol="(application/(?:x-)?pkcs7-signature)"; micalg="([a-z0-9,-]+)"; '
-    rb'boundary="([0-9A-Za-z_+./:=?-]{1,70})"'
+    rb'boundary="([0-9A-Za-z_+./:=?-]{8,70})"'
 )
 _DIGESTS = {b"sha-256": "sha256", b"sha-384": "sha384", b"sha-512": "sha512"}
 _BEFORE_TEXT = 6

@@ -115,6 +115,7 @@ CHANGES: dict[str, tuple[Change, str]] = {
     "a folded header": (lambda s: s.replace(b"; micalg", b";\n micalg", 1), ":2: "),
     "another case": (lambda s: s.replace(HEADER, HEADER.lower(), 1), ":2: "),
     "a comment": (lambda s: s.replace(HEADER, HEADER + b" (x)", 1), ":2: "),
+    "a boundary of one character": (lambda s: s.replace(boundary_of(s)[2:], b"b"), ":2: "),
     "a second boundary": (lambda s: s.replace(b"; micalg", b'; boundary="x"; micalg', 1), ":2: "),
     "a preamble": (lambda s: s.replace(b"This is", b"x\nThis is", 1), ":4: "),
     "an epilogue": (lambda s: s + b"x\n", ""),

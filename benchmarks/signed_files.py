@@ -1,0 +1,63 @@
+"""Do all readers see the same content in every signed file that Keymint accepts? Prints the counts; ends with 1 if not.
+
+Mutated files are given to Keymint's reader, to OpenSSL's functions as the vendors call them, to ``openssl smime
+-verify``, to Cyclone DDS's access-control plugin, and to Python's ``email``.
+
+usage: python benchmarks/signed_files.py [--count N] [--seed N] [--workers N]
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+import tempfile
+from collections import Counter
+from concurrent.futures import ProcessPoolExecutor
+from pathlib import Path
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
+
+from tests.real.signed_readers import Bench, Counts
+
+CHUNK = 1000
+"""Files of one seed; the documents are signed anew for each."""
+
+
+def compared(task: tuple[int, int]) -> Counts:
+    count, seed = task
+    with tempfile.TemporaryDirectory() as scratch:
+        bench = Bench(Path(scratch), cyclone=True)
+        found = bench.compare(count, seed)
+        for name, signed, text in bench.genuine:
+            found.counts["files as tools sign them"] += 1
+            readings = {"we": bench.ours(signed)} | {reader: read(signed) for reader, read in bench.readers.items()}
+            for reader, content in readings.items():
+                if content is None or content.replace(b"\r\n", b"\n") != text:
+                    found.wrong.append(f"{name}, seed {seed}: {reader} does not read what was signed")
+        return found
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--count", type=int, default=20_000, help="mutated files; 20000 by default")
+    parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--workers", type=int, default=2)
+    arguments = parser.parse_args()
+    starts = range(0, arguments.count, CHUNK)
+    tasks = [(min(CHUNK, arguments.count - start), arguments.seed * 1_000_000 + start) for start in starts]
+    total, wrong = Counter[str](), list[str]()
+    with ProcessPoolExecutor(arguments.workers) as pool:
+        for found in pool.map(compared, tasks):
+            total += found.counts
+            wrong += found.wrong
+            print(f"\r{total['files']} of {arguments.count} files", end="", file=sys.stderr, flush=True)
+    print(file=sys.stderr)
+    for name, number in sorted(total.items()):
+        print(f"{number:8} {name}")
+    print(f"{len(wrong):8} read otherwise than we do")
+    print(*wrong[:20], sep="\n")
+    return 1 if wrong else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
