@@ -91,13 +91,14 @@ def parse(signature: bytes) -> Signature:
     Raises:
         ValueError: not of the one form that is accepted; says why.
     """
-    content_type, explicit = _parts(der.single(signature, der.SEQUENCE), 2, "CMS content")
-    version, digests, content, certificates, signers = _parts(
-        der.single(der.single(explicit, der.CONTEXT_0), der.SEQUENCE), 5, "signed data with one certificate"
-    )
-    signer = der.single(der.single(signers, der.SET), der.SEQUENCE)
+    content_type, explicit = _parts(_inside(signature, der.SEQUENCE, "CMS"), 2, "CMS content")
+    signed_data = _inside(der.single(explicit, der.CONTEXT_0), der.SEQUENCE, "signed data")
+    version, digests, content, certificates, signers = _parts(signed_data, 5, "signed data with one certificate")
+    certificate = der.single(certificates, der.CONTEXT_0)
+    _inside(certificate, der.SEQUENCE, "one certificate in it, the signer's")
+    signer = _inside(der.single(signers, der.SET), der.SEQUENCE, "one signer")
     signer_version, name, digest, attributes, algorithm, value = _parts(
-        signer, 6, "one signer with signed attributes, and no others"
+        signer, 6, "a signer with signed attributes, and no unsigned ones"
     )
     digest_name = next((known for known, forms in _DIGESTS.items() if digest in forms), None)
     if digest_name is None or der.single(digests, der.SET) not in _DIGESTS[digest_name]:
@@ -107,7 +108,7 @@ def parse(signature: bytes) -> Signature:
     if content_type != _SIGNED_DATA or not version == signer_version == _VERSION_1:
         raise ValueError("it is not signed data of version 1")
     return Signature(
-        certificate=der.single(certificates, der.CONTEXT_0),
+        certificate=certificate,
         digest=digest_name,
         issuer_and_serial=name,
         attributes=der.tlv(der.SET, der.single(attributes, der.CONTEXT_0)),
@@ -159,6 +160,14 @@ def _issuer_and_serial(certificate: x509.Certificate) -> bytes:
     fields = der.elements(der.single(certificate.tbs_certificate_bytes, der.SEQUENCE))
     serial, _, issuer = fields[1:4] if fields[0][0] == der.CONTEXT_0 else fields[:3]
     return der.tlv(der.SEQUENCE, der.tlv(*issuer), der.tlv(*serial))
+
+
+def _inside(data: bytes, tag: int, what: str) -> bytes:
+    """Return the content of the one element that the data is, which is called so in messages."""
+    try:
+        return der.single(data, tag)
+    except ValueError as error:
+        raise ValueError(f"expected {what}: {error}") from None
 
 
 def _parts(content: bytes, count: int, what: str = "certificate") -> list[bytes]:

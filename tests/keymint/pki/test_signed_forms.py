@@ -170,6 +170,26 @@ def test_other_forms_that_openssl_writes_are_refused(
     assert reason in str(error)
 
 
+def test_other_certificates_and_signers_are_refused(
+    openssl, authority: certificates.Issuer, other: certificates.Issuer
+) -> None:
+    openssl.put(other=pem(other), other_key=keys.to_pem(other.key))
+    more = [str(openssl.folder / name) for name in ("other", "other_key")]
+    given = (CONTENT, authority.certificate, authority.key, "smime")
+    error = refused(by_openssl(*given, "-certfile", more[0]), authority)
+    assert "expected one certificate in it" in str(error)
+    error = refused(by_openssl(*given, "-signer", more[0], "-inkey", more[1]), authority)
+    assert "expected one" in str(error)
+
+
+@pytest.mark.parametrize("kind", [KeySpec("rsa", size=2048), KeySpec("ec", "SECP384R1")], ids=["rsa", "p384"])
+def test_authorities_of_other_kinds(spec, kind: KeySpec) -> None:
+    key = keys.generate(kind)
+    own = certificates.Issuer(certificates.issue_authority(spec(key=kind), key, None).certificate, key)
+    for name, sign in SIGNERS.items():
+        assert smime.verify(sign(CONTENT, own.certificate, own.key), pem(own)) == CONTENT, name
+
+
 def test_the_digest_of_the_frame_is_that_of_the_signature(authority: certificates.Issuer) -> None:
     signed = by_sros2(CONTENT, authority.certificate, authority.key).replace(b"sha-256", b"sha-512")
     assert "micalg names sha512, the signature has sha256" in str(refused(signed, authority))
