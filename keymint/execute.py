@@ -6,6 +6,7 @@ from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from itertools import groupby
 
+from keymint.plan import known_keys
 from keymint.plan.model import File, Plan, Step
 from keymint.state import State, dump_mark
 from keymint.store import Store
@@ -49,7 +50,7 @@ def execute(
         for file in change.files.values()
         if not file.secret
     ]
-    with store.marked(dump_mark(before, public)):
+    with store.marked(dump_mark(before, public, known_keys.new_fingerprints(before, plan.state))):
         for batch in _batches(plan.steps):
             _carry_out(batch, store, jobs, on_step)
         store.write(workspace.state, {RECORD: File(record)})

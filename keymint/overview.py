@@ -11,6 +11,7 @@ from keymint.errors import KeymintError
 from keymint.pki import certificates
 from keymint.plan import build, create, install
 from keymint.plan.authorities import trusted_chains
+from keymint.plan.enclaves import CERTIFICATE, installed
 from keymint.plan.inputs import Inputs, LoadedProfile, Sources
 from keymint.plan.model import Action
 from keymint.workspace import packages
@@ -48,7 +49,7 @@ def overview(inputs: Inputs, loaded: LoadedProfile, policy: LoadedPolicy | None,
         sources: the packages' files.
     """
     names = packages(inputs.tree, inputs.workspace.src)
-    enclaves = set(install.installed(inputs, loaded))
+    enclaves = set(installed(inputs, loaded))
     chains = trusted_chains(inputs, loaded)
     rows = [_row(inputs, loaded, policy, sources, name, chains, installed=name in enclaves) for name in names]
     rows += [
@@ -59,7 +60,7 @@ def overview(inputs: Inputs, loaded: LoadedProfile, policy: LoadedPolicy | None,
 
 
 def _certificate_end(inputs: Inputs, loaded: LoadedProfile, name: str) -> datetime | None:
-    content = inputs.tree.read(inputs.workspace.enclaves(loaded.profile.layout) / name / install.CERTIFICATE)
+    content = inputs.tree.read(inputs.workspace.enclaves(loaded.profile.layout) / name / CERTIFICATE)
     try:
         return certificates.load(content).not_valid_after_utc if content else None
     except KeymintError:

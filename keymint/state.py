@@ -57,7 +57,8 @@ class State:
 
     Attributes:
         stamps: the record of the last run that ended.
-        interrupted: digests of the files that a killed run was about to write: they are ours, not edits by hand.
+        interrupted: digests of the public files, and fingerprints of the keys, that a killed run was about to write:
+            they are ours, not edits by hand.
     """
 
     stamps: Mapping[str, Mapping[str, Stamp]] = field(default_factory=dict)
@@ -95,9 +96,9 @@ class State:
         return body + _SEAL + digest(body).encode() + _END
 
 
-def dump_mark(state: State, contents: Iterable[bytes]) -> bytes:
-    """Return the mark of a run that is about to write these public files."""
-    return "\n".join(sorted(state.interrupted | {digest(content) for content in contents})).encode()
+def dump_mark(state: State, contents: Iterable[bytes], fingerprints: Iterable[str] = ()) -> bytes:
+    """Return the mark of a run that is about to write these public files, and keys with these fingerprints."""
+    return "\n".join(sorted(state.interrupted.union(map(digest, contents), fingerprints))).encode()
 
 
 def load(content: bytes | None, mark: bytes | None = None) -> State:

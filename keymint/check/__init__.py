@@ -6,15 +6,18 @@ the record of what was installed, files that nobody accounts for, authorities, a
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import re
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import replace
 from datetime import timedelta
 
 from keymint.api import Inspection
-from keymint.check.authorities import authorities
-from keymint.check.enclaves import inspection, on_disk
+from keymint.check.authorities import authorities, authority_keys, in_defect
+from keymint.check.enclaves import identity_key, inspection, on_disk, shared_keys
 from keymint.check.install_space import shared
+from keymint.check.places import places
 from keymint.errors import Diagnostic, KeymintError, Origin, Severity
-from keymint.plan import install
+from keymint.plan.enclaves import orphan_finding, orphans
 from keymint.plan.inputs import Inputs, LoadedProfile, Sources
 
 
@@ -30,7 +33,10 @@ def check(
         sources: the packages' files.
         within: report what expires within this time.
     """
-    findings: list[Diagnostic] = list(authorities(inputs, loaded, within))
+    of_authorities = tuple(authorities(inputs, loaded, within))
+    owners = authority_keys(inputs, loaded)
+    fingerprints: dict[str, str] = {}
+    findings: list[Diagnostic] = []
     inspections: dict[str, list[Inspection]] = {}
     for name in names:
         try:
@@ -40,6 +46,10 @@ def check(
         except KeymintError as error:
             findings += error.diagnostics
             continue
+        fingerprint, found = identity_key(inputs, loaded, package, owners)
+        findings += found
+        if fingerprint:
+            fingerprints[name] = fingerprint
         if not seen.files:
             findings.append(
                 Diagnostic(
@@ -57,6 +67,18 @@ def check(
         inspections.setdefault(package.build_type, []).append(seen)
     for build_type, together in sorted(inspections.items()):
         findings += inputs.plugins.build_type(build_type).check_all(together)
-    findings += (install.orphan_finding(name) for name in install.orphans(inputs, loaded))
+    findings += map(orphan_finding, orphans(inputs, loaded))
+    findings += shared_keys(inputs, fingerprints)
     findings += shared(inputs, loaded)
-    return tuple(findings)
+    later = _to_be_mended_later(findings, in_defect(of_authorities))
+    return (*of_authorities, *places(inputs), *later)
+
+
+def _to_be_mended_later(findings: Iterable[Diagnostic], defect: Diagnostic | None) -> Iterator[Diagnostic]:
+    """Yield findings without the advice to install, where a defect of an authority has to be mended first."""
+    for found in findings:
+        installs = defect is not None and _INSTALLS.search(found.help)
+        yield replace(found, help=f"mend {defect.where} first") if installs and defect else found
+
+
+_INSTALLS = re.compile(r"'keymint (install|provision)")

@@ -1,105 +1,148 @@
-"""What is found on the authorities: their keys and certificates, and whether they are what the profile asks for."""
+"""What is found on the authorities: keys and certificates that do not fit, were replaced, or are about to expire."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+import functools
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import replace
 from datetime import timedelta
-from functools import partial
 
 from cryptography import x509
 
-from keymint.check.places import modes
 from keymint.errors import Diagnostic, KeymintError, Origin, Severity
 from keymint.pki import certificates, keys
+from keymint.plan import authority_places
 from keymint.plan.authorities import in_order, satisfies
+from keymint.plan.authority_places import Place
+from keymint.plan.enclaves import deployed_authorities
 from keymint.plan.inputs import Inputs, LoadedProfile
-from keymint.plan.secrets import password
+from keymint.plan.secrets import load_key
 
 
 def authorities(inputs: Inputs, loaded: LoadedProfile, within: timedelta) -> Iterator[Diagnostic]:
     """Yield what is found on the keys and certificates of all authorities."""
-    workspace = inputs.workspace
+    deployed = functools.cache(functools.partial(deployed_authorities, inputs, loaded))
     issuers: dict[str, x509.Certificate] = {}
+    fingerprints: dict[str, str] = {}
     for authority in in_order(loaded.profile.authorities):
-        key_path, path = (
-            workspace.authority_key(authority.name),
-            workspace.authority_certificate(authority.name),
-        )
-        where = Origin(workspace.shown(path))
-        yield from modes(workspace.shown(key_path.parent), key_path.parent, 0o700, "")
-        yield from modes(workspace.shown(key_path), key_path, 0o600, "")
-        pem, key_pem = inputs.tree.read(path), inputs.tree.read(key_path)
-        if pem is None:
+        place = authority_places.look(inputs, authority, deployed)
+        key, found = _key(inputs, place)
+        yield from found
+        if key is not None:
+            fingerprints[authority.name] = keys.fingerprint(key)
+        if place.content is None:
             yield Diagnostic(
                 "authority-missing",
                 Severity.ERROR,
                 f"the authority {authority.name!r} has no certificate",
-                where,
-                "run 'keymint install'",
+                Origin(place.certificate_file),
+                "run 'keymint install'" if place.key else "restore it and its key from a backup",
             )
-            continue
-        if key_pem is None:
-            yield Diagnostic(
-                "authority-key-missing",
-                Severity.NOTE,
-                f"the private key of {authority.name!r} is not here",
-                where,
-                "restore it to sign anything anew",
-            )
-        yield from _authority(inputs, authority.name, pem, key_pem, issuers, within, loaded)
+        elif place.certificate is None:
+            yield from _unreadable(place)
+        else:
+            issuers[authority.name] = place.certificate
+            fingerprints.setdefault(authority.name, keys.fingerprint(certificates.public_key(place.certificate)))
+            yield from _certificate(place, place.certificate, key, issuers)
+            yield from _validity(inputs, place, place.certificate, within)
+    yield from _refused(lambda: authority_places.require_own_keys(inputs, fingerprints))
 
 
-def _authority(
-    inputs: Inputs,
-    name: str,
-    pem: bytes,
-    key_pem: bytes | None,
-    issuers: dict[str, x509.Certificate],
-    within: timedelta,
-    loaded: LoadedProfile,
-) -> Iterator[Diagnostic]:
-    spec = next(a.certificate for a in loaded.profile.authorities if a.name == name)
-    where = Origin(inputs.workspace.shown(inputs.workspace.authority_certificate(name)))
+def authority_keys(inputs: Inputs, loaded: LoadedProfile) -> Mapping[str, str]:
+    """Return the names of the authorities by the fingerprints of the keys that their certificates certify."""
+    places = (authority_places.look(inputs, authority, tuple) for authority in loaded.profile.authorities)
+    return {
+        keys.fingerprint(certificates.public_key(place.certificate)): place.authority.name
+        for place in places
+        if place.certificate is not None
+    }
+
+
+def in_defect(findings: tuple[Diagnostic, ...]) -> Diagnostic | None:
+    """Return a finding for which installing is refused until a person decided, or None."""
+    return next((found for found in findings if found.code in _DECIDED_BY_A_PERSON), None)
+
+
+_DECIDED_BY_A_PERSON = frozenset(
+    {
+        "authority-key-mismatch",
+        "authority-key-shared",
+        "authority-renamed",
+        "authority-replaced",
+        "key-invalid",
+        "key-kind",
+    }
+)
+
+
+def _key(inputs: Inputs, place: Place) -> tuple[keys.PublicKey | None, Iterator[Diagnostic]]:
+    """Return the public key of a private key that can be read here, and what is found on it."""
+    spec, name = place.authority.certificate, place.authority.name
+    if place.key is None:
+        message = f"the private key of {name!r} is not here"
+        where, help_ = Origin(place.certificate_file), "restore it to sign anything anew"
+        note = Diagnostic("authority-key-missing", Severity.NOTE, message, where, help_)
+        return None, iter((note,) if place.content is not None else ())
+    remedy = f"restore it from a backup; {authority_places.choice(name)}"
     try:
-        certificate = certificates.load(pem)
-        key = certificates.public_key(certificate)
+        key = load_key(place.key, spec.key, inputs.environment, Origin(place.key_file), spec.origin, remedy)
     except KeymintError as error:
-        yield from (Diagnostic(d.code, d.severity, d.message, where, d.help) for d in error.diagnostics)
-        return
-    issuers[name] = certificate
-    if key_pem is not None:
-        try:
-            key = keys.from_pem(key_pem, password(spec.key, inputs.environment, spec.origin)).public_key()
-        except KeymintError as error:
-            yield from map(partial(_about_key, where=where), error.diagnostics)
-    end = certificate.not_valid_after_utc
-    if not satisfies(pem, spec, key, issuers.get(spec.issuer)):
+        return None, map(_about_key, error.diagnostics)
+    return key.public_key(), iter(())
+
+
+def _about_key(found: Diagnostic) -> Diagnostic:
+    """Return what is wrong with an authority's key as a finding; that its password is not here is no defect of it."""
+    return replace(found, severity=Severity.NOTE) if found.code == "password-missing" else found
+
+
+def _unreadable(place: Place) -> Iterator[Diagnostic]:
+    where = Origin(place.certificate_file)
+    help_ = "'keymint install' restores it" if place.key else "restore it from a backup"
+    try:
+        certificates.public_key(certificates.load(place.content or b"", where), where)
+    except KeymintError as error:
+        yield from (replace(found, help=help_) for found in error.diagnostics)
+
+
+def _refused(require: Callable[[], None]) -> Iterator[Diagnostic]:
+    """Yield as findings what an installation would be refused for."""
+    try:
+        require()
+    except KeymintError as error:
+        yield from error.diagnostics
+
+
+def _certificate(
+    place: Place,
+    certificate: x509.Certificate,
+    key: keys.PublicKey | None,
+    issuers: Mapping[str, x509.Certificate],
+) -> Iterator[Diagnostic]:
+    """Judge a certificate: against the key beside it, against what is in use, against the profile."""
+    spec, public = place.authority.certificate, certificates.public_key(certificate)
+    found = [
+        *(_refused(lambda: authority_places.require_fit(place, key)) if key is not None else ()),
+        *_refused(lambda: authority_places.require_name(place)),
+    ]
+    found += () if found else _refused(lambda: authority_places.require_known(place, public))
+    yield from found
+    if not found and not satisfies(place.content or b"", spec, public, issuers.get(spec.issuer)):
         yield Diagnostic(
             "authority-drift",
             Severity.ERROR,
-            f"the certificate of {name!r} is not what the profile asks for",
-            where,
-            "run 'keymint install', and deploy all enclaves anew",
+            f"the certificate of {place.authority.name!r} is not what the profile asks for",
+            Origin(place.certificate_file),
+            "run 'keymint install', which issues it again for the same key, and deploy all enclaves anew",
         )
+
+
+def _validity(inputs: Inputs, place: Place, certificate: x509.Certificate, within: timedelta) -> Iterator[Diagnostic]:
+    name, where, end = place.authority.name, Origin(place.certificate_file), certificate.not_valid_after_utc
+    help_ = f"extend its validity at {place.authority.certificate.origin}, and install anew"
     if end < inputs.now:
-        yield Diagnostic(
-            "authority-expired",
-            Severity.ERROR,
-            f"the certificate of {name!r} expired on {end:%Y-%m-%d %H:%M} UTC",
-            where,
-            f"extend its validity at {spec.origin}, and install anew",
-        )
+        message = f"the certificate of {name!r} expired on {end:%Y-%m-%d %H:%M} UTC"
+        yield Diagnostic("authority-expired", Severity.ERROR, message, where, help_)
     elif end < inputs.now + within:
-        yield Diagnostic(
-            "authority-expires",
-            Severity.WARNING,
-            f"the certificate of {name!r} expires on {end:%Y-%m-%d %H:%M} UTC",
-            where,
-            f"extend its validity at {spec.origin}, and install anew",
-        )
-
-
-def _about_key(found: Diagnostic, where: Origin) -> Diagnostic:
-    """Return what is wrong with an authority's key as a finding; that its password is not here is no defect of it."""
-    severity = Severity.NOTE if found.code == "password-missing" else found.severity
-    return Diagnostic(found.code, severity, found.message, where, found.help)
+        message = f"the certificate of {name!r} expires on {end:%Y-%m-%d %H:%M} UTC"
+        yield Diagnostic("authority-expires", Severity.WARNING, message, where, help_)

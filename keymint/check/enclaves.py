@@ -4,13 +4,15 @@ from __future__ import annotations
 
 import stat
 from collections.abc import Iterator, Mapping
+from dataclasses import replace
 from datetime import timedelta
 from pathlib import Path
 
 from keymint.api import BuildOptions, Inspection, Package
-from keymint.check.places import modes
-from keymint.errors import Diagnostic, Origin, Severity
-from keymint.plan import install
+from keymint.check.places import linked_twice, modes
+from keymint.errors import Diagnostic, KeymintError, Origin, Severity
+from keymint.pki import keys
+from keymint.plan import identity_keys, install
 from keymint.plan.authorities import trusted_chains
 from keymint.plan.inputs import Inputs, LoadedProfile
 from keymint.state import digest
@@ -47,6 +49,51 @@ def installed_files(inputs: Inputs, folder: Path) -> dict[str, bytes]:
     }
 
 
+def identity_key(
+    inputs: Inputs, loaded: LoadedProfile, package: Package, authorities: Mapping[str, str]
+) -> tuple[str, tuple[Diagnostic, ...]]:
+    """Return the fingerprint of a package's private key (empty if it cannot be read), and what is found on it.
+
+    Args:
+        inputs: the workspace.
+        loaded: its profile.
+        package: the package.
+        authorities: names of the authorities by the fingerprint of their key.
+    """
+    path, subject = inputs.workspace.identity_key(package.name), f"/{package.name}"
+    fingerprint = ""
+    try:
+        pem = inputs.tree.read(path)
+        if pem is None:
+            message = f"the private key of {subject} is not here"
+            where, help_ = Origin(inputs.workspace.shown(path)), f"'keymint build {package.name}' restores it"
+            return "", (Diagnostic("key-missing", Severity.NOTE, message, where, help_, subject),)
+        key = identity_keys.load(inputs, package, path, pem).public_key()
+        fingerprint = keys.fingerprint(key)
+        identity_keys.require_own(inputs, loaded, package.name, path, key, authorities)
+    except KeymintError as error:
+        return fingerprint, tuple(_about_key(found, subject) for found in error.diagnostics)
+    return fingerprint, ()
+
+
+def _about_key(found: Diagnostic, subject: str) -> Diagnostic:
+    """Return what is wrong with a subject's key as a finding; that its password is not here is no defect of it."""
+    severity = Severity.NOTE if found.code == "password-missing" else found.severity
+    return replace(found, severity=severity, subject=subject)
+
+
+def shared_keys(inputs: Inputs, fingerprints: Mapping[str, str]) -> Iterator[Diagnostic]:
+    """Yield a finding for each key that two packages have; takes fingerprints by package."""
+    owners: dict[str, str] = {}
+    for name, fingerprint in fingerprints.items():
+        other = owners.setdefault(fingerprint, name)
+        if other != name:
+            where = Origin(inputs.workspace.shown(inputs.workspace.identity_key(name)))
+            yield from (
+                replace(found, subject=f"/{name}") for found in identity_keys.shared(name, other, where).diagnostics
+            )
+
+
 def on_disk(inputs: Inputs, loaded: LoadedProfile, name: str, files: Mapping[str, bytes]) -> Iterator[Diagnostic]:
     """Judge modes, links and recorded digests of one enclave."""
     workspace = inputs.workspace
@@ -58,7 +105,8 @@ def on_disk(inputs: Inputs, loaded: LoadedProfile, name: str, files: Mapping[str
         if not is_folder:
             mode = 0o600 if file in secret else 0o644
             yield from modes(workspace.shown(folder / file), folder / file, mode, f"/{name}")
-    yield from modes(workspace.shown(workspace.identity_key(name)), workspace.identity_key(name), 0o600, f"/{name}")
+            if file in secret:
+                yield from linked_twice(workspace.shown(folder / file), folder / file, f"/{name}")
     if stamp is None:
         yield Diagnostic(
             "record-missing",

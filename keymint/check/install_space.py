@@ -9,7 +9,7 @@ from keymint.api import Artifact
 from keymint.check.enclaves import installed_files
 from keymint.check.places import modes
 from keymint.errors import Diagnostic, Origin, Severity
-from keymint.plan import install
+from keymint.plan.enclaves import installed
 from keymint.plan.inputs import Inputs, LoadedProfile
 from keymint.workspace import packages
 
@@ -17,7 +17,7 @@ from keymint.workspace import packages
 def shared(inputs: Inputs, loaded: LoadedProfile) -> Iterator[Diagnostic]:
     """Judge what lies in the install space outside of the enclaves."""
     workspace, layout = inputs.workspace, loaded.profile.layout
-    enclaves = {workspace.enclaves(layout) / name for name in install.installed(inputs, loaded)}
+    enclaves = {workspace.enclaves(layout) / name for name in installed(inputs, loaded)}
     expected: dict[str, bytes] = {}
     known = set(packages(inputs.tree, workspace.src))
     artifacts = {
@@ -53,6 +53,9 @@ def shared(inputs: Inputs, loaded: LoadedProfile) -> Iterator[Diagnostic]:
                     Origin(workspace.shown(path)),
                     "'keymint install' restores it",
                 )
+    for folder in _empty_folders(inputs, workspace.install):
+        message = "is an empty folder in the install space, that Keymint did not put there"
+        yield Diagnostic("folder-unexpected", Severity.WARNING, message, Origin(workspace.shown(folder)), "remove it")
     for relative in expected:
         if not (workspace.install / relative).exists():
             yield Diagnostic(
@@ -70,3 +73,12 @@ def _files_below(inputs: Inputs, folder: Path) -> Iterator[Path]:
             yield from _files_below(inputs, folder / name)
         else:
             yield folder / name
+
+
+def _empty_folders(inputs: Inputs, folder: Path) -> Iterator[Path]:
+    """Yield the folders below a folder that hold nothing."""
+    for name, is_folder in inputs.tree.names(folder):
+        if is_folder:
+            if not inputs.tree.names(folder / name):
+                yield folder / name
+            yield from _empty_folders(inputs, folder / name)

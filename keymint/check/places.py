@@ -1,20 +1,59 @@
-"""What is found on files and folders as such: modes and links."""
+"""What is found on files and folders as such: modes, owners, links, and kinds.
+
+Whoever can write a folder can replace what lies in it, whatever the modes of the files. Whoever can write the profile
+or the sources decides what every robot may do.
+"""
 
 from __future__ import annotations
 
+import grp
+import os
+import pwd
 import stat
 from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import lru_cache
 from pathlib import Path
 
-from keymint.errors import Diagnostic, Origin, Severity
+from keymint.errors import Diagnostic, KeymintError, Origin, Severity
+from keymint.plan.inputs import Inputs
+
+_GROUP, _OTHERS = stat.S_IWGRP, stat.S_IWOTH
+
+
+@dataclass(frozen=True, slots=True)
+class _Found:
+    """A file or folder of a space, and its status (of a link: of the link itself)."""
+
+    path: Path
+    status: os.stat_result
+
+
+def places(inputs: Inputs) -> Iterator[Diagnostic]:
+    """Yield what is found on the files and folders of a workspace as such, wherever its spaces lie."""
+    workspace = inputs.workspace
+    owners = _owners(workspace.root)
+    root = _status(workspace.root)
+    if root is not None:
+        yield from _open_to_others(inputs, [_Found(workspace.root, root)])
+    for space in (workspace.private, workspace.install):
+        found = list(_walk(inputs, space))
+        yield from _kinds(inputs, found)
+        yield from _each_folder(inputs, found)
+        yield from _owned_by_others(inputs, found, owners)
+    yield from _private(inputs)
+    for space in (workspace.build, workspace.public, workspace.state, workspace.profile, workspace.src):
+        found = [each for each in _walk(inputs, space) if not stat.S_ISLNK(each.status.st_mode)]
+        yield from _open_to_others(inputs, found)
+        yield from _owned_by_others(inputs, found, owners)
 
 
 def modes(shown: str, path: Path, mode: int, subject: str) -> Iterator[Diagnostic]:
     """Yield a finding for a symbolic link, or for another mode than expected; none if nothing is there."""
-    try:
-        found = path.lstat().st_mode
-    except OSError:
+    status = _status(path)
+    if status is None:
         return
+    found = status.st_mode
     if stat.S_ISLNK(found):
         yield Diagnostic(
             "file-link",
@@ -33,3 +72,147 @@ def modes(shown: str, path: Path, mode: int, subject: str) -> Iterator[Diagnosti
             f"chmod {mode:o} {shown}",
             subject,
         )
+
+
+def linked_twice(shown: str, path: Path, subject: str) -> Iterator[Diagnostic]:
+    """Yield a finding for a private key that has a second name (a hard link) somewhere."""
+    status = _status(path)
+    if status is not None and stat.S_ISREG(status.st_mode) and status.st_nlink > 1:
+        yield Diagnostic(
+            "key-linked",
+            Severity.ERROR,
+            f"is a private key with {status.st_nlink} names: another one leads to it from elsewhere",
+            Origin(shown),
+            f"find the others with 'find / -xdev -inum {status.st_ino}', and remove them",
+            subject,
+        )
+
+
+def _private(inputs: Inputs) -> Iterator[Diagnostic]:
+    """Judge modes and links of all private keys, and of the folders that they lie in."""
+    workspace = inputs.workspace
+    for each in _walk(inputs, workspace.private):
+        shown = workspace.shown(each.path)
+        if stat.S_ISDIR(each.status.st_mode) or stat.S_ISLNK(each.status.st_mode):
+            yield from modes(shown, each.path, 0o700, "")
+        elif each.path.suffix == ".pem":
+            yield from modes(shown, each.path, 0o600, "")
+            yield from linked_twice(shown, each.path, "")
+
+
+def _kinds(inputs: Inputs, found: list[_Found]) -> Iterator[Diagnostic]:
+    """Judge what is neither a file nor a folder; links are judged with the modes."""
+    for each in found:
+        mode = each.status.st_mode
+        if not (stat.S_ISREG(mode) or stat.S_ISDIR(mode) or stat.S_ISLNK(mode)):
+            yield Diagnostic(
+                "file-kind",
+                Severity.ERROR,
+                f"is {_kind(mode)}, where files and folders are expected",
+                Origin(inputs.workspace.shown(each.path)),
+                "remove it",
+            )
+
+
+def _kind(mode: int) -> str:
+    kinds = ((stat.S_ISFIFO, "a named pipe"), (stat.S_ISSOCK, "a socket"))
+    return next((name for is_kind, name in kinds if is_kind(mode)), "a device")
+
+
+def _each_folder(inputs: Inputs, found: list[_Found]) -> Iterator[Diagnostic]:
+    """Judge each folder of a space that Keymint made: nobody else may write it."""
+    for each in found:
+        mode, shown = each.status.st_mode, inputs.workspace.shown(each.path)
+        if stat.S_ISDIR(mode) and mode & (_GROUP | _OTHERS):
+            yield Diagnostic(
+                "place-writable",
+                Severity.ERROR,
+                f"has mode {stat.S_IMODE(mode):04o}: others can replace what lies in it",
+                Origin(shown),
+                f"chmod go-w {shown}",
+            )
+
+
+def _open_to_others(inputs: Inputs, found: list[_Found]) -> Iterator[Diagnostic]:
+    """Yield one finding for all files and folders of a space that others can write."""
+    listed = [each for each in found if _writable_by_others(each.status)]
+    if listed:
+        first = inputs.workspace.shown(listed[0].path)
+        more = f", and {len(listed) - 1} more below it or beside it" if len(listed) > 1 else ""
+        yield Diagnostic(
+            "place-writable",
+            Severity.WARNING,
+            f"others can write this{more}, and with it decide what the robots may do",
+            Origin(first),
+            f"chmod -R go-w {inputs.workspace.shown(found[0].path)}" if more else f"chmod go-w {first}",
+        )
+
+
+def _owned_by_others(inputs: Inputs, found: list[_Found], owners: frozenset[int]) -> Iterator[Diagnostic]:
+    """Yield one finding for all files and folders of a space that belong to someone else; keys one by one."""
+    listed = [each for each in found if each.status.st_uid not in owners]
+    keys = [each for each in listed if each.path.suffix == ".pem"]
+    for each in keys or listed[:1]:
+        more = "" if keys or len(listed) == 1 else f", like {len(listed) - 1} more below it or beside it"
+        yield Diagnostic(
+            "file-owner",
+            Severity.ERROR,
+            f"belongs to {_user(each.status.st_uid)}, who can change it{more}",
+            Origin(inputs.workspace.shown(each.path)),
+            f"chown {_user(min(owners - {0}, default=0))} {inputs.workspace.shown(each.path)}",
+        )
+
+
+def _walk(inputs: Inputs, folder: Path) -> Iterator[_Found]:
+    """Yield a folder and all that lies below it, without following links; what cannot be read is passed over."""
+    status = _status(folder)
+    if status is None:
+        return
+    yield _Found(folder, status)
+    if not stat.S_ISDIR(status.st_mode):
+        return
+    try:
+        entries = inputs.tree.names(folder)
+    except KeymintError:
+        return  # said where its content is judged
+    for name, is_folder in entries:
+        if is_folder:
+            if name != ".git":
+                yield from _walk(inputs, folder / name)
+        elif (found := _status(folder / name)) is not None:
+            yield _Found(folder / name, found)
+
+
+def _status(path: Path) -> os.stat_result | None:
+    try:
+        return path.lstat()
+    except OSError:
+        return None
+
+
+def _owners(root: Path) -> frozenset[int]:
+    """Return who may own the files of a workspace: its owner, whoever runs this, and root, who may do everything."""
+    status = _status(root)
+    return frozenset({0, os.geteuid()} | ({status.st_uid} if status else set()))
+
+
+def _writable_by_others(status: os.stat_result) -> bool:
+    mode = status.st_mode
+    return bool(mode & _OTHERS) or (bool(mode & _GROUP) and not _is_own_group(status.st_uid, status.st_gid))
+
+
+@lru_cache(maxsize=256)
+def _is_own_group(user: int, group: int) -> bool:
+    """Tell whether a group is the one that a distribution makes for a single user (login.defs: USERGROUPS_ENAB)."""
+    try:
+        name, entry = pwd.getpwuid(user).pw_name, grp.getgrgid(group)
+    except KeyError:
+        return False
+    return entry.gr_name == name and set(entry.gr_mem) <= {name}
+
+
+def _user(number: int) -> str:
+    try:
+        return pwd.getpwuid(number).pw_name
+    except KeyError:
+        return f"user {number}"

@@ -8,7 +8,7 @@ import click
 
 from keymint.commands.build import no_packages
 from keymint.commands.common import Run, complete_package, verb
-from keymint.commands.profile_options import add_options
+from keymint.commands.profile_options import add_options, new_authority_option
 from keymint.commands.proving import PROVING_OPTIONS, proven, standard_only_option
 from keymint.plan.authorities import plan_authorities
 from keymint.plan.create import policy_changed, recall_policy
@@ -21,9 +21,17 @@ from keymint.report import Report
 @verb(writes=True)
 @click.argument("names", nargs=-1, metavar="[NAME]...", shell_complete=complete_package)
 @click.option("--prune", is_flag=True, help="Remove installed enclaves that have no source package any more.")
+@new_authority_option
 @add_options(PROVING_OPTIONS)
 @standard_only_option
-def install(run: Run, names: tuple[str, ...], prune: bool, prove: bool, allow_vendor_specific: bool) -> Report:
+def install(
+    run: Run,
+    names: tuple[str, ...],
+    prune: bool,
+    new_authority: tuple[str, ...],
+    prove: bool,
+    allow_vendor_specific: bool,
+) -> Report:
     """Sign what is in build/ and stage it in install/, one complete enclave per subject.
 
     Nothing is installed unless each document is proven to permit exactly what the policy says, for every name there
@@ -32,10 +40,12 @@ def install(run: Run, names: tuple[str, ...], prune: bool, prove: bool, allow_ve
     by default all.
     """
     workspace = run.workspace()
+    if names and new_authority:
+        raise click.UsageError("--new-authority concerns all enclaves; leave the names of packages out.")
 
     def make_plan(inputs: Inputs) -> Plan:
         loaded = inputs.profile()
-        plan, authorities = plan_authorities(inputs, loaded)
+        plan, authorities = plan_authorities(inputs, loaded, new_authority)
         after = inputs.after(plan)
         chosen = run.names(inputs, names)
         installed = plan_install(after, loaded, chosen, Sources(run.plugins), authorities, prune=prune)

@@ -35,6 +35,15 @@ PROFILE_OPTIONS: Sequence[Callable[[Any], Any]] = (
 )
 
 
+new_authority_option = click.option(
+    "--new-authority",
+    multiple=True,
+    metavar="NAME",
+    help="Replace the key and certificate of this authority by new ones, for good: no deployed enclave trusts what it "
+    "signs from then on, until all are deployed anew. May be given again.",
+)
+
+
 def add_options(options: Sequence[Callable[[Any], Any]]) -> Callable[[Any], Any]:
     """Return a decorator that adds options in this order."""
 

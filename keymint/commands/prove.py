@@ -15,8 +15,8 @@ from keymint.errors import Diagnostic, ExitCode, Origin, Severity
 from keymint.graph import Edge
 from keymint.plan import terms
 from keymint.plan.create import recall_policy
+from keymint.plan.enclaves import orphan_finding, orphans
 from keymint.plan.inputs import Inputs, Sources
-from keymint.plan.install import orphan_finding, orphans
 from keymint.plan.model import Action, Plan, Step
 from keymint.plan.prove import NO_PROVER, STAGE, Effort, Findings, Proven
 from keymint.plan.prove import prove as find

@@ -14,6 +14,7 @@ from keymint.commands.profile_options import (
     DEFAULT_PROFILE_TYPE,
     PROFILE_OPTIONS,
     add_options,
+    new_authority_option,
     refuse_contradiction,
 )
 from keymint.commands.proving import PROVING_OPTIONS, proven
@@ -35,6 +36,7 @@ from keymint.report import Report
 @click.option("--prune", is_flag=True, help="Remove installed enclaves that have no source package any more.")
 @click.option("--renew", is_flag=True, help="Mint new private keys; keys are never replaced otherwise.")
 @add_options(BUILD_OPTIONS)
+@new_authority_option
 @add_options(PROVING_OPTIONS)
 def provision(
     run: Run,
@@ -50,6 +52,7 @@ def provision(
     allow_vendor_specific: bool,
     optimise: bool,
     hints: Path | None,
+    new_authority: tuple[str, ...],
     prove: bool,
 ) -> Report:
     """From a ComArmor POLICY to a keystore in one go: init, create --all, build and install.
@@ -89,7 +92,7 @@ def provision(
         after = after.after(created)
         built = plan_build(after, loaded, names, sources, hinted.options, force=force, renew=renew)
         after = after.after(built)
-        minted, authorities = plan_authorities(after, loaded)
+        minted, authorities = plan_authorities(after, loaded, new_authority)
         after = after.after(minted)
         installed = plan_install(after, loaded, names, sources, authorities, prune=prune)
         for stage in (created, built, minted, installed):

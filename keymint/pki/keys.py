@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import base64
 import binascii
+import hashlib
 import re
 from collections.abc import Callable, Mapping
 from types import MappingProxyType
@@ -146,6 +147,13 @@ def from_pem(pem: bytes, password: bytes | None = None, where: Origin | None = N
 def matches(key: PrivateKey, certificate: x509.Certificate) -> bool:
     """Tell whether a private key belongs to a certificate."""
     return key.public_key() == certificate.public_key()
+
+
+def fingerprint(key: PrivateKey | PublicKey) -> str:
+    """Return the SHA-256, in hex, of the public key of a pair (SubjectPublicKeyInfo in DER; RFC 5280, 4.1.2.7)."""
+    public = key if isinstance(key, PublicKey) else key.public_key()
+    form = serialization.PublicFormat.SubjectPublicKeyInfo
+    return hashlib.sha256(public.public_bytes(serialization.Encoding.DER, form)).hexdigest()
 
 
 def is_canonical(pem: bytes, password: bytes | None = None) -> bool:

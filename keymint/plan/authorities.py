@@ -2,14 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+import difflib
+import functools
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
+from itertools import chain
 
 from cryptography import x509
 
 from keymint.api import Authority, CertificateSpec, Signer
-from keymint.errors import Diagnostic, KeymintError, Origin
+from keymint.errors import Diagnostic, ExitCode, KeymintError, Origin, Severity
 from keymint.pki import certificates, keys
+from keymint.plan import authority_places, known_keys
+from keymint.plan.authority_places import Place
+from keymint.plan.enclaves import deployed_authorities
 from keymint.plan.inputs import Inputs, LoadedProfile, changed
 from keymint.plan.model import Action, File, FolderChange, Plan, Step
 from keymint.plan.secrets import load_key, password
@@ -54,28 +60,65 @@ class MintedAuthority:
         return self._keyed
 
 
-def plan_authorities(inputs: Inputs, loaded: LoadedProfile) -> tuple[Plan, Mapping[str, MintedAuthority]]:
+def plan_authorities(
+    inputs: Inputs, loaded: LoadedProfile, new: Sequence[str] = ()
+) -> tuple[Plan, Mapping[str, MintedAuthority]]:
     """Plan the keys and certificates of all authorities that the profile names.
 
     A key that is there is kept, and one whose certificate is there without it is kept elsewhere: it is not replaced. A
-    certificate is issued anew when the profile asks for another one than is there.
+    certificate is issued again, for the same key, when the profile asks for another validity, issuer or extension.
+
+    Args:
+        inputs: the workspace.
+        loaded: its profile.
+        new: authorities that get a new key and certificate, whatever lies in their place.
 
     Returns:
         the plan, and the authorities by name as they are when it is carried out.
 
     Raises:
-        KeymintError: a key cannot be read, is not of the kind that the profile asks for, or is needed and elsewhere.
+        KeymintError: a key cannot be read, does not fit its certificate, was replaced, is not of the kind that the
+            profile asks for, is that of another authority, or is needed and elsewhere; the defects of all authorities
+            together.
     """
+    _require_named(loaded, new)
+    deployed = functools.cache(functools.partial(deployed_authorities, inputs, loaded))
     minted: dict[str, MintedAuthority] = {}
     steps: list[Step] = []
     said: list[Diagnostic] = []
+    errors: list[Diagnostic] = []
     for authority in in_order(loaded.profile.authorities):
-        result, changes, diagnostics = _plan_authority(inputs, authority, minted)
+        if authority.certificate.issuer and authority.certificate.issuer not in minted:
+            continue  # its issuer has a defect
+        place = authority_places.look(inputs, authority, deployed)
+        try:
+            result, changes, diagnostics = _plan_authority(inputs, place, minted, renew=authority.name in new)
+        except KeymintError as error:
+            errors += error.diagnostics
+            continue
         minted[authority.name] = result
         said += diagnostics
         action = Action.CREATED if changes else Action.UNCHANGED
         steps.append(Step(STAGE, authority.name, action, changes, "certificate authority"))
-    return Plan(tuple(steps), inputs.state, tuple(said)), minted
+    if errors:
+        raise KeymintError.of(errors)
+    fingerprints = {name: keys.fingerprint(certificates.public_key(each.certificate)) for name, each in minted.items()}
+    authority_places.require_own_keys(inputs, fingerprints)
+    state = known_keys.record(inputs.state, known_keys.AUTHORITIES, fingerprints)
+    return Plan(tuple(steps), state, tuple(said)), minted
+
+
+def _require_named(loaded: LoadedProfile, new: Sequence[str]) -> None:
+    known = [authority.name for authority in loaded.profile.authorities]
+    for name in new:
+        if name not in known:
+            near = difflib.get_close_matches(name, known, n=1)
+            raise KeymintError(
+                f"no authority {name!r} in the profile, which has {', '.join(known)}",
+                help=f"did you mean {near[0]!r}?" if near else "name one of these",
+                code="authority-unknown",
+                exit_code=ExitCode.USAGE,
+            )
 
 
 def in_order(authorities: Sequence[Authority]) -> tuple[Authority, ...]:
@@ -112,44 +155,102 @@ def satisfies(pem: bytes, spec: CertificateSpec, key: keys.PublicKey, issuer: x5
 
 
 def _plan_authority(
-    inputs: Inputs, authority: Authority, minted: Mapping[str, MintedAuthority]
+    inputs: Inputs, place: Place, minted: Mapping[str, MintedAuthority], *, renew: bool
 ) -> tuple[MintedAuthority, tuple[FolderChange, ...], Sequence[Diagnostic]]:
-    spec = authority.certificate
-    key_path = inputs.workspace.authority_key(authority.name)
-    certificate_path = inputs.workspace.authority_certificate(authority.name)
-    changes: list[FolderChange] = []
+    spec = place.authority.certificate
     above = minted[spec.issuer] if spec.issuer else None
-    certificate, pem = inputs.tree.read(certificate_path), inputs.tree.read(key_path)
-    lacking = _lacking(inputs, authority, pem)
-    if certificate is not None and lacking is not None:
-        return _without_key(inputs, authority, certificate, above, lacking), (), ()
+    lacking = _lacking(inputs, place)
+    if lacking is not None and place.content is not None and not renew:
+        return _without_key(place, above, lacking), (), ()
     secret = password(spec.key, inputs.environment, spec.origin)
-    if pem is None:
-        key = keys.generate(spec.key, spec.origin)
-        pem = keys.to_pem(key, secret)
-        changes.append(FolderChange(key_path.parent, {key_path.name: File(pem, secret=True)}, private=True))
+    if place.key is None or renew:
+        return _mint(inputs, place, above, secret)
+    pem = place.key
+    remedy = f"restore it from a backup; {authority_places.choice(place.authority.name)}"
+    key = load_key(pem, spec.key, inputs.environment, Origin(place.key_file), spec.origin, remedy)
+    public = key.public_key()
+    if known_keys.was_under_way(inputs.state, keys.fingerprint(public)):
+        place = place.without_other_certificate(public)
     else:
-        shown = Origin(inputs.workspace.shown(key_path))
-        key = load_key(pem, spec.key, inputs.environment, shown, spec.origin)
-    said: Sequence[Diagnostic] = ()
-    if certificate is None or not satisfies(certificate, spec, key.public_key(), above.certificate if above else None):
-        issued = certificates.issue_authority(spec, key, above.issuer if above else None)
-        certificate, said = issued.pem, issued.diagnostics
-        changes += changed(inputs.tree, certificate_path.parent, {certificate_path.name: File(certificate)})
+        authority_places.require_fit(place, public)
+        authority_places.require_name(place)
+        authority_places.require_known(place, public)
+    certificate, said = _certificate(place, key, above)
+    return _minted(inputs, place, certificate, (key, pem, secret), above, (), said)
+
+
+def _mint(
+    inputs: Inputs, place: Place, above: MintedAuthority | None, secret: bytes | None
+) -> tuple[MintedAuthority, tuple[FolderChange, ...], Sequence[Diagnostic]]:
+    """Plan a new key, and its certificate."""
+    spec, name = place.authority.certificate, place.authority.name
+    key = keys.generate(spec.key, spec.origin)
+    pem = keys.to_pem(key, secret)
+    path = inputs.workspace.authority_key(name)
+    changes = (FolderChange(path.parent, {path.name: File(pem, secret=True)}, private=True),)
+    issued = certificates.issue_authority(spec, key, above.issuer if above else None)
+    said = list(issued.diagnostics)
+    if place.known():
+        message = f"{name!r} is a new authority: {authority_places.COST}"
+        said.append(Diagnostic("authority-new", Severity.WARNING, message, Origin(place.certificate_file)))
+    return _minted(inputs, place, issued.pem, (key, pem, secret), above, changes, said)
+
+
+def _minted(
+    inputs: Inputs,
+    place: Place,
+    certificate: bytes,
+    key: tuple[keys.PrivateKey, bytes, bytes | None],
+    above: MintedAuthority | None,
+    changes: tuple[FolderChange, ...],
+    said: Sequence[Diagnostic],
+) -> tuple[MintedAuthority, tuple[FolderChange, ...], Sequence[Diagnostic]]:
+    """Return an authority with its key (as an object, PEM, and password), and all that changes for it."""
+    path = inputs.workspace.authority_certificate(place.authority.name)
+    changes += changed(inputs.tree, path.parent, {path.name: File(certificate)})
     loaded = certificates.load(certificate)
-    keyed = certificates.Issuer(loaded, key), Signer(authority.name, certificate, pem, secret)
-    return MintedAuthority(loaded, certificate + (above.chain if above else b""), keyed), tuple(changes), said
+    private, pem, secret = key
+    keyed = certificates.Issuer(loaded, private), Signer(place.authority.name, certificate, pem, secret)
+    return MintedAuthority(loaded, certificate + (above.chain if above else b""), keyed), changes, said
 
 
-def _lacking(inputs: Inputs, authority: Authority, pem: bytes | None) -> KeymintError | None:
+def _certificate(
+    place: Place, key: keys.PrivateKey, above: MintedAuthority | None
+) -> tuple[bytes, Sequence[Diagnostic]]:
+    """Return the certificate of a key: one that is there if the profile asks for no other, else a new one."""
+    spec, public = place.authority.certificate, key.public_key()
+    issuer = above.certificate if above else None
+    candidates = chain(() if place.certificate is None else (place.certificate,), _lazily(place.in_use))
+    for candidate in candidates:
+        pem = certificates.to_pem(candidate)
+        if satisfies(pem, spec, public, issuer):
+            return pem, ()
+    issued = certificates.issue_authority(spec, key, above.issuer if above else None)
+    if not place.in_use():
+        return issued.pem, issued.diagnostics
+    again = Diagnostic(
+        "authority-reissued",
+        Severity.WARNING,
+        f"the certificate of the authority {place.authority.name!r} is issued again, for the same key",
+        Origin(place.certificate_file),
+        "deploy all enclaves together: if it signs permissions, some vendors let participants that hold different "
+        "certificates of it not communicate",
+    )
+    return issued.pem, (*issued.diagnostics, again)
+
+
+def _lazily(make: Callable[[], Iterable[x509.Certificate]]) -> Iterator[x509.Certificate]:
+    yield from make()
+
+
+def _lacking(inputs: Inputs, place: Place) -> KeymintError | None:
     """Return what keeps an authority's private key from being used here, or None: an offline root is no defect."""
-    spec = authority.certificate
-    if pem is None:
-        certificate = inputs.workspace.shown(inputs.workspace.authority_certificate(authority.name))
+    spec, name = place.authority.certificate, place.authority.name
+    if place.key is None:
         return KeymintError(
-            f"the private key of the authority {authority.name!r} is not here, and is needed to sign anew",
-            where=Origin(inputs.workspace.shown(inputs.workspace.authority_key(authority.name))),
-            help=f"restore it; for a new authority, whose enclaves trust no older ones, remove {certificate} as well",
+            f"the private key of the authority {name!r} is not here, and is needed to sign anew",
+            where=Origin(place.key_file),
+            help=f"restore it; {authority_places.choice(name)}",
             code="authority-key-missing",
         )
     try:
@@ -159,20 +260,20 @@ def _lacking(inputs: Inputs, authority: Authority, pem: bytes | None) -> Keymint
     return None
 
 
-def _without_key(
-    inputs: Inputs, authority: Authority, pem: bytes, above: MintedAuthority | None, lacking: KeymintError
-) -> MintedAuthority:
+def _without_key(place: Place, above: MintedAuthority | None, lacking: KeymintError) -> MintedAuthority:
     """Return an authority whose private key cannot be used here.
 
     Raises:
-        KeymintError: the profile asks for another certificate than is here, which takes the key.
+        KeymintError: the certificate is damaged or was replaced, or the profile asks for another one, which takes the
+            key.
     """
-    spec = authority.certificate
-    shown = inputs.workspace.shown(inputs.workspace.authority_certificate(authority.name))
-    certificate = certificates.load(pem, Origin(shown))
-    public_key = certificates.public_key(certificate)
+    spec, content = place.authority.certificate, place.content or b""
+    certificate = certificates.load(content, Origin(place.certificate_file))
+    public_key = certificates.public_key(certificate, Origin(place.certificate_file))
+    authority_places.require_known(place, public_key)
+    authority_places.require_name(place)
     if not keys.fits(public_key, spec.key) or not satisfies(
-        pem, spec, public_key, above.certificate if above else None
+        content, spec, public_key, above.certificate if above else None
     ):
         raise lacking
-    return MintedAuthority(certificate, pem + (above.chain if above else b""), lacking)
+    return MintedAuthority(certificate, content + (above.chain if above else b""), lacking)

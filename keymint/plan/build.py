@@ -3,18 +3,27 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 
-from keymint.api import BuildOptions, Built, Package
+from keymint.api import BuildOptions, Built
 from keymint.errors import Diagnostic, KeymintError, Origin
-from keymint.pki import keys
+from keymint.plan import identity_keys, known_keys
 from keymint.plan.inputs import Inputs, LoadedProfile, Sources, changed
 from keymint.plan.model import Action, File, FolderChange, Plan, Size, Step
-from keymint.plan.secrets import load_key, password
 from keymint.state import Stamp, digest, digest_files
 
 STAGE = "build"
+
+
+@dataclass(frozen=True, slots=True)
+class _Planned:
+    """What planning one package gives; the fingerprint is that of a key that is new in its place."""
+
+    step: Step
+    stamp: Stamp | None = None
+    fingerprint: str = ""
+    diagnostics: Sequence[Diagnostic] = ()
 
 
 def plan_build(
@@ -41,24 +50,21 @@ def plan_build(
     Raises:
         KeymintError: the defects of all packages together.
     """
-    steps: list[Step] = []
+    planned: list[_Planned] = []
     errors: list[Diagnostic] = []
-    diagnostics: list[Diagnostic] = []
-    stamps: dict[str, Stamp] = {}
     for name in names:
         try:
-            step, stamp, said = _plan_package(inputs, loaded, name, sources, options, force=force, renew=renew)
+            planned.append(_plan_package(inputs, loaded, name, sources, options, force=force, renew=renew))
         except KeymintError as error:
             errors += error.diagnostics
-            continue
-        steps.append(step)
-        diagnostics += said
-        if stamp:
-            stamps[name] = stamp
     if errors:
         raise KeymintError.of(errors)
     # What is said of an authority is said once, not for each of the packages below it.
-    return Plan(tuple(steps), inputs.state.updated(STAGE, stamps), tuple(dict.fromkeys(diagnostics)))
+    diagnostics = dict.fromkeys(said for each in planned for said in each.diagnostics)
+    stamps = {each.step.package: each.stamp for each in planned if each.stamp}
+    minted = {each.step.package: each.fingerprint for each in planned if each.fingerprint}
+    state = known_keys.record(inputs.state.updated(STAGE, stamps), known_keys.IDENTITIES, minted)
+    return Plan(tuple(each.step for each in planned), state, tuple(diagnostics))
 
 
 def is_current(inputs: Inputs, loaded: LoadedProfile, name: str, files: dict[str, bytes]) -> bool:
@@ -86,7 +92,7 @@ def _plan_package(
     *,
     force: bool,
     renew: bool,
-) -> tuple[Step, Stamp | None, Sequence[Diagnostic]]:
+) -> _Planned:
     folder = inputs.workspace.build / name
     files = sources.files(inputs, name)
     wanted = wanted_inputs(inputs, loaded, files)
@@ -101,24 +107,30 @@ def _plan_package(
         if None not in there.values():
             edited = [file for file, content in there.items() if digest(content or b"") != stamp.outputs[file]]
             if not edited:
-                return Step(STAGE, name, Action.UNCHANGED), None, ()
-            return Step(STAGE, name, Action.KEPT, detail=_edited(edited)), None, ()
+                return _Planned(Step(STAGE, name, Action.UNCHANGED))
+            return _Planned(Step(STAGE, name, Action.KEPT, detail=_edited(edited)))
     package = sources.load(inputs, loaded, name, files)
     built = inputs.plugins.build_type(package.build_type, inputs.package_marker(package.name)).build(package, options)
     if not force:
         _refuse_edits(inputs, name, folder, built.documents)
     changes = changed(inputs.tree, folder, {file: File(content) for file, content in built.documents.items()})
-    minted = () if key_content is not None and not renew else _mint(inputs, package, key_path)
-    if not minted and key_content is not None:
-        shown = Origin(inputs.workspace.shown(key_path))
-        load_key(key_content, package.identity.key, inputs.environment, shown, package.identity.origin)
+    minted: tuple[FolderChange, ...] = ()
+    fingerprint = ""
+    if renew:
+        change, fingerprint = identity_keys.mint(inputs, package, key_path)
+        minted = (change,)
+    elif key_content is None:
+        change, fingerprint = identity_keys.restore_or_mint(inputs, loaded, package, key_path)
+        minted = (change,)
+    else:
+        identity_keys.load(inputs, package, key_path, key_content)
     before = stamp is not None or any(inputs.tree.read(folder / file) is not None for file in built.documents)
     action = (Action.UPDATED if before else Action.CREATED) if changes or minted else Action.UNCHANGED
     outputs = {file: digest(content) for file, content in built.documents.items()}
     said = [*package.diagnostics, *built.diagnostics]
     sizes = _sizes(built)
     step = Step(STAGE, name, action, (*minted, *changes), ", ".join(map(_smaller, sizes)), sizes)
-    return step, Stamp(wanted, outputs, context=asked), said
+    return _Planned(step, Stamp(wanted, outputs, context=asked), fingerprint, said)
 
 
 def _sizes(built: Built) -> tuple[Size, ...]:
@@ -146,10 +158,3 @@ def _refuse_edits(inputs: Inputs, name: str, folder: Path, documents: Mapping[st
                 help=f"'keymint build -f {name}' discards the edit",
                 code="hand-edited",
             )
-
-
-def _mint(inputs: Inputs, package: Package, path: Path) -> tuple[FolderChange, ...]:
-    spec = package.identity.key
-    key = keys.generate(spec, package.identity.origin)
-    pem = keys.to_pem(key, password(spec, inputs.environment, package.identity.origin))
-    return (FolderChange(path.parent, {path.name: File(pem, secret=True)}, private=True),)

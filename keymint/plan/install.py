@@ -8,19 +8,17 @@ from pathlib import Path
 
 from keymint.api import Artifact, Credentials, Package
 from keymint.errors import Diagnostic, KeymintError, Origin, Severity
-from keymint.pki import certificates
-from keymint.plan import build
+from keymint.pki import certificates, keys
+from keymint.plan import build, identity_keys, known_keys
 from keymint.plan.authorities import MintedAuthority
+from keymint.plan.enclaves import CERTIFICATE, installed, orphan_finding, orphans
 from keymint.plan.inputs import Inputs, LoadedProfile, Sources, changed, placed
 from keymint.plan.model import Action, File, FolderChange, Plan, Step
-from keymint.plan.secrets import load_key
 from keymint.state import Stamp, digest, digest_files
-from keymint.workspace import packages
 
 HAND_EDITED = "hand-edited"
 """Code of what is reported of a document that a person edited."""
 STAGE = "install"
-CERTIFICATE = "cert.pem"
 
 
 @dataclass(frozen=True, slots=True)
@@ -32,6 +30,8 @@ class _Enclave:
     build_type: str
     artifacts: Mapping[str, Artifact]
     diagnostics: Sequence[Diagnostic]
+    fingerprint: str = ""
+    """That of its key; empty when nothing of it was looked at, as nothing changed."""
 
 
 def plan_install(
@@ -63,6 +63,7 @@ def plan_install(
             planned.append(_plan_enclave(inputs, loaded, name, sources, authorities))
         except KeymintError as error:
             errors += error.diagnostics
+    errors += _shared_keys(inputs, planned)
     if errors:
         raise KeymintError.of(errors)
     steps = [enclave.step for enclave in planned]
@@ -75,41 +76,24 @@ def plan_install(
         said += [orphan_finding(name) for name in left]
     stamps = {enclave.step.package: enclave.stamp for enclave in planned if enclave.stamp}
     state = inputs.state.updated(STAGE, stamps, removed=left if prune else ())
+    fingerprints = {enclave.step.package: enclave.fingerprint for enclave in planned if enclave.fingerprint}
+    state = known_keys.record(state, known_keys.IDENTITIES, fingerprints)
+    if prune:
+        state = known_keys.forget(state, known_keys.IDENTITIES, left)
     return Plan(tuple(steps), state, tuple(said))
 
 
-def orphans(inputs: Inputs, loaded: LoadedProfile) -> tuple[str, ...]:
-    """Return the installed enclaves that have no source package, sorted."""
-    known = set(packages(inputs.tree, inputs.workspace.src))
-    return tuple(name for name in installed(inputs, loaded) if name not in known)
-
-
-def installed(inputs: Inputs, loaded: LoadedProfile) -> tuple[str, ...]:
-    """Return the names of the installed enclaves, sorted."""
-    found: list[str] = []
-
-    def search(folder: Path, name: str) -> None:
-        entries = inputs.tree.names(folder)
-        if name and any(entry in {"key.pem", CERTIFICATE} for entry, is_folder in entries if not is_folder):
-            found.append(name)
-        for entry, is_folder in entries:
-            if is_folder and not entry.startswith("."):
-                search(folder / entry, f"{name}/{entry}" if name else entry)
-
-    search(inputs.workspace.enclaves(loaded.profile.layout), "")
-    return tuple(sorted(found))
-
-
-def orphan_finding(name: str) -> Diagnostic:
-    """Return the finding on an installed enclave without a source package."""
-    return Diagnostic(
-        "enclave-orphaned",
-        Severity.WARNING,
-        f"the enclave /{name} is installed, but has no source package",
-        None,
-        "'keymint install --prune' removes it",
-        f"/{name}",
-    )
+def _shared_keys(inputs: Inputs, planned: Sequence[_Enclave]) -> Sequence[Diagnostic]:
+    """Return an error for each key that two of the planned enclaves have."""
+    owners: dict[str, str] = {}
+    errors: list[Diagnostic] = []
+    for enclave in planned:
+        name = enclave.step.package
+        other = owners.setdefault(enclave.fingerprint, name) if enclave.fingerprint else name
+        if other != name:
+            shown = Origin(inputs.workspace.shown(inputs.workspace.identity_key(name)))
+            errors += identity_keys.shared(name, other, shown).diagnostics
+    return errors
 
 
 def built_documents(inputs: Inputs, name: str) -> dict[str, bytes]:
@@ -154,7 +138,10 @@ def _plan_enclave(
         return _Enclave(Step(STAGE, name, Action.UNCHANGED), None, "", {}, ())
     package = sources.load(inputs, loaded, name, files)
     there = inputs.tree.files(folder)
-    artifacts, said = _notarize(inputs, loaded, package, documents, authorities, (key_path, key_pem), there)
+    public = identity_keys.load(inputs, package, key_path, key_pem).public_key()
+    owners = {keys.fingerprint(certificates.public_key(each.certificate)): who for who, each in authorities.items()}
+    identity_keys.require_own(inputs, loaded, name, key_path, public, owners)
+    artifacts, said = _notarize(inputs, loaded, package, documents, authorities, key_pem, public, there)
     wrong_mode = [file for file in artifacts if not _mode_is_right(folder / file, secret=artifacts[file].secret)]
     contents = {file: File(artifact.content, secret=artifact.secret) for file, artifact in artifacts.items()}
     different = {file: item for file, item in contents.items() if there.get(file) != item.content or file in wrong_mode}
@@ -175,6 +162,7 @@ def _plan_enclave(
         package.build_type,
         artifacts,
         [*said, *edited],
+        keys.fingerprint(public),
     )
 
 
@@ -212,7 +200,8 @@ def _notarize(
     package: Package,
     documents: Mapping[str, bytes],
     authorities: Mapping[str, MintedAuthority],
-    key: tuple[Path, bytes],
+    pem: bytes,
+    public: keys.PublicKey,
     there: Mapping[str, bytes],
 ) -> tuple[Mapping[str, Artifact], Sequence[Diagnostic]]:
     """Issue the certificate if the one that is there does not do, and have the documents signed."""
@@ -226,10 +215,6 @@ def _notarize(
             help="give both the same issuer_name",
             code="authority-mismatch",
         )
-    path, pem = key
-    shown = Origin(inputs.workspace.shown(path))
-    private = load_key(pem, package.identity.key, inputs.environment, shown, package.identity.origin)
-    public = private.public_key()
     certificate = there.get(CERTIFICATE)
     said: Sequence[Diagnostic] = ()
     if certificate is None or not certificates.certificate_satisfies(

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 
 from keymint.api import KeySpec
-from keymint.errors import KeymintError, Origin
+from keymint.errors import Diagnostic, KeymintError, Origin
 from keymint.pki import keys
 
 
@@ -29,7 +30,7 @@ def password(spec: KeySpec, environment: Mapping[str, str], origin: Origin) -> b
 
 
 def load_key(
-    pem: bytes, spec: KeySpec, environment: Mapping[str, str], shown: Origin, asked: Origin
+    pem: bytes, spec: KeySpec, environment: Mapping[str, str], shown: Origin, asked: Origin, remedy: str
 ) -> keys.PrivateKey:
     """Load a stored private key.
 
@@ -39,19 +40,29 @@ def load_key(
         environment: environment variables, for the password.
         shown: the file, for messages.
         asked: the place that asks for the key.
+        remedy: how to mend a key that cannot be used, for messages.
 
     Raises:
         KeymintError: the file is damaged, the password is wrong or missing, or the key is of another kind than is
             asked for: keys are only replaced on request.
     """
-    key = keys.from_pem(pem, password(spec, environment, asked), shown)
+    try:
+        key = keys.from_pem(pem, password(spec, environment, asked), shown)
+    except KeymintError as error:
+        said = [replace(found, help=_help(found, spec, asked, remedy)) for found in error.diagnostics]
+        raise KeymintError.of(said) from None
     if not keys.fits(key, spec):
         kind = f"an EC key on {spec.curve}" if spec.algorithm == "ec" else f"an RSA key of {spec.size} bits"
-        raise KeymintError(
-            f"is not {kind}, which {asked} asks for",
-            where=shown,
-            help="remove an authority's key and certificate, or use 'keymint build --renew' for a subject's, "
-            "to have a new one minted",
-            code="key-kind",
-        )
+        raise KeymintError(f"is not {kind}, which {asked} asks for", where=shown, help=remedy, code="key-kind")
     return key
+
+
+def _help(found: Diagnostic, spec: KeySpec, asked: Origin, remedy: str) -> str:
+    """Return how to mend a key that cannot be read."""
+    if found.code == "key-invalid":
+        return remedy
+    if found.code == "key-password" and not spec.password_env:
+        return f"name the environment variable of its password in password_env at {asked}"
+    if found.code == "key-password":
+        return f"set {spec.password_env} to the password that the file was encrypted with, or {remedy}"
+    return found.help

@@ -10,7 +10,7 @@ from keymint.api import Enclave, LoadedPolicy, NameMapping, Package
 from keymint.errors import KeymintError
 from keymint.graph import Edge, Graph, complete
 from keymint.ir import SubjectRules
-from keymint.plan import install
+from keymint.plan.enclaves import installed
 from keymint.plan.inputs import Inputs, LoadedProfile, Sources
 from keymint.verify import probes
 from keymint.verify.judge import Naming
@@ -39,7 +39,7 @@ def scope(inputs: Inputs, loaded: LoadedProfile, names: Sequence[str], sources: 
     """
     if not names:
         raise KeymintError("there is no package to verify", help="run 'keymint create --all'", code="packages-none")
-    there = set(install.installed(inputs, loaded))
+    there = set(installed(inputs, loaded))
     missing = [name for name in names if name not in there]
     if missing:
         shown = ", ".join(f"/{name}" for name in missing[:5]) + (" …" if len(missing) > 5 else "")  # noqa: PLR2004

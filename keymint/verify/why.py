@@ -11,7 +11,7 @@ from keymint.api import AppliedProfile, Enclave, LoadedPolicy, PolicyDecision, R
 from keymint.errors import ExitCode, KeymintError, Origin
 from keymint.graph import LABELLED, Edge, Object
 from keymint.ir import Rule
-from keymint.plan import install
+from keymint.plan.enclaves import installed
 from keymint.plan.inputs import Inputs, LoadedProfile, Sources
 from keymint.verify.compare import label_enclave
 from keymint.verify.explain import Explainer
@@ -155,7 +155,7 @@ def explain(
     matching = sorted({at for each in asked for at in about(rules, each)}, key=lambda at: rules[at].effect != "DENY")
     near = None if matching else nearest(rules, edge)
     known = difflib.get_close_matches(edge.subject, policy.subjects(), n=1)
-    there = name in install.installed(inputs, loaded)
+    there = name in installed(inputs, loaded)
     labels: dict[str, Finding] = {}
     if there:
         folder = inputs.workspace.enclaves(loaded.profile.layout) / name

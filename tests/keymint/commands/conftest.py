@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+import shutil
 from collections.abc import Callable
 from pathlib import Path
 
 import pytest
+
+from keymint import cli
+from tests.conftest import NOW
 
 POLICY = """<profiles xmlns:xi="http://www.w3.org/2001/XInclude">
   <profile name="talker">
@@ -40,4 +44,24 @@ def provisioned(keymint: Callable, policy: Path, tmp_path: Path) -> Path:
     """A workspace that is provisioned from the policy."""
     outcome = keymint("provision", policy, "-w", "ws")
     assert outcome.code == 0, outcome.err
+    return tmp_path / "ws"
+
+
+@pytest.fixture(scope="session")
+def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Two workspaces of one policy, ``ws`` and ``foreign``: names and dates are the same, keys are not."""
+    folder = tmp_path_factory.mktemp("made")
+    (folder / "policy.xml").write_text(POLICY)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("SOURCE_DATE_EPOCH", str(NOW))
+        for name in ("ws", "foreign"):
+            assert cli.main(["provision", str(folder / "policy.xml"), "-w", str(folder / name), "-q"]) == 0
+    return folder
+
+
+@pytest.fixture
+def ws(made: Path, tmp_path: Path) -> Path:
+    """A copy of a provisioned workspace, with its policy beside it."""
+    shutil.copy(made / "policy.xml", tmp_path / "policy.xml")
+    shutil.copytree(made / "ws", tmp_path / "ws")
     return tmp_path / "ws"

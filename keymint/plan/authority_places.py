@@ -1,0 +1,185 @@
+"""What lies in the place of an authority: its key and certificate, and whether they are the ones that are in use.
+
+A key or certificate that was replaced is an error here. Only a person can know which of the files is the right one.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+
+from cryptography import x509
+
+from keymint.api import Authority
+from keymint.errors import KeymintError, Origin
+from keymint.pki import certificates, keys, names
+from keymint.plan import known_keys
+from keymint.plan.inputs import Inputs
+
+COST = "no deployed enclave trusts it until all are deployed anew"
+"""What a new authority costs."""
+
+
+@dataclass(frozen=True, slots=True)
+class Place:
+    """The files of an authority.
+
+    Attributes:
+        authority: the authority, as the profile asks for it.
+        key_file: path of its private key, as the user would type it.
+        certificate_file: path of its certificate, as the user would type it.
+        key: content of the former, or None.
+        content: content of the latter, or None.
+        certificate: the certificate in it, or None when it is missing or damaged.
+        recorded: fingerprint of its key by the record, or empty.
+        deployed: returns the authorities' certificates in installed enclaves.
+    """
+
+    authority: Authority
+    key_file: str
+    certificate_file: str
+    key: bytes | None = field(repr=False)
+    content: bytes | None
+    certificate: x509.Certificate | None
+    recorded: str
+    deployed: Callable[[], Sequence[x509.Certificate]] = field(repr=False)
+
+    @property
+    def subject(self) -> x509.Name:
+        """The subject name that the profile asks for."""
+        spec = self.authority.certificate
+        return names.parse(spec.subject_name, spec.origin)
+
+    def in_use(self) -> Sequence[x509.Certificate]:
+        """Return the certificates in installed enclaves that have the authority's name."""
+        subject = self.subject
+        return [certificate for certificate in self.deployed() if certificate.subject == subject]
+
+    def known(self) -> frozenset[str]:
+        """Return the fingerprints of the keys that the authority has by the record, else by installed enclaves."""
+        if self.recorded:
+            return frozenset({self.recorded})
+        return frozenset(keys.fingerprint(certificates.public_key(each)) for each in self.in_use())
+
+    def without_other_certificate(self, key: keys.PublicKey) -> Place:
+        """Return the place without a certificate of another key: what a killed run had not replaced yet."""
+        if self.certificate is None or certificates.public_key(self.certificate) == key:
+            return self
+        return replace(self, certificate=None)
+
+
+def look(inputs: Inputs, authority: Authority, deployed: Callable[[], Sequence[x509.Certificate]]) -> Place:
+    """Return what lies in the place of an authority."""
+    workspace = inputs.workspace
+    key_path, path = workspace.authority_key(authority.name), workspace.authority_certificate(authority.name)
+    content = inputs.tree.read(path)
+    return Place(
+        authority=authority,
+        key_file=workspace.shown(key_path),
+        certificate_file=workspace.shown(path),
+        key=inputs.tree.read(key_path),
+        content=content,
+        certificate=_readable(content),
+        recorded=known_keys.recorded(inputs.state, known_keys.AUTHORITIES, authority.name),
+        deployed=deployed,
+    )
+
+
+def _readable(content: bytes | None) -> x509.Certificate | None:
+    """Return the certificate of a file, or None when there is none that can be used."""
+    try:
+        certificate = certificates.load(content) if content else None
+        if certificate:
+            certificates.public_key(certificate)
+    except KeymintError:
+        return None
+    return certificate
+
+
+def choice(name: str) -> str:
+    """Return the option that makes a new authority, and what that costs."""
+    return f"'keymint install --new-authority {name}' makes a new authority ({COST})"
+
+
+def require_fit(place: Place, key: keys.PublicKey) -> None:
+    """Require that a private key is the one that the certificate in place certifies.
+
+    Raises:
+        KeymintError: it is not; says which of the two files is the wrong one, if that is known.
+    """
+    if place.certificate is None or certificates.public_key(place.certificate) == key:
+        return
+    name = place.authority.name
+    if keys.fingerprint(key) in place.known():
+        raise KeymintError(
+            f"is the certificate of another key than {place.key_file}, which is the key of {name!r}",
+            where=Origin(place.certificate_file),
+            help=f"restore it, or remove it and run 'keymint install'; {choice(name)}",
+            code="authority-key-mismatch",
+        )
+    raise KeymintError(
+        f"is not the private key of {place.certificate_file}",
+        where=Origin(place.key_file),
+        help=f"restore the file that is wrong; {choice(name)}",
+        code="authority-key-mismatch",
+    )
+
+
+def require_name(place: Place) -> None:
+    """Require that the certificate in place has the name that the profile asks for.
+
+    Raises:
+        KeymintError: it has another name: under the one that is asked for there would be a new authority.
+    """
+    if place.certificate is None or place.certificate.subject == place.subject:
+        return
+    spec, name = place.authority.certificate, place.authority.name
+    raise KeymintError(
+        f"is for {names.to_text(place.certificate.subject)!r}, but {spec.origin} asks for "
+        f"{names.to_text(place.subject)!r}",
+        where=Origin(place.certificate_file),
+        help=f"restore the file or the subject_name; {choice(name)}",
+        code="authority-renamed",
+    )
+
+
+def require_known(place: Place, key: keys.PublicKey) -> None:
+    """Require that a key is the one that the authority had before.
+
+    Raises:
+        KeymintError: the record, or where it was lost every installed enclave, has another key of this authority.
+    """
+    known = place.known()
+    if not known or keys.fingerprint(key) in known:
+        return
+    name = place.authority.name
+    raise KeymintError(
+        f"the key of the authority {name!r} was replaced: it is not the one that signed what is deployed",
+        where=Origin(place.certificate_file if place.key is None else place.key_file),
+        help=f"restore {place.key_file} and {place.certificate_file}; {choice(name)}",
+        code="authority-replaced",
+    )
+
+
+def require_own_keys(inputs: Inputs, fingerprints: Mapping[str, str]) -> None:
+    """Require that no two authorities have one key: who holds the one could act as the other.
+
+    Args:
+        inputs: the workspace.
+        fingerprints: that of each authority's key, by the authority's name.
+
+    Raises:
+        KeymintError: two authorities have one key.
+    """
+    owners: dict[str, str] = {}
+    for name, fingerprint in fingerprints.items():
+        other = owners.setdefault(fingerprint, name)
+        if other != name:
+            stamped = known_keys.recorded(inputs.state, known_keys.AUTHORITIES, other) == fingerprint
+            wrong = name if stamped else other
+            raise KeymintError(
+                f"the authorities {other!r} and {name!r} have one and the same key",
+                where=Origin(inputs.workspace.shown(inputs.workspace.authority_certificate(wrong))),
+                help=f"restore the key and certificate of {wrong!r}; {choice(wrong)}",
+                code="authority-key-shared",
+            )

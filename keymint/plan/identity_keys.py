@@ -1,0 +1,148 @@
+"""The private key of each subject: minted once, restored from its enclave, and never replaced without being asked.
+
+A key that was replaced in its place would give the subject's rights to whoever put it there.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+
+from keymint.api import Package
+from keymint.errors import KeymintError, Origin
+from keymint.pki import certificates, keys
+from keymint.plan import known_keys
+from keymint.plan.enclaves import KEY, installed, installed_certificate
+from keymint.plan.inputs import Inputs, LoadedProfile
+from keymint.plan.model import File, FolderChange
+from keymint.plan.secrets import load_key, password
+
+
+def remedy(name: str) -> str:
+    """Return how to mend a key that cannot be used."""
+    restored = f"remove it and run 'keymint build {name}' to restore it from the enclave"
+    return f"{restored}, or mint a new one with {_new(name)}"
+
+
+def _new(name: str) -> str:
+    return f"'keymint build --renew {name}'"
+
+
+def load(inputs: Inputs, package: Package, path: Path, pem: bytes) -> keys.PrivateKey:
+    """Load the stored key of a package; errors as :func:`keymint.plan.secrets.load_key`."""
+    identity, shown = package.identity, Origin(inputs.workspace.shown(path))
+    return load_key(pem, identity.key, inputs.environment, shown, identity.origin, remedy(package.name))
+
+
+def mint(inputs: Inputs, package: Package, path: Path) -> tuple[FolderChange, str]:
+    """Plan a new key for a package; returns the change, and the key's fingerprint."""
+    spec = package.identity.key
+    key = keys.generate(spec, package.identity.origin)
+    pem = keys.to_pem(key, password(spec, inputs.environment, package.identity.origin))
+    return _stored(path, pem), keys.fingerprint(key)
+
+
+def restore_or_mint(inputs: Inputs, loaded: LoadedProfile, package: Package, path: Path) -> tuple[FolderChange, str]:
+    """Plan the key of a package that has none: the one in its enclave, or a new one if it never had any.
+
+    Raises:
+        KeymintError: it had a key, and that is in its enclave no more.
+    """
+    known = known_fingerprint(inputs, loaded, package.name)
+    if not known:
+        return mint(inputs, package, path)
+    pem = _in_enclave(inputs, loaded, package.name)
+    try:
+        secret = password(package.identity.key, inputs.environment, package.identity.origin)
+        there = keys.fingerprint(keys.from_pem(pem, secret)) if pem else ""
+    except KeymintError:
+        there = ""
+    if there != known:
+        raise KeymintError(
+            f"the private key of /{package.name} is missing",
+            where=Origin(inputs.workspace.shown(path)),
+            help=f"restore it from a backup, or mint a new one with {_new(package.name)}",
+            code="key-missing",
+        )
+    return _stored(path, pem), there
+
+
+def known_fingerprint(inputs: Inputs, loaded: LoadedProfile, name: str) -> str:
+    """Return the fingerprint of a package's key by the record, else by its installed certificate, or an empty text."""
+    recorded = known_keys.recorded(inputs.state, known_keys.IDENTITIES, name)
+    if recorded:
+        return recorded
+    certificate = installed_certificate(inputs, loaded, name)
+    return keys.fingerprint(certificates.public_key(certificate)) if certificate else ""
+
+
+def require_own(
+    inputs: Inputs,
+    loaded: LoadedProfile,
+    name: str,
+    path: Path,
+    key: keys.PublicKey,
+    authorities: Mapping[str, str],
+) -> None:
+    """Require that a key is the one that was minted for a package, and nobody else's.
+
+    Args:
+        inputs: the workspace.
+        loaded: its profile.
+        name: the package.
+        path: where its key lies.
+        key: the public key of what lies there.
+        authorities: names of the authorities by the fingerprint of their key.
+
+    Raises:
+        KeymintError: it is an authority's key, was replaced, or is that of another subject.
+    """
+    fingerprint, shown = keys.fingerprint(key), Origin(inputs.workspace.shown(path))
+    if fingerprint in authorities:
+        raise KeymintError(
+            f"is the private key of the authority {authorities[fingerprint]!r}, which must never reach a robot",
+            where=shown,
+            help=remedy(name),
+            code="key-of-authority",
+        )
+    if known_keys.was_under_way(inputs.state, fingerprint):
+        return
+    known = known_fingerprint(inputs, loaded, name)
+    if known and known != fingerprint:
+        raise KeymintError(
+            f"is not the private key that /{name} had: it was replaced",
+            where=shown,
+            help=remedy(name),
+            code="key-replaced",
+        )
+    if not known_keys.recorded(inputs.state, known_keys.IDENTITIES, name):
+        _require_unshared(inputs, loaded, name, shown, fingerprint)
+
+
+def _require_unshared(inputs: Inputs, loaded: LoadedProfile, name: str, shown: Origin, fingerprint: str) -> None:
+    """Require that no other subject has a key; one that Keymint minted is nobody else's."""
+    others = {*inputs.state.stamps.get(known_keys.IDENTITIES, ()), *installed(inputs, loaded)}
+    for other in sorted(others):
+        if other != name and known_fingerprint(inputs, loaded, other) == fingerprint:
+            raise shared(name, other, shown)
+
+
+def shared(name: str, other: str, shown: Origin) -> KeymintError:
+    """Return the error for two subjects that have one key."""
+    return KeymintError(
+        f"is the private key of /{other} as well, so that each could act as the other",
+        where=shown,
+        help=f"mint a new one with {_new(name)}",
+        code="key-shared",
+    )
+
+
+def _in_enclave(inputs: Inputs, loaded: LoadedProfile, name: str) -> bytes:
+    try:
+        return inputs.tree.read(inputs.workspace.enclaves(loaded.profile.layout) / name / KEY) or b""
+    except KeymintError:
+        return b""
+
+
+def _stored(path: Path, pem: bytes) -> FolderChange:
+    return FolderChange(path.parent, {path.name: File(pem, secret=True)}, private=True)

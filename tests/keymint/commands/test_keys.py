@@ -1,0 +1,319 @@
+"""Keys and certificates that were swapped, lost or damaged: nothing is replaced by a new one without being asked."""
+
+from __future__ import annotations
+
+import itertools
+import shutil
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import pytest
+from cryptography import x509
+from cryptography.hazmat.primitives.serialization import Encoding, PublicFormat, load_pem_private_key
+
+from keymint.pki import keys
+from tests.conftest import snapshot
+
+CERTIFICATES = ("public/identity_ca.cert.pem", "public/permissions_ca.cert.pem")
+AUTHORITY_KEYS = ("private/identity_ca.key.pem", "private/permissions_ca.key.pem")
+IDENTITY_KEYS = ("private/identities/talker/key.pem", "private/identities/robot1/listener/key.pem")
+ENCLAVES = ("talker", "robot1/listener")
+
+
+def public_key(path: Path) -> bytes:
+    """The public key of a file with a certificate or an unencrypted private key."""
+    content = path.read_bytes()
+    if b"CERTIFICATE" in content:
+        key = x509.load_pem_x509_certificates(content)[0].public_key()
+    else:
+        key = load_pem_private_key(content, None).public_key()
+    return key.public_bytes(Encoding.DER, PublicFormat.SubjectPublicKeyInfo)
+
+
+def trusted(ws: Path) -> dict[str, bytes]:
+    """The keys that the installed enclaves trust and have."""
+    names = ("identity_ca.cert.pem", "permissions_ca.cert.pem", "cert.pem", "key.pem")
+    return {
+        f"{enclave}/{name}": public_key(ws / "install/enclaves" / enclave / name)
+        for enclave in ENCLAVES
+        for name in names
+    }
+
+
+def content(ws: Path) -> dict[str, bytes]:
+    return {name: data for name, (_, _, data) in snapshot(ws).items() if not name.startswith(".keymint")}
+
+
+Damage = Callable[[Path, Path], None]
+
+
+def copy(source: str) -> Damage:
+    return lambda ws, path: shutil.copyfile(ws / source, path)
+
+
+def foreign(ws: Path, path: Path) -> None:
+    """The file of the same name of another workspace."""
+    shutil.copyfile(ws.parent / "foreign" / path.relative_to(ws), path)
+
+
+def another_key(_ws: Path, path: Path) -> None:
+    from keymint.api import KeySpec
+
+    path.write_bytes(keys.to_pem(keys.generate(KeySpec("ec", "SECP256R1"))))
+
+
+def flip(_ws: Path, path: Path) -> None:
+    data = bytearray(path.read_bytes())
+    data[len(data) // 2] ^= 1
+    path.write_bytes(data)
+
+
+def truncate(_ws: Path, path: Path) -> None:
+    path.write_bytes(path.read_bytes()[:-40])
+
+
+DAMAGES: dict[str, Damage] = {
+    "deleted": lambda _ws, path: path.unlink(),
+    "empty": lambda _ws, path: path.write_bytes(b""),
+    "truncated": truncate,
+    "flipped": flip,
+    "trailing": lambda _ws, path: path.write_bytes(path.read_bytes() + b"\n"),
+    "foreign": foreign,
+}
+
+
+def cases() -> Iterator[tuple[str, str, Damage]]:
+    secret = (*AUTHORITY_KEYS, *IDENTITY_KEYS)
+    for path in (*CERTIFICATES, *secret):
+        for name, damage in DAMAGES.items():
+            yield path, name, damage
+    for path in secret:
+        yield path, "another_key", another_key
+    for path, other in itertools.permutations(secret, 2):
+        yield path, f"as {other}", copy(other)
+    for path, other in itertools.permutations(CERTIFICATES, 2):
+        yield path, f"as {other}", copy(other)
+
+
+HARMLESS = {
+    *((path, "deleted") for path in (*AUTHORITY_KEYS, *IDENTITY_KEYS)),
+    *((path, "trailing") for path in (*AUTHORITY_KEYS, *IDENTITY_KEYS)),
+}
+"""What is no defect: a key that is kept elsewhere, and a blank line that no reader of keys minds."""
+
+
+@pytest.mark.parametrize(
+    ("verbs", "recorded"), [(("install",), True), (("build", "install"), False)], ids=["recorded", "record lost"]
+)
+def test_no_damage_leads_to_a_new_key(keymint, made: Path, ws: Path, verbs: tuple[str, ...], recorded: bool) -> None:
+    """Sweep: any file of keys or certificates, damaged in any way, is refused untouched or restored as it was."""
+    shutil.copytree(made / "foreign", ws.parent / "foreign")
+    before = trusted(ws)
+    good = content(ws)
+    refused = restored = 0
+    for path, name, damage in cases():
+        case = f"{path} {name}"
+        for space in ("private", "public", "install", ".keymint"):
+            shutil.rmtree(ws / space)
+            shutil.copytree(made / "ws" / space, ws / space)
+        if not recorded:
+            (ws / ".keymint/state.json").unlink()
+        damage(ws, ws / path)
+        if recorded:
+            expected = 0 if (path, name) in HARMLESS else 3
+            assert keymint("check", cwd=ws).code == expected, case
+        damaged = content(ws)
+        codes = [keymint(verb, *(["--no-prove"] if verb == "install" else []), cwd=ws).code for verb in verbs]
+        assert trusted(ws) == before, case
+        if any(codes):
+            refused += 1
+            assert content(ws) == damaged, case
+        elif (path, name) not in HARMLESS:
+            restored += 1
+            assert {**content(ws), path: b""} == {**good, path: b""}, case
+            assert public_key(ws / path) == public_key(made / "ws" / path), case
+            if path in CERTIFICATES:
+                assert (ws / path).read_bytes() == (made / "ws" / path).read_bytes(), case
+    assert refused >= 24
+    assert restored >= 8
+
+
+def test_a_wrong_key_in_place_is_refused_with_the_choice(keymint, ws: Path) -> None:
+    shutil.copyfile(ws / AUTHORITY_KEYS[1], ws / AUTHORITY_KEYS[0])
+    before = snapshot(ws)
+    for words in (("install",), ("provision", "../policy.xml", "-w", "."), ("init",)):
+        outcome = keymint(*words, cwd=ws)
+        assert outcome.code == 1
+        assert (
+            "private/identity_ca.key.pem: error: is not the private key of public/identity_ca.cert.pem" in outcome.err
+        )
+        assert "'keymint install --new-authority identity_ca' makes a new authority" in outcome.err
+        assert snapshot(ws) == before
+    outcome = keymint("check", "--json", cwd=ws)
+    assert outcome.code == 3
+    assert "authority-key-mismatch" in outcome.codes()
+    found = outcome.document["diagnostics"]
+    assert not any(each["help"].startswith(("run 'keymint install'", "'keymint install'")) for each in found)
+
+
+def test_a_new_authority_takes_the_option(keymint, ws: Path) -> None:
+    shutil.copyfile(ws / AUTHORITY_KEYS[1], ws / AUTHORITY_KEYS[0])
+    before = trusted(ws)
+    dry = snapshot(ws)
+    assert keymint("install", "--new-authority", "identity_ca", "--dry-run", cwd=ws).code == 0
+    assert snapshot(ws) == dry
+    outcome = keymint("install", "--new-authority", "identity_ca", cwd=ws)
+    assert outcome.code == 0
+    assert "'identity_ca' is a new authority: no deployed enclave trusts it until all are deployed anew" in outcome.err
+    after = trusted(ws)
+    changed = {name for name in before if before[name] != after[name]}
+    assert changed == {f"{enclave}/identity_ca.cert.pem" for enclave in ENCLAVES}
+    assert keymint("check", cwd=ws).code == 0
+    assert keymint("install", cwd=ws).out.startswith("nothing to do")
+    (ws / ".keymint/state.json").unlink()
+    assert keymint("install", cwd=ws).code == 0
+
+
+@pytest.mark.parametrize(
+    ("words", "code", "said"),
+    [
+        (("--new-authority", "identity-ca"), 2, "did you mean 'identity_ca'?"),
+        (("talker", "--new-authority", "identity_ca"), 2, "leave the names of packages out"),
+    ],
+)
+def test_the_option_is_checked(keymint, ws: Path, words, code: int, said: str) -> None:
+    before = snapshot(ws)
+    outcome = keymint("install", *words, cwd=ws)
+    assert (outcome.code, said in outcome.err) == (code, True), outcome.err
+    assert snapshot(ws) == before
+
+
+def test_key_and_certificate_of_another_workspace_are_not_taken(keymint, made: Path, ws: Path) -> None:
+    """They fit each other, and the profile: only the record and the enclaves tell that they are others."""
+    for recorded in (True, False):
+        for part in (AUTHORITY_KEYS[0], CERTIFICATES[0]):
+            shutil.copyfile(made / "foreign" / part, ws / part)
+        if not recorded:
+            (ws / ".keymint/state.json").unlink()
+        before = snapshot(ws)
+        outcome = keymint("install", cwd=ws)
+        assert outcome.code == 1
+        assert "the key of the authority 'identity_ca' was replaced" in outcome.err
+        assert {k: v for k, v in snapshot(ws).items() if k[0] != "."} == {
+            k: v for k, v in before.items() if k[0] != "."
+        }
+        checked = keymint("check", "--json", cwd=ws)
+        assert (checked.code, "authority-replaced" in checked.codes()) == (3, True)
+
+
+def test_two_authorities_of_one_key(keymint, made: Path, tmp_path: Path) -> None:
+    """What the version before this one made of a wrong key in place; and an empty place with such a key."""
+    assert keymint("init", "ws", "--policy", made / "policy.xml").code == 0
+    ws = tmp_path / "ws"
+    shutil.copyfile(ws / AUTHORITY_KEYS[1], ws / AUTHORITY_KEYS[0])
+    (ws / CERTIFICATES[0]).unlink()
+    (ws / ".keymint/state.json").unlink()
+    keymint("create", "--all", cwd=ws)
+    keymint("build", cwd=ws)
+    before = content(ws)
+    outcome = keymint("install", cwd=ws)
+    assert outcome.code == 1
+    assert "the authorities 'identity_ca' and 'permissions_ca' have one and the same key" in outcome.err
+    assert content(ws) == before
+    assert "authority-key-shared" in keymint("check", "--json", cwd=ws).codes()
+    assert keymint("install", "--new-authority", "identity_ca", cwd=ws).code == 0
+    assert keymint("check", cwd=ws).code == 0
+
+
+def test_longer_validity_keeps_key_and_name(keymint, ws: Path) -> None:
+    path = ws / "profile/profile.defaults/authorities.xml"
+    path.write_text(path.read_text().replace("<not_after>2037", "<not_after>2038"))
+    before = trusted(ws)
+    old = [(ws / each).read_bytes() for each in CERTIFICATES]
+    keymint("build", cwd=ws)
+    outcome = keymint("install", cwd=ws)
+    assert outcome.code == 0, outcome.err
+    assert outcome.err.count("is issued again, for the same key") == 2
+    assert trusted(ws) == before
+    assert all(each not in old for each in [(ws / each).read_bytes() for each in CERTIFICATES])
+    assert keymint("check", cwd=ws).code == 0
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "said"),
+    [
+        ("CN={name}", "CN={name},O=Example", "is for 'CN=identity_ca'"),
+        ("SECP256R1", "SECP384R1", "is not an EC key on SECP384R1"),
+    ],
+)
+def test_another_name_or_kind_of_key_is_a_new_authority(keymint, ws: Path, old: str, new: str, said: str) -> None:
+    path = ws / "profile/profile.defaults/authorities.xml"
+    path.write_text(path.read_text().replace(old, new))
+    keymint("build", cwd=ws)
+    before = snapshot(ws)
+    outcome = keymint("install", cwd=ws)
+    assert outcome.code == 1
+    assert said in outcome.err
+    assert "--new-authority identity_ca" in outcome.err
+    assert snapshot(ws) == before
+    assert "--new-authority identity_ca" in keymint("check", cwd=ws).err
+    both = ("--new-authority", "identity_ca", "--new-authority", "permissions_ca")
+    assert keymint("install", *both, cwd=ws).code == 0
+    assert keymint("check", cwd=ws).code == 0
+
+
+class TestIdentities:
+    def test_an_authoritys_key_never_reaches_a_robot(self, keymint, ws: Path) -> None:
+        shutil.copyfile(ws / AUTHORITY_KEYS[1], ws / IDENTITY_KEYS[0])
+        (ws / ".keymint/state.json").unlink()
+        shutil.rmtree(ws / "install")
+        outcome = keymint("install", cwd=ws)
+        assert outcome.code == 1
+        assert "is the private key of the authority 'permissions_ca'" in outcome.err
+        assert not (ws / "install").exists()
+        assert "key-of-authority" in keymint("check", "--json", cwd=ws).codes()
+
+    def test_two_subjects_with_one_key(self, keymint, ws: Path) -> None:
+        shutil.copyfile(ws / IDENTITY_KEYS[1], ws / IDENTITY_KEYS[0])
+        (ws / ".keymint/state.json").unlink()
+        for installed in (True, False):
+            if not installed:
+                shutil.rmtree(ws / "install")
+            outcome = keymint("install", cwd=ws)
+            assert outcome.code == 1
+            assert "private/identities/" in outcome.err
+            assert "key-shared" in keymint("check", "--json", cwd=ws).codes()
+
+    def test_a_replaced_key_is_mended_by_either_hint(self, keymint, ws: Path) -> None:
+        original = (ws / IDENTITY_KEYS[0]).read_bytes()
+        another_key(ws, ws / IDENTITY_KEYS[0])
+        outcome = keymint("install", cwd=ws)
+        assert outcome.code == 1
+        assert "is not the private key that /talker had: it was replaced" in outcome.err
+        assert "'keymint build talker'" in outcome.err
+        (ws / IDENTITY_KEYS[0]).unlink()
+        assert keymint("build", "talker", cwd=ws).code == 0
+        assert (ws / IDENTITY_KEYS[0]).read_bytes() == original
+        assert (ws / IDENTITY_KEYS[0]).stat().st_mode & 0o777 == 0o600
+        another_key(ws, ws / IDENTITY_KEYS[0])
+        assert "'keymint build --renew talker'" in keymint("check", cwd=ws).err
+        assert keymint("build", "--renew", "talker", cwd=ws).code == 0
+        assert keymint("install", cwd=ws).code == 0
+        assert keymint("check", cwd=ws).code == 0
+        assert public_key(ws / IDENTITY_KEYS[0]) != load_pem_private_key(original, None).public_key()
+
+    def test_a_key_that_is_nowhere_is_not_minted_without_being_asked(self, keymint, ws: Path) -> None:
+        (ws / IDENTITY_KEYS[0]).unlink()
+        (ws / "install/enclaves/talker/key.pem").unlink()
+        outcome = keymint("build", cwd=ws)
+        assert outcome.code == 1
+        assert "the private key of /talker is missing" in outcome.err
+        assert keymint("build", "--renew", "talker", cwd=ws).code == 0
+        assert keymint("install", cwd=ws).code == 0
+
+    def test_of_a_package_that_was_pruned_is_forgotten(self, keymint, ws: Path) -> None:
+        shutil.rmtree(ws / "src/talker")
+        assert keymint("install", "--prune", "--no-prove", cwd=ws).code == 0
+        shutil.rmtree(ws / "private/identities/talker")
+        for words in (("create", "--all"), ("build",), ("install",), ("check",)):
+            assert keymint(*words, cwd=ws).code == 0
