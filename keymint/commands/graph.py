@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -13,19 +13,35 @@ from keymint import graph_json
 from keymint.api import LoadedPolicy, PolicySource
 from keymint.commands.common import Run, verb
 from keymint.commands.files import read_input, write_outputs
+from keymint.commands.library import library_rules
 from keymint.commands.verify_report import sources
 from keymint.errors import Diagnostic, ExitCode, KeymintError, Origin
 from keymint.graph import Graph
 from keymint.pictures.model import Labelled, Outcome, choose, select
 from keymint.pictures.of_policy import of_graph, of_policy
+from keymint.pictures.options import Options, Split
 from keymint.pictures.palette import Theme
-from keymint.pictures.svg import Options, Split
 from keymint.plan.create import load_policy
 from keymint.report import Report
 from keymint.workspace import shown
 
 FORMATS = ("svg", "png", "dot", "html")
 _PATH = click.Path(path_type=Path)
+
+
+@dataclass(frozen=True, slots=True)
+class _Policy:
+    """A policy to draw, or to label a graph by.
+
+    Attributes:
+        loaded: the policy.
+        name: what a title calls it.
+        common: tells of the place of a rule whether it is one that every node includes.
+    """
+
+    loaded: LoadedPolicy
+    name: str
+    common: Callable[[Origin], bool]
 
 
 @verb(writes=True)
@@ -39,6 +55,8 @@ _PATH = click.Path(path_type=Path)
 @click.option("--only", type=click.Choice(["allowed", "denied"]), help="Only the edges that the policy labels so.")
 @click.option("--by", type=click.Choice([str(split) for split in Split]), default="none", help="A panel for each.")
 @click.option("--fold/--no-fold", default=None, help="Draw alike objects as one [from 40 objects on].")
+@click.option("--group/--no-group", default=None, help="Draw a namespace as one [beyond 30 subjects].")
+@click.option("--common", is_flag=True, help="Draw what every node may do too (parameters, logging, time, discovery).")
 @click.option("--limit", type=click.IntRange(1), default=600, show_default=True, help="The most lines to draw.")
 @click.option("--theme", type=click.Choice([str(theme) for theme in Theme]), default="auto", show_default=True)
 @click.option("--scale", type=click.FloatRange(0.1, 10), default=2.0, show_default=True, help="Resolution of a PNG.")
@@ -61,6 +79,8 @@ def graph(
     only: str | None,
     by: str,
     fold: bool | None,
+    group: bool | None,
+    common: bool,
     limit: int,
     theme: str,
     scale: float,
@@ -83,11 +103,12 @@ def graph(
     """
     chosen_format = _format(output, kind)
 
-    def policy_at(path: Path) -> LoadedPolicy:
+    def policy_at(path: Path) -> _Policy:
         chosen = distro or run.setting.environment.get("ROS_DISTRO") or "jazzy"
         library = run.plugins.profile_type(profile_type).library(chosen)
         named = PolicySource(str(path), run.setting.cwd / path, Origin(str(path)))
-        return run.plugins.policy_type(policy_type).load([named], library)
+        loaded = run.plugins.policy_type(policy_type).load([named], library)
+        return _Policy(loaded, path.resolve().stem, library_rules(run.setting.cwd, library))
 
     found, said = _graph(run, source, source_type) if source else (None, ())
     if found is None:
@@ -98,17 +119,20 @@ def graph(
                 code="usage",
                 exit_code=ExitCode.USAGE,
             )
-        loaded = policy_at(source) if source else _policy_of_workspace(run)
+        drawn = policy_at(source) if source else _policy_of_workspace(run)
+        loaded = drawn.loaded
         named = tuple(sorted({*subjects, *(choose(loaded.subjects(), (), namespaces) if namespaces else ())}))
         labelled = of_policy(
-            title or f"Policy {source or 'of the workspace'}", loaded, named, everything=everything, typed=_typed(run)
+            title or drawn.name, loaded, named, everything=everything, typed=_typed(run), common=drawn.common
         )
     else:
-        labelled = _labelled(run, found, choose(found.subjects, subjects, namespaces), policy, policy_at, everything)
-        labelled = replace(labelled, title=title or f"Graph {source}" + (f", labelled by {policy}" if policy else ""))
+        labelling = policy_at(policy) if policy is not None else None
+        labelled = _labelled(run, found, choose(found.subjects, subjects, namespaces), labelling, everything)
+        name = Path(source or "").stem + (f", labelled by {labelling.name}" if labelling else "")
+        labelled = replace(labelled, title=title or name)
     if only:
         labelled = select(labelled, only={Outcome.ALLOW if only == "allowed" else Outcome.DENY})
-    options = Options(Theme(theme), Split(by), None, limit, fold)
+    options = Options(Theme(theme), Split(by), None, limit, fold, group, common)
     content = _drawn(run, labelled, chosen_format, options, scale)
     return _report(run, labelled, chosen_format, output, content, said)
 
@@ -150,21 +174,20 @@ def _graph(run: Run, source: Path, source_type: str) -> tuple[Graph | None, tupl
     return reader.interpret(capture.graph, fold=True), capture.diagnostics
 
 
-def _policy_of_workspace(run: Run) -> LoadedPolicy:
+def _policy_of_workspace(run: Run) -> _Policy:
     inputs = run.inputs(run.workspace())
-    return load_policy(inputs, inputs.profile())
+    loaded = inputs.profile()
+    profile = loaded.profile
+    shipped = run.plugins.profile_type(profile.profile_type).library(profile.distro)
+    common = library_rules(run.setting.cwd, shipped, profile.library)
+    return _Policy(load_policy(inputs, loaded), profile.name, common)
 
 
-def _labelled(
-    run: Run,
-    found: Graph,
-    subjects: tuple[str, ...],
-    policy: Path | None,
-    policy_at: Callable[[Path], LoadedPolicy],
-    everything: bool,
-) -> Labelled:
+def _labelled(run: Run, found: Graph, subjects: tuple[str, ...], policy: _Policy | None, everything: bool) -> Labelled:
     if policy is not None:
-        return of_graph("", policy_at(policy), found, subjects, everything=everything, typed=_typed(run))
+        return of_graph(
+            "", policy.loaded, found, subjects, everything=everything, typed=_typed(run), common=policy.common
+        )
     if everything:
         raise KeymintError(
             "the completion of a graph has only edges that are labelled",

@@ -10,6 +10,7 @@ import click
 from keymint.api import Tier
 from keymint.commands.common import Run, complete_package, verb
 from keymint.commands.files import read_input, write_outputs
+from keymint.commands.library import library_rules
 from keymint.commands.transport_option import transport_option
 from keymint.commands.verify_report import labelled_edges, write_report
 from keymint.errors import ExitCode
@@ -112,8 +113,10 @@ def verify(
     _show(run, outcomes, len(subjects), len(said))
     _write(run, outcomes, subjects, sarif, junit)
     if report is not None:
-        title = f"{graph or 'The policy'} on {', '.join(transports)}"
-        labelled = labelled_edges(title, outcomes, edges(), said, judge.decide, _typed(run))
+        title = f"{graph.stem if graph else loaded.profile.name} on {', '.join(transports)}"
+        shipped = run.plugins.profile_type(loaded.profile.profile_type).library(loaded.profile.distro)
+        common = library_rules(run.setting.cwd, shipped, loaded.profile.library)
+        labelled = labelled_edges(title, outcomes, edges(), said, judge.decide, _typed(run), common)
         for file in write_report(run, report, labelled):
             run.console.line(f"{file} written")
     wrong = any(outcome.confusion.errors for outcome in outcomes)

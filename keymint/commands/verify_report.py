@@ -13,11 +13,15 @@ from keymint.commands.files import exists, read_input, write_outputs
 from keymint.errors import Origin
 from keymint.graph import Edge
 from keymint.pictures.model import DIFFERENCES, Confusion, Labelled, LabelledEdge, Said, select
+from keymint.pictures.of_policy import nowhere
+from keymint.pictures.options import Options
 from keymint.verify.model import Finding, Outcome
 
 PAGE = "index.html"
 MOST_TRUE = 10_000
-"""Edges without a finding that are kept of what is allowed, and again of what is denied: counts are of all."""
+"""Edges without a finding that are kept of what is allowed, and again of what no rule allows: counts are of all.
+
+What a rule denies expressly is kept."""
 
 _UNSAFE = re.compile(r"[^A-Za-z0-9._-]+")
 
@@ -29,6 +33,7 @@ def labelled_edges(
     allowed: Iterable[int],
     decide: Callable[[Edge], PolicyDecision],
     typed: Callable[[str], str],
+    common: Callable[[Origin], bool] = nowhere,
 ) -> Labelled:
     """Return the graph that transports were held against, with their labels.
 
@@ -42,6 +47,7 @@ def labelled_edges(
         allowed: what the policy says of each: 1 allowed, 0 not.
         decide: why it says so; asked only about edges that are kept.
         typed: returns a path as the user would type it.
+        common: tells of the place of a rule whether it is one that every node includes.
     """
     findings = [{finding.edge: finding for finding in outcome.findings} for outcome in outcomes]
     last = [outcome.findings[-1].edge if outcome.omitted and outcome.findings else None for outcome in outcomes]
@@ -51,15 +57,17 @@ def labelled_edges(
         room = {True: MOST_TRUE, False: MOST_TRUE}
         for edge, may in _with_endpoints(zip(edges, allowed, strict=True), findings):
             found = [each.get(edge) for each in findings]
-            if any(found) or room[bool(may)]:
-                room[bool(may)] -= not any(found)
-                decision = decide(edge)
+            decision = decide(edge) if any(found) or room[bool(may)] or not may else None
+            express = decision is not None and not decision.allowed and decision.where is not None
+            if decision is not None and (any(found) or express or room[bool(may)]):
+                room[bool(may)] -= not any(found) and not express
                 policy = _of_policy(decision, typed)
                 said = tuple(
                     _of_finding(one, typed) if one else Said(policy.allowed) if known[at] else None
                     for at, one in enumerate(found)
                 )
-                yield LabelledEdge(edge, policy, said, decision.audit)
+                shared = decision.allowed and decision.where is not None and common(decision.where)
+                yield LabelledEdge(edge, policy, said, decision.audit, shared)
             for at, end in enumerate(last):
                 known[at] = known[at] and edge != end
 
@@ -115,7 +123,7 @@ def write_report(run: Run, folder: Path, labelled: Labelled) -> list[str]:
     """
     # Templates are slow to import, and a run without a report needs none.
     from keymint.pictures.report import html_report  # noqa: PLC0415
-    from keymint.pictures.svg import Options, svg  # noqa: PLC0415
+    from keymint.pictures.svg import svg  # noqa: PLC0415
 
     pictures = {"graph.svg": svg(labelled)}
     for at, name in enumerate(labelled.transports):

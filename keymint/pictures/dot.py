@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 
 from keymint.graph import Object
-from keymint.pictures.model import Labelled, LabelledEdge
+from keymint.pictures.legend import edge_classes
+from keymint.pictures.model import Labelled, LabelledEdge, Outcome
+from keymint.pictures.options import Options
 from keymint.pictures.palette import LIGHT
-from keymint.pictures.svg import Options, shown_edges
+from keymint.pictures.simplify import Simplified, simplify
 from keymint.pictures.text import INWARD, OUTWARD, object_name, printable, role
 from keymint.pictures.words import sentence
 
@@ -20,14 +23,15 @@ def dot(labelled: Labelled, options: Options | None = None) -> bytes:
         options: which transport, and how many edges; the rest is Graphviz' business.
     """
     options = options or Options()
-    edges = shown_edges(labelled.edges, options)
+    drawn = simplify(labelled, replace(options, fold=False))
+    edges = drawn.edges
     objects = {key: f"o{at}" for at, key in enumerate(sorted({(one.edge.domain, one.edge.object) for one in edges}))}
-    subjects = {subject: f"s{at}" for at, subject in enumerate(labelled.subjects)}
+    subjects = {subject: f"s{at}" for at, subject in enumerate(drawn.groups)}
     lines = [
         "digraph keymint {",
         f"  graph [rankdir=LR, label={_quoted(labelled.title)}, labelloc=t, fontname=monospace]",
         "  node [style=filled, fontname=monospace]",
-        *(f"  {at} [{_node('subject', printable(name))}]" for name, at in subjects.items()),
+        *(f"  {at} [{_node('subject', _subject(name, drawn))}]" for name, at in subjects.items()),
         *(
             f"  {at} [{_node(found.kind, object_name(found, domain))}{_expression(found, labelled)}]"
             for (domain, found), at in objects.items()
@@ -40,6 +44,11 @@ def dot(labelled: Labelled, options: Options | None = None) -> bytes:
         "}",
     ]
     return ("\n".join(lines) + "\n").encode()
+
+
+def _subject(name: str, drawn: Simplified) -> str:
+    common = drawn.marks.get(name)
+    return printable(name) + (f" (+{len(common)} common)" if common else "")
 
 
 def _quoted(text: str) -> str:
@@ -60,15 +69,15 @@ def _expression(found: Object, labelled: Labelled) -> str:
 def _attributes(one: LabelledEdge, labelled: Labelled, options: Options) -> str:
     outcome = one.outcome(options.transport)
     out, into = role(one.edge.permission) in OUTWARD, role(one.edge.permission) in INWARD
-    verdict = "plain" if one.policy is None and not one.transports else "allow" if outcome.allowed else "deny"
+    verdict = edge_classes(outcome, labels=False).partition(" ")[0]
     wanted: Mapping[str, str] = {
         "dir": "both" if out and into else "forward" if out else "back",
         "color": LIGHT[verdict],
         "style": "solid" if outcome.false or not labelled.transports else "dashed",
-        "penwidth": "3" if outcome.false else "1",
+        "penwidth": "4" if outcome is Outcome.FALSE_ALLOW else "3" if outcome.false else "1",
         "arrowhead": "normal" if verdict != "deny" else "teeempty",
         "arrowtail": "normal" if verdict != "deny" else "teeempty",
-        "label": "AUDIT" if one.audit else "",
+        "label": " ".join(["DANGER"] * (outcome is Outcome.FALSE_ALLOW) + ["AUDIT"] * one.audit),
         "tooltip": sentence(one, labelled.transports),
     }
     return ", ".join(f"{name}={_quoted(value)}" for name, value in wanted.items() if value)

@@ -27,6 +27,7 @@ GAP = 10.0
 _PADDING = 10.0
 _BULLET = 14.0
 _ROUNDS = 16
+_MARKED_HEIGHT = 40.0
 _NARROWEST, _WIDEST = 150.0, 460.0
 
 _SHARED_BY = 4
@@ -46,6 +47,7 @@ class Box:
         key: a subject's name, or an object's domain and the object.
         kind: ``subject``, or the object's kind.
         label: text inside of it.
+        mark: a second line of text, or empty.
         title: full text.
         x: left edge, in pixels.
         y: top edge.
@@ -61,6 +63,7 @@ class Box:
     y: float
     width: float
     height: float
+    mark: str = ""
 
 
 @dataclass(frozen=True, slots=True)
@@ -102,6 +105,7 @@ def lay_out(
     edges: Sequence[LabelledEdge],
     subjects: Sequence[str],
     names: Mapping[Object, str] = MappingProxyType({}),
+    marks: Mapping[str, str] = MappingProxyType({}),
 ) -> Panel:
     """Return the layout of a graph.
 
@@ -113,6 +117,7 @@ def lay_out(
         edges: its edges.
         subjects: its subjects, also those without an edge.
         names: labels of objects, in place of their names.
+        marks: a second line of text for some subjects.
     """
     objects = sorted({_object(one) for one in edges}, key=_rank)
     stacks = _columns(list(subjects), objects, edges)
@@ -123,8 +128,12 @@ def lay_out(
         rightward = column_of[subject] < column_of[found]
         sides[subject, rightward].append(one)
         sides[found, rightward].append(one)
+    seconds: dict[Key, str] = dict(marks.items())
     heights = {
-        key: max(BOX_HEIGHT, PORT_DISTANCE * (1 + max(len(sides[key, side]) for side in (False, True))))
+        key: max(
+            _MARKED_HEIGHT if key in seconds else BOX_HEIGHT,
+            PORT_DISTANCE * (1 + max(len(sides[key, side]) for side in (False, True))),
+        )
         for key in column_of
     }
     tops = _tops(stacks, heights, edges)
@@ -135,9 +144,12 @@ def lay_out(
     boxes: dict[Key, Box] = {}
     x = 0.0
     for stack in stacks:
-        width = max((columns(labels[key]) * CHARACTER + 2 * _PADDING + _BULLET for key in stack), default=0.0)
+        longest = {key: max(columns(labels[key]), columns(seconds.get(key, ""))) for key in stack}
+        width = max((longest[key] * CHARACTER + 2 * _PADDING + _BULLET for key in stack), default=0.0)
         for key in stack:
-            boxes[key] = Box(key, _kind(key), labels[key], _title(key), x, tops[key], width, heights[key])
+            boxes[key] = Box(
+                key, _kind(key), labels[key], _title(key), x, tops[key], width, heights[key], seconds.get(key, "")
+            )
         x += width + gap
     height = max((box.y + box.height for box in boxes.values()), default=0.0)
     return Panel(heading, tuple(boxes.values()), _lines(edges, boxes, sides), max(0.0, x - gap), height)

@@ -6,7 +6,8 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 from keymint.pictures.layout import CHARACTER, Panel
-from keymint.pictures.model import Labelled, LabelledEdge, Outcome
+from keymint.pictures.model import Labelled, Outcome
+from keymint.pictures.simplify import Simplified
 from keymint.pictures.text import INWARD, KINDS, OUTWARD, columns, role
 
 LINE = 22.0
@@ -20,7 +21,7 @@ class Sample:
     Attributes:
         text: what it says.
         classes: of the style sheet.
-        form: ``box``, ``dot``, ``arrow``, ``barred`` or ``both``: what is drawn beside it.
+        form: ``box``, ``dot``, ``arrow``, ``barred``, ``both`` or ``mark``: what is drawn beside it.
         x: in pixels.
         y: in pixels.
     """
@@ -32,25 +33,17 @@ class Sample:
     y: float = 0.0
 
 
-def legend(
-    labelled: Labelled, edges: Sequence[LabelledEdge], panels: Sequence[Panel], transport: int | None
-) -> Iterator[Sample]:
+def legend(labelled: Labelled, drawn: Simplified, panels: Sequence[Panel], transport: int | None) -> Iterator[Sample]:
     """Yield the entries of a legend.
 
     Args:
         labelled: the graph.
-        edges: those of its edges that are drawn.
+        drawn: what is drawn of it.
         panels: what is drawn.
         transport: index of the transport whose labels are drawn; None for all together.
     """
-    kinds = {box.kind for panel in panels for box in panel.boxes}
-    yield Sample("subject", "subject", "box")
-    for kind, name in KINDS.items():
-        if kind in kinds:
-            yield Sample(name, kind, "box")
-    if any(one.edge.object in labelled.patterns for one in edges):
-        yield Sample("expression", "pattern neutral", "box")
-    roles = {role(one.edge.permission) for one in edges}
+    yield from _boxes(labelled, drawn, panels)
+    roles = {role(one.edge.permission) for one in drawn.edges}
     for direction, form in ((OUTWARD, "out"), (INWARD, "in")):
         named = [name for name in direction if name in roles and name != "relay"]
         if named:
@@ -58,19 +51,34 @@ def legend(
             yield Sample(f"to the {towards}: {', '.join(named)}", "plain", "arrow")
     if "relay" in roles:
         yield Sample("both ways: relay", "plain", "both")
-    outcomes = {one.outcome(transport) for one in edges}
+    outcomes = {one.outcome(transport) for one in drawn.edges}
     labels = bool(labelled.transports)
     words = {
         Outcome.ALLOW: "allowed, as the policy says" if labels else "allowed",
         Outcome.DENY: "denied, as the policy says" if labels else "denied",
-        Outcome.FALSE_ALLOW: "allowed against the policy (false positive)",
+        Outcome.FALSE_ALLOW: "DANGER: allowed against the policy (false positive)",
         Outcome.FALSE_DENY: "denied against the policy (false negative)",
     }
     for outcome, text in words.items():
         if outcome in outcomes:
             yield Sample(text, edge_classes(outcome, labels=labels), "arrow" if outcome.allowed else "barred")
-    if any(one.audit for one in edges):
+    if any(one.audit for one in drawn.edges):
         yield Sample("AUDIT: to be watched", "audited", "dot")
+    if drawn.marks:
+        yield Sample("what every node may do (--common draws it)", "muted", "mark")
+
+
+def _boxes(labelled: Labelled, drawn: Simplified, panels: Sequence[Panel]) -> Iterator[Sample]:
+    """Yield the entries on subjects and objects."""
+    kinds = {box.kind for panel in panels for box in panel.boxes}
+    yield Sample("subject", "subject", "box")
+    if any(len(members) > 1 for members in drawn.groups.values()):
+        yield Sample("subjects of a namespace", "subject group", "box")
+    for kind, name in KINDS.items():
+        if kind in kinds:
+            yield Sample(name, kind, "box")
+    if any(one.edge.object in labelled.patterns for one in drawn.edges):
+        yield Sample("expression", "pattern neutral", "box")
 
 
 def flowed(samples: Sequence[Sample], width: float) -> tuple[list[Sample], float]:
@@ -90,5 +98,7 @@ def edge_classes(outcome: Outcome, *, labels: bool) -> str:
     """Return the classes of an edge in the style sheet; with ``labels`` of transports they are true or false."""
     if outcome is Outcome.UNLABELLED:
         return "plain"
+    if outcome is Outcome.FALSE_ALLOW:
+        return "danger false"
     verdict = "allow" if outcome.allowed else "deny"
     return f"{verdict} {'false' if outcome.false else 'true'}" if labels else verdict

@@ -64,12 +64,14 @@ class LabelledEdge:
         policy: what the policy says; None when there is none.
         transports: what each transport of the graph says, in their order; None where one was not asked.
         audit: the rule that decided is to be watched.
+        common: the rule that decided is one of the shipped library's, which every node includes.
     """
 
     edge: Edge
     policy: Said | None = None
     transports: tuple[Said | None, ...] = ()
     audit: bool = False
+    common: bool = False
 
     def outcome(self, transport: int | None = None) -> Outcome:
         """Return how the edge is drawn, for one transport or (None) for all together, where any false label wins."""

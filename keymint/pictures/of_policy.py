@@ -24,6 +24,11 @@ def unchanged(file: str) -> str:
     return file
 
 
+def nowhere(_where: Origin) -> bool:
+    """Tell that no rule is a common one."""
+    return False
+
+
 def of_graph(
     title: str,
     policy: LoadedPolicy,
@@ -32,6 +37,7 @@ def of_graph(
     *,
     everything: bool = False,
     typed: Callable[[str], str] = unchanged,
+    common: Callable[[Origin], bool] = nowhere,
 ) -> Labelled:
     """Return a graph, or its completion, labelled by a policy.
 
@@ -42,6 +48,7 @@ def of_graph(
         subjects: which of its subjects; the objects are those of all.
         everything: label the completion: every subject with every permission on every object.
         typed: returns a path as the user would type it.
+        common: tells of the place of a rule whether it is one that every node includes.
 
     Raises:
         KeymintError: the completion is too large to be drawn; also as :meth:`keymint.api.LoadedPolicy.decide`.
@@ -49,7 +56,7 @@ def of_graph(
     if everything:
         _refuse_large(len(subjects) * sum(len(LABELLED[found.kind]) for _, found in graph.objects))
     edges = complete(replace(graph, subjects=tuple(subjects))) if everything else graph.edges
-    said = _Said(typed)
+    said = _Said(typed, common)
     labelled = (said.labelled(edge, policy.decide(edge)) for edge in edges if edge.subject in subjects)
     return Labelled.of(title, labelled, subjects)
 
@@ -61,6 +68,7 @@ def of_policy(
     *,
     everything: bool = False,
     typed: Callable[[str], str] = unchanged,
+    common: Callable[[Origin], bool] = nowhere,
 ) -> Labelled:
     """Return the graph of a policy.
 
@@ -73,6 +81,7 @@ def of_policy(
         subjects: which subjects; empty for all that it names exactly.
         everything: also draw what is denied because no rule matches.
         typed: returns a path as the user would type it.
+        common: tells of the place of a rule whether it is one that every node includes.
 
     Raises:
         KeymintError: the policy names no subject exactly, no profile applies to one of these, or the graph is too
@@ -104,7 +113,7 @@ def of_policy(
                     mine.setdefault(found, set()).update(rule.permissions)
     if everything:
         _refuse_large(len(chosen) * sum(len(LABELLED[found.kind]) for found in names))
-    said = _Said(typed)
+    said = _Said(typed, common)
     decided = itertools.chain(
         _decided(policy, chosen, sorted(names), said, everything=everything),
         _expressed(policy, own, expressions, said),
@@ -152,8 +161,9 @@ def _expressed(
 class _Said:
     """Makes labels of decisions; the many that are alike are one object."""
 
-    def __init__(self, typed: Callable[[str], str]) -> None:
+    def __init__(self, typed: Callable[[str], str], common: Callable[[Origin], bool]) -> None:
         self._typed = functools.cache(typed)
+        self._common = common
         self._known: dict[PolicyDecision, Said] = {}
 
     def labelled(self, edge: Edge, decision: PolicyDecision) -> LabelledEdge:
@@ -163,7 +173,8 @@ class _Said:
             reason = decision.reason.replace(f" at {decision.where}", "") if decision.where else decision.reason
             where = self._place(decision.where) if decision.where else None
             self._known[decision] = Said(decision.allowed, reason, where)
-        return LabelledEdge(edge, self._known[decision], (), decision.audit)
+        common = decision.allowed and decision.where is not None and self._common(decision.where)
+        return LabelledEdge(edge, self._known[decision], (), decision.audit, common)
 
     def _place(self, origin: Origin) -> Origin:
         return replace(origin, file=self._typed(origin.file), chain=tuple(map(self._place, origin.chain)))

@@ -1,7 +1,8 @@
 """Colours and line styles of pictures, for light and for dark backgrounds, as one style sheet.
 
 Nothing is told by colour alone: arrowheads of denied edges are hollow and barred, false labels are solid and heavy,
-and every kind of object has its name in the legend. Text has a contrast of at least 4.5 to 1 to what it stands on, and
+what is allowed against the policy has a hazard band and a warning sign, and every kind of object has its name in the
+legend. Text has a contrast of at least 4.5 to 1 to what it stands on, and
 lines one of at least 3 to 1 (WCAG 2.2, 1.4.3 and 1.4.11).
 """
 
@@ -38,6 +39,8 @@ LIGHT: Mapping[str, str] = {
     "topic": "#0b6a72",
     "allow": "#1a7f37",
     "deny": "#cf222e",
+    "danger": "#a40026",
+    "hazard": "#ffd33d",
     "plain": "#57606a",
     "audit": "#9a6700",
 }
@@ -60,6 +63,8 @@ DARK: Mapping[str, str] = {
     "topic": "#5cd0d8",
     "allow": "#4fc36b",
     "deny": "#ff7069",
+    "danger": "#ff5c7c",
+    "hazard": "#5c4a00",
     "plain": "#9aa4af",
     "audit": "#e3b341",
 }
@@ -81,6 +86,10 @@ _SHAPES = (
 .keymint .true .curve{stroke-dasharray:6 4}
 .keymint .false .curve{stroke-width:3.6}
 .keymint .false .head{stroke-width:2.4}
+.keymint .hazard{fill:none;stroke-width:9}
+.keymint .alarm text{font-size:11px;font-weight:bold;text-anchor:middle}
+.keymint .group rect{stroke-width:3.2}
+.keymint .mark{font-size:11px}
 """
 )
 
@@ -104,7 +113,10 @@ def _colours(palette: Mapping[str, str]) -> str:
     for kind in KIND_NAMES:
         rules.append(f".keymint .{kind} rect{{fill:{palette[f'{kind}-fill']};stroke:{palette[kind]}}}")
         rules.append(f".keymint .{kind} .bullet{{fill:{palette[kind]}}}")
-    for verdict in ("allow", "deny", "plain"):
+    rules.append(f".keymint .hazard{{stroke:{palette['hazard']}}}")
+    rules.append(f".keymint .alarm path{{fill:{palette['danger']};stroke:{palette['background']}}}")
+    rules.append(f".keymint .alarm text{{fill:{palette['background']}}}")
+    for verdict in ("allow", "deny", "danger", "plain"):
         rules.append(f".keymint .{verdict} .curve,.keymint .{verdict} .head{{stroke:{palette[verdict]}}}")
         filled = palette["background"] if verdict == "deny" else palette[verdict]
         rules.append(f".keymint .{verdict} .head{{fill:{filled}}}")

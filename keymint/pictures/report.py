@@ -18,16 +18,19 @@ from markupsafe import Markup
 
 from keymint.errors import Origin
 from keymint.pictures.layout import Domain, Key
-from keymint.pictures.model import Labelled, LabelledEdge, Outcome, Said
+from keymint.pictures.model import Labelled, LabelledEdge, Outcome, Said, select
+from keymint.pictures.options import Options
 from keymint.pictures.palette import Theme, style_sheet
-from keymint.pictures.svg import Embedding, Options, draw, environment, weight
+from keymint.pictures.simplify import EXPRESS, simplify, weight
+from keymint.pictures.svg import Embedding, draw, environment
 from keymint.pictures.text import KINDS, object_name, printable
 from keymint.pictures.words import counted
 
 MOST_ROWS = 10_000
-"""Edges that a report lists; it says how many it leaves out. False labels come first, then what is allowed."""
+"""Edges that a report lists; it says how many it leaves out. False labels and express denials are all listed, then what
+is allowed."""
 _WORDS = {
-    Outcome.FALSE_ALLOW: "allowed against the policy",
+    Outcome.FALSE_ALLOW: "DANGER: allowed against the policy",
     Outcome.FALSE_DENY: "denied against the policy",
     Outcome.ALLOW: "allowed",
     Outcome.DENY: "denied",
@@ -43,8 +46,8 @@ def html_report(labelled: Labelled, sources: Mapping[str, bytes], picture: Optio
         sources: texts of the files that places in the graph are in, by the path that the places have.
         picture: how its picture is drawn; the theme follows the reader's preference.
     """
-    page = _Page(labelled, tuple(sources))
     options = replace(picture or Options(), theme=Theme.AUTO)
+    page = _Page(labelled, tuple(sources), options)
     style = _text("report.css") + style_sheet(Theme.AUTO)
     script = _text("report.js")
     rows = page.rows()
@@ -70,6 +73,7 @@ def html_report(labelled: Labelled, sources: Mapping[str, bytes], picture: Optio
         "confusions": [(name, labelled.confusion(at)) for at, name in enumerate(page.transports)],
         "differences": [row for row in listed if row["wrong"]],
         "picture": Markup(draw(labelled, options, Embedding(page.number))) if labelled.edges else "",  # noqa: S704 - escaped
+        "groups": list(_groups(labelled, options, page)) if labelled.edges else [],
         "subjects": [
             {"name": printable(name), "number": page.number(name), "rows": rows[name]} for name in labelled.subjects
         ],
@@ -81,6 +85,15 @@ def html_report(labelled: Labelled, sources: Mapping[str, bytes], picture: Optio
         ],
     }
     return environment().get_template("report.html.j2").render(context).encode()
+
+
+def _groups(labelled: Labelled, options: Options, page: _Page) -> Iterator[Mapping[str, Any]]:
+    """Yield the groups of the picture, each with a picture of its own subjects."""
+    for name, members in simplify(labelled, options).groups.items():
+        if len(members) > 1:
+            part = replace(select(labelled, subjects=set(members)), title=name)
+            drawn = draw(part, replace(options, group=False), Embedding(page.number))
+            yield {"name": printable(name), "number": page.number(name), "picture": Markup(drawn)}  # noqa: S704 - escaped
 
 
 def _text(name: str) -> str:
@@ -109,15 +122,16 @@ class _Link:
 class _Page:
     """What the parts of a report refer to one another by."""
 
-    def __init__(self, labelled: Labelled, sources: Sequence[str]) -> None:
+    def __init__(self, labelled: Labelled, sources: Sequence[str], options: Options) -> None:
         self._labelled = labelled
         self._sources = {name: at for at, name in enumerate(sources)}
         self.transports = [printable(name) for name in labelled.transports]
         self.objects: list[Domain] = sorted({(one.edge.domain, one.edge.object) for one in labelled.edges})
         self._numbers: dict[Key, int] = {}
-        keys: list[Key] = [*labelled.subjects, *self.objects]
+        groups = simplify(labelled, options).groups
+        keys: list[Key] = [*labelled.subjects, *self.objects, *groups]
         for key in keys:
-            self._numbers[key] = len(self._numbers)
+            self._numbers.setdefault(key, len(self._numbers))
 
     def number(self, key: Key) -> int:
         """Return the number of a subject or object."""
@@ -126,7 +140,9 @@ class _Page:
     def rows(self) -> Mapping[str, Sequence[Mapping[str, Any]]]:
         """Return the edges that are listed, by subject: those that matter most first."""
         edges = self._labelled.edges
-        ordered = sorted(edges, key=lambda one: weight(one.outcome()))[:MOST_ROWS]
+        weights = sorted(((weight(one), at) for at, one in enumerate(edges)))
+        needed = sum(found <= EXPRESS for found, _ in weights)
+        ordered = [edges[at] for _, at in weights[: max(MOST_ROWS, needed)]]
         found: dict[str, list[Mapping[str, Any]]] = defaultdict(list)
         for one in ordered:
             found[one.edge.subject].append(self._row(one))

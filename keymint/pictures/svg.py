@@ -3,23 +3,26 @@
 from __future__ import annotations
 
 import math
+import re
 from collections import defaultdict
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
-from enum import StrEnum
 from functools import cache
 from typing import TYPE_CHECKING
 
-from keymint.pictures.fold import fold, folded_name
-from keymint.pictures.layout import CHARACTER, Box, Domain, Key, Line, Panel, lay_out
+from keymint.pictures.fold import folded_name
+from keymint.pictures.layout import CHARACTER, Box, Key, Line, Panel, lay_out
 from keymint.pictures.legend import LINE, edge_classes, flowed, legend
 from keymint.pictures.model import Labelled, LabelledEdge, Outcome, namespace
-from keymint.pictures.palette import Theme, style_sheet
+from keymint.pictures.options import Options, Split
+from keymint.pictures.palette import style_sheet
+from keymint.pictures.simplify import Simplified, simplify, weight
 from keymint.pictures.text import columns, object_name, printable, shorten
 from keymint.pictures.words import counted, sentence
 
 if TYPE_CHECKING:
     from jinja2 import Environment
+    from markupsafe import Markup
 
 MARGIN = 24.0
 _PANEL_GAP = 48.0
@@ -27,40 +30,6 @@ _SHEET = 1500.0
 """Panels stand beside one another up to that width, in pixels."""
 _LEAST_WIDTH = 760.0
 _HEAD = 8.0
-_LEAST = 2
-"""Weight of what matters least to a reader: what is denied, and rightly."""
-FOLD_FROM = 40
-"""Objects of a graph from which on they are folded unless the reader wants otherwise."""
-
-
-_Members = Mapping[Domain, tuple[Domain, ...]]
-
-
-class Split(StrEnum):
-    """Into which panels a picture is divided."""
-
-    NONE = "none"
-    SUBJECT = "subject"
-    NAMESPACE = "namespace"
-
-
-@dataclass(frozen=True, slots=True)
-class Options:
-    """How a graph is drawn.
-
-    Attributes:
-        theme: colours.
-        split: one panel, or one per subject or namespace of subjects.
-        transport: index of the transport whose labels are drawn; None for all together.
-        limit: the most edges that are drawn; see :func:`shown_edges`. The picture says what it leaves out.
-        fold: draw objects that nothing tells apart as one; None does so from :data:`FOLD_FROM` objects on.
-    """
-
-    theme: Theme = Theme.AUTO
-    split: Split = Split.NONE
-    transport: int | None = None
-    limit: int = 600
-    fold: bool | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -68,7 +37,7 @@ class Embedding:
     """How a picture becomes part of a page, which has the style sheet.
 
     Attributes:
-        number: returns the number of a subject or object in the page, which says more about it under ``#n<number>``.
+        number: returns the number of a subject, group or object in the page, which tells more at ``#n<number>``.
     """
 
     number: Callable[[Key], int]
@@ -79,7 +48,7 @@ def environment() -> Environment:
     """Return the templates; everything that they print is escaped."""
     from jinja2 import Environment, PackageLoader, StrictUndefined  # noqa: PLC0415 - slow, only for pictures
 
-    return Environment(
+    found = Environment(
         loader=PackageLoader("keymint.pictures"),
         autoescape=True,
         undefined=StrictUndefined,
@@ -87,6 +56,15 @@ def environment() -> Environment:
         lstrip_blocks=True,
         keep_trailing_newline=True,
     )
+    found.filters["breakable"] = _breakable
+    return found
+
+
+def _breakable(name: str) -> Markup:
+    """Return a name for a page in which a line can break behind ``/`` and ``_``, and not within a word."""
+    from markupsafe import Markup  # noqa: PLC0415 - slow, only for pages
+
+    return Markup("<wbr>").join(re.split("(?<=[^/_][/_])(?=[^/_])", name, flags=re.DOTALL))
 
 
 def svg(labelled: Labelled, options: Options | None = None) -> bytes:
@@ -101,12 +79,11 @@ def svg(labelled: Labelled, options: Options | None = None) -> bytes:
 
 def draw(labelled: Labelled, options: Options, embedding: Embedding | None) -> str:
     """Return a picture as a document, or as an element to embed."""
-    edges, members = _folded(labelled.edges, options)
-    total = len(edges)
-    edges = shown_edges(edges, options)
-    names = {key[1]: folded_name(found) for key, found in members.items() if len(found) > 1}
-    panels = [lay_out(*part, names) for part in _parts(labelled, edges, options.split)]
-    samples = list(legend(labelled, edges, panels, options.transport))
+    drawn = simplify(labelled, options)
+    names = {key[1]: folded_name(found) for key, found in drawn.members.items() if len(found) > 1}
+    marks = {name: f"+{len(found)} common" for name, found in drawn.marks.items()}
+    panels = [lay_out(*part, names, marks) for part in _parts(drawn, options.split)]
+    samples = list(legend(labelled, drawn, panels, options.transport))
     width = max(_LEAST_WIDTH, *(panel.width for panel in panels)) if panels else _LEAST_WIDTH
     placed, sheet_width, sheet_height = _placed(panels, max(width, _SHEET) if len(panels) > 1 else width)
     width = max(sheet_width, _LEAST_WIDTH)
@@ -121,7 +98,7 @@ def draw(labelled: Labelled, options: Options, embedding: Embedding | None) -> s
         .render(
             title=printable(labelled.title),
             heading=shorten(printable(labelled.title), int(width / (CHARACTER * 15 / 12))),
-            subtitle=_subtitle(labelled, options, members, len(edges), total),
+            subtitle=_subtitle(labelled, options, drawn),
             style=None if embedding else style_sheet(options.theme),
             standalone=embedding is None,
             width=_number(width + 2 * MARGIN),
@@ -136,9 +113,9 @@ def draw(labelled: Labelled, options: Options, embedding: Embedding | None) -> s
                     "x": _number(left + x),
                     "y": _number(panel_top + y),
                     "lines": [
-                        _line(line, labelled, options, members, embedding) for line in _by_weight(panel.lines, options)
+                        _line(line, labelled, options, drawn, embedding) for line in _by_weight(panel.lines, options)
                     ],
-                    "boxes": [_box(box, labelled, members, embedding) for box in panel.boxes],
+                    "boxes": [_box(box, labelled, drawn, embedding) for box in panel.boxes],
                 }
                 for panel, x, y in placed
             ],
@@ -146,52 +123,21 @@ def draw(labelled: Labelled, options: Options, embedding: Embedding | None) -> s
     )
 
 
-def _folded(
-    edges: Sequence[LabelledEdge], options: Options
-) -> tuple[tuple[LabelledEdge, ...], dict[Domain, tuple[Domain, ...]]]:
-    objects = {(one.edge.domain, one.edge.object) for one in edges}
-    if options.fold or (options.fold is None and len(objects) >= FOLD_FROM):
-        return fold(edges)
-    return tuple(edges), {key: (key,) for key in objects}
-
-
-def shown_edges(edges: Sequence[LabelledEdge], options: Options) -> tuple[LabelledEdge, ...]:
-    """Return the edges that a picture has room for, in their own order.
-
-    Beyond the limit true denials go first, and all of them: some of them would look as if the others were allowed.
-    """
-    if len(edges) <= options.limit:
-        return tuple(edges)
-    weights = {one: weight(one.outcome(options.transport)) for one in edges}
-    kept = [one for one in edges if weights[one] < _LEAST]
-    if len(kept) > options.limit:
-        chosen = set(sorted(kept, key=weights.__getitem__)[: options.limit])
-        kept = [one for one in kept if one in chosen]
-    return tuple(kept)
-
-
-def weight(outcome: Outcome) -> int:
-    """Return how much an outcome matters to a reader; least first."""
-    return 0 if outcome.false else _LEAST if outcome is Outcome.DENY else 1
-
-
 def _by_weight(lines: Sequence[Line], options: Options) -> list[Line]:
     """Return lines so that those that matter are drawn over the others."""
-    return sorted(lines, key=lambda line: -weight(line.labelled.outcome(options.transport)))
+    return sorted(lines, key=lambda line: -weight(line.labelled, options.transport))
 
 
-def _parts(
-    labelled: Labelled, edges: Sequence[LabelledEdge], split: Split
-) -> Iterator[tuple[str, tuple[LabelledEdge, ...], tuple[str, ...]]]:
+def _parts(drawn: Simplified, split: Split) -> Iterator[tuple[str, tuple[LabelledEdge, ...], tuple[str, ...]]]:
     if split is Split.NONE:
-        yield "", tuple(edges), labelled.subjects
+        yield "", drawn.edges, tuple(drawn.groups)
         return
     members: dict[str, list[str]] = defaultdict(list)
-    for subject in labelled.subjects:
+    for subject in drawn.groups:
         members[subject if split is Split.SUBJECT else namespace(subject)].append(subject)
     part_of = {subject: part for part, subjects in members.items() for subject in subjects}
     found: dict[str, list[LabelledEdge]] = defaultdict(list)
-    for one in edges:
+    for one in drawn.edges:
         found[part_of[one.edge.subject]].append(one)
     for part, subjects in members.items():
         yield printable(part), tuple(found[part]), tuple(subjects)
@@ -216,7 +162,7 @@ def _placed(panels: Sequence[Panel], most: float) -> tuple[list[tuple[Panel, flo
 # -- words -----------------------------------------------------------------------------------------------------------
 
 
-def _subtitle(labelled: Labelled, options: Options, members: _Members, drawn: int, total: int) -> str:
+def _subtitle(labelled: Labelled, options: Options, drawn: Simplified) -> str:
     objects = {(one.edge.domain, one.edge.object) for one in labelled.edges}
     sizes = ((labelled.subjects, "subject"), (objects, "object"), (labelled.edges, "edge"))
     said = [", ".join(counted(len(found), noun) for found, noun in sizes)]
@@ -226,24 +172,32 @@ def _subtitle(labelled: Labelled, options: Options, members: _Members, drawn: in
             which = labelled.transports[0]
         false = sum(one.outcome(options.transport).false for one in labelled.edges)
         said.append(f"{printable(which)} against the policy: {false or 'no'} false label{'s' if false != 1 else ''}")
-    if any(len(found) > 1 for found in members.values()):
+    if marks := sum(map(len, drawn.marks.values())):
+        said.append(f"{counted(marks, 'common edge')} as marks")
+    if any(len(found) > 1 for found in drawn.groups.values()):
+        said.append("subjects are grouped by namespace")
+    if any(len(found) > 1 for found in drawn.members.values()):
         said.append("objects that are alike are drawn as one")
-    if drawn < total:
-        said.append(f"{total - drawn} of {total} lines left out, first what is rightly denied")
+    if drawn.left_out:
+        total = drawn.left_out + len(drawn.edges)
+        said.append(f"{drawn.left_out} of {total} lines left out, first what no rule allows")
     return "; ".join(said)
 
 
 # -- shapes ----------------------------------------------------------------------------------------------------------
 
 
-def _box(box: Box, labelled: Labelled, members: _Members, embedding: Embedding | None) -> dict[str, object]:
-    stands_for: Sequence[Key] = (box.key,) if isinstance(box.key, str) else members[box.key]
+def _box(box: Box, labelled: Labelled, drawn: Simplified, embedding: Embedding | None) -> dict[str, object]:
+    key = box.key
+    stands_for: Sequence[Key] = drawn.groups[key] if isinstance(key, str) else drawn.members[key]
     title = box.title
-    if not isinstance(box.key, str) and len(stands_for) > 1:
-        title = "\n".join(object_name(found, domain) for domain, found in members[box.key])
-    pattern = not isinstance(box.key, str) and box.key[1] in labelled.patterns
+    if len(stands_for) > 1:
+        title = "\n".join(printable(one) if isinstance(one, str) else object_name(one[1], one[0]) for one in stands_for)
+    pattern = not isinstance(key, str) and key[1] in labelled.patterns
+    group = isinstance(key, str) and len(stands_for) > 1
+    common = [sentence(one, labelled.transports) for one in drawn.marks.get(key, ())] if isinstance(key, str) else []
     return {
-        "classes": f"box {box.kind}" + (" pattern" if pattern else ""),
+        "classes": f"box {box.kind}" + (" pattern" if pattern else "") + (" group" if group else ""),
         "title": title + (", an expression of the policy" if pattern else ""),
         "label": box.label,
         "x": _number(box.x),
@@ -252,15 +206,19 @@ def _box(box: Box, labelled: Labelled, members: _Members, embedding: Embedding |
         "height": _number(box.height),
         "bullet": box.kind != "subject",
         "text_x": _number(box.x + (10 if box.kind == "subject" else 22)),
-        "text_y": _number(box.y + box.height / 2 + 4.2),
+        "text_y": _number(box.y + box.height / 2 + 4.2 - (8 if box.mark else 0)),
+        "group": group,
+        "mark": box.mark,
+        "mark_y": _number(box.y + box.height / 2 + 12.2),
+        "mark_title": "\n".join(common),
         "middle": _number(box.y + box.height / 2),
         "number": embedding.number(box.key) if embedding else None,
-        "numbers": " ".join(str(embedding.number(key)) for key in stands_for) if embedding else None,
+        "numbers": _numbers(stands_for, embedding),
     }
 
 
 def _line(
-    line: Line, labelled: Labelled, options: Options, members: _Members, embedding: Embedding | None
+    line: Line, labelled: Labelled, options: Options, drawn: Simplified, embedding: Embedding | None
 ) -> dict[str, object]:
     outcome = line.labelled.outcome(options.transport)
     size = _HEAD * (1.25 if outcome.false else 1.0)
@@ -287,11 +245,17 @@ def _line(
         "audit": line.labelled.audit,
         "dot_x": _number(start + (end - start) * (at**3 + 3 * at**2 * (1 - at) * 0.55 + 3 * at * (1 - at) ** 2 * 0.45)),
         "dot_y": _number(line.y1 + (line.y2 - line.y1) * (at**3 + 3 * at**2 * (1 - at))),
-        "subject": embedding.number(edge.subject) if embedding else None,
-        "object": " ".join(str(embedding.number(key)) for key in members[edge.domain, edge.object])
-        if embedding
-        else None,
+        "danger": outcome is Outcome.FALSE_ALLOW,
+        "middle_x": _number((start + end) / 2),
+        "middle_y": _number((line.y1 + line.y2) / 2),
+        "subject": _numbers(drawn.groups[edge.subject], embedding),
+        "object": _numbers(drawn.members[edge.domain, edge.object], embedding),
     }
+
+
+def _numbers(keys: Sequence[Key], embedding: Embedding | None) -> str | None:
+    """Return the numbers in the page of what a box stands for."""
+    return " ".join(str(embedding.number(key)) for key in keys) if embedding else None
 
 
 def _head(x: float, y: float, size: float, *, barred: bool) -> str:

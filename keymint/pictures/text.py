@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import re
 import unicodedata
+from collections.abc import Iterable, Sequence
 
 from keymint.graph import Object
 
@@ -21,6 +23,8 @@ INWARD = ("subscribe", "call", "request", "read", "relay")
 
 _UNPRINTABLE = {"Cc", "Cf", "Cs", "Co", "Cn", "Zl", "Zp"}
 _LONGEST = 44
+_WORD = re.compile(r"[^/_ ]*[/_ ]|[^/_ ]+\Z", re.DOTALL)
+"""A word with what parts it from the next."""
 
 
 def role(permission: str) -> str:
@@ -45,11 +49,30 @@ def object_name(found: Object, domain: int = 0) -> str:
 
 
 def shorten(text: str, longest: int = _LONGEST) -> str:
-    """Return text that is not longer than that many characters; the middle gives way, as ends tell names apart."""
+    """Return text that is not longer than that many characters; the middle gives way, as ends tell names apart.
+
+    Words stay whole where one at least fits: the text is cut behind ``/``, ``_`` or a blank.
+    """
     if len(text) <= longest:
         return text
     head = (longest - 1) // 3
-    return f"{text[:head]}…{text[len(text) - (longest - 1 - head) :]}"
+    words = _WORD.findall(text)
+    end = _fitting(reversed(words), longest - 1 - head)
+    if not end:
+        return f"{text[:head]}…{text[len(text) - (longest - 1 - head) :]}"
+    begin = _fitting(words, longest - 1 - sum(map(len, end)))
+    return f"{''.join(begin)}…{''.join(reversed(end))}"
+
+
+def _fitting(words: Iterable[str], room: int) -> Sequence[str]:
+    """Return the first words that have no more characters together."""
+    found: list[str] = []
+    for word in words:
+        room -= len(word)
+        if room < 0:
+            break
+        found.append(word)
+    return found
 
 
 def columns(text: str) -> int:

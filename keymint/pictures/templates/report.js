@@ -24,7 +24,7 @@
     const nodes = matching(search.value.trim());
     const verdicts = new Set([...form.querySelectorAll("[name=verdict]:checked")].map((box) => box.value));
     const verdictOf = (edge) => verdicts.has(edge.dataset.v);
-    const wanted = (edge) => !nodes || nodes.has(edge.dataset.s) || edge.dataset.o.split(" ").some((o) => nodes.has(o));
+    const wanted = (edge) => !nodes || edge.dataset.s.split(" ").some((s) => nodes.has(s)) || edge.dataset.o.split(" ").some((o) => nodes.has(o));
     const drawn = new Set();
     let shown = 0;
     for (const row of rows) {
@@ -48,6 +48,10 @@
   // A part that a filter hides cannot be gone to: what is linked to is shown.
   const reveal = () => {
     const target = document.getElementById(decodeURIComponent(location.hash.slice(1)));
+    if (target && target.closest("details")) {
+      target.closest("details").open = true;
+      target.scrollIntoView();
+    }
     if (target && target.closest("[hidden]")) {
       form.reset();
       apply();
@@ -62,6 +66,10 @@
   window.addEventListener("hashchange", reveal);
   for (const box of boxes) {
     box.addEventListener("click", () => {
+      if (box.dataset.g) {
+        byId(`n${box.dataset.g}`).open = true;
+        return;
+      }
       search.value = names.get(box.dataset.n.split(" ")[0]) ?? "";
       apply();
     });

@@ -109,3 +109,35 @@ def test_a_defect_has_its_place(keymint, policy: Path) -> None:
 def test_dry_run(keymint, policy: Path, tmp_path: Path) -> None:
     assert keymint("graph", policy, "-o", "out.svg", "--dry-run").out == "out.svg would be written\n"
     assert not (tmp_path / "out.svg").exists()
+
+
+@pytest.mark.parametrize("where", ["policy", "workspace"])
+def test_common_rules_are_folded_wherever_the_library_lies(
+    keymint, provisioned: Path, policy: Path, where: str
+) -> None:
+    arguments = [policy] if where == "policy" else ["-w", provisioned]
+    folded = keymint("graph", *arguments, "-f", "svg").out
+    drawn = keymint("graph", *arguments, "-f", "svg", "--common").out
+    assert folded.count('class="edge') == 2
+    assert "common</text>" in folded
+    assert "rosout" in drawn
+    assert "common</text>" not in drawn
+    assert drawn.count('class="edge') > 10
+
+
+def test_a_rule_of_ones_own_in_a_file_beside_the_library_is_drawn(keymint, tmp_path: Path) -> None:
+    keymint("init", "ws")
+    outcome = keymint("graph", "-w", "ws", "-f", "svg")
+    assert outcome.code == 0, outcome.err
+    assert "/chatter</text>" in outcome.out
+    assert "/rosout</text>" not in outcome.out
+
+
+def test_the_title_is_the_name_of_the_policy_and_not_its_path(keymint, tmp_path: Path) -> None:
+    folder = tmp_path / "deep/in/here"
+    folder.mkdir(parents=True)
+    (folder / "fleet.xml").write_text("<profiles><profile name='a'><attachment>/a</attachment></profile></profiles>")
+    for path in (folder / "fleet.xml", folder):
+        found = keymint("graph", path, "-f", "svg").out
+        assert f"<title>{path.stem}</title>" in found
+        assert str(tmp_path) not in found

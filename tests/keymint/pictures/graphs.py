@@ -10,6 +10,7 @@ from keymint.pictures.model import Labelled, LabelledEdge, Said
 
 HOSTILE = "</script></style><img src=x onerror=alert(1)>\"'&\u202e\x01]]>"
 ALLOWED, DENIED = Said(True, "an ALLOW rule", Origin("policy.xml", 3)), Said(False, "no rule")
+EXPRESSLY_DENIED = Said(False, "a DENY rule", Origin("policy.xml", 7))
 
 
 def edge(subject: str, permission: str, kind: str, name: str) -> Edge:
@@ -33,6 +34,13 @@ def one_of_each() -> Labelled:
         ],
         transports=["omg"],
     )
+
+
+def fleet(robots: int) -> Labelled:
+    """Return a graph of robots with four nodes each."""
+    names = [f"/robot{robot}/node{node}" for robot in range(robots) for node in range(4)]
+    edges = [labelled(name, "ros_publish", "/fleet/state", ALLOWED) for name in names]
+    return Labelled.of("t", [*edges, labelled(names[0], "ros_publish", "/estop", EXPRESSLY_DENIED)])
 
 
 def hostile() -> Labelled:

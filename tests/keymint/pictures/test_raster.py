@@ -11,8 +11,9 @@ import pytest
 from keymint.errors import KeymintError
 from keymint.pictures import raster
 from keymint.pictures.dot import dot
+from keymint.pictures.options import Options
 from keymint.pictures.raster import png
-from keymint.pictures.svg import Options, svg
+from keymint.pictures.svg import svg
 from keymint.plugins import how_to_add
 
 from .graphs import hostile, one_of_each

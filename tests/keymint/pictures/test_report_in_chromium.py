@@ -16,7 +16,7 @@ import pytest
 from keymint.pictures.report import html_report
 from keymint.pictures.svg import svg
 
-from .graphs import HOSTILE, hostile, one_of_each
+from .graphs import HOSTILE, fleet, hostile, one_of_each
 
 if TYPE_CHECKING:
     from selenium.webdriver import Chrome
@@ -103,6 +103,34 @@ def page(browser: Chrome, tmp_path: Path) -> Iterator[Page]:
     yield Page(browser)
     assert browser.get_log("browser") == []
     assert browser.execute_script("return performance.getEntriesByType('resource').length") == 0
+
+
+def test_a_group_opens_with_a_click(page: Page, tmp_path: Path) -> None:
+    path = tmp_path / "fleet.html"
+    path.write_bytes(html_report(fleet(10), SOURCES))
+    page.browser.get(path.as_uri())
+    inside = "details.group svg"
+    assert not page.visible(inside)
+    assert len(page.rows()) == 41
+    page.browser.execute_script(
+        "document.querySelector('a[data-g]').dispatchEvent(new MouseEvent('click', {bubbles: true, cancelable: true}))"
+    )
+    assert page.visible(inside)
+    opened = page.browser.execute_script("return document.querySelector('details[open]').textContent")
+    assert "/robot0/… (4 subjects)" in opened
+    assert "/robot0/node3" in opened
+    assert "/robot1/" not in opened
+    assert len(page.rows()) == 41
+
+
+def test_names_break_between_words_only(page: Page) -> None:
+    names = page.browser.execute_script(
+        "return [...document.querySelectorAll('.node')]"
+        ".map((node) => [getComputedStyle(node).overflowWrap, node.innerHTML])"
+    )
+    assert names
+    assert {wrap for wrap, _ in names} == {"break-word"}
+    assert any("/talker/<wbr>set_<wbr>parameters" in html for _, html in names)
 
 
 def test_search_by_name(page: Page) -> None:

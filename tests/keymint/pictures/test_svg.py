@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from dataclasses import replace
 
 import pytest
 from hypothesis import given
@@ -10,12 +11,15 @@ from hypothesis import strategies as st
 from lxml import etree
 
 from keymint.graph import Object
-from keymint.pictures.model import DIFFERENCES, Labelled, select
+from keymint.pictures.dot import dot
+from keymint.pictures.model import DIFFERENCES, Labelled, LabelledEdge, Said, select
+from keymint.pictures.options import Options, Split
 from keymint.pictures.palette import DARK, KIND_NAMES, LIGHT, Theme
-from keymint.pictures.svg import Options, Split, shown_edges, svg
+from keymint.pictures.simplify import shown_edges, simplify
+from keymint.pictures.svg import svg
 from keymint.pictures.text import printable, shorten
 
-from .graphs import ALLOWED, DENIED, HOSTILE, graphs, hostile, labelled, one_of_each
+from .graphs import ALLOWED, DENIED, EXPRESSLY_DENIED, HOSTILE, edge, fleet, graphs, hostile, labelled, one_of_each
 
 NS = {"s": "http://www.w3.org/2000/svg"}
 
@@ -40,7 +44,7 @@ def test_labels_are_drawn_as_in_the_paper() -> None:
         "/talker ros_publish /chatter": "edge allow true",
         "/talker ros_subscribe /chatter": "edge deny true",
         "/listener ros_subscribe /chatter": "edge deny false",
-        "/listener ros_call /talker/set_parameters": "edge allow false",
+        "/listener ros_call /talker/set_parameters": "edge danger false",
     }
     style = tree(svg(one_of_each())).findtext("s:style", namespaces=NS)
     assert ".keymint .true .curve{stroke-dasharray" in style
@@ -72,7 +76,7 @@ def test_the_legend_says_what_is_drawn_and_no_more() -> None:
         "to the subject: subscribe, call",
         "allowed, as the policy says",
         "denied, as the policy says",
-        "allowed against the policy (false positive)",
+        "DANGER: allowed against the policy (false positive)",
         "denied against the policy (false negative)",
     ]
     plain = Labelled.of("t", [labelled("/a", "ros_request", "/go", None)])
@@ -91,7 +95,7 @@ def test_expressions_and_audit_are_marked() -> None:
 
 def test_differences_only() -> None:
     graph = select(one_of_each(), only=DIFFERENCES)
-    assert set(classes(tree(svg(graph))).values()) == {"edge deny false", "edge allow false"}
+    assert set(classes(tree(svg(graph))).values()) == {"edge deny false", "edge danger false"}
 
 
 def test_a_panel_for_each() -> None:
@@ -129,7 +133,7 @@ def test_beyond_the_limit_what_matters_stays() -> None:
     wrong = [labelled("/a", "ros_publish", f"/w{at}", DENIED, ALLOWED) for at in range(3)]
     graph = Labelled.of("t", [*denied, *wrong], transports=["t"])
     assert {one.edge.object.name for one in shown_edges(graph.edges, Options(limit=10))} == {"/w0", "/w1", "/w2"}
-    assert len(shown_edges(graph.edges, Options(limit=2))) == 2
+    assert len(shown_edges(graph.edges, Options(limit=2))) == 3
     root = tree(svg(graph, Options(limit=10, fold=False)))
     assert "20 of 23 lines left out" in root.findtext("s:desc", namespaces=NS)
 
@@ -171,6 +175,90 @@ def test_shortened(text: str, longest: int) -> None:
     assert found == text or (text.startswith(found.split("…")[0]) and "…" in found)
 
 
+@pytest.mark.parametrize(
+    ("text", "longest", "shown"),
+    [
+        ("/robot1/navigation/controller_server/set_parameters_atomically", 44, "/robot1/…set_parameters_atomically"),
+        ("/robot1/navigation/controller_server/transition_event", 44, "/robot1/navigation/…server/transition_event"),
+        ("/" + "x" * 60, 20, "/xxxxx…xxxxxxxxxxxxx"),
+        ("/a_b", 44, "/a_b"),
+    ],
+)
+def test_words_stay_whole_where_a_name_is_shortened(text: str, longest: int, shown: str) -> None:
+    assert shorten(text, longest) == shown
+
+
+COMMON = LabelledEdge(edge("/a", "ros_publish", "ros_topic", "/rosout"), ALLOWED, common=True)
+
+
+def texts(root: etree._Element) -> list[str]:
+    return root.xpath("//s:g[@class='panel']//s:text/text()", namespaces=NS)
+
+
+def test_common_rules_are_a_mark_at_the_subject() -> None:
+    own = labelled("/a", "ros_publish", "/chatter", ALLOWED)
+    graph = Labelled.of("t", [COMMON, own])
+    root = tree(svg(graph))
+    assert sorted(texts(root)) == ["+1 common", "/a", "/chatter"]
+    assert "what every node may do (--common draws it)" in legend(root)
+    assert "1 common edge as marks" in root.findtext("s:desc", namespaces=NS)
+    assert "/a ros_publish /rosout" in root.xpath("string(//s:g[s:text='+1 common']/s:title)", namespaces=NS)
+    assert sorted(texts(tree(svg(graph, Options(common=True))))) == ["/a", "/chatter", "/rosout"]
+    assert "+1 common" in dot(graph).decode()
+
+
+@pytest.mark.parametrize("transport", [ALLOWED, DENIED])
+@pytest.mark.parametrize("policy", [ALLOWED, DENIED])
+def test_nothing_that_is_denied_or_false_hides_in_a_mark(policy: Said, transport: Said) -> None:
+    found = replace(COMMON, policy=policy, transports=(transport,))
+    hidden = not simplify(Labelled.of("t", [found], transports=["x"]), Options()).edges
+    assert hidden is (policy is ALLOWED and transport is ALLOWED)
+
+
+def test_a_fleet_is_grouped_by_namespace() -> None:
+    root = tree(svg(fleet(10)))
+    assert sorted(texts(root)) == ["/estop", "/fleet/state", *(f"/robot{at}/… (4 subjects)" for at in range(10))]
+    assert "grouped by namespace" in root.findtext("s:desc", namespaces=NS)
+    assert len(classes(root)) == 11
+    title = root.xpath("string(//s:g[s:text='/robot3/… (4 subjects)']/s:title)", namespaces=NS)
+    assert title == "\n".join(f"/robot3/node{at}" for at in range(4))
+    assert "/robot0/node0" in texts(tree(svg(fleet(10), Options(group=False))))
+    assert "/robot0/node0" in texts(tree(svg(fleet(7))))
+    assert "/robot0/… (4 subjects)" in texts(tree(svg(fleet(7), Options(group=True))))
+
+
+def test_a_group_shows_every_label_of_its_members() -> None:
+    edges = [
+        *(labelled(f"/r/n{at}", "ros_publish", "/t", ALLOWED, ALLOWED) for at in range(20)),
+        *(labelled(f"/r/n{at}", "ros_publish", "/t", EXPRESSLY_DENIED, DENIED) for at in range(20, 30)),
+        labelled("/r/n30", "ros_publish", "/t", DENIED, ALLOWED),
+        labelled("/s/n", "ros_publish", "/t", ALLOWED, ALLOWED),
+    ]
+    root = tree(svg(Labelled.of("t", edges, transports=["x"])))
+    drawn = root.xpath("//s:g[contains(@class, ' false') or contains(@class, ' true')][s:title]/@class", namespaces=NS)
+    assert sorted(drawn) == ["edge allow true", "edge allow true", "edge danger false", "edge deny true"]
+
+
+def test_groups_are_of_the_deepest_level_that_is_readable() -> None:
+    names = [f"/site{site}/robot{robot}/{node}" for site in range(4) for robot in range(20) for node in "ab"]
+    graph = Labelled.of("t", [labelled(name, "ros_publish", "/t", ALLOWED) for name in names])
+    assert list(simplify(graph, Options()).groups) == [f"/site{at}/… (40 subjects)" for at in range(4)]
+
+
+@given(st.lists(st.sampled_from([ALLOWED, DENIED, EXPRESSLY_DENIED]), max_size=40), st.integers(1, 20))
+def test_what_a_rule_denies_expressly_is_always_drawn(said: list[Said], limit: int) -> None:
+    edges = [labelled("/a", "ros_publish", f"/t{at}", each) for at, each in enumerate(said)]
+    shown = shown_edges(edges, Options(limit=limit))
+    assert [one for one in edges if one.policy is EXPRESSLY_DENIED] == [
+        one for one in shown if one.policy is EXPRESSLY_DENIED
+    ]
+    if len(edges) > limit:
+        assert all(one.policy is not DENIED for one in shown)
+        assert len(shown) <= max(limit, said.count(EXPRESSLY_DENIED))
+    else:
+        assert shown == tuple(edges)
+
+
 def luminance(colour: str) -> float:
     """Relative luminance (WCAG 2.2)."""
     parts = [int(colour[at : at + 2], 16) / 255 for at in (1, 3, 5)]
@@ -190,7 +278,7 @@ def test_contrast(palette: dict[str, str]) -> None:
     for kind in KIND_NAMES:
         assert contrast(palette["text"], palette[f"{kind}-fill"]) >= 4.5
         assert contrast(palette[kind], background) >= 3
-    for line in ("allow", "deny", "plain", "audit"):
+    for line in ("allow", "deny", "danger", "plain", "audit"):
         assert contrast(palette[line], background) >= 3
 
 
