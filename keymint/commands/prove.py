@@ -209,6 +209,11 @@ def _refutation(subject: str, found: Counterexample, models: str) -> Diagnostic:
     )
 
 
+def legible(name: str) -> str:
+    r"""Return a name of bytes as text for JSON: a byte that is no UTF-8, a surrogate in Python, is ``\xNN``."""
+    return name.encode("utf-8", "surrogateescape").decode("utf-8", "backslashreplace")
+
+
 def _entity(meaning: Edge) -> str:
     return f"the {meaning.object.kind.replace('ros_', 'ROS ')} {meaning.object.name}"
 
@@ -246,8 +251,8 @@ def _claim(claim: Claim, until: datetime | None, run: Run) -> dict[str, Any]:
 def _counterexample(found: Counterexample, run: Run) -> dict[str, Any]:
     meaning = found.meaning
     return {
-        "dds_name": found.endpoint.object.name,
-        "partitions": list(found.endpoint.object.partitions),
+        "dds_name": legible(found.endpoint.object.name),
+        "partitions": [legible(each) for each in found.endpoint.object.partitions],
         "domain": found.endpoint.domain,
         "ros": None if meaning is None else _ros(meaning),
         "policy": {"allowed": found.policy.allowed, "reason": found.policy.reason, **_place(found.policy.where, run)},

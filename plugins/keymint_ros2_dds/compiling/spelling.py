@@ -106,6 +106,8 @@ def _choices(token: str | Charset | Star) -> list[str]:
         raise InexpressibleError(
             f"a bracket expression holds more than {MAX_ALTERNATIVES} characters, and on Cyclone DDS ']' matches it too"
         )
+    if unsafe := next((char for char in token.complement().chars() if not " " <= char <= "~"), None):
+        raise InexpressibleError(f"a bracket expression leaves out {unsafe!r}, which is not printable ASCII")
     for char in _TRAPS:
         if char in excluded:
             raise InexpressibleError(f"a bracket expression leaves out {char!r}, which vendors read differently there")

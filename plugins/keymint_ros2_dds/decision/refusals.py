@@ -177,5 +177,9 @@ def _of_criteria(criteria: Criteria) -> Iterator[Peculiarity]:
         yield odd("an empty list of topics", FINE, REFUSES)
     if any(not topic.strip(BLANKS) for topic in criteria.topics):
         yield odd("an empty topic", STOPS, REFUSES, invalid="" in criteria.topics)
+    names = (*criteria.topics, *(criteria.partitions or ()))
+    if any("\n" in name.strip(BLANKS) for name in names):
+        # The parser of Cyclone DDS keeps the carriage return that S/MIME puts before it.
+        yield odd("a line end within a name", UNTOLD, FINE, invalid=False)
     if criteria.partitions == ():
         yield odd("an empty list of partitions", FINE, REFUSES)

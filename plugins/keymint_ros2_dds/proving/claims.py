@@ -12,30 +12,18 @@ from types import MappingProxyType
 from keymint.api import Claim, Counterexample, DomainRange, PolicyDecision, Proof, Verdict
 from keymint.graph import Edge
 from keymint.ir import Effect, SubjectRules
-from keymint.keymake.glob import GlobError, charset
+from keymint.keymake.glob import GlobError
 from keymint.proof import Budget, DecisionList, Outcome, Universe, Unknown, Witness, difference
 from keymint_ros2_dds import decision
 from keymint_ros2_dds.compiling.lower import Lowered
 from keymint_ros2_dds.decision import OMG, VARIATIONS, Decision, Judge, Variation
 from keymint_ros2_dds.decision.document import Grant, PermissionsDocument
 from keymint_ros2_dds.decision.semantics import Semantics
-from keymint_ros2_dds.proving import lists, policy
+from keymint_ros2_dds.proving import lists, octets, policy
 
 ACTIONS = ("publish", "subscribe")
 LAST_DOMAIN = 232
 """The highest domain id whose ports exist for any participant (DDSI-RTPS 2.3, 9.6.1.1)."""
-ALPHABET = charset([(0x20, 0x5B), (0x5D, 0x7E)])
-"""Printable ASCII without the backslash, which is an escape for the standard and a character for Cyclone and Fast DDS:
-no expression about a name that has one is read alike."""
-TOPICS = (
-    "every topic name of one or more characters of printable ASCII without a backslash, in the default partition; "
-    "nothing is permitted outside of it"
-)
-PAIRS = (
-    "every pair of a partition and a topic name of printable ASCII without a backslash; a topic name has one or more "
-    "characters"
-)
-
 _ALWAYS = (
     "the governance document puts every topic under access control, and its domain rules let the subject join",
     "a grant of the subject, for Cyclone DDS its first one, is valid at the time",
@@ -52,6 +40,7 @@ ASSUMPTIONS: Mapping[str, tuple[str, ...]] = MappingProxyType(
         ),
         "fastdds-2.9": (
             "documents are read as Fast DDS 2.9.1 was measured to read them",
+            "names beyond ASCII are compared as in the C locale, by byte; in others, as Python sets, also by character",
             "participants are in the domains of the policy: local checks do not look at domains",
             "local time is UTC, in which Fast DDS takes the dates of a grant to be",
             *_ALWAYS,
@@ -130,7 +119,7 @@ class _Comparison:
         self._question = question
         self.pairs = lists.has_partitions(question.lowered, question.document.grants)
         self._universe = Universe(
-            ALPHABET, fields=2 if self.pairs else 1, separator=lists.SEPARATOR, last_nonempty=True
+            octets.ALPHABET, fields=2 if self.pairs else 1, separator=lists.SEPARATOR, last_nonempty=True
         )
         self._said = {action: lists.of_policy(question.lowered, action, pairs=self.pairs) for action in ACTIONS}
         self._known: dict[tuple[DecisionList, tuple[DecisionList, ...]], Outcome] = {}
@@ -163,6 +152,10 @@ class _Model:
         self._refused = self._semantics.refuses(question.document)
         self._untold = "" if self._refused else self._semantics.untold(question.document)
         self._eras = () if self._refused else tuple(_eras(question, self._semantics))
+        grants = [era.grant for era in self._eras]
+        about = (question.document, grants, question.held.rules, self._semantics)
+        self._untold = self._untold or octets.ambiguous(*about)
+        self._by_locale = octets.by_locale(*about)
 
     def claims(self) -> Iterator[Claim]:
         groups = tuple(self._domains())
@@ -196,7 +189,7 @@ class _Model:
 
     def _claim(self, action: str, domains: tuple[DomainRange, ...], *, inside: bool) -> Claim:
         pairs = self._comparison.pairs
-        universe = PAIRS if pairs else TOPICS
+        universe = octets.PAIRS if pairs else octets.TOPICS
 
         def claim(
             proof: Proof, reason: str = "", counterexample: Counterexample | None = None, *, spent: bool = False
@@ -215,7 +208,9 @@ class _Model:
             era, witness = min(witnesses, key=lambda each: len(each[1].word))
             return self._refuted(claim, action, domain, era, witness, inside=inside)
         unknown = next((outcome for _, outcome in found if isinstance(outcome, Unknown)), None)
-        return claim(Proof.UNKNOWN, unknown.reason, spent=True) if unknown else claim(Proof.PROVEN)
+        if unknown:
+            return claim(Proof.UNKNOWN, unknown.reason, spent=True)
+        return claim(Proof.UNKNOWN, self._by_locale) if self._by_locale else claim(Proof.PROVEN)
 
     def _compare(self, era: _Era | None, action: str, domain: int, *, inside: bool) -> Outcome:
         """Compare what the policy says with what is permitted while a grant is in force, or where none ever is."""
@@ -238,7 +233,8 @@ class _Model:
 
     def _counterexample(self, action: str, domain: int, era: _Era | None, word: str, *, inside: bool) -> Counterexample:
         asked = self._question.held
-        partition, topic = word.split(lists.SEPARATOR) if self._comparison.pairs else ("", word)
+        pair = word.split(lists.SEPARATOR) if self._comparison.pairs else ("", word)
+        partition, topic = map(octets.in_text, pair)
         rules = asked.rules if inside else SubjectRules(asked.rules.subject, ())
         edges = policy.endpoint_edges(rules.subject, asked.distro, action, topic, partition)
         rule = policy.decide(rules, asked.distro, action, topic, partition)

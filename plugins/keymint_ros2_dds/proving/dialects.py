@@ -9,6 +9,7 @@ from types import MappingProxyType
 from keymint.keymake import glob
 from keymint.keymake.glob import ANY, STAR, Charset, Glob, Token, charset
 from keymint_ros2_dds.decision import fnmatch
+from keymint_ros2_dds.proving import octets
 
 Reader = Callable[[str], Glob]
 _NOTHING: Glob = (Charset(()),)
@@ -83,11 +84,14 @@ READERS: Mapping[fnmatch.Dialect, Reader] = MappingProxyType(
 # Each model asks for each list of expressions, and for some of them in both directions.
 @lru_cache(maxsize=64)
 def read(expressions: tuple[str, ...], dialect: fnmatch.Dialect) -> tuple[Glob, ...]:
-    """Return the patterns of some expressions, each once.
+    """Return the patterns of some expressions over bytes, each once; see :mod:`keymint_ros2_dds.proving.octets`.
 
     Raises:
         GlobError: an expression means nothing.
     """
-    if fnmatch.is_plain("".join(expressions)):
+    if fnmatch.is_plain(whole := "".join(expressions)):
+        if not whole.isascii():
+            expressions = tuple(map(fnmatch.in_bytes, expressions))
         return tuple((text,) if text else () for text in dict.fromkeys(expressions))
-    return tuple(dict.fromkeys(map(READERS[dialect], expressions)))
+    found = dict.fromkeys(map(READERS[dialect], expressions))
+    return tuple(found) if whole.isascii() else tuple(dict.fromkeys(map(octets.of_glob, found)))

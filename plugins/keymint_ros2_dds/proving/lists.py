@@ -18,6 +18,7 @@ from keymint_ros2_dds.decision.document import Criteria, Grant, Rule
 from keymint_ros2_dds.decision.refusals import covers
 from keymint_ros2_dds.decision.semantics import Semantics
 from keymint_ros2_dds.mapping import Action
+from keymint_ros2_dds.proving import octets
 from keymint_ros2_dds.proving.dialects import read
 
 SEPARATOR = "\0"
@@ -42,10 +43,14 @@ def of_policy(lowered: Lowered, action: str, *, pairs: bool) -> DecisionList:
         every = (EVERYTHING,) if effect is Effect.DENY else (_DEFAULT,)
         topics: dict[Partitions, list[Glob]] = {}
         for topic, listed in sides[Action(action)]:
-            topics.setdefault(listed, []).append(topic)
+            topics.setdefault(listed, []).append(octets.of_glob(topic))
         patterns: dict[Glob, None] = {}
         for listed, own in topics.items():
-            patterns.update(dict.fromkeys(_words(tuple(map(parse, listed)) or every, tuple(own), pairs=pairs)))
+            patterns.update(
+                dict.fromkeys(
+                    _words(tuple(octets.of_glob(parse(each)) for each in listed) or every, tuple(own), pairs=pairs)
+                )
+            )
         found.append(Block(effect is Effect.ALLOW, tuple(patterns)))
     return tuple(found)
 

@@ -13,8 +13,10 @@ from keymint.ir import Effect, Rule, SubjectRules
 from keymint.keymake import glob
 from keymint.keymake.algebra import matches
 from keymint.keymake.composites import parts
+from keymint_ros2_dds.decision import fnmatch
 from keymint_ros2_dds.endpoints import meanings
 from keymint_ros2_dds.mapping import ARDENT
+from keymint_ros2_dds.proving import octets
 
 _ROS_NAME = re.compile(r"(?:/(?!\w*__)[A-Za-z_][A-Za-z0-9_]*)+", re.ASCII)
 
@@ -41,7 +43,12 @@ def endpoint_edges(subject: str, distro: str, action: str, topic: str, partition
 def _is_about(rule: Rule, edge: Edge, partition: str) -> bool:
     if not _in_partition(rule, edge, partition):
         return False
-    return any(matches(glob.parse(expression), name) for name in _names(rule, edge) for expression in rule.expressions)
+    return any(_matches(expression, name) for name in _names(rule, edge) for expression in rule.expressions)
+
+
+def _matches(expression: str, name: str) -> bool:
+    """Tell whether an expression matches a name, byte by byte."""
+    return matches(octets.of_glob(glob.parse(expression)), fnmatch.in_bytes(name))
 
 
 def _names(rule: Rule, edge: Edge) -> Iterator[str]:
@@ -54,6 +61,6 @@ def _names(rule: Rule, edge: Edge) -> Iterator[str]:
 
 def _in_partition(rule: Rule, edge: Edge, partition: str) -> bool:
     if rule.partitions:
-        return any(matches(glob.parse(expression), partition) for expression in rule.partitions)
+        return any(_matches(expression, partition) for expression in rule.partitions)
     # An edge on a ROS name of Ardent has its partition in its name.
     return rule.effect is Effect.DENY or not any(edge.object.partitions)

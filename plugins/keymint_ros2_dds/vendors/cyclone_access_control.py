@@ -226,14 +226,14 @@ class AccessControl:
         if not self._handle:
             return False
         qos, _, exception = self._references
-        return self._noted(self._check_topic(self._plugin, self._handle, self._domain, topic.encode(), qos, exception))
+        return self._noted(self._check_topic(self._plugin, self._handle, self._domain, _octets(topic), qos, exception))
 
     def allows_endpoint(self, direction: Direction, topic: str, partitions: Iterable[str] = ()) -> bool:
         """Tell whether the enclave may create a writer (``publish``) or a reader (``subscribe``) of the topic."""
         if not self._handle:
             return False
         qos, tags, exception = self._references
-        names = [partition.encode() for partition in partitions]
+        names = [_octets(partition) for partition in partitions]
         buffer = (c_char_p * len(names))(*names)
         partition_qos = _String(len(names), len(names), buffer)
         check = self._check_endpoint[direction]
@@ -242,7 +242,7 @@ class AccessControl:
                 self._plugin,
                 self._handle,
                 self._domain,
-                topic.encode(),
+                _octets(topic),
                 qos,
                 byref(partition_qos),
                 tags,
@@ -296,6 +296,11 @@ def _uri(document: Document) -> bytes:
     if isinstance(document, bytes):
         return b"data:," + document
     return f"file:{document.resolve()}".encode() if isinstance(document, Path) else document.encode()
+
+
+def _octets(name: str) -> bytes:
+    """Return a name as the plugin gets it; a surrogate is a byte that is no UTF-8 (PEP 383)."""
+    return name.encode("utf-8", "surrogateescape")
 
 
 def _qos(properties: dict[bytes, bytes]) -> _Qos:

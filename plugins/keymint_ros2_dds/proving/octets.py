@@ -1,0 +1,106 @@
+"""The names that claims are about: all that DDS can carry, as bytes.
+
+A DDS name is a string of C: bytes other than NUL. Vendors compare bytes, in the C locale, and so does a claim: each
+byte is one character here, an expression is its bytes in UTF-8, and ``?`` and a set stand for one byte.
+
+Fast DDS takes the locale of its process. In one of UTF-8, ``fnmatch`` of glibc lets ``?`` and a set stand for one
+byte or for one character. For names of ASCII that is the same, so a claim holds for these in every locale. For other
+names the C locale is an assumption. Nothing is claimed where an expression itself depends on the locale: a set with
+characters beyond ASCII, a class such as ``[:alpha:]``, or characters beyond ASCII beside ``?`` and sets elsewhere. The
+compiler writes none of these. A class in a policy is that of the C locale.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable, Iterator
+
+from keymint.ir import SubjectRules
+from keymint.keymake.glob import Glob, charset
+from keymint_ros2_dds.decision import fnmatch
+from keymint_ros2_dds.decision.document import Grant, PermissionsDocument
+from keymint_ros2_dds.decision.semantics import Semantics
+from keymint_ros2_dds.mapping import Action
+
+ALPHABET = charset([(0x01, 0xFF)])
+"""The bytes of a name."""
+TOPICS = (
+    "every topic name of one or more bytes other than NUL (text is its bytes in UTF-8), in the default partition; "
+    "nothing is permitted outside of it"
+)
+PAIRS = (
+    "every pair of a partition and a topic name, of bytes other than NUL (text is its bytes in UTF-8); a topic name "
+    "has one or more"
+)
+_MANY = frozenset("?[")
+"""What stands for one character, or one byte."""
+_DEPENDS = "depends on the locale"
+_CLASS = re.compile(r"\[:(?!x?digit:\])")
+"""A class that may have characters beyond ASCII."""
+
+
+def of_glob(glob: Glob) -> Glob:
+    """Return a pattern over bytes: its literal characters as the bytes of their UTF-8 form."""
+    return tuple(fnmatch.in_bytes(token) if isinstance(token, str) else token for token in glob)
+
+
+def in_text(name: str) -> str:
+    """Return a name of bytes as text; a byte that is no UTF-8 becomes a surrogate, as Python does (PEP 383)."""
+    return name if name.isascii() else name.encode("latin-1").decode("utf-8", "surrogateescape")
+
+
+def ambiguous(document: PermissionsDocument, grants: Iterable[Grant], rules: SubjectRules, semantics: Semantics) -> str:
+    """Return why expressions cannot be read as bytes: a set with members beyond ASCII; empty if they can.
+
+    Args:
+        document: the permissions document.
+        grants: those of its grants that count.
+        rules: what the policy says of the subject.
+        semantics: how the document is read.
+    """
+    for expression, place in _all(document, grants, rules, semantics):
+        if not expression.isascii() and "[" in expression:
+            return f"{place}: {expression!r} has a set and characters beyond ASCII: what it matches {_DEPENDS}"
+    return ""
+
+
+def by_locale(document: PermissionsDocument, grants: Iterable[Grant], rules: SubjectRules, semantics: Semantics) -> str:
+    """Return why a claim that is proven over bytes is not made, as expressions depend on the locale; empty if it is.
+
+    Args: as of :func:`ambiguous`.
+    """
+    own = tuple(_expressions(grants, semantics))
+    for expression, line in own:
+        if semantics.fnmatch is not fnmatch.cyclone and _CLASS.search(expression):
+            return f"{document.place(line)}: {expression!r} has a class of characters: what it matches {_DEPENDS}"
+    every = tuple(_all(document, grants, rules, semantics))
+    if all(_MANY.isdisjoint(expression) for expression, _ in every):
+        return ""
+    for expression, place in every:
+        if not expression.isascii():
+            return (
+                f"{place}: {expression!r} has characters beyond ASCII: whether '?' and sets elsewhere match them by "
+                f"byte or by character {_DEPENDS}"
+            )
+    return ""
+
+
+def _all(
+    document: PermissionsDocument, grants: Iterable[Grant], rules: SubjectRules, semantics: Semantics
+) -> Iterator[tuple[str, str]]:
+    """Yield the expressions of a document and of a policy, each with its place."""
+    for expression, line in _expressions(grants, semantics):
+        yield expression, document.place(line)
+    for rule in rules.rules:
+        for expression in (*rule.expressions, *rule.partitions):
+            yield expression, str(rule.origin)
+
+
+def _expressions(grants: Iterable[Grant], semantics: Semantics) -> Iterator[tuple[str, int]]:
+    """Yield the expressions that count, each with its line."""
+    for grant in grants:
+        for rule in semantics.rules(grant):
+            for criteria in rule.criteria:
+                if criteria.action != Action.RELAY:
+                    for text in (*criteria.topics, *(criteria.partitions or ())):
+                        yield semantics.reads_text(text), criteria.line
