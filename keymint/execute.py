@@ -80,11 +80,7 @@ def _carry_out(steps: Sequence[Step], store: Store, jobs: int, on_step: Callable
 
 
 def _write(steps: Sequence[Step], store: Store) -> Sequence[Step]:
-    for step in steps:
-        for change in step.changes:
-            store.write(change.folder, change.files, private=change.private)
-            if change.removed:
-                store.remove(change.folder, change.removed)
+    store.change(change for step in steps for change in step.changes)
     return steps
 
 

@@ -2,6 +2,8 @@
 
 * Every path is walked from one of the store's roots without following a link, so nothing is written elsewhere.
 * A file is written beside its place, synchronised, and renamed over it. A folder that is new appears whole.
+* A folder in which several files change is staged beside its place, and takes it in one step; see
+  :mod:`keymint.staging` and :mod:`keymint.exchange`.
 * A secret is 0600 from its first byte and its folder 0700, whatever the umask.
 * What a killed run left behind is swept away by the next.
 """
@@ -11,34 +13,52 @@ from __future__ import annotations
 import contextlib
 import errno
 import fcntl
-import itertools
 import os
 import shutil
 import stat
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
-from typing import NoReturn, Protocol
+from typing import Protocol
 
 from keymint.errors import KeymintError, Origin
+from keymint.exchange import finish, is_waiting, take_place
+from keymint.staging import Content, add, clear, mount_of, refuse_mount, stage
+from keymint.writing import (
+    FOLDER,
+    MAX_COMPONENT,
+    WritableFile,
+    check_component,
+    create,
+    is_temporary,
+    make_folder,
+    refuse,
+    reported,
+    require_regular,
+    temporary,
+)
 
-_PREFIX = ".keymint-"
-_SUFFIX = ".tmp"
-_FOLDER = os.O_RDONLY | os.O_DIRECTORY | os.O_NOFOLLOW | os.O_CLOEXEC
-_NEW_FILE = os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_NOFOLLOW | os.O_CLOEXEC
-MAX_COMPONENT = 255
-"""Bytes of a path's component on the file systems in use."""
+__all__ = ["MAX_COMPONENT", "Store", "WritableFile", "WritableFolder"]
 
 
-class WritableFile(Protocol):
-    """A file to write; see :class:`keymint.plan.model.File`."""
+class WritableFolder(Protocol):
+    """Files to write into a folder and names to remove from it; see :class:`keymint.plan.model.FolderChange`."""
 
     @property
-    def content(self) -> bytes:
-        """The bytes."""
+    def folder(self) -> Path:
+        """Absolute path."""
 
     @property
-    def secret(self) -> bool:
-        """Whether it is 0600 or 0644."""
+    def files(self) -> Mapping[str, WritableFile]:
+        """Files by name."""
+
+    @property
+    def removed(self) -> Sequence[str]:
+        """Names of files to remove."""
+
+    @property
+    def private(self) -> bool:
+        """Folders that are created are 0700 even when no file is secret."""
 
 
 class Store:
@@ -56,7 +76,6 @@ class Store:
         self._prefixes = {f"{root}/": root for root in self._roots}
         self._records = records
         self._mark = records / "running"
-        self._serial = itertools.count()
 
     # -- sessions ------------------------------------------------------------------------------------------------
 
@@ -71,9 +90,9 @@ class Store:
             try:
                 lock = os.open("lock", os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW | os.O_CLOEXEC, 0o644, dir_fd=records)
             except OSError as error:
-                _refuse(self._records / "lock", error)
+                refuse(self._records / "lock", error)
         try:
-            with _reported(self._records / "lock"):
+            with reported(self._records / "lock"):
                 try:
                     fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
                 except BlockingIOError:
@@ -92,7 +111,7 @@ class Store:
         """
         self.write(self._records, {self._mark.name: _Plain(content)})
         yield
-        with _reported(self._mark), contextlib.suppress(FileNotFoundError):
+        with reported(self._mark), contextlib.suppress(FileNotFoundError):
             os.unlink(self._mark)
 
     def is_marked(self) -> bool:
@@ -100,62 +119,184 @@ class Store:
         return self._mark.exists()
 
     def sweep(self) -> None:
-        """Remove the temporary files and folders of a run that was killed."""
+        """Remove what a run that was killed left behind, and put in its place what it left waiting for that."""
         # A run that is killed while it sets its mark leaves something in the folder of records only.
         for root in self._roots if self.is_marked() else [self._records]:
             for folder, folders, files in os.walk(root):
-                for name in filter(_is_temporary, (*folders, *files)):
+                for name in filter(is_waiting, folders):
+                    with self._opened_to_sweep(Path(folder)) as opened, reported(Path(folder) / name):
+                        finish(opened, name)
+                for name in filter(is_temporary, (*folders, *files)):
                     path = Path(folder) / name
-                    with _reported(path):
+                    with reported(path):
                         if path.is_dir() and not path.is_symlink():
                             shutil.rmtree(path)
                         else:
                             path.unlink()
-                folders[:] = (name for name in folders if not _is_temporary(name))
+                folders[:] = (name for name in folders if not is_temporary(name) and not is_waiting(name))
+
+    @staticmethod
+    @contextlib.contextmanager
+    def _opened_to_sweep(folder: Path) -> Iterator[int]:
+        with reported(folder):
+            opened = os.open(folder, FOLDER)
+        try:
+            yield opened
+        finally:
+            os.close(opened)
 
     # -- writing -------------------------------------------------------------------------------------------------
 
-    def write(self, folder: Path, files: Mapping[str, WritableFile], *, private: bool = False) -> None:
-        """Write files into a folder, each whole or not at all; a new folder appears with all of them.
+    def change(self, changes: Iterable[WritableFolder]) -> None:
+        """Write and remove files; what changes in one folder changes in one step.
+
+        A folder in which several files change is replaced as a whole, together with what changes in the folders
+        inside of it. A root of the store is none such: it may be a mount point.
 
         Args:
-            folder: absolute path below a root.
-            files: files by name, written in this order.
-            private: folders that are created are 0700 even when no file is secret.
+            changes: what changes, by folder; a folder may be named again. Outer folders are written first.
 
         Raises:
-            KeymintError: the place is not below a root, a link stands in the way, or the system refuses.
+            KeymintError: a place is not below a root, a link stands in the way, or the system refuses.
         """
-        if not files:
-            return
-        for name in files:
-            _check_component(name, folder)
-        private = private or self._roots[self._root_of(folder)] or any(file.secret for file in files.values())
-        if folder not in self._roots and not os.path.lexists(folder) and self._write_new(folder, files, private):
-            return
-        with self._open_folder(folder, private=private) as opened:
-            for name, file in files.items():
-                self._replace(opened, folder, name, file)
-            with _reported(folder):
-                os.fsync(opened)
+        merged = self._merged(changes)
+        replaced = {folder for folder, change in merged.items() if self._is_replaced(folder, change)}
+        units: dict[Path, dict[Path, _Change]] = {}
+        for folder, change in merged.items():
+            outermost = next((each for each in (*reversed(folder.parents), folder) if each in replaced), folder)
+            units.setdefault(outermost, {})[folder] = change
+        for outermost, inner in units.items():
+            if outermost in replaced:
+                self._replace_folder(outermost, self._content(outermost, inner))
+            for folder, change in inner.items() if outermost not in replaced else ():
+                self._write(folder, change)
+                if change.removed:
+                    self._remove(folder, change.removed)
+
+    def write(self, folder: Path, files: Mapping[str, WritableFile], *, private: bool = False) -> None:
+        """Write files into a folder, all in one step; see :meth:`change`."""
+        self.change([_Change(folder, dict(files), (), private)])
 
     def remove(self, folder: Path, names: Sequence[str]) -> None:
-        """Remove files from a folder, and the folder and its parents below the root when they become empty.
+        """Remove files from a folder, and the folder and its parents below the root when they become empty."""
+        self.change([_Change(folder, {}, tuple(names))])
 
-        A folder that holds nothing else vanishes whole.
+    def _merged(self, changes: Iterable[WritableFolder]) -> dict[Path, _Change]:
+        """Return one change for each folder that something changes in."""
+        merged: dict[Path, _Change] = {}
+        for change in changes:
+            folder, before = change.folder, merged.get(change.folder, _Change(change.folder))
+            for name in (*change.files, *change.removed):
+                check_component(name, folder)
+            root = self._root_of(folder) if change.files or change.removed else None
+            if root is None:
+                continue
+            private = self._roots[root] or change.private or any(file.secret for file in change.files.values())
+            files = {name: file for name, file in before.files.items() if name not in change.removed}
+            removed = tuple(name for name in before.removed if name not in change.files) + tuple(change.removed)
+            merged[folder] = _Change(folder, {**files, **change.files}, removed, private or before.private)
+        return dict(sorted(merged.items()))
+
+    def _is_replaced(self, folder: Path, change: _Change) -> bool:
+        """Tell whether a folder is replaced as a whole: a single file is replaced in one step anyway."""
+        several = len({*change.files, *change.removed}) > 1
+        return several and not self._stays(folder) and os.path.lexists(folder)
+
+    def _content(self, outermost: Path, changes: Mapping[Path, _Change]) -> Content:
+        """Return what becomes of a folder, from what changes in it and in the folders inside."""
+        mode = 0o700 if self._roots[self._root_of(outermost)] else 0o755
+        content = Content(mode=mode)
+        for folder, change in changes.items():
+            inner = content
+            for part in folder.relative_to(outermost).parts:
+                check_component(part, folder)
+                inner = inner.folders.setdefault(part, Content(mode=mode))
+            inner.files, inner.removed, inner.private = dict(change.files), set(change.removed), change.private
+        return content
+
+    def _replace_folder(self, folder: Path, content: Content) -> None:
+        """Replace a folder as a whole, or remove it when nothing is left in it."""
+        with self._open_folder(folder.parent, private=False) as parent, contextlib.ExitStack() as opened:
+            staged: str | None = temporary()
+            try:
+                with reported(folder):
+                    old = os.open(folder.name, FOLDER, dir_fd=parent)
+                    opened.callback(os.close, old)
+                    if mount_of(old) != mount_of(parent):
+                        refuse_mount(folder)
+                    carried = stage(old, parent, str(staged), folder, content)
+                    if carried is not None:
+                        new = os.open(str(staged), FOLDER, dir_fd=parent)
+                        opened.callback(os.close, new)
+                        staged = take_place(parent, str(staged), folder.name)  # now the name of the old one
+                        if staged is not None:
+                            clear(parent, staged, new, carried)
+            except BaseException:
+                # Whatever has the temporary name is not needed: the new folder before, the old one after.
+                shutil.rmtree(str(staged), ignore_errors=True, dir_fd=parent)
+                raise
+        if carried is None:
+            self._remove_whole(folder)
+
+    def _write(self, folder: Path, change: _Change) -> None:
+        """Write files one by one, or a new folder that appears with all of them."""
+        if not change.files:
+            return
+        if folder not in self._roots and not os.path.lexists(folder) and self._write_new(folder, change):
+            return
+        with self._open_folder(folder, private=change.private) as opened:
+            for name, file in change.files.items():
+                self._replace(opened, folder, name, file)
+            with reported(folder):
+                os.fsync(opened)
+
+    def _write_new(self, folder: Path, change: _Change) -> bool:
+        """Write a folder that does not exist yet under a temporary name and rename it to its place.
+
+        Returns:
+            False when someone else made the folder meanwhile.
         """
-        for name in names:
-            _check_component(name, folder)
+        closed = self._roots[self._root_of(folder)]
+        with self._open_folder(folder.parent, private=closed) as parent:
+            staged = temporary()
+            check_component(folder.name, folder.parent)
+            try:
+                add(parent, staged, folder, Content(dict(change.files), private=change.private))
+                with reported(folder):
+                    os.rename(staged, folder.name, src_dir_fd=parent, dst_dir_fd=parent)
+                    os.fsync(parent)
+            except BaseException as error:
+                # Under its temporary name only: when the rename was done, an interrupt must not empty the folder.
+                shutil.rmtree(staged, ignore_errors=True, dir_fd=parent)
+                if os.path.isdir(folder) and isinstance(error, KeymintError):
+                    return False
+                raise
+        return True
+
+    def _replace(self, folder: int, shown: Path, name: str, file: WritableFile) -> None:
+        replaced = require_regular(folder, shown, name) or os.fstat(folder)
+        staged = temporary()
+        try:
+            create(folder, shown, staged, file, (replaced.st_uid, replaced.st_gid))
+            with reported(shown / name):
+                os.rename(staged, name, src_dir_fd=folder, dst_dir_fd=folder)
+        except BaseException:
+            with contextlib.suppress(OSError):
+                os.unlink(staged, dir_fd=folder)
+            raise
+
+    def _remove(self, folder: Path, names: Sequence[str]) -> None:
+        """Remove files one by one, or a folder that holds nothing else as a whole."""
         if not os.path.lexists(folder):
             return
         with self._open_folder(folder, private=False) as opened:
-            with _reported(folder):
+            with reported(folder):
                 whole = not self._stays(folder) and set(os.listdir(opened)) <= set(names)
             if not whole:
                 for name in names:
-                    with _reported(folder / name), contextlib.suppress(FileNotFoundError):
+                    with reported(folder / name), contextlib.suppress(FileNotFoundError):
                         os.unlink(name, dir_fd=opened)
-            with _reported(folder):
+            with reported(folder):
                 os.fsync(opened)
         if whole:
             self._remove_whole(folder)
@@ -165,91 +306,26 @@ class Store:
         return folder in self._roots or folder == self._records
 
     def _remove_whole(self, folder: Path) -> None:
-        """Remove a folder of files, with the parents that hold nothing else, by renaming the outermost first."""
+        """Remove a folder, with the parents that hold nothing else, by renaming the outermost first."""
         outermost = folder
-        with _reported(folder):
+        with reported(folder):
             while not self._stays(outermost.parent) and os.listdir(outermost.parent) == [outermost.name]:
                 outermost = outermost.parent
-        with self._open_folder(outermost.parent, private=False) as parent, _reported(folder):
-            temporary = self._temporary()
-            os.rename(outermost.name, temporary, src_dir_fd=parent, dst_dir_fd=parent)
+        with self._open_folder(outermost.parent, private=False) as parent, reported(folder):
+            away: str = temporary()
+            try:
+                os.rename(outermost.name, away, src_dir_fd=parent, dst_dir_fd=parent)
+            except OSError as error:
+                if error.errno != errno.EXDEV:
+                    raise
+                away = outermost.name  # overlayfs renames no folder of a lower layer: it goes file by file
             os.fsync(parent)
-            shutil.rmtree(temporary, dir_fd=parent)
+            shutil.rmtree(away, dir_fd=parent)
         above = outermost.parent
         with contextlib.suppress(OSError):  # not empty: it stays
             while not self._stays(above):
                 os.rmdir(above)
                 above = above.parent
-
-    def _write_new(self, folder: Path, files: Mapping[str, WritableFile], private: bool) -> bool:
-        """Write a folder that does not exist yet under a temporary name and rename it to its place.
-
-        Returns:
-            False when someone else made the folder meanwhile.
-        """
-        with self._open_folder(folder.parent, private=self._roots[self._root_of(folder)]) as parent:
-            temporary = self._temporary()
-            _check_component(folder.name, folder.parent)
-            with _reported(folder):
-                os.mkdir(temporary, 0o700, dir_fd=parent)
-            try:
-                self._fill(parent, temporary, folder, files, 0o700 if private else 0o755)
-                with _reported(folder):
-                    os.rename(temporary, folder.name, src_dir_fd=parent, dst_dir_fd=parent)
-                    os.fsync(parent)
-            except BaseException as error:
-                # Under its temporary name only: when the rename was done, an interrupt must not empty the folder.
-                shutil.rmtree(temporary, ignore_errors=True, dir_fd=parent)
-                if os.path.isdir(folder) and isinstance(error, KeymintError):
-                    return False
-                raise
-        return True
-
-    def _fill(self, parent: int, name: str, shown: Path, files: Mapping[str, WritableFile], mode: int) -> None:
-        """Write files into a folder that was just made."""
-        with _reported(shown):
-            folder = os.open(name, _FOLDER, dir_fd=parent)
-        try:
-            for file, content in files.items():
-                self._create(folder, shown, file, content)
-            with _reported(shown):
-                os.fchmod(folder, mode)
-                os.fsync(folder)
-        finally:
-            os.close(folder)
-
-    def _replace(self, folder: int, shown: Path, name: str, file: WritableFile) -> None:
-        with contextlib.suppress(FileNotFoundError):
-            kind = os.lstat(name, dir_fd=folder).st_mode
-            if not stat.S_ISREG(kind):
-                what = "a symbolic link" if stat.S_ISLNK(kind) else "not a regular file"
-                raise KeymintError(
-                    f"is {what}, and is not replaced",
-                    where=Origin(str(shown / name)),
-                    help="remove it if it is not yours",
-                    code="symlink-refused",
-                )
-        temporary = self._temporary()
-        try:
-            self._create(folder, shown, temporary, file)
-            with _reported(shown / name):
-                os.rename(temporary, name, src_dir_fd=folder, dst_dir_fd=folder)
-        except BaseException:
-            with contextlib.suppress(OSError):
-                os.unlink(temporary, dir_fd=folder)
-            raise
-
-    def _create(self, folder: int, shown: Path, name: str, file: WritableFile) -> None:
-        with _reported(shown / name):
-            opened = os.open(name, _NEW_FILE, 0o600, dir_fd=folder)
-            try:
-                view = memoryview(file.content)
-                while view:
-                    view = view[os.write(opened, view) :]
-                os.fchmod(opened, 0o600 if file.secret else 0o644)
-                os.fsync(opened)
-            finally:
-                os.close(opened)
 
     # -- folders -------------------------------------------------------------------------------------------------
 
@@ -264,23 +340,23 @@ class Store:
     def _open_folder(self, path: Path, *, private: bool) -> Iterator[int]:
         """Open a folder below a root, made where it is missing, without following a link on the way."""
         root = self._root_of(path)
-        with _reported(root):
+        with reported(root):
             if not os.path.lexists(root):
                 root.parent.mkdir(parents=True, exist_ok=True)
                 with contextlib.suppress(FileExistsError):
-                    _make_folder(root, 0o700 if self._roots[root] else 0o755)
-            opened = os.open(root, _FOLDER)
+                    make_folder(root, 0o700 if self._roots[root] else 0o755)
+            opened = os.open(root, FOLDER)
         try:
             parts = path.relative_to(root).parts
             for depth, part in enumerate(parts):
-                _check_component(part, path)
-                with _reported(path):
+                check_component(part, path)
+                with reported(path):
                     last = depth == len(parts) - 1
                     inner = self._enter(opened, part, 0o700 if self._roots[root] or (private and last) else 0o755)
                 os.close(opened)
                 opened = inner
             if private and parts and stat.S_IMODE(os.fstat(opened).st_mode) & 0o077:
-                with _reported(path):
+                with reported(path):
                     os.fchmod(opened, 0o700)
             yield opened
         finally:
@@ -289,14 +365,21 @@ class Store:
     @staticmethod
     def _enter(folder: int, name: str, mode: int) -> int:
         try:
-            return os.open(name, _FOLDER, dir_fd=folder)
+            return os.open(name, FOLDER, dir_fd=folder)
         except FileNotFoundError:
             with contextlib.suppress(FileExistsError):
-                _make_folder(name, mode, folder)
-            return os.open(name, _FOLDER, dir_fd=folder)
+                make_folder(name, mode, folder)
+            return os.open(name, FOLDER, dir_fd=folder)
 
-    def _temporary(self) -> str:
-        return f"{_PREFIX}{os.getpid()}-{next(self._serial)}{_SUFFIX}"
+
+@dataclass(frozen=True, slots=True)
+class _Change:
+    """Implements :class:`WritableFolder`."""
+
+    folder: Path
+    files: Mapping[str, WritableFile] = field(default_factory=dict)
+    removed: Sequence[str] = ()
+    private: bool = False
 
 
 class _Plain:
@@ -306,60 +389,3 @@ class _Plain:
 
     def __init__(self, content: bytes) -> None:
         self.content = content
-
-
-def _make_folder(name: str | Path, mode: int, parent: int | None = None) -> None:
-    """Make a folder with exactly this mode, whatever the umask."""
-    os.mkdir(name, mode, dir_fd=parent)
-    if stat.S_IMODE(os.stat(name, dir_fd=parent, follow_symlinks=False).st_mode) != mode:
-        os.chmod(name, mode, dir_fd=parent)
-
-
-def _is_temporary(name: str) -> bool:
-    return name.startswith(_PREFIX) and name.endswith(_SUFFIX)
-
-
-def _check_component(name: str, folder: Path) -> None:
-    if name in {"", ".", ".."} or "/" in name or "\0" in name:
-        raise KeymintError(f"{name!r} is not the name of a file", where=Origin(str(folder)), code="confined")
-    if len(os.fsencode(name)) > MAX_COMPONENT:
-        raise KeymintError(
-            f"the name {name[:40]!r}… is longer than {MAX_COMPONENT} bytes",
-            where=Origin(str(folder)),
-            code="confined",
-        )
-
-
-@contextlib.contextmanager
-def _reported(path: Path) -> Iterator[None]:
-    """Turn what the system refuses into one line for the user."""
-    try:
-        yield
-    except KeymintError:
-        raise
-    except OSError as error:
-        _refuse(path, error)
-
-
-def _refuse(path: Path, error: OSError) -> NoReturn:
-    link = error.errno == errno.ELOOP or (error.errno == errno.ENOTDIR and path.is_symlink())
-    if link or any(parent.is_symlink() for parent in (path, *path.parents) if error.errno == errno.ENOTDIR):
-        raise KeymintError(
-            "a symbolic link stands in the way, which is refused",
-            where=Origin(str(path)),
-            help="remove it, or name the space by its option",
-            code="symlink-refused",
-        ) from error
-    helps = {
-        errno.ENOSPC: "free some space and run again; what was there before is intact",
-        errno.EDQUOT: "free some space and run again; what was there before is intact",
-        errno.EACCES: "check the owner and mode of the folder",
-        errno.EPERM: "check the owner and mode of the folder",
-        errno.EROFS: "the file system is mounted read-only",
-    }
-    raise KeymintError(
-        f"cannot be written: {os.strerror(error.errno or 0)}",
-        where=Origin(str(path)),
-        help=helps.get(error.errno or 0, ""),
-        code="write-failed",
-    ) from error

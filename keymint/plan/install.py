@@ -66,8 +66,8 @@ def plan_install(
     errors += _shared_keys(inputs, planned)
     if errors:
         raise KeymintError.of(errors)
-    steps = [enclave.step for enclave in planned]
-    steps += _shared(inputs, loaded, planned)
+    # What all share comes first: the folder around the enclaves is then made before there is anything in it.
+    steps = [*_shared(inputs, loaded, planned), *(enclave.step for enclave in planned)]
     said = [diagnostic for enclave in planned for diagnostic in enclave.diagnostics]
     left = orphans(inputs, loaded)
     if prune:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import threading
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
@@ -12,7 +13,7 @@ from keymint.errors import KeymintError
 from keymint.execute import RECORD, execute, open_store
 from keymint.plan.model import Action, File, FolderChange, Plan, Step
 from keymint.state import Stamp, State, digest, load
-from keymint.store import Store
+from keymint.store import Store, WritableFolder
 from keymint.workspace import Workspace
 
 
@@ -76,14 +77,15 @@ def test_a_changed_record_alone_is_written(workspace: Workspace) -> None:
 def test_a_stage_ends_before_the_next_begins(workspace: Workspace, monkeypatch: pytest.MonkeyPatch) -> None:
     order: list[str] = []
     lock = threading.Lock()
-    write = Store.write
+    change = Store.change
 
-    def watched(self: Store, folder: Path, files: dict[str, File], *, private: bool = False) -> None:
-        write(self, folder, files, private=private)
+    def watched(self: Store, changes: Iterable[WritableFolder]) -> None:
+        listed = list(changes)
+        change(self, listed)
         with lock:
-            order.extend(files)
+            order.extend(name for each in listed for name in each.files)
 
-    monkeypatch.setattr(Store, "write", watched)
+    monkeypatch.setattr(Store, "change", watched)
     steps = [
         Step(stage, f"p{number}", Action.CREATED, (FolderChange(workspace.build / f"p{number}", {stage: File(b"")}),))
         for stage in ("first", "second", "third")
@@ -99,13 +101,14 @@ def test_an_outer_package_is_made_before_the_ones_inside_whatever_order_they_wer
     workspace: Workspace, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     order: list[str] = []
-    write = Store.write
+    change = Store.change
 
-    def watched(self: Store, folder: Path, files: dict[str, File], *, private: bool = False) -> None:
-        order.append(folder.name)
-        write(self, folder, files, private=private)
+    def watched(self: Store, changes: Iterable[WritableFolder]) -> None:
+        listed = list(changes)
+        order.extend(each.folder.name for each in listed)
+        change(self, listed)
 
-    monkeypatch.setattr(Store, "write", watched)
+    monkeypatch.setattr(Store, "change", watched)
     steps = tuple(step(workspace, name) for name in ("x/y/z", "b", "x/y", "a", "x"))
     run(Plan(steps, State()), workspace, jobs=4)
     assert order.index("x") < order.index("y") < order.index("z")

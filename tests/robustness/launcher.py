@@ -19,11 +19,18 @@ import traceback
 from collections.abc import Callable, Mapping
 from pathlib import Path
 
+from keymint import exchange
+
 _NOWHERE = "/nonexistent/robustness"
 
 
 def _unlink_at() -> None:
     os.unlink("robustness", dir_fd=_FOLDER)
+
+
+def _exchange() -> None:
+    with contextlib.suppress(OSError):
+        exchange.exchange(_FOLDER, "robustness", "robustness")
 
 
 _FOLDER = os.open("/proc/self", os.O_RDONLY | os.O_DIRECTORY)
@@ -34,6 +41,8 @@ HARMLESS: Mapping[str, Callable[[], object]] = {
     "fsync": lambda: os.fsync(_NULL),
     "fchmod": lambda: os.fchmod(_NULL, 0o666),
     "renameat": lambda: os.rename(_NOWHERE, _NOWHERE, src_dir_fd=_FOLDER, dst_dir_fd=_FOLDER),
+    "renameat2": _exchange,
+    "linkat": lambda: os.link(_NOWHERE, _NOWHERE, src_dir_fd=_FOLDER, dst_dir_fd=_FOLDER),
     "mkdir": Path(_NOWHERE).mkdir,
     "mkdirat": lambda: os.mkdir(_NOWHERE, dir_fd=_FOLDER),
     "unlink": Path(_NOWHERE).unlink,

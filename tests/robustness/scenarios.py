@@ -40,6 +40,16 @@ def _change_policy(folder: Path) -> None:
     (folder / "policy.xml").write_text(policy(*subjects, version="_changed"))
 
 
+def _change_everything(folder: Path) -> None:
+    # Of every enclave, the nested ones included, the rules and the governance change.
+    subjects = ("/robot", "/robot/talker", "/listener", "/new/deep/one")
+    (folder / "policy.xml").write_text(policy(*subjects, version="_again").replace("/chatter", "/chat"))
+    for governance in folder.glob("ws/profile/package.defaults/governance.xml"):
+        text = governance.read_text()
+        assert "<rtps_protection_kind>SIGN" in text
+        governance.write_text(text.replace("<rtps_protection_kind>SIGN", "<rtps_protection_kind>ENCRYPT"))
+
+
 def _remove_packages(folder: Path) -> None:
     (folder / "policy.xml").write_text(policy("/robot/talker"))
     for file in (folder / "ws" / "src" / "robot").glob("*.xml"):
@@ -74,6 +84,7 @@ SCENARIOS: Mapping[str, Scenario] = {
     "fresh": Scenario((), _nothing, PROVISION),
     "update": Scenario((_nothing,), _change_policy, PROVISION),
     "renew": Scenario((_nothing,), _nothing, (*PROVISION, "--renew")),
+    "everything": Scenario((_nothing, _change_policy), _change_everything, (*PROVISION, "--renew")),
     "prune": Scenario((_nothing, _change_policy), _remove_packages, PRUNE),
 }
 
@@ -102,14 +113,15 @@ def _hidden(path: Path) -> bool:
     return any(part.startswith(".keymint-") for part in path.parts)
 
 
-def enclaves(workspace: Path) -> dict[str, set[str]]:
-    """Return the files of every folder that is visible below the enclaves."""
-    found: dict[str, set[str]] = {}
+def enclaves(workspace: Path) -> dict[str, dict[str, bytes]]:
+    """Return the files of every folder that is visible among the enclaves, that around all of them (``.``) included."""
+    found: dict[str, dict[str, bytes]] = {}
     root = workspace / "install" / "enclaves"
     for folder, _, files in os.walk(root):
         relative = Path(folder).relative_to(root)
-        if relative.parts and not _hidden(relative):
-            found[str(relative)] = {file for file in files if not _hidden(Path(file))}
+        if not _hidden(relative):
+            visible = [file for file in files if not _hidden(Path(file))]
+            found[str(relative)] = {file: (Path(folder) / file).read_bytes() for file in visible}
     return found
 
 
@@ -139,23 +151,32 @@ def require_whole_files(workspace: Path) -> int:
     return count
 
 
-def require_whole_enclaves(workspace: Path, before: Mapping[str, set[str]], after: Mapping[str, set[str]]) -> None:
-    """Require that no enclave lacks a file.
-
-    An enclave around one that is there already cannot appear at once, nor vanish at once: of such a one, the
-    certificate appears last and goes last, and without it no participant joins.
+def require_whole_enclaves(
+    workspace: Path, before: Mapping[str, Mapping[str, bytes]], after: Mapping[str, Mapping[str, bytes]]
+) -> None:
+    """Require that every enclave is wholly what it was before, or wholly new; also one around others.
 
     Args:
         workspace: after the run was disturbed.
-        before: the folders below the enclaves before the run.
-        after: those after an undisturbed run.
+        before: the folders among the enclaves before the run, with their files.
+        after: those after an undisturbed run. Signatures and keys differ from run to run.
     """
     for name, files in enclaves(workspace).items():
-        wanted = (before.get(name) or after.get(name)) or set()
-        around = any(other.startswith(f"{name}/") for other in before) and before.get(name) != after.get(name)
-        if around:
-            assert files <= wanted | {"cert.pem"}, (name, files)
-            if after.get(name):
-                assert "cert.pem" not in files or files == wanted, (name, files)
-        else:
-            assert files == wanted, (name, files, wanted)
+        old, new = before.get(name, {}), after.get(name, {})
+        if files == old:
+            continue
+        assert set(files) == set(new), (name, set(files), set(old), set(new))
+        same = {file for file in files if files[file] == old.get(file)}
+        assert same == {file for file in new if new[file] == old.get(file)}, (name, same)
+    for files in enclaves(workspace).values():
+        require_fitting(files)
+
+
+def require_fitting(files: Mapping[str, bytes]) -> None:
+    """Require that the files of an enclave belong together."""
+    if "key.pem" in files:
+        key = load_pem_private_key(files["key.pem"], None).public_key()
+        assert key == x509.load_pem_x509_certificate(files["cert.pem"]).public_key()
+    for kind in ("permissions", "governance"):
+        if {f"{kind}.xml", f"{kind}.p7s"} <= set(files):
+            assert smime.signed_content(files[f"{kind}.p7s"]).split() == files[f"{kind}.xml"].split(), kind

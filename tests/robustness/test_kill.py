@@ -25,7 +25,7 @@ from .tracing import Ended, Point, Trace
 pytestmark = pytest.mark.strace
 
 Keymint = Callable[..., Any]
-CRITICAL = frozenset({"renameat", "rmdir", "unlink"})
+CRITICAL = frozenset({"renameat", "renameat2", "rmdir", "unlink"})
 """The calls around which what is visible changes."""
 IN_ORDER = 20
 """How many of the calls of one kind are struck, evenly spread over the run."""
@@ -55,8 +55,8 @@ class Prepared:
     start: Path
     traced: Trace
     tree: Mapping[str, str]
-    before: Mapping[str, set[str]]
-    after: Mapping[str, set[str]]
+    before: Mapping[str, Mapping[str, bytes]]
+    after: Mapping[str, Mapping[str, bytes]]
 
     def copy(self, to: Path) -> Path:
         """Make a copy of the state that the run begins with; a workspace knows its own name, but not its place."""

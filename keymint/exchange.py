@@ -1,0 +1,131 @@
+"""Gives a folder a new content in one step: the complete new folder takes the place of the old one.
+
+Linux exchanges two names at once (``renameat2`` with ``RENAME_EXCHANGE``; see renameat2(2)). Where a file system does
+not (NFS, some FUSE file systems), or not with this folder (overlayfs, for one that lies in a lower layer: ``EXDEV``),
+the old folder is taken away first. Then there is a moment without it, but never a mix of both. The new folder waits in
+a folder of its own meanwhile, so that a sweep after a kill puts it in its place; see :func:`finish`.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import ctypes
+import errno
+import functools
+import os
+import shutil
+from collections.abc import Callable
+
+from keymint.writing import FOLDER, PREFIX, temporary
+
+WAITING = ".next"
+"""Suffix of the folder in which a complete folder waits for its place."""
+_EXCHANGE = 2  # RENAME_EXCHANGE of <linux/fs.h>
+_UNABLE = {errno.EINVAL, errno.ENOSYS, errno.EXDEV, errno.EOPNOTSUPP, errno.EPERM}
+"""What a system says that cannot exchange: EPERM is how a filter of system calls refuses one that it does not know."""
+
+
+@functools.cache
+def _renameat2() -> Callable[..., int] | None:
+    """Return the function of the C library, or None where it has none."""
+    try:
+        function = ctypes.CDLL(None, use_errno=True).renameat2
+    except (OSError, AttributeError):
+        return None
+    function.argtypes = (ctypes.c_int, ctypes.c_char_p, ctypes.c_int, ctypes.c_char_p, ctypes.c_uint)
+    return function
+
+
+def exchange(parent: int, one: str, other: str) -> None:
+    """Exchange two names in an open folder in one step.
+
+    Raises:
+        OSError: the system refuses; nothing changed.
+    """
+    function = _renameat2()
+    if function is None:
+        raise OSError(errno.ENOSYS, os.strerror(errno.ENOSYS))
+    if function(parent, os.fsencode(one), parent, os.fsencode(other), _EXCHANGE):
+        number = ctypes.get_errno()
+        raise OSError(number, os.strerror(number), one, None, other)
+
+
+def take_place(parent: int, staged: str, name: str) -> str | None:
+    """Put a complete, synchronised folder in the place of another one.
+
+    Args:
+        parent: the open folder that both lie in.
+        staged: name of the new folder.
+        name: name of the old folder, and of the new one afterwards.
+
+    Returns:
+        The name that the old folder has now; None when it is gone already.
+
+    Raises:
+        OSError: the system refuses; the old folder is in its place.
+    """
+    try:
+        exchange(parent, staged, name)
+    except OSError as error:
+        if error.errno not in _UNABLE:
+            raise
+        old = _replace(parent, staged, name)
+    else:
+        old = staged
+    os.fsync(parent)
+    return old
+
+
+def _replace(parent: int, staged: str, name: str) -> str | None:
+    """Replace a folder where names cannot be exchanged: there is a moment without it."""
+    waiting = temporary(WAITING)
+    os.mkdir(waiting, 0o700, dir_fd=parent)
+    inner = os.open(waiting, FOLDER, dir_fd=parent)
+    try:
+        os.rename(staged, name, src_dir_fd=parent, dst_dir_fd=inner)
+        os.fsync(inner)
+        os.fsync(parent)
+        old: str | None = temporary()
+        try:
+            os.rename(name, str(old), src_dir_fd=parent, dst_dir_fd=parent)
+        except OSError as error:
+            if error.errno != errno.EXDEV:
+                os.rename(name, staged, src_dir_fd=inner, dst_dir_fd=parent)
+                os.rmdir(waiting, dir_fd=parent)
+                raise
+            shutil.rmtree(name, dir_fd=parent)  # overlayfs renames no folder of a lower layer, but removes it
+            old = None
+        os.rename(name, name, src_dir_fd=inner, dst_dir_fd=parent)
+    finally:
+        os.close(inner)
+    os.rmdir(waiting, dir_fd=parent)
+    return old
+
+
+def is_waiting(name: str) -> bool:
+    """Tell whether a folder of this name holds one that waits for its place."""
+    return name.startswith(PREFIX) and name.endswith(WAITING)
+
+
+def finish(parent: int, waiting: str) -> None:
+    """Put the folder in its place that a killed run left waiting: it may be the only complete copy.
+
+    Args:
+        parent: the open folder that it waits in.
+        waiting: the name of the folder that holds it.
+
+    Raises:
+        OSError: the system refuses.
+    """
+    inner = os.open(waiting, FOLDER, dir_fd=parent)
+    try:
+        with os.scandir(inner) as entries:
+            names = [entry.name for entry in entries]
+        for name in names:
+            with contextlib.suppress(FileNotFoundError):
+                shutil.rmtree(name, dir_fd=parent)
+            os.rename(name, name, src_dir_fd=inner, dst_dir_fd=parent)
+            os.fsync(parent)
+    finally:
+        os.close(inner)
+    os.rmdir(waiting, dir_fd=parent)
