@@ -40,6 +40,7 @@ bench: setup
 	$(BIN)/python benchmarks/verify.py
 	$(BIN)/python benchmarks/decisions.py
 	$(BIN)/python benchmarks/agreement.py
+	$(BIN)/python benchmarks/diff.py
 	$(BIN)/python benchmarks/proof.py
 	$(BIN)/python benchmarks/sizes.py
 

@@ -5,10 +5,11 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Sequence
 from typing import Any
 
-from keymint.algebra.diff import Change, Changed
+from keymint.algebra.changes import Change
+from keymint.algebra.diff import Changed
 from keymint.errors import Origin
 
-Typed = Callable[[Origin], str]
+Typed = Callable[[Origin | None], str]
 
 
 def as_text(found: Sequence[Changed], place: Typed) -> Iterator[str]:
@@ -21,8 +22,9 @@ def as_text(found: Sequence[Changed], place: Typed) -> Iterator[str]:
     for each in found:
         yield _subject(each)
         for change in each.changes:
-            sign = "+" if change.gains else "-"
-            yield f"  {sign} {change.permission} {_objects(change, str)} ({place(change.where)})"
+            sign = "?" if change.unknown else "+" if change.gains else "-"
+            where = f" ({place(change.where)})" if change.where else ""
+            yield f"  {sign} {_held(change, str)}{_objects(change, str)}{where}"
 
 
 def as_markdown(found: Sequence[Changed], place: Typed, titles: tuple[str, str]) -> Iterator[str]:
@@ -47,23 +49,24 @@ def as_markdown(found: Sequence[Changed], place: Typed, titles: tuple[str, str])
             yield "| | permission | objects | rule |"
             yield "|---|---|---|---|"
         for change in each.changes:
-            sign = "gains" if change.gains else "loses"
+            sign = _verb(change)
             objects = _objects(change, _code)
-            yield f"| {sign} | {_code(change.permission)} | {objects} | {_code(place(change.where))} |"
+            where = _code(place(change.where)) if change.where else ""
+            yield f"| {sign} | {_held(change, _code).rstrip()} | {objects} | {where} |"
 
 
-def as_data(found: Sequence[Changed], place: Callable[[Origin], dict[str, Any]]) -> list[dict[str, Any]]:
+def as_data(found: Sequence[Changed], place: Callable[[Origin | None], dict[str, Any] | None]) -> list[dict[str, Any]]:
     """Return what changed as what JSON can hold."""
     return [
         {
-            "subject": each.subject,
+            "subject": each.subject or None,
             "stands_for": each.like or None,
             "applies": {"before": each.before, "after": each.after},
             "changes": [
                 {
                     "change": "gains" if change.gains else "loses",
-                    "kind": change.kind,
-                    "permission": change.permission,
+                    "kind": change.kind or None,
+                    "permission": change.permission or None,
                     "pattern": change.pattern,
                     "whole": change.whole,
                     "example": change.example or None,
@@ -81,8 +84,8 @@ def summary(found: Sequence[Changed]) -> str:
     """Return on one line how many subjects gain, and how many lose."""
     if not found:
         return "equivalent: no subject gains or loses anything"
-    gaining = sum(any(change.gains for change in each.changes) for each in found)
-    losing = sum(any(not change.gains for change in each.changes) for each in found)
+    gaining = sum(any(change.gains and not change.unknown for change in each.changes) for each in found)
+    losing = sum(any(not change.gains and not change.unknown for change in each.changes) for each in found)
     unknown = sum(any(change.unknown for change in each.changes) for each in found)
     said = f"{_several(gaining)}, {losing or 'none'} lose{'s' if losing == 1 else ''}"
     return said + (f"; not decided for {unknown}" if unknown else "")
@@ -94,17 +97,28 @@ def _several(gaining: int) -> str:
 
 def _subject(each: Changed, code: Callable[[str], str] = str) -> str:
     subject = code(each.subject)
-    name = f"subjects like {code(each.like)} (e.g. {subject})" if each.like else subject
+    like = f"subjects like {code(each.like)}"
+    name = (f"{like} (e.g. {subject})" if each.subject else like) if each.like else subject
     if each.before and each.after:
         return f"{name}:"
     which = "new" if each.after else "no profile applies any more"
     return f"{name} ({which}):" if each.changes else f"{name} ({which}), without any permission"
 
 
+def _verb(change: Change) -> str:
+    verb = "gains" if change.gains else "loses"
+    return f"perhaps {verb}" if change.unknown else verb
+
+
+def _held(change: Change, code: Callable[[str], str]) -> str:
+    return f"{code(change.permission)} " if change.permission else ""
+
+
 def _objects(change: Change, code: Callable[[str], str]) -> str:
     pattern = code(change.pattern)
     if change.unknown:
-        return f"perhaps on {pattern}: {change.unknown}"
+        what = "gains" if change.gains else "loses"
+        return f"perhaps {what} it on {pattern}: {change.unknown}" if change.permission else change.unknown
     if change.whole:
         return pattern if change.example == change.pattern else f"{pattern}, e.g. {code(change.example)}"
     return f"on part of {pattern}, e.g. {code(change.example)}"

@@ -14,6 +14,8 @@ from keymint.ir import Effect, Rule
 from keymint.keymake.composites import PARTS, parts
 from keymint.keymake.glob import (
     ANY,
+    EVERYTHING,
+    MAX_CODE,
     STAR,
     Charset,
     Glob,
@@ -26,7 +28,7 @@ from keymint.keymake.glob import (
     surround,
     units,
 )
-from keymint.proof import PRINTABLE, Block, DecisionList, Outcome, Universe, difference
+from keymint.proof import Block, Budget, DecisionList, Outcome, Universe, difference
 
 RAW = "topic"
 SEPARATOR = "\0"
@@ -34,7 +36,7 @@ Key = tuple[str, str]
 """A kind, and a permission of it that has no parts."""
 
 _ROS = Universe(charset((ord(char), ord(char)) for char in string.ascii_letters + string.digits + "_/"))
-_RAW = Universe(PRINTABLE.alphabet, fields=2, separator=SEPARATOR)
+_RAW = Universe(charset(((ord(" "), MAX_CODE),)), fields=2, separator=SEPARATOR)
 _ROS_NAMES: DecisionList = (
     Block(False, tuple(map(parse, ("*//*", "*/", "*/[0-9]*")))),
     Block(True, (parse("/?*"),)),
@@ -134,13 +136,23 @@ def allowed(pattern: Glob) -> DecisionList:
     return (Block(True, (pattern,)),)
 
 
-def meet(kind: str, *lists: DecisionList) -> Outcome:
+def flipped(decided: DecisionList) -> DecisionList:
+    """Return the list that permits exactly what another one refuses."""
+    return (*(Block(not block.allows, block.patterns) for block in decided), Block(True, (EVERYTHING,)))
+
+
+def meet(kind: str, *lists: DecisionList, budget: Budget | None = None) -> Outcome:
     """Tell whether there is a legal name that all of some lists permit.
+
+    Args:
+        kind: kind of the objects.
+        lists: the lists.
+        budget: what the answer may cost.
 
     Returns:
         a shortest :class:`keymint.proof.Witness` if so; else ``Equal`` (there is none), or ``Unknown``.
     """
-    return difference((), *lists, names(kind), universe=universe(kind))
+    return difference((), *lists, names(kind), universe=universe(kind), budget=budget)
 
 
 def is_composite(kind: str, permission: str) -> bool:

@@ -24,6 +24,7 @@ EVERY = parse("/*")
 _LEGAL = re.compile(r"(/[A-Za-z_][A-Za-z0-9_]*)+")
 _PREFERRED = "xyzabcdefghijklmnopqrstuvw0123456789_/ABCDEFGHIJKLMNOPQRSTUVWXYZ"
 _MOST_EXAMPLES = 400
+_MOST_PIECES = 64
 _NODE = "ros_parameter"
 
 
@@ -66,6 +67,9 @@ def reached(profiles: tuple[tuple[str, ...], ...], within: Glob = EVERY) -> tupl
             new |= dict.fromkeys(one for one in wanted if one in exact and matches(each, literal(one) or ""))
             for one in wild:
                 new |= dict.fromkeys(intersection(each, one))
+            wildcards = sum(literal(each) is None for each in new) if len(new) > _MOST_PIECES else 0
+            if wildcards > max(_MOST_PIECES, len(wild)):
+                raise TooComplexError
         found = tuple(new)
     return found
 

@@ -12,14 +12,21 @@ import click
 from keymint.algebra.diff import diff as compare
 from keymint.algebra.diff import gains
 from keymint.algebra.differences import as_data, as_markdown, as_text, summary
+from keymint.algebra.purse import STATES, Purse
 from keymint.api import LoadedPolicy
 from keymint.commands.common import Run, verb
 from keymint.commands.policies import Policies, place, policy_options
 from keymint.console import Console
-from keymint.errors import Diagnostic, ExitCode, KeymintError, Origin
+from keymint.errors import Diagnostic, ExitCode, KeymintError, Origin, Severity
 from keymint.report import Report
 from keymint.revision import at_revision, is_revision
 
+_UNKNOWN = Diagnostic(
+    "diff-unknown",
+    Severity.WARNING,
+    "the policies were not compared in full",
+    help="raise --budget, compare parts of the policies by themselves, or ask 'keymint query can' for one subject",
+)
 FORMATS = ("text", "markdown", "json")
 
 
@@ -27,13 +34,19 @@ FORMATS = ("text", "markdown", "json")
 @click.argument("old", metavar="A")
 @click.argument("new", metavar="B")
 @click.option("-f", "--format", "kind", type=click.Choice(FORMATS), default="text", show_default=True)
+@click.option(
+    "--budget", default=STATES, show_default=True, metavar="STATES", type=click.IntRange(1), help="What it may cost."
+)
 @policy_options
-def diff(run: Run, old: str, new: str, kind: str, distro: str | None, profile_type: str, policy_type: str) -> Report:
+def diff(
+    run: Run, old: str, new: str, kind: str, budget: int, distro: str | None, profile_type: str, policy_type: str
+) -> Report:
     """Compare the policies A and B by meaning: what each subject gains and loses, over all names there are.
 
-    A and B are ComArmor files or folders, workspaces, or any of these at a revision of git: REV:PATH. Subjects are
-    those that a policy names, and one example of each pattern of subjects that profiles match. Kinds are compared each
-    by itself. Ends with 3 when a subject gains something, so that it can guard a merge.
+    A and B are ComArmor files or folders, workspaces, or any of these at a revision of git: REV:PATH. 'equivalent' is
+    proven for all subjects, also those that no policy names. Subjects that profiles match by a pattern are listed by
+    that pattern, with an example. Kinds are compared each by itself. Ends with 3 when a subject gains something, or
+    may do so where the answer is not known, so that it can guard a merge.
 
     \b
     keymint diff old.xml new.xml
@@ -45,9 +58,11 @@ def diff(run: Run, old: str, new: str, kind: str, distro: str | None, profile_ty
     with ExitStack() as stack:
         trees: dict[str, str] = {}
         one, other = (_loaded(run, policies, text, stack, trees) for text in (old, new))
-        found = compare(one, other)
+        found = compare(one, other, Purse(budget))
 
-    def said(where: Origin) -> str:
+    def said(where: Origin | None) -> str:
+        if where is None:
+            return ""
         in_tree = where.file.startswith(tuple(trees))
         return _renamed(str(where.alone()) if in_tree else place(run, where), trees)
 
@@ -57,12 +72,15 @@ def diff(run: Run, old: str, new: str, kind: str, distro: str | None, profile_ty
     if kind != "markdown":
         run.console.line(summary(found))
 
-    def placed(where: Origin) -> dict[str, Any]:
+    def placed(where: Origin | None) -> dict[str, Any] | None:
+        if where is None:
+            return None
         file, _, line = said(where).rpartition(":") if where.line else (said(where), "", "0")
         return {"file": file, "line": int(line) or None}
 
     result = {"equivalent": not found, "subjects": as_data(found, placed)}
-    return Report(run.verb, None, (), (), result, ExitCode.FINDINGS if gains(found) else ExitCode.DONE)
+    doubts = [_UNKNOWN] if any(change.unknown for each in found for change in each.changes) else []
+    return Report(run.verb, None, (), doubts, result, ExitCode.FINDINGS if gains(found) else ExitCode.DONE)
 
 
 def _loaded(run: Run, policies: Policies, text: str, stack: ExitStack, trees: dict[str, str]) -> LoadedPolicy:

@@ -9,8 +9,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from keymint.algebra.diff import changes_of, diff, gains
+from keymint.algebra.changes import changes_of
+from keymint.algebra.diff import diff, gains
 from keymint.algebra.differences import summary
+from keymint.algebra.purse import STATES, Purse
 from keymint.errors import Origin
 from keymint.ir import Effect, Rule
 from keymint.keymake.algebra import matches
@@ -140,3 +142,105 @@ def test_the_summary_is_a_sentence(tmp_path: Path, gaining: int, losing: int, sa
     less = "".join(profile(f"/l{number}", rule(*PUB, "/a")) for number in range(losing))
     one, other = (loaded(tmp_path, text, name=f"{name}.xml") for name, text in (("old", less), ("new", more)))
     assert summary(diff(one, other)) == said
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "witness"),
+    [
+        ("/robot3/base", "/robot[3-4]/base", "/robot4/base"),
+        ("/robot1/*", "/robot[12]/*", "/robot2/a"),
+        ("/robot?/base", "/robot*/base", "/robot/base"),
+        ("/a*", "/[a-b]*", "/b"),
+    ],
+)
+@pytest.mark.parametrize("name", ["/x", "{namespace}x", "/y/{name}"])
+def test_a_pattern_of_subjects_grows(tmp_path: Path, old: str, new: str, witness: str, name: str) -> None:
+    one, other = (
+        loaded(tmp_path, profile(each, rule(*PUB, name)), name=f"{number}.xml")
+        for number, each in enumerate((old, new))
+    )
+    (found,) = diff(one, other)
+    assert (found.subject, [change.gains for change in found.changes]) == (witness, [True])
+    assert gains([found])
+    (found,) = (each for each in diff(other, one) if each.like)
+    assert (found.subject, [change.gains for change in found.changes]) == (witness, [False])
+
+
+@pytest.mark.parametrize(
+    ("old", "new"),
+    [
+        # Profiles nested, and what they have in common.
+        (profile("/a*", profile("*b", rule(*PUB, "/x"))), profile("*b", profile("/a*", rule(*PUB, "/x")))),
+        (profile("/[ab]", profile("/[bc]", rule(*PUB, "/x"))), profile("/b", rule(*PUB, "/x"))),
+        # What depends on the subject, said in another way.
+        (
+            profile("/r[12]/?", rule(*PUB, "{namespace}x")),
+            profile("/r1/?", rule(*PUB, "/r1/x")) + profile("/r2/?", rule(*PUB, "/r2/x")),
+        ),
+        (profile("/*", rule(*PUB, "{namespace}*")), profile("/*", rule(*PUB, "{namespace}*", "{namespace}{name}/x"))),
+        (profile("/*", rule(*PUB, "{namespace}[ab]")), profile("/*", rule(*PUB, "{namespace}a", "{namespace}b"))),
+        (
+            profile("/*", rule(*PUB, "*"), deny(*PUB, "/x/{name}")),
+            profile("*", rule(*PUB, "*"), deny(*PUB, "/x/{name}")),
+        ),
+        # A denial of what nothing allows.
+        (
+            profile("/*", rule(*PUB, "{namespace}a")),
+            profile("/*", rule(*PUB, "{namespace}a"), deny(*PUB, "{namespace}b")),
+        ),
+    ],
+)
+def test_equivalent_for_all_subjects(tmp_path: Path, old: str, new: str) -> None:
+    assert changed(tmp_path, old, new) == []
+
+
+def test_a_name_of_two_patterns_is_compared(tmp_path: Path) -> None:
+    # /b is no pattern, and no policy names it.
+    old, new = (profile("/[ab]", profile("/[bc]", rule(*PUB, name))) for name in ("/x", "/y"))
+    assert changed(tmp_path, old, new) == [("/b", "+ ros_publish /y"), ("/b", "- ros_publish /x")]
+
+
+def test_a_raw_topic_of_any_characters(tmp_path: Path) -> None:
+    said = changed(tmp_path, profile("/s"), profile("/s", rule("topic", "publish", "cov\u00e9rt")))
+    assert said == [("/s", "+ publish cov\u00e9rt")]
+
+
+def test_many_nested_wildcards_are_a_product(tmp_path: Path) -> None:
+    # Of classes of subjects there would be 8!: in each order the letters may come in.
+    inside = rule(*PUB, "/x")
+    for letter in "abcdefgh":
+        inside = profile(f"*{letter}*", inside)
+    purse = Purse()
+    one, other = (
+        loaded(tmp_path, text, name=f"{n}.xml") for n, text in enumerate((profile("/y"), profile("/y") + inside))
+    )
+    found = [change for each in diff(one, other, purse) for change in each.changes]
+    assert [change.unknown for change in found] == [""] * 6
+    assert purse.spent < STATES // 5
+
+
+def test_a_spent_budget_is_never_equivalent(tmp_path: Path) -> None:
+    one, other = (
+        loaded(tmp_path, profile(name, rule(*PUB, "/x")), name=f"{len(name)}.xml") for name in ("/s*", "/[st]*")
+    )
+    assert all(not change.unknown for each in diff(one, other) for change in each.changes)
+    found = diff(one, other, Purse(1))
+    assert gains(found)
+    assert all(change.unknown for each in found for change in each.changes)
+    assert "not decided for" in summary(found)
+
+
+def test_a_large_policy_is_compared_by_what_changed(tmp_path: Path) -> None:
+    def fleet(number: int) -> str:
+        return "".join(
+            profile(f"/robot{n}/*", rule(*PUB, "{namespace}*"), deny(*PUB, "*/estop")) for n in range(number)
+        )
+
+    spent = []
+    for number in (20, 200):
+        purse = Purse()
+        old = loaded(tmp_path, fleet(number), name="old.xml")
+        new = loaded(tmp_path, fleet(number) + profile("/robot3/arm*", rule(*PUB, "/y")), name="new.xml")
+        assert [each.like for each in diff(old, new, purse)] == ["/robot3/arm*"]
+        spent.append(purse.spent)
+    assert spent[1] <= 2 * spent[0]

@@ -79,3 +79,16 @@ def test_a_revision(keymint, tmp_path: Path) -> None:
     assert (defect.code, defect.out) == (1, "")
     assert "HEAD:new.xml:1" in defect.err
     assert "no revision 'HEAD~7'" in keymint("diff", "old.xml", "HEAD~7:old.xml").err
+
+
+def test_a_spent_budget(keymint, tmp_path: Path) -> None:
+    for name, attachment in (("s.xml", "/s*"), ("st.xml", "/[st]*")):
+        (tmp_path / name).write_text(OLD.replace("/a<", f"{attachment}<"))
+    outcome = keymint("diff", "s.xml", "st.xml", "--budget", "1")
+    assert outcome.code == 3
+    assert "equivalent" not in outcome.out
+    assert "raise --budget" in outcome.err
+    result = keymint("diff", "s.xml", "st.xml", "--budget", "1", "--json").document["result"]
+    assert (result["equivalent"], result["subjects"][0]["subject"]) == (False, None)
+    assert "**Equivalent**" not in keymint("diff", "s.xml", "st.xml", "--budget", "1", "-f", "markdown").out
+    assert keymint("diff", "s.xml", "st.xml").out.startswith("subjects like /[s-t]* (e.g. /t) (new):\n")
