@@ -148,18 +148,28 @@ def _is_plain(name: str) -> bool:
 
 def _filled(parsed: glob.Glob, filling: str) -> str:
     """Return a name that a pattern matches: each ``*`` is the filling, each class one of its characters."""
-    return "".join(_sample(token, filling) for token in parsed)
+    return "".join(_samples(parsed, filling))
 
 
 def _replaced(parsed: glob.Glob, at: int, text: str) -> str:
     """Return a name that differs in one place from what a pattern matches."""
-    return "".join(text if index == at else _sample(token, "x") for index, token in enumerate(parsed))
+    return "".join(text if index == at else sample for index, sample in enumerate(_samples(parsed, "x")))
 
 
-def _sample(token: glob.Token, filling: str) -> str:
-    if isinstance(token, Star):
-        return filling
-    return token if isinstance(token, str) else next((char for char in _PLAIN if char in token), "")
+def _samples(parsed: glob.Glob, filling: str) -> Iterator[str]:
+    """Yield a text that each token matches: of a class the character that fewest other classes have.
+
+    A character that stands in for ``?`` and is in a narrower class as well would make up for a change of that class.
+    """
+    classes = [token for token in parsed if isinstance(token, Charset)]
+    for token in parsed:
+        if isinstance(token, Star):
+            yield filling
+        elif isinstance(token, str):
+            yield token
+        else:
+            inside = [char for char in _PLAIN if char in token]
+            yield min(inside, key=lambda char: sum(char in each for each in classes), default="")
 
 
 def _around(members: Charset) -> Iterator[str]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import itertools
 
 import pytest
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from keymint.errors import Origin
@@ -75,6 +75,7 @@ MUTATIONS = [
 
 
 @settings(deadline=None)
+@example(["*"], ("[abc]", "[ab]"), ["*", "?"])
 @given(st.lists(PIECES, max_size=2), st.sampled_from(MUTATIONS), st.lists(PIECES, max_size=2))
 def test_a_pattern_that_one_edit_changes_differs_on_a_probe(
     before: list[str], change: tuple[str, str], after: list[str]
