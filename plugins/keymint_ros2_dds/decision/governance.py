@@ -1,34 +1,91 @@
-"""What a governance document says of a domain and a topic: whether permissions are asked at all (1.1, 9.4.1.2)."""
+"""A governance document as it is signed (DDS Security 1.1, 9.4.1.2), read into data types that know their lines.
+
+It says of each domain who may join, and of each topic whether permissions are asked at all. The first domain rule that
+is about a domain counts, and in it the first topic rule that is about a topic; a topic without a rule is refused.
+
+The models of vendors hold for plain documents: elements in the order of the schema, text without decoration. What a
+vendor refuses otherwise is stated where it was measured (Cyclone DDS 0.10.2, Fast DDS 2.9.1); of everything else
+nothing is said.
+"""
 
 from __future__ import annotations
 
 import re
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 
 from lxml import etree
 
+from comarmor import schema
 from comarmor.errors import ComArmorError
 from comarmor.reader import line, parse
 from keymint.errors import KeymintError, Origin
 from keymint_ros2_dds.decision import fnmatch
+from keymint_ros2_dds.decision.document import Domains
+from keymint_ros2_dds.decision.peculiar import FINE, REFUSES, UNTOLD, Effect, Peculiarity, decorations
+from keymint_ros2_dds.decision.refusals import covers
+from keymint_ros2_dds.document import GOVERNANCE, GOVERNANCE_XML, MAX_DOMAIN
+
+ACCESS = {"publish": "enable_write_access_control", "subscribe": "enable_read_access_control"}
+"""The element that puts an action under access control."""
+JOIN, UNAUTHENTICATED = "enable_join_access_control", "allow_unauthenticated_participants"
+DOMAIN_PROTECTIONS = ("discovery_protection_kind", "liveliness_protection_kind", "rtps_protection_kind")
+TOPIC_PROTECTIONS = (
+    "enable_discovery_protection", "enable_liveliness_protection", "metadata_protection_kind", "data_protection_kind",
+)  # fmt: skip
+_DOMAIN_RULE = ("domains", UNAUTHENTICATED, JOIN, *DOMAIN_PROTECTIONS, "topic_access_rules")
+_TOPIC_RULE = (
+    "topic_expression", *TOPIC_PROTECTIONS[:2], ACCESS["subscribe"], ACCESS["publish"], *TOPIC_PROTECTIONS[2:],
+)  # fmt: skip
+_BOOLEANS = {"true": True, "1": True, "false": False, "0": False}
+_PLAIN_NUMBER = re.compile(r"0|[1-9][0-9]{0,8}")
+_BLANKS = " \t\r\n"
 
 
 @dataclass(frozen=True, slots=True)
 class TopicRule:
-    """The access control of the topics that an expression matches."""
+    """How the topics that an expression matches are protected.
+
+    Attributes:
+        expression: as it is written.
+        read_controlled: permissions are asked before a topic is subscribed to.
+        write_controlled: permissions are asked before a topic is published.
+        protections: the text of the elements of :data:`TOPIC_PROTECTIONS`, in this order.
+        line: line of the element.
+    """
 
     expression: str
     read_controlled: bool
     write_controlled: bool
+    protections: tuple[str, ...]
     line: int
+
+    def controls(self, action: str) -> bool:
+        """Tell whether permissions are asked for ``publish`` or ``subscribe``."""
+        return self.write_controlled if action == "publish" else self.read_controlled
 
 
 @dataclass(frozen=True, slots=True)
 class DomainRule:
-    """The rules of one domain: the first of the document that is about it."""
+    """How some domains are protected.
 
+    Attributes:
+        domains: the domains.
+        join_controlled: a participant needs a rule of its permissions to join.
+        unauthenticated: a participant may be without identity and permissions.
+        protections: the text of the elements of :data:`DOMAIN_PROTECTIONS`, in this order.
+        topic_rules: in the order of the document.
+        line: line of the element.
+        lines: of those of its elements that are no lists, by tag.
+    """
+
+    domains: tuple[Domains, ...]
     join_controlled: bool
+    unauthenticated: bool
+    protections: tuple[str, ...]
     topic_rules: tuple[TopicRule, ...]
+    line: int
+    lines: tuple[tuple[str, int], ...] = ()
 
     @property
     def joins_without_rule(self) -> bool:
@@ -37,51 +94,245 @@ class DomainRule:
             rule.read_controlled and rule.write_controlled for rule in self.topic_rules
         )
 
-    def topic_rule(self, topic: str, dialect: fnmatch.Dialect) -> TopicRule | None:
-        """Return the first rule that is about a topic."""
+    def line_of(self, tag: str) -> int:
+        """Return the line of an element; the rule's where there is none."""
+        return dict(self.lines).get(tag, self.line)
+
+    def topic_rule(self, topic: str, dialect: fnmatch.Dialect, *, both_ways: bool = False) -> TopicRule | None:
+        """Return the first rule that is about a topic.
+
+        Args:
+            topic: name of the topic.
+            dialect: of the expressions.
+            both_ways: the name is taken for an expression about the rule's expression, too.
+        """
         name = fnmatch.in_bytes(topic)
         for rule in self.topic_rules:
-            if rule.expression == "*" or re.fullmatch(dialect(fnmatch.in_bytes(rule.expression)), name, re.DOTALL):
+            expression = fnmatch.in_bytes(rule.expression)
+            if expression == "*" or re.fullmatch(dialect(expression), name, re.DOTALL):
+                return rule
+            if both_ways and re.fullmatch(dialect(name), expression, re.DOTALL):
                 return rule
         return None
 
 
-def read(content: bytes, domain: int, file: str = "governance.xml") -> DomainRule | None:
-    """Return what a governance document says of a domain, or None if it is not about it.
+@dataclass(frozen=True, slots=True)
+class GovernanceDocument:
+    """A governance document.
+
+    Attributes:
+        file: its name, for people.
+        domain_rules: in the order of the document.
+        defect: what the schema has against it, or an empty text.
+        peculiarities: what a plain document has not, and what vendors make of it.
+        offset: lines of the file before the document's first one.
+    """
+
+    file: str
+    domain_rules: tuple[DomainRule, ...]
+    defect: str
+    peculiarities: tuple[Peculiarity, ...]
+    offset: int = 0
+
+    def place(self, line: int) -> Origin:
+        """Return a line of the document as a place in its file."""
+        return Origin(self.file, line + self.offset)
+
+    def rule(self, domain: int, *, min_only_is_exact: bool = False) -> DomainRule | None:
+        """Return the rule that counts in a domain, or None if there is none.
+
+        Args:
+            domain: DDS domain id.
+            min_only_is_exact: a range with a minimum alone is that one domain.
+        """
+        for rule in self.domain_rules:
+            if any(covers(each, domain, min_only_is_exact=min_only_is_exact) for each in rule.domains):
+                return rule
+        return None
+
+
+Refusal = Callable[[GovernanceDocument], str]
+"""Returns why a document is refused, or what is not known about its reading; or an empty text."""
+
+
+def schema_refuses(document: GovernanceDocument) -> str:
+    """The standard: what its schema does not allow."""
+    return document.defect
+
+
+def nothing_untold(_document: GovernanceDocument) -> str:
+    """The standard says everything."""
+    return ""
+
+
+def cyclone_refuses(document: GovernanceDocument) -> str:
+    """Cyclone DDS 0.10: a missing element, a domain id above 230, a range that is not in order."""
+    return _reason(document, "Cyclone DDS", lambda each: each.cyclone, REFUSES)
+
+
+def cyclone_untold(document: GovernanceDocument) -> str:
+    """What Cyclone DDS 0.10 may read in a way of its own."""
+    return _reason(document, "Cyclone DDS", lambda each: each.cyclone, UNTOLD)
+
+
+def fast_refuses(document: GovernanceDocument) -> str:
+    """Fast DDS 2.9: a missing element."""
+    return _reason(document, "Fast DDS", lambda each: each.fast, REFUSES)
+
+
+def fast_untold(document: GovernanceDocument) -> str:
+    """What Fast DDS 2.9 may read in a way of its own."""
+    return _reason(document, "Fast DDS", lambda each: each.fast, UNTOLD)
+
+
+def _reason(
+    document: GovernanceDocument, vendor: str, effect: Callable[[Peculiarity], Effect], *effects: Effect
+) -> str:
+    for each in document.peculiarities:
+        found = effect(each)
+        if found in effects:
+            place = document.place(each.line)
+            if found is UNTOLD:
+                return f"{place}: what {vendor} makes of {each.text} is not part of its model"
+            return f"{place}: {vendor} refuses {each.text}"
+    return ""
+
+
+def read(content: bytes, file: str = GOVERNANCE_XML, offset: int = 0) -> GovernanceDocument:
+    """Read a governance document.
+
+    Args:
+        content: XML, unsigned.
+        file: its name, for people.
+        offset: lines of the file before the document's first one.
 
     Raises:
-        KeymintError: it cannot be read.
+        KeymintError: it is not well-formed, or not a governance document.
     """
     try:
         root = parse(content, file)
     except ComArmorError as error:
         first = error.diagnostics[0]
-        place = Origin(file, first.where.line if first.where else 0)
+        place = Origin(file, first.where.line + offset if first.where and first.where.line else 0)
         raise KeymintError(first.message, where=place, help=first.help, code=first.code) from None
-    for element in root.iterfind("domain_access_rules/domain_rule"):
-        domains = element.find("domains")
-        if domains is not None and any(_covers(item, domain) for item in domains):
-            topics = tuple(
-                TopicRule(
-                    (item.findtext("topic_expression") or "").strip(),
-                    _is_true(item, "enable_read_access_control"),
-                    _is_true(item, "enable_write_access_control"),
-                    line(item),
-                )
-                for item in element.iterfind("topic_access_rules/topic_rule")
-            )
-            return DomainRule(_is_true(element, "enable_join_access_control"), topics)
-    return None
+    if root.tag != "dds" or root.find("domain_access_rules") is None:
+        where = Origin(file, line(root) + offset)
+        raise KeymintError("this is not a governance document", where=where, code="document-kind")
+    defect, at = _defect(root, file, offset)
+    peculiarities = sorted(_peculiarities(content, root, defect, at), key=lambda each: each.line)
+    rules = tuple(map(_domain_rule, root.iterfind("domain_access_rules/domain_rule")))
+    return GovernanceDocument(file, rules, defect, tuple(peculiarities), offset)
 
 
-def _covers(item: etree._Element, domain: int) -> bool:
-    if item.tag == "id":
-        return (item.text or "").strip() == str(domain)
-    low, high = (item.findtext(tag) for tag in ("min", "max"))
-    first = int(low) if low and low.strip().isdigit() else 0
-    last = int(high) if high and high.strip().isdigit() else None
-    return first <= domain and (last is None or domain <= last)
+def _defect(root: etree._Element, file: str, offset: int) -> tuple[str, int]:
+    """Return what the schema has against a document, with its line in the document; or an empty text."""
+    try:
+        schema.validate(root, f"dds/{GOVERNANCE}.xsd", file)
+    except ComArmorError as error:
+        first = error.diagnostics[0]
+        at = first.where.line if first.where and first.where.line else 1
+        return f"{Origin(file, at + offset)}: the schema refuses it: {first.message}", at
+    return "", 0
 
 
-def _is_true(element: etree._Element, tag: str) -> bool:
-    return (element.findtext(tag) or "").strip() not in {"false", "0"}
+def _domain_rule(element: etree._Element) -> DomainRule:
+    return DomainRule(
+        tuple(_domains(element.find("domains"))),
+        _is_true(element, JOIN),
+        _is_true(element, UNAUTHENTICATED, otherwise=False),
+        tuple(_text(element.find(tag)) for tag in DOMAIN_PROTECTIONS),
+        tuple(map(_topic_rule, element.iterfind("topic_access_rules/topic_rule"))),
+        line(element),
+        tuple((str(child.tag), line(child)) for child in element if not len(child)),
+    )
+
+
+def _topic_rule(element: etree._Element) -> TopicRule:
+    return TopicRule(
+        _raw(element.find("topic_expression")),
+        _is_true(element, ACCESS["subscribe"]),
+        _is_true(element, ACCESS["publish"]),
+        tuple(_text(element.find(tag)) for tag in TOPIC_PROTECTIONS),
+        line(element),
+    )
+
+
+def _domains(element: etree._Element | None) -> Iterator[Domains]:
+    for child in () if element is None else element:
+        if child.tag == "id" and (number := _number(child)) is not None:
+            yield Domains(number, number)
+        elif child.tag == "id_range":
+            first, last = (_number(child.find(tag)) for tag in ("min", "max"))
+            if first is not None or last is not None:
+                yield Domains(first, last)
+
+
+def _number(element: etree._Element | None) -> int | None:
+    text = _text(element)
+    return int(text) if re.fullmatch(r"\+?[0-9]{1,4000}", text, re.ASCII) else None
+
+
+def _raw(element: etree._Element | None) -> str:
+    return "" if element is None else element.text or ""
+
+
+def _text(element: etree._Element | None) -> str:
+    return _raw(element).strip(_BLANKS)
+
+
+def _is_true(element: etree._Element, tag: str, *, otherwise: bool = True) -> bool:
+    """Return a boolean; the schema refuses a document in which it is missing, or none."""
+    return _BOOLEANS.get(_text(element.find(tag)), otherwise)
+
+
+def _peculiarities(content: bytes, root: etree._Element, defect: str, at: int) -> Iterator[Peculiarity]:
+    inner_end = content.find(b"</domain_access_rules>")
+    yield from decorations(content, comments_until=inner_end)
+    if defect:
+        missing = _only_missing(root)
+        if missing is None:
+            yield Peculiarity(at, "what the schema does not allow", UNTOLD, UNTOLD, invalid=True)
+        else:
+            tag, where = missing
+            yield Peculiarity(where, f"a rule without <{tag}>", REFUSES, REFUSES, invalid=True)
+    for element in root.iter():
+        if len(element):
+            continue
+        text = _raw(element)
+        if text != text.strip(_BLANKS):
+            yield Peculiarity(line(element), f"white space around the text of <{element.tag}>", UNTOLD, UNTOLD)
+        elif element.tag in {"id", "min", "max"}:
+            yield from _odd_number(element, text)
+    for element in root.iter("id_range"):
+        first, last = (_number(element.find(tag)) for tag in ("min", "max"))
+        if first is None or (last is not None and last < first):
+            yield Peculiarity(line(element), "a range of domains that is not in order", REFUSES, FINE)
+
+
+def _odd_number(element: etree._Element, text: str) -> Iterator[Peculiarity]:
+    if _PLAIN_NUMBER.fullmatch(text) is None:
+        yield Peculiarity(line(element), f"the domain id {text!r}", UNTOLD, UNTOLD)
+    elif int(text) > MAX_DOMAIN:
+        yield Peculiarity(line(element), f"a domain id above {MAX_DOMAIN}", REFUSES, FINE)
+
+
+def _only_missing(root: etree._Element) -> tuple[str, int] | None:
+    """Return an element that is missing and the line where, if nothing else is wrong with the order of elements."""
+    found: tuple[str, int] | None = None
+    for path, order in (("domain_rule", _DOMAIN_RULE), ("domain_rule/topic_access_rules/topic_rule", _TOPIC_RULE)):
+        for element in root.iterfind(f"domain_access_rules/{path}"):
+            tags = [str(child.tag) for child in element]
+            if not _is_part_of(tags, order):
+                return None
+            if "topic_expression" in order and "topic_expression" not in tags:
+                return None  # Cyclone DDS stops at it
+            lacking = [tag for tag in order if tag not in tags]
+            if lacking and found is None:
+                found = lacking[0], line(element)
+    return found
+
+
+def _is_part_of(tags: Sequence[str], order: Sequence[str]) -> bool:
+    """Tell whether tags are some of those of an order, each once and in that order."""
+    rest = iter(order)
+    return all(tag in rest for tag in tags)

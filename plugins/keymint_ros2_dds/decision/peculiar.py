@@ -71,6 +71,8 @@ _ROOT = re.compile(
     rb' xmlns:xsi="http://www\.w3\.org/2001/XMLSchema-instance"(?: xsi:noNamespaceSchemaLocation="[^"<&]*")?'
 )
 _SIGNS = re.compile(rb"<[!?]|&|\x00|\xef\xbb\xbf|xmlns|xsi:|</[^>\s]*\s")
+_BETWEEN = re.compile(rb">\s*(?:<!--(?:[^-]|-[^-])*-->\s*)+(?=<)")
+"""Comments between two tags."""
 _CLOSING = re.compile(rb"</[^>\s]*\s")
 _REFERENCE = re.compile(rb"&(?:lt|gt|amp|apos|quot|#[0-9]{1,8}|#x[0-9A-Fa-f]{1,8});")
 _BLANK_REFERENCE = re.compile(rb"&#0*(?:9|10|13|32);|&#x0*(?:9|[aA]|[dD]|20);")
@@ -117,6 +119,28 @@ def find(content: bytes, *, valid: bool) -> Found:
     if valid and _SIGNS.search(_ROOT.sub(b"", rest, count=1)) is None:
         return NOTHING
     return _Walk(content).found()
+
+
+def decorations(content: bytes, comments_until: int) -> Iterator[Peculiarity]:
+    """Yield what of the bytes of a governance document is beyond elements, their text, and comments between tags.
+
+    Args:
+        content: the document.
+        comments_until: offset up to which both vendors pass over a comment between tags.
+    """
+    if content.startswith(_BOM):
+        yield Peculiarity(1, "a byte order mark", REFUSES, UNTOLD)
+        return
+    rest = _HEAD.sub(b"", content, count=1)
+    end = max(comments_until - (len(content) - len(rest)), 0)
+    plain = _BETWEEN.sub(lambda found: b">" + b"\n" * found[0].count(b"\n"), rest[:end]) + rest[end:]
+    sign = _SIGNS.search(_ROOT.sub(b"", plain, count=1))
+    if sign is not None:
+        before = (
+            content.count(b"\n") - plain.count(b"\n") + _ROOT.sub(b"", plain, count=1).count(b"\n", 0, sign.start())
+        )
+        text = sign[0].decode("latin-1")
+        yield Peculiarity(before + 1, f"{text!r}, which a plain document has not", UNTOLD, UNTOLD)
 
 
 @dataclass(slots=True)

@@ -13,7 +13,7 @@ from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
 from typing import Any
 
-from keymint_ros2_dds.decision import dates, fnmatch, subjects
+from keymint_ros2_dds.decision import dates, fnmatch, governance, subjects
 from keymint_ros2_dds.decision.document import BLANKS, Grant, PermissionsDocument, Rule
 from keymint_ros2_dds.decision.refusals import (
     cyclone_refuses,
@@ -67,6 +67,9 @@ class Semantics:
         topic_check: the first criteria that name the topic, in any direction, decide whether there is a topic at all.
         tags_count: data tags are looked at.
         needs_rule_to_join: a participant needs a rule that allows something, whatever the governance document says.
+        governance_refuses: whether a governance document is refused as a whole, and why.
+        governance_untold: whether what is made of a governance document is not known, and why.
+        topic_rules_both_ways: the name of a topic is taken for an expression about those of topic rules, too.
     """
 
     refuses: Refusal = schema_refuses
@@ -90,6 +93,9 @@ class Semantics:
     topic_check: bool = False
     tags_count: bool = True
     needs_rule_to_join: bool = False
+    governance_refuses: governance.Refusal = governance.schema_refuses
+    governance_untold: governance.Refusal = governance.nothing_untold
+    topic_rules_both_ways: bool = False
 
     def grants(self, document: PermissionsDocument, subject_name: str) -> Sequence[Grant]:
         """Return the grants that are about an identity, in the order of the document."""
@@ -173,7 +179,8 @@ CYCLONE_DEVIATIONS = (
     _on("9", "topic-check", "the first rule that names a topic decides whether it exists, whatever its direction",
         topic_check=True),
     _on("11", "strictness", "domain ids above 230, foreign attributes, and what is without its ends are refused",
-        refuses=cyclone_refuses, untold=cyclone_untold),
+        refuses=cyclone_refuses, untold=cyclone_untold,
+        governance_refuses=governance.cyclone_refuses, governance_untold=governance.cyclone_untold),
     _on("12", "min-only", "a range of domains with a minimum alone is that one domain", min_only_is_exact=True),
     _on("15", "late-dates", "a date that does not fit 64 bits of nanoseconds, or is none, is over",
         date=dates.cyclone, no_beginning_holds=True),
@@ -195,13 +202,17 @@ FAST_DEVIATIONS = (
     _on("7", "deny-topic", "a deny rule denies the topic in every partition, also if it lists some", deny_topic=True),
     _on("10", "domains-unused", "rules of other domains count as well in local checks", domains_count=False),
     _on("11", "strictness", "a grant without a name or default, and empty lists, are refused",
-        refuses=fast_refuses, untold=fast_untold),
+        refuses=fast_refuses, untold=fast_untold,
+        governance_refuses=governance.fast_refuses, governance_untold=governance.fast_untold),
     _on("12", "min-only", "a range of domains with a minimum alone is that one domain", min_only_is_exact=True),
     _on("14", "zone-ignored", "the zone of a date is ignored", date=dates.fast),
     _on("16", "blank-text", "a text of white space alone is empty", reads_text=unless_blank),
     _on("17", "fnmatch", "expressions have no escapes", fnmatch=fnmatch.noescape),
     _on("19", "rule-to-join", "a participant needs an allow_rule, also where joining is not controlled",
         needs_rule_to_join=True),
+    _on("20", "topic-rules-both-ways",
+        "the name of a topic is compared as an expression with the expressions of the governance, too",
+        topic_rules_both_ways=True),
     _on("24", "first-piece", "a text ends at its first comment or CDATA section", first_piece=True),
     _on("25", "default-ends", "rules after <default> are not looked at", default_ends=True),
     _on("data tags", "tags-ignored", "data tags are not looked at", tags_count=False),

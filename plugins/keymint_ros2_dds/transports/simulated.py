@@ -14,6 +14,7 @@ from keymint.graph import Edge
 from keymint.pki import smime
 from keymint_ros2_dds import decision
 from keymint_ros2_dds.decision import OMG, Decision, Judge, Outcome, Variation, governance
+from keymint_ros2_dds.decision.access import Governed
 from keymint_ros2_dds.endpoints import endpoints
 from keymint_ros2_dds.install import CERTIFICATE, GOVERNANCE_P7S, PERMISSIONS_P7S
 from keymint_ros2_dds.transports import files
@@ -35,7 +36,7 @@ class Court:
         self._folder = folder
         self._now = now
         self._domain = domain
-        self._judges: dict[str, Judge] = {}
+        self._known: dict[str, tuple[Judge, Governed]] = {}
         self.refusal = ""
         try:
             authority = files.authority(folder, permissions=True)
@@ -44,7 +45,7 @@ class Court:
                 name: smime.verify(content, authority, at=now, where=Origin(name)) for name, content in signed.items()
             }
             self._document = decision.read(verified[PERMISSIONS_P7S])
-            self._governance = governance.read(verified[GOVERNANCE_P7S], domain)
+            self._governance = governance.read(verified[GOVERNANCE_P7S])
             self._subject_name = files.subject_name(files.content(folder, CERTIFICATE), Origin(CERTIFICATE))
         except KeymintError as error:
             files.raise_if_unread(error, folder)
@@ -59,24 +60,17 @@ class Court:
         """Return what is decided about an endpoint, an edge of kind ``topic``."""
         if self.refusal:
             return Decision(Outcome.ERROR, 0, self.refusal)
-        judge = self._judge(variation)
-        if judge.refusal is not None:
-            return judge.refusal
-        rules = self._governance
-        if rules is None:
-            return Decision(Outcome.DENIED, 0, f"governance.xml is not about domain {self._domain}")
-        if not judge.joins and (judge.semantics.needs_rule_to_join or not rules.joins_without_rule):
-            reason = f"permissions.xml allows nothing in domain {self._domain}, so that there is no participant"
-            return Decision(Outcome.DENIED, 0, reason)
-        rule = rules.topic_rule(endpoint.object.name, judge.semantics.fnmatch)
-        return _by_topic_rule(rule, judge, endpoint)
+        judge, governed = self._read(variation)
+        found = endpoint.object
+        return governed.decide(judge, endpoint.permission, found.name, found.partitions)[0]
 
-    def _judge(self, variation: Variation) -> Judge:
-        judge = self._judges.get(variation.name)
-        if judge is None:
+    def _read(self, variation: Variation) -> tuple[Judge, Governed]:
+        known = self._known.get(variation.name)
+        if known is None:
             judge = Judge(self._document, self._subject_name, self._now, self._domain, variation)
-            self._judges[variation.name] = judge
-        return judge
+            governed = Governed.of(self._governance, self._domain, judge.semantics)
+            known = self._known[variation.name] = judge, governed
+        return known
 
     def deviation(self, variation: Variation, endpoint: Edge, *, allowed: bool) -> str:
         """Return which deviations explain that an implementation does not decide as the standard does.
@@ -92,17 +86,6 @@ class Court:
             return ""
         found = decision.explain(lambda asked: self.decide(asked, endpoint).allowed, variation)
         return "; ".join(map(str, found))
-
-
-def _by_topic_rule(rule: governance.TopicRule | None, judge: Judge, endpoint: Edge) -> Decision:
-    """Decide by the permissions, if the governance document wants them to be asked."""
-    found = endpoint.object
-    if rule is None:
-        return Decision(Outcome.DENIED, 0, f"governance.xml has no rule for the topic {found.name!r}")
-    if not (rule.write_controlled if endpoint.permission == "publish" else rule.read_controlled):
-        return Decision(Outcome.ALLOWED, 0, f"governance.xml:{rule.line}: access to the topic is not controlled")
-    checked = rule.read_controlled and rule.write_controlled
-    return judge.decide(endpoint.permission, found.name, found.partitions, topic_checked=checked)
 
 
 class Courts:

@@ -1,0 +1,90 @@
+"""The decision about an endpoint by both documents: the governance says whether the permissions are asked at all.
+
+DDS Security 1.1, 9.4.3: a participant must be let in; then the first topic rule that is about a topic decides whether
+its permissions are asked. A topic without a rule is refused.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from keymint.errors import Origin
+from keymint_ros2_dds.decision.governance import ACCESS, DomainRule, GovernanceDocument
+from keymint_ros2_dds.decision.judge import Decision, Judge, Outcome
+from keymint_ros2_dds.decision.semantics import Semantics
+
+
+@dataclass(frozen=True, slots=True)
+class Governed:
+    """What a governance document says in a domain, as an implementation reads it.
+
+    Attributes:
+        document: the document.
+        domain: DDS domain id.
+        semantics: how documents are read.
+        refusal: why the document is not read, or an empty text.
+        rule: the domain rule that counts, or None.
+    """
+
+    document: GovernanceDocument
+    domain: int
+    semantics: Semantics
+    refusal: str
+    rule: DomainRule | None
+
+    @classmethod
+    def of(cls, document: GovernanceDocument, domain: int, semantics: Semantics) -> Governed:
+        """Read a document for a domain."""
+        refusal = semantics.governance_refuses(document) or semantics.governance_untold(document)
+        rule = None if refusal else document.rule(domain, min_only_is_exact=semantics.min_only_is_exact)
+        return cls(document, domain, semantics, refusal, rule)
+
+    def admits(self, *, joins: bool) -> bool:
+        """Tell whether there is a participant.
+
+        Args:
+            joins: a rule of the permissions lets it join, or their default does.
+        """
+        if joins or self.rule is None:
+            return joins and not self.refusal
+        return not self.semantics.needs_rule_to_join and self.rule.joins_without_rule
+
+    def decide(
+        self, judge: Judge, action: str, topic: str, partitions: Sequence[str] = ()
+    ) -> tuple[Decision, Origin | None]:
+        """Return what is decided about an endpoint, and the place of the topic rule if that decides.
+
+        Args:
+            judge: decides by the permissions.
+            action: ``publish`` or ``subscribe``.
+            topic: DDS topic name.
+            partitions: of the endpoint.
+        """
+        if self.refusal:
+            return Decision(Outcome.ERROR, 0, self.refusal), None
+        if judge.refusal is not None:
+            return judge.refusal, None
+        if self.rule is None:
+            reason = f"{self.document.file} is not about domain {self.domain}"
+            return Decision(Outcome.DENIED, 0, reason), Origin(self.document.file)
+        if not self.admits(joins=judge.joins):
+            reason = f"the permissions allow nothing in domain {self.domain}, so that there is no participant"
+            return Decision(Outcome.DENIED, 0, reason), None
+        return self._by_topic(self.rule, judge, action, topic, partitions)
+
+    def _by_topic(
+        self, domain_rule: DomainRule, judge: Judge, action: str, topic: str, partitions: Sequence[str]
+    ) -> tuple[Decision, Origin | None]:
+        """Decide by the permissions, if the governance wants them to be asked."""
+        both_ways = self.semantics.topic_rules_both_ways
+        rule = domain_rule.topic_rule(topic, self.semantics.fnmatch, both_ways=both_ways)
+        if rule is None:
+            where = self.document.place(domain_rule.line)
+            return Decision(Outcome.DENIED, 0, f"{where}: no topic rule is about {topic!r}"), where
+        if not rule.controls(action):
+            where = self.document.place(rule.line)
+            reason = f"{where}: {ACCESS[action]} is false for {rule.expression!r}"
+            return Decision(Outcome.ALLOWED, 0, reason), where
+        checked = rule.read_controlled and rule.write_controlled
+        return judge.decide(action, topic, partitions, topic_checked=checked), None
