@@ -47,7 +47,7 @@ class Enclaves:
         usages = x509.ExtendedKeyUsage([ExtendedKeyUsageOID.CLIENT_AUTH])
         builder = builder_of(subject, ca.subject, key.public_key()).add_extension(usages, critical=False)
         encoding = serialization.Encoding.PEM
-        self._files = {
+        self.files = {
             "cert.pem": builder.sign(ca_key, hashes.SHA256()).public_bytes(encoding),
             "key.pem": key.private_bytes(encoding, serialization.PrivateFormat.PKCS8, serialization.NoEncryption()),
             "identity_ca.cert.pem": ca.public_bytes(encoding),
@@ -57,13 +57,17 @@ class Enclaves:
     def write(self, folder: Path, subject: str) -> Enclave:
         """Write an enclave with the next document."""
         folder.mkdir()
-        files = self._files | {
-            "permissions.p7s": smime.sign(self._writer.document(), self._notary, self._notary_key),
-            "governance.p7s": smime.sign(self._writer.governance(), self._notary, self._notary_key),
+        files = self.files | {
+            "permissions.p7s": self.sign(self._writer.document()),
+            "governance.p7s": self.sign(self._writer.governance()),
         }
         for name, content in files.items():
             (folder / name).write_bytes(content)
         return Enclave(subject, folder, "humble")
+
+    def sign(self, content: bytes) -> bytes:
+        """Sign a document by the permissions authority."""
+        return smime.sign(content, self._notary, self._notary_key)
 
 
 def disagreements(plugins: Plugins, vendor: str, documents: int, requests: int, seed: int) -> Iterator[tuple[int, str]]:

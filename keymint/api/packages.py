@@ -61,10 +61,16 @@ class DomainRule:
 
 @dataclass(frozen=True, slots=True)
 class Governance:
-    """Protection of domains and topics, signed by ``issuer``, an authority's name."""
+    """Protection of domains and topics, signed by ``issuer``, an authority's name.
+
+    Attributes:
+        domain_rules: in order; the first that is about a domain counts.
+        accepts_open: the profile accepts that rules leave topics, or joining, without access control.
+    """
 
     issuer: str
     domain_rules: tuple[DomainRule, ...]
+    accepts_open: bool = False
 
 
 @dataclass(frozen=True, slots=True)

@@ -38,6 +38,7 @@ class Profile:
         layout: ``sros2`` or ``flat``: the layout of the install space.
         distro: ROS 2 distribution.
         files: files of the profile by path relative to the profile space (for plugins of the same format).
+        accepts: names of what the owner accepts although it weakens what the policy says, e.g. ``open_governance``.
     """
 
     name: str
@@ -50,6 +51,7 @@ class Profile:
     layout: str
     distro: str
     files: Mapping[str, bytes] = field(repr=False)
+    accepts: frozenset[str] = frozenset()
 
 
 @dataclass(frozen=True, slots=True)

@@ -8,7 +8,7 @@ from datetime import datetime
 from enum import StrEnum
 from typing import Protocol
 
-from keymint.api.packages import DomainRange
+from keymint.api.packages import DomainRange, Governance
 from keymint.api.policies import PolicyDecision
 from keymint.api.transports import Verdict
 from keymint.errors import Diagnostic, Origin
@@ -62,6 +62,8 @@ class Obligation:
         states: how many states a question may visit.
         go_on: asked again and again; a question is given up when it returns False.
         standard_only: claims about vendors are not wanted, as what they decide differently is accepted.
+        governance: what the sources say of the protection of domains and topics; None where that is not known, and
+            nothing may be left open.
     """
 
     rules: SubjectRules
@@ -73,6 +75,7 @@ class Obligation:
     states: int
     go_on: Callable[[], bool]
     standard_only: bool = False
+    governance: Governance | None = None
 
 
 class Proof(StrEnum):
@@ -92,27 +95,31 @@ class Counterexample:
         meaning: the edge on a ROS name that needs it, or None.
         policy: what the policy says, and by which rule.
         document: what the document says, and in which of its lines.
+        help: how to mend it, if it is not the permissions that are wrong.
     """
 
     endpoint: Edge
     meaning: Edge | None
     policy: PolicyDecision
     document: Verdict
+    help: str = ""
 
 
 @dataclass(frozen=True, slots=True)
 class Claim:
-    """That a document, as a model reads it, permits an action exactly where the policy does.
+    """That the documents, as a model reads them, permit an action exactly where the policy does.
 
     Attributes:
         model: whose reading: the standard's, or a vendor's.
-        action: ``publish`` or ``subscribe``.
+        action: ``publish`` or ``subscribe``. Only where it does not hold: ``join``, that no participant is let into a
+            domain without a rule, and ``protect``, that topics are protected as the sources say.
         domains: the DDS domains it is about.
         universe: the names it is about, in words.
         proof: how it stands.
         reason: why it is unknown, in one line.
         spent: it is unknown since it was given up; with more states, or time, it may be decided.
         counterexample: if there is one.
+        excepted: what the governance leaves open on purpose, one line each: it is no part of the claim.
     """
 
     model: str
@@ -123,6 +130,7 @@ class Claim:
     reason: str = ""
     counterexample: Counterexample | None = None
     spent: bool = False
+    excepted: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)

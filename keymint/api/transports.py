@@ -9,6 +9,7 @@ from enum import StrEnum
 from pathlib import Path
 from typing import Protocol
 
+from keymint.errors import Origin
 from keymint.graph import Edge
 
 
@@ -69,12 +70,14 @@ class Verdict:
         reason: one line: the rule of the document (``permissions.xml:12``), or what the transport said.
         line: line of the rule in the signed document that decided, or 0.
         deviation: the row of the table of vendors' deviations that explains a difference from the standard, or empty.
+        where: the place that decided, if it is not a rule of the permissions.
     """
 
     allowed: bool
     reason: str = ""
     line: int = 0
     deviation: str = ""
+    where: Origin | None = None
 
 
 @dataclass(frozen=True, slots=True)

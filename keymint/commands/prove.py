@@ -23,7 +23,11 @@ from keymint.plan.prove import prove as find
 from keymint.report import Report, as_typed
 
 SECONDS = 10.0
+SHOWN = 5
+"""So many of the things that governance opens are named in the summary; ``--json`` has all of them."""
 STATES = 500_000
+OF_DOMAINS = frozenset(("join", "protect"))
+"""What a claim about a domain as a whole is about; see :class:`keymint.api.Claim`."""
 
 
 @verb(writes=True)
@@ -124,6 +128,8 @@ def _summary(run: Run, found: Findings) -> None:
     models = ", ".join(_taken(found))
     enclaves = f"{count} enclave{'' if count == 1 else 's'}{f' for {models}' if models else ''}"
     say(f"proved {enclaves}: {', '.join(parts)}{_when(found)}")
+    if excepted := list(dict.fromkeys(_excepted(found))):
+        say(f"proven except for the topics that governance opens: {'; '.join(excepted[:SHOWN])}{_more(excepted)}")
 
 
 def dated_of(found: Findings) -> Iterator[Diagnostic]:
@@ -150,6 +156,18 @@ def _when(found: Findings) -> str:
 
 def _shown(moment: datetime | None) -> str | None:
     return None if moment is None else terms.shown(moment)
+
+
+def _excepted(found: Findings) -> Iterator[str]:
+    """Yield what the proven claims except: what governance leaves open on purpose."""
+    for enclave in found.enclaves:
+        for claim in enclave.claims:
+            yield from (f"{enclave.subject}, {each}" for each in claim.excepted)
+
+
+def _more(excepted: Sequence[str]) -> str:
+    left = len(excepted) - SHOWN
+    return f"; and {left} more (--json names them)" if left > 0 else ""
 
 
 def _taken(found: Findings) -> Mapping[str, Sequence[str]]:
@@ -194,6 +212,10 @@ def diagnostics_of(enclave: Proven) -> Iterator[Diagnostic]:
 
 def _refutation(subject: str, found: Counterexample, models: str) -> Diagnostic:
     endpoint, policy, document = found.endpoint, found.policy, found.document
+    where = policy.where or document.where
+    if endpoint.permission in OF_DOMAINS:
+        message = f"{subject}: {policy.reason}; {document.reason} [{models}]"
+        return Diagnostic("counterexample", Severity.ERROR, message, where, found.help, subject)
     may = "permits" if document.allowed else "does not permit"
     says = "allows" if policy.allowed else "does not allow"
     name = f"{endpoint.object.name!r}" + "".join(f" in the partition {p!r}" for p in endpoint.object.partitions)
@@ -204,9 +226,8 @@ def _refutation(subject: str, found: Counterexample, models: str) -> Diagnostic:
         f"{policy.reason}; {document.reason} [{models}]"
     )
     deviation = f"; docs/vendors.md, {document.deviation}" if document.deviation else ""
-    return Diagnostic(
-        "counterexample", Severity.ERROR, message, policy.where, f"no shorter name differs{deviation}", subject
-    )
+    help_ = f"no shorter name differs{deviation}{f'; {found.help}' if found.help else ''}"
+    return Diagnostic("counterexample", Severity.ERROR, message, where, help_, subject)
 
 
 def legible(name: str) -> str:
@@ -242,6 +263,7 @@ def _claim(claim: Claim, until: datetime | None, run: Run) -> dict[str, Any]:
         "domains": [{"first": each.first, "last": each.last} for each in claim.domains],
         "universe": claim.universe,
         "proof": str(claim.proof),
+        "except": list(claim.excepted),
         "until": _shown(until),
         "reason": claim.reason,
         "counterexample": None if claim.counterexample is None else _counterexample(claim.counterexample, run),
@@ -251,7 +273,7 @@ def _claim(claim: Claim, until: datetime | None, run: Run) -> dict[str, Any]:
 def _counterexample(found: Counterexample, run: Run) -> dict[str, Any]:
     meaning = found.meaning
     return {
-        "dds_name": legible(found.endpoint.object.name),
+        "dds_name": legible(found.endpoint.object.name) if found.endpoint.object.kind == "topic" else None,
         "partitions": [legible(each) for each in found.endpoint.object.partitions],
         "domain": found.endpoint.domain,
         "ros": None if meaning is None else _ros(meaning),
@@ -259,7 +281,8 @@ def _counterexample(found: Counterexample, run: Run) -> dict[str, Any]:
         "document": {
             "allowed": found.document.allowed,
             "reason": found.document.reason,
-            "line": found.document.line or None,
+            **_place(found.document.where, run),
+            **({"line": found.document.line} if found.document.line else {}),
             "deviation": found.document.deviation,
         },
     }

@@ -170,7 +170,7 @@ class _Stage:
         if self._found[-1].diagnostics or any(claim.proof is not Proof.PROVEN for claim in self._found[-1].claims):
             self._refuted.add(name)
         else:
-            outputs = {_key(claim): claim.universe for claim in self._found[-1].claims}
+            outputs = {_key(claim): "\n".join((claim.universe, *claim.excepted)) for claim in self._found[-1].claims}
             outputs[_RULES] = _meaning(rules)
             outputs[_TERMS] = terms.dump(self._found[-1].terms)
             outputs[_BUILD_TYPE] = package.build_type
@@ -203,6 +203,7 @@ class _Stage:
             self._effort.states,
             self._effort.deadline(),
             self._standard_only,
+            package.governance,
         )
         return _prove(prover, obligation, package.name)
 
@@ -264,10 +265,11 @@ def _key(claim: Claim) -> str:
 def _recalled(stamp: Stamp) -> tuple[Claim, ...]:
     """Return the claims that a stamp says were proven."""
     found: list[Claim] = []
-    for key, universe in stamp.outputs.items():
+    for key, value in stamp.outputs.items():
         if key not in {_RULES, _BUILD_TYPE, _TERMS}:
+            universe, *excepted = value.split("\n")
             model, action, listed = key.rsplit(" ", 2)
             ends = (each.split("-") for each in listed.split(","))
             domains = tuple(DomainRange(int(first), int(last)) for first, last in ends)
-            found.append(Claim(model, action, domains, universe, Proof.PROVEN))
+            found.append(Claim(model, action, domains, universe, Proof.PROVEN, excepted=tuple(excepted)))
     return tuple(found)

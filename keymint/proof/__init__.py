@@ -19,9 +19,9 @@ from keymint.proof.model import (
     Witness,
 )
 from keymint.proof.plain import permits
-from keymint.proof.questions import difference, implies, intersects, shadowed
+from keymint.proof.questions import difference, escapes, implies, intersects, shadowed
 
 __all__ = [
     "EVERY_WORD", "PRINTABLE", "Block", "Budget", "DecisionList", "Equal", "Outcome", "Universe", "Unknown", "Witness",
-    "difference", "implies", "intersects", "permits", "shadowed",
+    "difference", "escapes", "implies", "intersects", "permits", "shadowed",
 ]  # fmt: skip

@@ -117,6 +117,21 @@ def shadowed(
             before[pattern] = None
 
 
+def escapes(
+    permitting: Sequence[DecisionList],
+    refusing: DecisionList,
+    universe: Universe = EVERY_WORD,
+    budget: Budget | None = None,
+) -> Outcome:
+    """Tell whether every word that all of some lists permit is permitted by another one, too.
+
+    Returns:
+        :class:`Equal` if so; else a shortest :class:`Witness` that they permit and the other refuses, or
+        :class:`Unknown`.
+    """
+    return _escape(permitting, refusing, universe, budget)
+
+
 def _escape(
     permitting: Sequence[DecisionList], refusing: DecisionList, universe: Universe, budget: Budget | None
 ) -> Outcome:

@@ -11,7 +11,7 @@ from keymint.errors import Diagnostic, KeymintError, Origin
 from keymint_ros import certificate, governance, manifest, permissions, placeholders, validity
 from keymint_ros.document import Reader, confined, did_you_mean, file_in, line, place, text
 from keymint_ros.manifest import MARKER, Manifest, Part
-from keymint_ros.profile import base_of
+from keymint_ros.profile import OPEN_GOVERNANCE, base_of
 
 if TYPE_CHECKING:
     from lxml import etree
@@ -165,6 +165,7 @@ class _Loader:
         return Governance(
             issuer=self.signer(part, defaults.issuer or "", Origin(defaults_file, defaults.line)),
             domain_rules=governance.complete(own, file, defaults, defaults_file),
+            accepts_open=OPEN_GOVERNANCE in self.profile.accepts,
         )
 
     def signer(self, part: Part, default: str, default_origin: Origin) -> str:

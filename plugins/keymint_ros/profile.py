@@ -20,6 +20,8 @@ if TYPE_CHECKING:
 MANIFEST = "keymint_profile.xml"
 NAME = "keymint_ros"
 LIBRARY = "comarmor.d"
+OPEN_GOVERNANCE = "open_governance"
+"""Name of the option that accepts what the governance of the packages leaves without access control."""
 
 _POLICY_TYPE = "keymint_ros2_comarmor"
 _AUTHORITY_DEFAULTS = "profile.defaults/authorities.xml"
@@ -46,6 +48,7 @@ class _Manifest:
     layout: str
     distro: str
     distro_line: int
+    accepts: frozenset[str]
 
 
 @dataclass(frozen=True, slots=True)
@@ -82,6 +85,7 @@ def _manifest(root: etree._Element) -> _Manifest:
         layout=said.get("layout") or "sros2",
         distro=said.get("distro") or distros.DEFAULT,
         distro_line=line(root if distro is None else distro),
+        accepts=frozenset(str(part.tag) for part in root.iterfind("accept/*")),
     )
 
 
@@ -154,6 +158,7 @@ def load(root: Path, files: Mapping[str, bytes]) -> Profile:
         layout=said.layout,
         distro=said.distro,
         files=files,
+        accepts=said.accepts,
     )
 
 

@@ -8,7 +8,7 @@ from functools import lru_cache
 from keymint.api import BuildOptions, Built, Package
 from keymint.errors import Diagnostic, KeymintError, Origin, Severity
 from keymint.pki import names
-from keymint_ros2_dds import governance, limits
+from keymint_ros2_dds import governance, limits, opened
 from keymint_ros2_dds.compiling.emission import emit
 from keymint_ros2_dds.document import GOVERNANCE, GOVERNANCE_XML, PERMISSIONS, PERMISSIONS_XML
 
@@ -36,7 +36,7 @@ def build(package: Package, options: BuildOptions) -> Built:
         documents[GOVERNANCE_XML], remarks = governance.build(
             package.governance, package.subject, package.distro, allow_vendor_specific=lenient
         )
-        notes += remarks
+        notes += (*remarks, *opened.findings(package, emitted.lowered if emitted else None))
     except KeymintError as error:
         problems += error.diagnostics
     problems += [item for item in found if item.severity is Severity.ERROR]

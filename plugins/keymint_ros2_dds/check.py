@@ -11,7 +11,7 @@ from lxml import etree
 from keymint.api import DomainRange, Inspection
 from keymint.errors import Diagnostic, KeymintError, Origin, Severity
 from keymint.pki import certificates, keys, names, smime, verify
-from keymint_ros2_dds import document, limits
+from keymint_ros2_dds import check_governance, document, limits
 from keymint_ros2_dds.compiling.emission import means_the_same
 from keymint_ros2_dds.document import GOVERNANCE, PERMISSIONS, PERMISSIONS_XML
 from keymint_ros2_dds.install import CA, CERTIFICATE, FILES, IDENTITY_CA, KEY, PERMISSIONS_CA
@@ -43,6 +43,8 @@ class _Enclave:
             yield from self._grant(permissions)
             if governance is not None:
                 yield from self._domains(permissions, governance)
+        if governance is not None:
+            yield from check_governance.findings(self._seen)
         plain = self._files.get(PERMISSIONS_XML)
         if plain is not None and PERMISSIONS_XML in self._names and plain != self._content(PERMISSIONS):
             yield self._error(

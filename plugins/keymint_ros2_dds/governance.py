@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import difflib
+import re
 from collections.abc import Iterable, Iterator, Sequence
 from functools import lru_cache
 
@@ -21,6 +22,8 @@ from keymint_ros2_dds.mapping import ARDENT, IMAGES, images
 KINDS = ("NONE", "SIGN", "ENCRYPT", "SIGN_WITH_ORIGIN_AUTHENTICATION", "ENCRYPT_WITH_ORIGIN_AUTHENTICATION")
 DATA_KINDS = ("NONE", "SIGN", "ENCRYPT")
 
+_ODD = re.compile(r"[^A-Za-z0-9_/*?\[\]!^\\-]|//|(?<=.)/$")
+"""What no ROS name has, outside of the signs of an expression (ROS 2 design, "Topic and Service Names")."""
 _PERMISSIONS = {
     "topic": (("topic", "publish"),),
     "ros_topic": (("ros_topic", "ros_publish"),),
@@ -118,8 +121,12 @@ def _domain_rule(parent: etree._Element, rule: DomainRule, distro: str, lenient:
     for topic in rule.topic_rules:
         if topic.kind not in _PERMISSIONS:
             continue
-        patterns = [pattern for pattern in _patterns(topic, distro) if not union_covers(tuple(said), pattern)]
-        if not patterns:
+        images_ = patterns(topic, distro)
+        if problem := _never(topic, images_):
+            yield problem
+            continue
+        own = [pattern for pattern in images_ if not union_covers(tuple(said), pattern)]
+        if not own:
             yield Diagnostic(
                 "governance-shadowed", Severity.WARNING,
                 f"the {topic.kind} rule for {topic.expression!r} has no effect: the rules before it match all of it",
@@ -132,13 +139,13 @@ def _domain_rule(parent: etree._Element, rule: DomainRule, distro: str, lenient:
                 "about topics of the same base name in every namespace",
                 topic.origin, "let rules on one base name protect alike",
             )  # fmt: skip
-        for pattern in patterns:
+        for pattern in own:
             texts, problem = _spelled(pattern, topic, lenient)
             if problem:
                 yield problem
             for text in texts:
                 _topic_rule(topics, text, topic)
-        said += patterns
+        said += own
     if not union_covers(tuple(said), EVERYTHING):
         yield Diagnostic(
             "governance-open-end", Severity.WARNING,
@@ -148,8 +155,38 @@ def _domain_rule(parent: etree._Element, rule: DomainRule, distro: str, lenient:
         _topic_rule(topics, "*", _strictest(rule))
 
 
-def _patterns(topic: TopicProtection, distro: str) -> list[Glob]:
-    """Return the images of an expression, specific ones first."""
+def _never(topic: TopicProtection, images_: Sequence[Glob]) -> Diagnostic | None:
+    """Return the error for an expression that no name can match: the topics that are meant have another rule then."""
+    expression = topic.expression
+    raw = topic.kind == "topic"
+    odd = None if raw else _ODD.search(expression)
+    if images_ and not odd:
+        return None
+    if odd and expression.startswith("/"):
+        why = f"no ROS name has {odd[0]!r}" if odd.end() < len(expression) else f"no ROS name ends with {odd[0]!r}"
+        mend = "write the names as ROS has them: letters, digits and '_' between single slashes"
+    elif raw or expression.startswith("/"):
+        why = "it has no name to match"
+        mend = "write the name of a topic, or remove the rule"
+    elif expression.startswith("~"):
+        why = "no subject is known here, and every ROS name begins with '/'"
+        mend = "write the whole name, e.g. '/talker/chatter'"
+    elif expression[:3] in {"rt/", "rq/", "rr/"}:
+        why = "every ROS name begins with '/', and this is the name of a DDS topic"
+        mend = f"write it into a <topic_rule>, or {expression[2:]!r} here"
+    else:
+        why = "every ROS name begins with '/'"
+        mend = f"write {'/' + expression!r}"
+    message = f"the expression {expression!r} of this {topic.kind} rule of the governance matches no name: {why}"
+    return Diagnostic("governance-never-matches", Severity.ERROR, message, topic.origin, mend)
+
+
+def patterns(topic: TopicProtection, distro: str) -> list[Glob]:
+    """Return the images of a topic rule's expression, specific ones first; none if no name matches it.
+
+    Raises:
+        KeymintError: the expression cannot be read.
+    """
     try:
         tokens = glob.parse(topic.expression)
     except glob.GlobError as error:

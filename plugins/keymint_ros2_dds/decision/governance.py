@@ -301,6 +301,8 @@ def _peculiarities(content: bytes, root: etree._Element, defect: str, at: int) -
         text = _raw(element)
         if text != text.strip(_BLANKS):
             yield Peculiarity(line(element), f"white space around the text of <{element.tag}>", UNTOLD, UNTOLD)
+        elif "\n" in text or "\r" in text:
+            yield Peculiarity(line(element), f"a line end within the text of <{element.tag}>", UNTOLD, UNTOLD)
         elif element.tag in {"id", "min", "max"}:
             yield from _odd_number(element, text)
     for element in root.iter("id_range"):

@@ -10,6 +10,7 @@ from itertools import pairwise
 from types import MappingProxyType
 
 from keymint.api import Claim, Counterexample, DomainRange, PolicyDecision, Proof, Verdict
+from keymint.errors import Origin
 from keymint.graph import Edge
 from keymint.ir import Effect, SubjectRules
 from keymint.keymake.glob import GlobError
@@ -17,15 +18,20 @@ from keymint.proof import Budget, DecisionList, Outcome, Universe, Unknown, Witn
 from keymint_ros2_dds import decision
 from keymint_ros2_dds.compiling.lower import Lowered
 from keymint_ros2_dds.decision import OMG, VARIATIONS, Decision, Judge, Variation
+from keymint_ros2_dds.decision.access import Governed
 from keymint_ros2_dds.decision.document import Grant, PermissionsDocument
 from keymint_ros2_dds.decision.semantics import Semantics
-from keymint_ros2_dds.proving import lists, octets, policy
+from keymint_ros2_dds.proving import lists, octets, policy, protection
+from keymint_ros2_dds.proving.governing import Governing, cuts
+from keymint_ros2_dds.proving.opening import NOTHING, REFUSED, WILDCARDS, Regions, regions, without_wildcards
+from keymint_ros2_dds.proving.opening import difference as governed_difference
 
 ACTIONS = ("publish", "subscribe")
 LAST_DOMAIN = 232
 """The highest domain id whose ports exist for any participant (DDSI-RTPS 2.3, 9.6.1.1)."""
 _ALWAYS = (
-    "the governance document puts every topic under access control, and its domain rules let the subject join",
+    "the governance that counts is that of the subject's own enclave: a participant's local checks read no other",
+    "packets are protected as the governance says: where it neither signs nor encrypts, the network is trusted",
     "a grant of the subject, for Cyclone DDS its first one, is valid at the time",
     "ROS names are mapped as the distribution documents it",
     "an endpoint has one partition, whose name is text, and no data tags (of several, each must be permitted)",
@@ -36,12 +42,13 @@ ASSUMPTIONS: Mapping[str, tuple[str, ...]] = MappingProxyType(
         "omg": ("documents are read as DDS Security 1.1 says (9.4.1.3)", *_ALWAYS),
         "cyclonedds-0.10": (
             "documents are read as Cyclone DDS 0.10.2 was measured to read them; its topic check is part of the model",
+            "no application creates the built-in topics (DCPS…), about which Cyclone DDS asks no document",
             *_ALWAYS,
         ),
         "fastdds-2.9": (
             "documents are read as Fast DDS 2.9.1 was measured to read them",
             "names beyond ASCII are compared as in the C locale, by byte; in others, as Python sets, also by character",
-            "participants are in the domains of the policy: local checks do not look at domains",
+            "participants are in the domains of the policy: local checks do not look at domains of permissions",
             "local time is UTC, in which Fast DDS takes the dates of a grant to be",
             *_ALWAYS,
         ),
@@ -78,11 +85,13 @@ class Question:
         document: the document.
         held: what it is held against.
         lowered: the rules of that on the level of DDS, from :func:`keymint_ros2_dds.compiling.lower.lower`.
+        governing: the governance beside it; None puts every topic, and joining, under access control.
     """
 
     document: PermissionsDocument
     held: Held
     lowered: Lowered
+    governing: Governing | None = None
 
 
 def prove_document(question: Question, *, models: Sequence[str] | None = None) -> tuple[Claim, ...]:
@@ -112,27 +121,54 @@ class _Era:
     end: datetime
 
 
+@dataclass(frozen=True, slots=True)
+class _Permitted:
+    """What documents permit.
+
+    Attributes:
+        lists: decision lists of the permissions, of which all must permit.
+        regions: what the governance makes of topics, if it does not put each under access control.
+        exempt: permits the topics that the sources leave open on purpose.
+        both_ways: names with wildcards are left out, since they are compared both ways with topic rules.
+    """
+
+    lists: tuple[DecisionList, ...]
+    regions: Regions | None = None
+    exempt: DecisionList = NOTHING
+    both_ways: bool = False
+
+
+_NONE = _Permitted((NOTHING,))
+
+
 class _Comparison:
     """What a policy says, held against decision lists of the document: once for all models that read it alike."""
 
     def __init__(self, question: Question) -> None:
         self._question = question
-        self.pairs = lists.has_partitions(question.lowered, question.document.grants)
+        opens = question.governing is not None and question.governing.opens()
+        self.pairs = opens or lists.has_partitions(question.lowered, question.document.grants)
         self._universe = Universe(
             octets.ALPHABET, fields=2 if self.pairs else 1, separator=lists.SEPARATOR, last_nonempty=True
         )
         self._said = {action: lists.of_policy(question.lowered, action, pairs=self.pairs) for action in ACTIONS}
-        self._known: dict[tuple[DecisionList, tuple[DecisionList, ...]], Outcome] = {}
+        self._known: dict[tuple[object, ...], Outcome] = {}
 
-    def of(self, action: str, permitted: tuple[DecisionList, ...], *, inside: bool) -> Outcome:
+    def of(self, action: str, permitted: _Permitted, *, inside: bool) -> Outcome:
         """Compare what the policy says of an action, inside or outside of its domains, with what is permitted."""
         said = self._said[action] if inside else ()
         key = (said, permitted)
         found = self._known.get(key)
         if found is None:
             budget = Budget(self._question.held.states, self._question.held.go_on)
-            found = self._known[key] = difference(said, *permitted, universe=self._universe, budget=budget)
+            found = self._known[key] = self._compared(said, permitted, budget)
         return found
+
+    def _compared(self, said: DecisionList, permitted: _Permitted, budget: Budget) -> Outcome:
+        if permitted.regions is None:
+            return difference(said, *permitted.lists, universe=self._universe, budget=budget)
+        universe = without_wildcards(self._universe) if permitted.both_ways else self._universe
+        return governed_difference(said, permitted.lists, permitted.regions, permitted.exempt, universe, budget)
 
 
 @cache
@@ -151,6 +187,14 @@ class _Model:
         self._semantics = _semantics(name)
         self._refused = self._semantics.refuses(question.document)
         self._untold = "" if self._refused else self._semantics.untold(question.document)
+        self._governing = question.governing
+        self._governed: dict[int, Governed] = {}
+        if self._governing is not None:
+            self._refused = self._refused or self._semantics.governance_refuses(self._governing.document)
+            if not self._refused:
+                governance = self._governing.document
+                odd = self._semantics.governance_untold(governance) or self._governing.outlandish()
+                self._untold = self._untold or odd
         self._eras = () if self._refused else tuple(_eras(question, self._semantics))
         grants = [era.grant for era in self._eras]
         about = (question.document, grants, question.held.rules, self._semantics)
@@ -165,6 +209,22 @@ class _Model:
                 # That nothing is permitted where the policy does not hold is said only where it is wrong.
                 if inside or claim.proof is not Proof.PROVEN:
                     yield claim
+        if self._governing is not None and not self._refused and not self._untold:
+            names = Universe(octets.ALPHABET, last_nonempty=True)
+            subject, model = self._question.held.rules.subject, self._variation.name
+            yield from protection.claims(subject, model, self._semantics, self._governing, names, self._budget())
+
+    def _budget(self) -> Budget:
+        return Budget(self._question.held.states, self._question.held.go_on)
+
+    def _rule(self, domain: int) -> Governed | None:
+        """Return what the governance says in a domain; None where there is no governance in question."""
+        if self._governing is None:
+            return None
+        found = self._governed.get(domain)
+        if found is None:
+            found = self._governed[domain] = Governed.of(self._governing.document, domain, self._semantics)
+        return found
 
     def _domains(self) -> Iterator[tuple[tuple[DomainRange, ...], bool]]:
         """Yield groups of domains in which policy and document are the same, and whether the policy holds there."""
@@ -175,26 +235,38 @@ class _Model:
         for each in (each for rule in rules for each in rule.domains):
             first = each.first or 0
             edges |= {first, first + 1, *(() if each.last is None else (each.last + 1,))}
-        cuts = [*sorted(edge for edge in edges if 0 <= edge <= LAST_DOMAIN), LAST_DOMAIN + 1]
+        if self._governing is not None:
+            documents = (self._governing.document, self._governing.sources)
+            edges |= {each.first for each in cuts(*documents, last=LAST_DOMAIN)}
+        steps = [*sorted(edge for edge in edges if 0 <= edge <= LAST_DOMAIN), LAST_DOMAIN + 1]
         permits_more = self._semantics.default_counts and any(grant.allows for grant in grants)
-        groups: dict[tuple[bool, ...], list[DomainRange]] = {}
-        for first, following in pairwise(cuts):
+        groups: dict[tuple[object, ...], list[DomainRange]] = {}
+        for first, following in pairwise(steps):
             inside = any(d.first <= first <= d.last for d in wanted)
             held = [lists.holds(rule, first, self._semantics) for rule in rules]
+            governed = self._rule(first)
+            rule = None if governed is None else governed.rule
+            opens = rule is not None and any(
+                not each.controls(action) for each in rule.topic_rules for action in ACTIONS
+            )
             # Where neither policy nor document says anything there is nothing to compare.
-            if inside or (self._semantics.domains_count and (permits_more or any(held))):
-                groups.setdefault((inside, *held), []).append(DomainRange(first, following - 1))
+            if inside or opens or (self._semantics.domains_count and (permits_more or any(held))):
+                accepted = None if self._governing is None else self._governing.accepted_rule(first)
+                groups.setdefault((inside, rule, accepted, *held), []).append(DomainRange(first, following - 1))
         for kind, domains in groups.items():
-            yield tuple(_joined(domains)), kind[0]
+            yield tuple(_joined(domains)), bool(kind[0])
 
     def _claim(self, action: str, domains: tuple[DomainRange, ...], *, inside: bool) -> Claim:
-        pairs = self._comparison.pairs
-        universe = octets.PAIRS if pairs else octets.TOPICS
+        universe = octets.PAIRS if self._comparison.pairs else octets.TOPICS
+        if self._both_ways(domains[0].first, action):
+            universe += f"; without {' '.join(WILDCARDS)}, which topic rules of the governance are compared with"
 
         def claim(
             proof: Proof, reason: str = "", counterexample: Counterexample | None = None, *, spent: bool = False
         ) -> Claim:
-            return Claim(self._variation.name, action, domains, universe, proof, reason, counterexample, spent)
+            excepted = self._excepted(action, domains[0].first) if proof is Proof.PROVEN else ()
+            name = self._variation.name
+            return Claim(name, action, domains, universe, proof, reason, counterexample, spent, excepted)
 
         if self._untold:
             return claim(Proof.UNKNOWN, self._untold)
@@ -214,16 +286,48 @@ class _Model:
 
     def _compare(self, era: _Era | None, action: str, domain: int, *, inside: bool) -> Outcome:
         """Compare what the policy says with what is permitted while a grant is in force, or where none ever is."""
-        pairs = self._comparison.pairs
-        permitted: tuple[DecisionList, ...] = ((),)
-        if era is not None:
-            permitted = lists.of_grant(era.grant, domain, action, self._semantics, pairs=pairs)
+        permitted = _NONE if era is None else self._permitted(era.grant, action, domain, inside=inside)
         return self._comparison.of(action, permitted, inside=inside)
+
+    def _permitted(self, grant: Grant, action: str, domain: int, *, inside: bool) -> _Permitted:
+        """Return what is permitted while a grant is in force."""
+        pairs, semantics = self._comparison.pairs, self._semantics
+        own = lists.of_grant(grant, domain, action, semantics, pairs=pairs)
+        governed = self._rule(domain)
+        if governed is None or self._governing is None:
+            return _Permitted(own)
+        default = semantics.default_counts and grant.allows
+        joins = default or any(rule.allows and lists.holds(rule, domain, semantics) for rule in semantics.rules(grant))
+        if governed.rule is None:
+            return _Permitted(own, REFUSED) if inside else _Permitted(own)
+        if not governed.admits(joins=joins):
+            return _NONE
+        found = regions(governed.rule, action, semantics, pairs=pairs)
+        if found.closed:
+            return _Permitted(own)
+        if not inside and not semantics.domains_count:
+            own = (NOTHING,)  # that the permissions are not used there is assumed
+        accepted = self._governing.accepted_rule(domain)
+        exempt = NOTHING if accepted is None else regions(accepted, action, semantics, pairs=pairs).opened
+        return _Permitted(own, found, exempt, semantics.topic_rules_both_ways)
+
+    def _both_ways(self, domain: int, action: str) -> bool:
+        """Tell whether names with wildcards are left out of a claim."""
+        governed = self._rule(domain)
+        if governed is None or governed.rule is None or not self._semantics.topic_rules_both_ways:
+            return False
+        return not regions(governed.rule, action, self._semantics, pairs=self._comparison.pairs).closed
+
+    def _excepted(self, action: str, domain: int) -> tuple[str, ...]:
+        governed = self._rule(domain)
+        if self._governing is None or governed is None or governed.rule is None:
+            return ()
+        return tuple(self._governing.excepted(governed.rule, action, domain))
 
     def _refuted(
         self, claim: _Claiming, action: str, domain: int, era: _Era | None, witness: Witness, *, inside: bool
     ) -> Claim:
-        found = self._counterexample(action, domain, era, witness.word, inside=inside)
+        found = self._counterexample(action, domain, era, witness.word, inside=inside, permitted=not witness.left)
         if found.policy.allowed is not witness.left or found.document.allowed is witness.left:
             name = found.endpoint.object.name
             return claim(
@@ -231,7 +335,9 @@ class _Model:
             )
         return claim(Proof.COUNTEREXAMPLE, "", found)
 
-    def _counterexample(self, action: str, domain: int, era: _Era | None, word: str, *, inside: bool) -> Counterexample:
+    def _counterexample(
+        self, action: str, domain: int, era: _Era | None, word: str, *, inside: bool, permitted: bool
+    ) -> Counterexample:
         asked = self._question.held
         pair = word.split(lists.SEPARATOR) if self._comparison.pairs else ("", word)
         partition, topic = map(octets.in_text, pair)
@@ -245,34 +351,49 @@ class _Model:
             )
         else:
             said = PolicyDecision(allowed=False, where=None, reason="no rule allows it" if inside else "not its domain")
+        verdict = self._verdict(action, domain, era, (topic, partition), permitted=permitted)
         return Counterexample(
             Edge(rules.subject, action, edges[0].object, domain),
             next((edge for edge in edges[1:] if policy.is_ros_name(edge.object.name)), None),
             said,
-            self._verdict(action, domain, era, topic, partition),
+            verdict,
+            protection.help_for(self._governing, domain) if verdict.where else "",
         )
 
-    def _verdict(self, action: str, domain: int, era: _Era | None, topic: str, partition: str) -> Verdict:
-        """Return what the decision point says, read by this model."""
-        question = self._question
+    def _verdict(
+        self, action: str, domain: int, era: _Era | None, name: tuple[str, str], *, permitted: bool
+    ) -> Verdict:
+        """Return what the decision point says of a topic and partition, read by this model.
+
+        Where the engine says that it is permitted, the permissions alone may do so: a peer goes by its own governance.
+        """
+        question, (topic, partition) = self._question, name
         if self._refused:
             return Verdict(allowed=False, reason=self._refused)
         if era is None:
             return self._never()
         now = era.begin
 
-        def ask(variation: Variation) -> Decision:
+        def ask(variation: Variation) -> tuple[Decision, Origin | None]:
             judge = Judge(question.document, question.held.subject_name, now, domain, variation)
-            return judge.decide(action, topic, (partition,) if partition else ())
+            partitions = (partition,) if partition else ()
+            if self._governing is None:
+                return judge.decide(action, topic, partitions), None
+            governed = Governed.of(self._governing.document, domain, variation.semantics)
+            found, where = governed.decide(judge, action, topic, partitions)
+            if not found.allowed and permitted and (alone := judge.decide(action, topic, partitions)).allowed:
+                reason = f"{alone.reason}; only the governance of this enclave refuses it: peers go by their own"
+                return Decision(alone.outcome, alone.line, reason), None
+            return found, where
 
-        found = ask(self._variation)
+        found, where = ask(self._variation)
         deviation = ""
-        if self._variation.name != OMG.name and ask(OMG).allowed is not found.allowed:
-            deviation = "; ".join(map(str, decision.explain(lambda asked: ask(asked).allowed, self._variation)))
+        if self._variation.name != OMG.name and ask(OMG)[0].allowed is not found.allowed:
+            deviation = "; ".join(map(str, decision.explain(lambda asked: ask(asked)[0].allowed, self._variation)))
         reason = found.reason
         if len(self._eras) > 1:
             reason += f" (by the grant in force from {era.begin:{_DATE}} to {era.end:{_DATE}})"
-        return Verdict(found.allowed, reason, found.line, deviation)
+        return Verdict(found.allowed, reason, found.line, deviation, where)
 
     def _never(self) -> Verdict:
         """Return why no grant is ever in force."""

@@ -9,6 +9,7 @@ from keymint.api import Claim, Proof
 from keymint_ros2_dds import decision
 from keymint_ros2_dds.compiling.lower import Lowered, lower
 from keymint_ros2_dds.proving.claims import ASSUMPTIONS, Held, Question, prove_document
+from keymint_ros2_dds.proving.governing import Governing
 
 MOST = 10_000
 """Documents whose claims are remembered."""
@@ -23,6 +24,7 @@ def prove_content(
     *,
     models: Sequence[str] | None = None,
     lowered: Lowered | None = None,
+    governing: Governing | None = None,
 ) -> tuple[Claim, ...]:
     """Return the claims about a document, by model, action and domains.
 
@@ -32,17 +34,23 @@ def prove_content(
         held: what it is held against.
         models: names of the models, of :data:`ASSUMPTIONS`; None: all.
         lowered: the rules on the level of DDS, where they are known.
+        governing: the governance beside the document; None puts everything under access control.
 
     Raises:
         KeymintError: the document cannot be read, or a rule cannot be mapped.
     """
     names = tuple(ASSUMPTIONS if models is None else models)
-    key = _key(content, held, names)
+    if governing is not None and governing.transparent(held.domains):
+        # What is proven without a governance is proven beside one that puts everything under access control.
+        claims = prove_content(content, place, held, models=models, lowered=lowered)
+        if all(claim.proof is Proof.PROVEN for claim in claims):
+            return claims
+    key = _key(content, held, names, governing)
     known = _proven.get(key)
     if known is not None:
         return known
     document = decision.read(content, *place)
-    question = Question(document, held, lower(held.rules, held.distro) if lowered is None else lowered)
+    question = Question(document, held, lower(held.rules, held.distro) if lowered is None else lowered, governing)
     claims = prove_document(question, models=names)
     # What is proven is so wherever the document lies; of what is not, the places are said.
     if len(_proven) < MOST and all(claim.proof is Proof.PROVEN for claim in claims):
@@ -50,8 +58,9 @@ def prove_content(
     return claims
 
 
-def _key(content: bytes, held: Held, models: tuple[str, ...]) -> bytes:
+def _key(content: bytes, held: Held, models: tuple[str, ...], governing: Governing | None) -> bytes:
     """Return a digest of all that proven claims depend on."""
     rules = tuple((r.effect, r.kind, r.permissions, r.expressions, r.partitions) for r in held.rules.rules)
     said = repr((held.subject_name, held.rules.subject, rules, held.distro, held.domains, models))
+    said += "" if governing is None else governing.key.hex()
     return hashlib.sha256(hashlib.sha256(content).digest() + said.encode()).digest()

@@ -9,11 +9,12 @@ from keymint.errors import KeymintError, Origin
 from keymint.pki import smime
 from keymint_ros2_dds import decision
 from keymint_ros2_dds.document import PERMISSIONS_XML
-from keymint_ros2_dds.install import CERTIFICATE, PERMISSIONS_P7S
+from keymint_ros2_dds.install import CERTIFICATE, GOVERNANCE_P7S, PERMISSIONS_P7S
 from keymint_ros2_dds.proving import validity
 from keymint_ros2_dds.proving.anchors import differences
 from keymint_ros2_dds.proving.claims import Held
 from keymint_ros2_dds.proving.content import prove_content
+from keymint_ros2_dds.proving.governing import Governing
 from keymint_ros2_dds.transports.files import subject_name
 
 
@@ -42,7 +43,7 @@ def prove(obligation: Obligation, *, models: Sequence[str] | None = None) -> tup
         obligation.states,
         obligation.go_on,
     )
-    return prove_content(content, place, held, models=models)
+    return prove_content(content, place, held, models=models, governing=_governing(obligation))
 
 
 def terms(files: Mapping[str, bytes], folder: str, anchors: Anchors) -> tuple[Term, ...]:
@@ -64,6 +65,15 @@ def _document(files: Mapping[str, bytes], folder: str, anchors: Anchors) -> tupl
     same = files.get(PERMISSIONS_XML) == signed.content
     name, offset = (PERMISSIONS_XML, 0) if same else (PERMISSIONS_P7S, signed.lines_before)
     return signed.content, (f"{folder}/{name}", offset)
+
+
+def _governing(obligation: Obligation) -> Governing:
+    """Read the signed governance beside what the sources say of it."""
+    file = f"{obligation.folder}/{GOVERNANCE_P7S}"
+    document = _file(obligation.files, obligation.folder, GOVERNANCE_P7S)
+    signed = smime.read(document, obligation.anchors.permissions.chain, where=Origin(file))
+    place = (file, signed.lines_before)
+    return Governing.of(signed.content, place, obligation.governance, obligation.rules.subject, obligation.distro)
 
 
 def _subject_name(files: Mapping[str, bytes], folder: str) -> str:

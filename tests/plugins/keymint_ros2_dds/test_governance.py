@@ -9,7 +9,7 @@ from keymint_ros2_dds import build_type
 from lxml import etree
 
 from keymint.api import BuildOptions, DomainRange
-from keymint.errors import KeymintError
+from keymint.errors import KeymintError, Origin
 
 from .packages import domain_rule, package, protection, rule
 
@@ -75,7 +75,7 @@ def test_expressions_over_ros_names_are_mapped_in_their_order():
 def test_it_always_ends_with_every_topic():
     built = build(protection("ros_topic", "/chatter", enable_read_access_control=False, data_protection_kind="NONE"))
     assert expressions(built) == ["rt/chatter", "*"]
-    assert [found.code for found in built.diagnostics] == ["governance-open-end"]
+    assert [found.code for found in built.diagnostics] == ["governance-open-end", "governance-open"]
     last = etree.fromstring(built.documents["governance.xml"]).findall(".//topic_rule")[-1]
     assert last.findtext("enable_read_access_control") == "true"
     assert last.findtext("data_protection_kind") == "ENCRYPT"
@@ -101,9 +101,11 @@ def test_unknown_kinds_of_a_topic_rule_are_refused():
 
 def test_unauthenticated_participants_with_protected_rtps():
     assert codes(allow_unauthenticated_participants=True) == ["portability-unauthenticated"]
-    assert build(allow_unauthenticated_participants=True, rtps_protection_kind="NONE").diagnostics == ()
+    assert [
+        found.code for found in build(allow_unauthenticated_participants=True, rtps_protection_kind="NONE").diagnostics
+    ] == ["governance-open-join"]
     lenient = build(allow_unauthenticated_participants=True, options=LENIENT)
-    assert [found.code for found in lenient.diagnostics] == ["portability-unauthenticated"]
+    assert [found.code for found in lenient.diagnostics] == ["portability-unauthenticated", "governance-open-join"]
 
 
 def test_expressions_that_vendors_read_differently():
@@ -126,3 +128,69 @@ def test_no_domain_rule_at_all():
     loaded = package(rule("ALLOW", "ros_topic", "ros_publish", "/chatter"))
     with pytest.raises(KeymintError, match="no domain rule"):
         build_type.build(replace(loaded, governance=replace(loaded.governance, domain_rules=())), STRICT)
+
+
+@pytest.mark.parametrize(
+    ("kind", "expression", "why", "mend"),
+    [
+        ("ros_topic", "chatter", "every ROS name begins with '/'", "write '/chatter'"),
+        ("ros_service", "robot*/add", "every ROS name begins with '/'", "write '/robot*/add'"),
+        ("ros_topic", "rt/chatter", "the name of a DDS topic", "<topic_rule>, or '/chatter' here"),
+        ("ros_topic", "~/chatter", "every ROS name begins with '/'", "the whole name"),
+        ("ros_action", "/rover/(turn|move)", "no ROS name has '('", "letters, digits"),
+        ("ros_topic", "/scan.raw", "no ROS name has '.'", "letters, digits"),
+        ("ros_topic", "/scan//raw", "no ROS name has '//'", "single slashes"),
+        ("ros_parameter", "/node/", "no ROS name ends with '/'", "single slashes"),
+        ("topic", "rt/[]", "no name to match", "remove the rule"),
+    ],
+)
+def test_an_expression_that_matches_no_name_is_an_error_that_says_why(kind, expression, why, mend):
+    if expression == "rt/[]":
+        expression = "rt/[z-a]"
+    with pytest.raises(KeymintError) as caught:
+        build(protection(kind, expression, data_protection_kind="NONE"), protection(), options=LENIENT)
+    (found,) = caught.value.diagnostics
+    assert (found.code, found.severity, str(found.where)) == ("governance-never-matches", "error", "policy.xml:7")
+    assert f"{expression!r}" in found.message
+    assert why in found.message
+    assert mend in found.help
+
+
+def test_what_the_sources_open_is_a_warning_at_the_rule_and_a_note_where_the_profile_accepts_it():
+    where = Origin("governance.xml", 31)
+    topic = protection("ros_topic", "/diagnostics", enable_write_access_control=False, origin=where)
+    loaded = package(rule("ALLOW", "ros_topic", "ros_publish", "/chatter"))
+    for accepts, severity in ((False, "warning"), (True, "note")):
+        rules = (domain_rule(topic, protection(), enable_join_access_control=False),)
+        governance = replace(loaded.governance, domain_rules=rules, accepts_open=accepts)
+        said = build_type.build(replace(loaded, governance=governance), STRICT).diagnostics
+        assert [(each.code, each.severity) for each in said] == [
+            ("governance-open-join", severity), ("governance-open", severity),
+        ]  # fmt: skip
+        assert str(said[1].where) == "governance.xml:31"
+        assert "enable_write_access_control is false for '/diagnostics'" in said[1].message
+        assert ("<accept><open_governance/></accept>" in said[1].help) is not accepts
+
+
+def test_what_the_policy_allows_everybody_in_every_partition_is_not_opened():
+    everything = rule("ALLOW", "topic", "publish", "raw*", partitions=("*",))
+    topics = (protection("topic", "raw?", enable_write_access_control=False), protection())
+    governance = replace(package().governance, domain_rules=(domain_rule(*topics),))
+    assert build_type.build(replace(package(everything), governance=governance), STRICT).diagnostics == ()
+    denied = package(everything, rule("DENY", "topic", "publish", "rawx"))
+    said = build_type.build(replace(denied, governance=governance), STRICT).diagnostics
+    assert [each.code for each in said if each.code.startswith("governance")] == ["governance-open"]
+
+
+def test_a_rule_that_never_counts_opens_nothing():
+    open_ = protection(enable_read_access_control=False)
+    assert [found.code for found in build(protection(), open_).diagnostics] == ["governance-shadowed"]
+    loaded = package(rule("ALLOW", "ros_topic", "ros_publish", "/chatter"))
+    governance = replace(loaded.governance, domain_rules=(domain_rule(), domain_rule(open_)))
+    assert build_type.build(replace(loaded, governance=governance), STRICT).diagnostics == ()
+
+
+def test_topics_that_nothing_protects_are_said():
+    topic = protection(metadata_protection_kind="NONE", data_protection_kind="NONE")
+    assert [found.code for found in build(topic, rtps_protection_kind="NONE").diagnostics] == ["governance-unprotected"]
+    assert build(topic).diagnostics == ()

@@ -1,0 +1,438 @@
+"""Is what a governance opens found, always? Random governance documents, permissions and policies, held three ways.
+
+For each document and domain, every name of a small set is decided by brute force (written here a second time), by the
+decision point, and by the real access-control plugin of Cyclone DDS; for a few documents also by participants of Fast
+DDS. The claims are held against that: what is proven has no name on which document and policy differ, and every
+counterexample is one. Prints the counts, and every disagreement; ends with 1 if there is any.
+
+usage: python benchmarks/open_governance.py [--documents N] [--fastdds N] [--seed N]
+"""
+
+from __future__ import annotations
+
+import argparse
+import fnmatch
+import random
+import sys
+import tempfile
+from collections import Counter
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from datetime import UTC, datetime, timedelta
+from pathlib import Path
+from xml.sax.saxutils import escape
+
+from agreement import Enclaves
+from documents import Writer
+from keymint_ros2_dds import decision
+from keymint_ros2_dds.compiling.lower import lower
+from keymint_ros2_dds.decision import VARIATIONS, Judge, governance
+from keymint_ros2_dds.decision.access import Governed
+from keymint_ros2_dds.proving import Held, Question, prove_document
+from keymint_ros2_dds.proving.governing import Governing
+from keymint_ros2_dds.transports.files import subject_name
+from keymint_ros2_dds.vendors import probes
+from keymint_ros2_dds.vendors.cyclone_access_control import AccessControl
+from keymint_ros2_dds.vendors.participants import FastDDS, ProbeError, RefusedError, System
+
+from keymint.api import Claim, DomainRange, Proof
+from keymint.errors import Origin
+from keymint.ir import Effect, Rule, SubjectRules
+
+MODELS = ("omg", "cyclonedds-0.10", "fastdds-2.9")
+ACTIONS = ("publish", "subscribe")
+NAMES = ("rt/a", "rt/b", "rt/ab", "rt/a/b", "rt/ba", "rt/", "rt/]", "rt", "rq/a", "x", "xa", "rt/?", "*")
+FAST = "fastdds-2.9"
+PARTITIONS: tuple[tuple[str, ...], ...] = ((), ("p",))
+DOMAINS = (0, 1, 2)
+_EXPRESSIONS = ("*", "*", "*", "rt/*", "rt/a", "rt/b", "rt/a*", "rt/?", "*b", "r[tq]/*", "x", "rt/[!a]")
+_LISTED = ("<id>0</id>", "<id>0</id>", "<id>1</id>", "<id>0</id><id>2</id>",
+           "<id_range><min>0</min><max>1</max></id_range>", "<id_range><min>0</min></id_range>")  # fmt: skip
+_HERE = Origin("policy")
+
+
+@dataclass(frozen=True)
+class Topic:
+    """A topic rule."""
+
+    expression: str
+    read: bool
+    write: bool
+
+
+@dataclass(frozen=True)
+class Domain:
+    """A domain rule."""
+
+    listed: str
+    join: bool
+    unauthenticated: bool
+    topics: tuple[Topic, ...]
+
+    def about(self, domain: int, *, exact: bool) -> bool:
+        """Tell whether the rule is about a domain; vendors take a minimum alone for one domain."""
+        if "<max>" in self.listed:
+            return domain <= 1
+        if "<min>" in self.listed:
+            return domain == 0 if exact else True
+        return f"<id>{domain}</id>" in self.listed
+
+
+@dataclass(frozen=True)
+class Case:
+    """What is compared: a policy, a grant that may say otherwise, and a governance."""
+
+    domains: tuple[Domain, ...]
+    granted: tuple[tuple[str, str, str], ...]
+    said: tuple[tuple[str, str, str], ...]
+
+
+class Cases:
+    """Random cases."""
+
+    def __init__(self, seed: int) -> None:
+        self._random = random.Random(seed)
+
+    def next(self) -> Case:
+        """Return the next case."""
+        some = self._random
+        said = tuple(self._rule() for _ in range(some.choice([0, 1, 2, 3])))
+        granted = said if self._likely(70) else tuple(self._rule() for _ in range(some.choice([0, 1, 2])))
+        return Case(tuple(self._domain() for _ in range(some.choice([1, 1, 2]))), granted, said)
+
+    def _likely(self, percent: int) -> bool:
+        return self._random.randrange(100) < percent
+
+    def _domain(self) -> Domain:
+        some = self._random
+        topics = [self._topic() for _ in range(some.choice([0, 1, 2, 3]))]
+        if self._likely(75) or not topics:
+            topics.append(Topic("*", self._likely(85), self._likely(85)))
+        return Domain(some.choice(_LISTED), self._likely(80), self._likely(10), tuple(topics))
+
+    def _topic(self) -> Topic:
+        some = self._random
+        closed = self._likely(50)
+        return Topic(some.choice(_EXPRESSIONS), closed or self._likely(50), closed or self._likely(50))
+
+    def _rule(self) -> tuple[str, str, str]:
+        some = self._random
+        return some.choice(["allow", "allow", "deny"]), some.choice(ACTIONS), some.choice([*_EXPRESSIONS, *NAMES])
+
+
+def governance_of(case: Case) -> bytes:
+    """Return the governance document of a case."""
+    rules = "".join(
+        f"<domain_rule>\n<domains>{each.listed}</domains>\n"
+        f"<allow_unauthenticated_participants>{_boolean(each.unauthenticated)}</allow_unauthenticated_participants>\n"
+        f"<enable_join_access_control>{_boolean(each.join)}</enable_join_access_control>\n"
+        "<discovery_protection_kind>NONE</discovery_protection_kind>\n"
+        "<liveliness_protection_kind>NONE</liveliness_protection_kind>\n"
+        "<rtps_protection_kind>NONE</rtps_protection_kind>\n"
+        f"<topic_access_rules>{''.join(map(_topic_rule, each.topics))}</topic_access_rules></domain_rule>\n"
+        for each in case.domains
+    )
+    head = '<?xml version="1.0" encoding="UTF-8"?>\n'
+    return f"{head}<dds><domain_access_rules>{rules}</domain_access_rules></dds>\n".encode()
+
+
+def _topic_rule(topic: Topic) -> str:
+    return (
+        f"<topic_rule>\n<topic_expression>{escape(topic.expression)}</topic_expression>\n"
+        "<enable_discovery_protection>false</enable_discovery_protection>\n"
+        "<enable_liveliness_protection>false</enable_liveliness_protection>\n"
+        f"<enable_read_access_control>{_boolean(topic.read)}</enable_read_access_control>\n"
+        f"<enable_write_access_control>{_boolean(topic.write)}</enable_write_access_control>\n"
+        "<metadata_protection_kind>NONE</metadata_protection_kind>\n"
+        "<data_protection_kind>NONE</data_protection_kind></topic_rule>\n"
+    )
+
+
+def _boolean(value: bool) -> str:
+    return "true" if value else "false"
+
+
+def permissions_of(case: Case, subject: str, now: datetime) -> bytes:
+    """Return the permissions document of a case: deny first, in domain 0."""
+    rules = "".join(
+        f"<{effect}_rule><domains><id>0</id></domains>\n<{action}><topics><topic>{escape(expression)}</topic></topics>"
+        f"</{action}></{effect}_rule>\n"
+        for wanted in ("deny", "allow")
+        for effect, action, expression in case.granted
+        if effect == wanted
+    )
+    begin, end = (f"{now + timedelta(days=days):%Y-%m-%dT%H:%M:%S}" for days in (-2, 900))
+    return (
+        f'<?xml version="1.0" encoding="UTF-8"?>\n<dds><permissions><grant name="g">'
+        f"<subject_name>{escape(subject)}</subject_name>"
+        f"<validity><not_before>{begin}</not_before><not_after>{end}</not_after></validity>"
+        f"{rules}<default>DENY</default></grant></permissions></dds>\n"
+    ).encode()
+
+
+def by_policy(case: Case, action: str, topic: str, partitions: Sequence[str], domain: int) -> bool:
+    """Decide by the policy: deny overrides, and only the default partition is allowed."""
+    if domain != 0:
+        return False
+    about = [effect for effect, own, expression in case.said if own == action and _matches(expression, topic)]
+    return "deny" not in about and "allow" in about and not any(partitions)
+
+
+def by_permissions(
+    case: Case, model: str, action: str, topic: str, partitions: Sequence[str], domain: int, *, topic_check: bool = True
+) -> bool:
+    """Decide by the grant alone."""
+    if domain != 0 and model != FAST:
+        return False
+    rules = [each for effect in ("deny", "allow") for each in case.granted if each[0] == effect]
+    if model == "cyclonedds-0.10" and topic_check:
+        named = next((effect for effect, _, expression in rules if _matches(expression, topic, model)), "deny")
+        if named == "deny":
+            return False
+    for effect, own, expression in rules:
+        if own != action or not _matches(expression, topic, model):
+            continue
+        if effect == "deny" and (model != "cyclonedds-0.10" or not any(partitions)):
+            return False
+        if effect == "allow" and model == FAST:
+            return not any(partitions)  # the first rule that names the topic decides
+        if effect == "allow" and not any(partitions):
+            return True
+    return False
+
+
+def by_documents(case: Case, model: str, action: str, topic: str, partitions: Sequence[str], domain: int) -> bool:
+    """Decide by governance and grant."""
+    exact = model != "omg"
+    rule = next((each for each in case.domains if each.about(domain, exact=exact)), None)
+    if rule is None:
+        return False
+    fast = model == FAST
+    joins = any(effect == "allow" for effect, _, _ in case.granted) and (domain == 0 or fast)
+    if not joins and (fast or (rule.join and all(each.read and each.write for each in rule.topics))):
+        return False
+    found = next((each for each in rule.topics if _matches(each.expression, topic, model, ruling=True)), None)
+    if found is None:
+        return False
+    if not (found.write if action == "publish" else found.read):
+        return True
+    check = found.read and found.write
+    return by_permissions(case, model, action, topic, partitions, domain, topic_check=check)
+
+
+def _matches(expression: str, topic: str, model: str = "", *, ruling: bool = False) -> bool:
+    """Match as a model does; Fast DDS takes a topic for an expression about those of a governance, too."""
+    if model == "cyclonedds-0.10":
+        expression = expression.replace("[!", "[!]") if "[!" in expression else expression.replace("[", "[]")
+    if ruling and model == FAST and fnmatch.fnmatchcase(expression, topic):
+        return True
+    return fnmatch.fnmatchcase(topic, expression)
+
+
+def rules_of(case: Case, subject: str) -> SubjectRules:
+    """Return the policy of a case."""
+    return SubjectRules(
+        subject,
+        tuple(Rule(Effect(e.upper()), "topic", (action,), (x,), (), False, _HERE) for e, action, x in case.said),
+    )
+
+
+def claims_of(case: Case, permissions: bytes, subject: str) -> tuple[Claim, ...]:
+    """Return the claims about the documents of a case."""
+    rules = rules_of(case, "/robot")
+    held = Held(subject, rules, "humble", (DomainRange(0, 0),), 50_000, lambda: True)
+    governing = Governing.of(governance_of(case), ("governance.p7s", 0), None, "/robot", "humble")
+    return prove_document(Question(decision.read(permissions), held, lower(rules, "humble"), governing))
+
+
+def wrong_claims(case: Case, claims: Sequence[Claim], counts: Counter[str]) -> Iterator[str]:
+    """Yield what is wrong with claims, by brute force."""
+    for model in MODELS:
+        for domain in DOMAINS:
+            for action in ACTIONS:
+                covered = [
+                    claim
+                    for claim in claims
+                    if (claim.model, claim.action) == (model, action)
+                    and any(each.first <= domain <= each.last for each in claim.domains)
+                ]
+                differing = [
+                    (name, partitions)
+                    for name in NAMES
+                    for partitions in PARTITIONS
+                    if not (model == FAST and set(name) & set("*?["))
+                    and not (model == FAST and domain and not _opened(case, action, name, domain))
+                    and by_policy(case, action, name, partitions, domain)
+                    != by_documents(case, model, action, name, partitions, domain)
+                ]
+                if differing and not any(claim.proof is Proof.COUNTEREXAMPLE for claim in covered):
+                    yield f"missed: {model} {action} in domain {domain}: {differing[:3]}"
+                counts["differing"] += bool(differing)
+    for claim in claims:
+        counts[f"claims {claim.proof}"] += 1
+        if claim.proof is Proof.UNKNOWN:
+            yield f"unknown: {claim}"
+        if claim.counterexample is None or claim.action not in ACTIONS:
+            continue
+        found = claim.counterexample
+        name, partitions, domain = found.endpoint.object.name, found.endpoint.object.partitions, found.endpoint.domain
+        said = by_policy(case, claim.action, name, partitions, domain)
+        permitted = by_documents(case, claim.model, claim.action, name, partitions, domain)
+        alone = by_permissions(case, claim.model, claim.action, name, partitions, domain)
+        peers = "peers go by their own" in found.document.reason
+        decided = alone if peers else permitted
+        if not said == found.policy.allowed != found.document.allowed == decided:
+            yield f"no counterexample: {claim}"
+        counts["of permissions alone"] += peers
+    yield from _of_domains(case, claims)
+
+
+def _opened(case: Case, action: str, topic: str, domain: int) -> bool:
+    """Tell whether the governance opens a topic for vendors.
+
+    That permissions of other domains count for Fast DDS, too, is an assumption of its claims.
+    """
+    rule = next((each for each in case.domains if each.about(domain, exact=True)), None)
+    found = next((each for each in rule.topics if _matches(each.expression, topic)), None) if rule else None
+    return found is not None and not (found.write if action == "publish" else found.read)
+
+
+def _of_domains(case: Case, claims: Sequence[Claim]) -> Iterator[str]:
+    for domain in DOMAINS:
+        for model in MODELS:
+            rule = next((each for each in case.domains if each.about(domain, exact=model != "omg")), None)
+            opens = rule is not None and (not rule.join or rule.unauthenticated)
+            found = any(
+                claim.action == "join" and any(each.first <= domain <= each.last for each in claim.domains)
+                for claim in claims
+                if claim.model == model
+            )
+            if opens != found:
+                yield f"join: {model} in domain {domain}: {opens} {found}"
+
+
+class Bench:
+    """Decides the same questions in every way."""
+
+    def __init__(self, seed: int) -> None:
+        self.now = datetime.now(UTC)
+        self._enclaves = Enclaves(Writer(seed, self.now))
+        self.files = self._enclaves.files
+        self.subject = subject_name(self.files["cert.pem"], Origin("cert.pem"))
+
+    def signed(self, content: bytes) -> bytes:
+        """Sign a document by the permissions authority."""
+        return self._enclaves.sign(content)
+
+    def modelled(self, case: Case, permissions: bytes, counts: Counter[str]) -> Iterator[str]:
+        """Yield where the decision point does not decide as brute force does."""
+        document, ruling = decision.read(permissions), governance.read(governance_of(case))
+        for model in MODELS:
+            variation = VARIATIONS[model]
+            for domain in DOMAINS:
+                judge = Judge(document, self.subject, self.now, domain, variation)
+                governed = Governed.of(ruling, domain, judge.semantics)
+                for action, name, partitions in _asked():
+                    found, _ = governed.decide(judge, action, name, partitions)
+                    wanted = by_documents(case, model, action, name, partitions, domain)
+                    counts["model"] += 1
+                    if found.allowed != wanted:
+                        yield f"model {model}: {action} {name} {partitions} in {domain}: brute force {wanted}, {found}"
+
+    def cyclone(self, case: Case, permissions: bytes, counts: Counter[str]) -> Iterator[str]:
+        """Yield where Cyclone DDS does not decide as brute force does."""
+        ca = self.files["permissions_ca.cert.pem"]
+        signed, ruling = self.signed(permissions), self.signed(governance_of(case))
+        for domain in DOMAINS:
+            with AccessControl(
+                certificate=self.files["cert.pem"],
+                permissions_ca=ca,
+                governance=ruling,
+                permissions=signed,
+                domain=domain,
+            ) as opened:
+                if not opened.valid:
+                    yield f"cyclone refuses: {opened.reason}"
+                    return
+                joins = opened.joins()
+                for action, name, partitions in _asked():
+                    found = joins and opened.allows(action, name, partitions)  # type: ignore[arg-type]
+                    wanted = by_documents(case, "cyclonedds-0.10", action, name, partitions, domain)
+                    counts["cyclone"] += 1
+                    counts["cyclone allows"] += found
+                    if found != wanted:
+                        yield f"cyclone: {action} {name} {partitions} in {domain}: {found}, brute force {wanted}"
+
+    def fast(
+        self, case: Case, permissions: bytes, vendor: FastDDS, folder: Path, counts: Counter[str]
+    ) -> Iterator[str]:
+        """Yield where Fast DDS does not decide as brute force does, in domain 0."""
+        folder.mkdir()
+        documents = {"permissions.p7s": self.signed(permissions), "governance.p7s": self.signed(governance_of(case))}
+        for name, content in {**self.files, **documents}.items():
+            (folder / name).write_bytes(content)
+        try:
+            with System(vendor) as system:
+                try:
+                    participant = system.open(folder)
+                except RefusedError:
+                    participant = None
+                for action, topic, partitions in _asked():
+                    found = participant is not None and participant.allows(action, topic, partitions)  # type: ignore[arg-type]
+                    wanted = by_documents(case, FAST, action, topic, partitions, 0)
+                    counts["fastdds"] += 1
+                    counts["fastdds allows"] += found
+                    if found != wanted:
+                        yield f"fastdds: {action} {topic} {partitions}: brute force {wanted}, it says {found}"
+        except ProbeError as error:
+            yield f"fastdds: {error}"
+
+
+def _asked() -> Iterator[tuple[str, str, tuple[str, ...]]]:
+    return ((action, name, partitions) for action in ACTIONS for name in NAMES for partitions in PARTITIONS)
+
+
+def compare(
+    seed: int, documents: int, *, cyclone: bool = True, fastdds: FastDDS | None = None, fast_documents: int = 0
+) -> tuple[Counter[str], list[str]]:
+    """Compare so many cases; return counts, and what is wrong."""
+    cases, bench, counts, wrong = Cases(seed), Bench(seed), Counter[str](), []
+    with tempfile.TemporaryDirectory() as scratch:
+        for number in range(documents):
+            case = cases.next()
+            permissions = permissions_of(case, bench.subject, bench.now)
+            found = [*bench.modelled(case, permissions, counts)]
+            found += wrong_claims(case, claims_of(case, permissions, bench.subject), counts)
+            if cyclone:
+                found += bench.cyclone(case, permissions, counts)
+            if fastdds is not None and number < fast_documents:
+                found += bench.fast(case, permissions, fastdds, Path(scratch) / str(number), counts)
+            wrong += [f"case {number} of seed {seed}: {each}\n  {case}" for each in found]
+    return counts, wrong
+
+
+def main() -> int:
+    """Compare, print, and return the exit code."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--documents", type=int, default=3000)
+    parser.add_argument("--fastdds", type=int, default=100, help="so many of them are given to Fast DDS as well")
+    parser.add_argument("--seed", type=int, default=2018)
+    parser.add_argument("--show", type=int, default=5, help="disagreements to print in full")
+    options = parser.parse_args()
+    vendor: FastDDS | None = None
+    with tempfile.TemporaryDirectory() as cache:
+        try:
+            vendor = FastDDS(probes.FASTDDS.build(Path(cache))) if options.fastdds else None
+        except probes.MissingVendorError as error:
+            print(f"Fast DDS is not asked: {error}")
+        counts, wrong = compare(options.seed, options.documents, fastdds=vendor, fast_documents=options.fastdds)
+    for each in wrong[: options.show]:
+        print(each)
+    print(f"{options.documents} documents, each with its claims in {len(DOMAINS)} domains; {len(wrong)} wrong")
+    for name, count in sorted(counts.items()):
+        print(f"  {name}: {count}")
+    return 1 if wrong else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,70 @@
+"""``keymint check``: what an installed governance leaves open, or protects less than the sources say."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+from keymint.api import Inspection
+from keymint.errors import Diagnostic, KeymintError, Origin, Severity
+from keymint.keymake.glob import GlobError
+from keymint.pki import smime
+from keymint.proof import Budget, Universe
+from keymint_ros2_dds import opened
+from keymint_ros2_dds.decision.access import Governed
+from keymint_ros2_dds.decision.semantics import STANDARD
+from keymint_ros2_dds.install import GOVERNANCE_P7S
+from keymint_ros2_dds.proving import octets
+from keymint_ros2_dds.proving.governing import Governing, cuts
+from keymint_ros2_dds.proving.protection import LAST_DOMAIN, STRICT, Weaker, weaker
+
+_NAMES = Universe(octets.ALPHABET, last_nonempty=True)
+
+
+def findings(inspection: Inspection) -> Iterator[Diagnostic]:
+    """Yield what the sources leave open, and what the signed document does beyond that.
+
+    Args:
+        inspection: the enclave; its governance document is signed, and valid.
+
+    Raises:
+        KeymintError: the sources say what no document can.
+    """
+    package = inspection.package
+    for found in opened.findings(package):
+        if found.severity is Severity.WARNING and found.code != opened.UNPROTECTED:
+            yield found
+    file = f"{inspection.folder}/{GOVERNANCE_P7S}"
+    try:
+        signed = smime.read(inspection.files[GOVERNANCE_P7S], inspection.permissions_ca, where=Origin(file))
+    except KeymintError:
+        return  # said by whoever judges the signature
+    place = (file, signed.lines_before)
+    governing = Governing.of(signed.content, place, package.governance, package.subject, package.distro)
+    if governing.differs:
+        yield from dict.fromkeys(_drifted(inspection, governing))
+
+
+def _drifted(inspection: Inspection, governing: Governing) -> Iterator[Diagnostic]:
+    subject, document = inspection.package.subject, governing.document
+    again = f"'keymint install {inspection.package.name}' signs what the sources build"
+    for domains in cuts(document, governing.sources, last=LAST_DOMAIN):
+        rule = Governed.of(document, domains.first, STANDARD).rule
+        if rule is None:
+            continue
+        own = governing.source_rule(domains.first) or STRICT
+        try:
+            all_found = list(weaker(rule, own, STANDARD, _NAMES, Budget(opened.STATES), access=True))
+        except GlobError as error:
+            yield Diagnostic("governance-unread", Severity.ERROR, str(error), document.place(rule.line), again, subject)
+            continue
+        for found in all_found:
+            if isinstance(found, Weaker):
+                about = f" for {found.topic!r}" if found.topic else ""
+                message = f"{found.tag} is {found.text}{about}, but the sources say {found.said}"
+                where = document.place(found.line)
+                yield Diagnostic("governance-weaker", Severity.ERROR, message, where, again, subject)
+            else:
+                message = f"whether it protects what the sources protect is not known: {found.reason}"
+                yield Diagnostic(
+                    "governance-unknown", Severity.ERROR, message, document.place(rule.line), again, subject
+                )

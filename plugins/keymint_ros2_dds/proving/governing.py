@@ -1,0 +1,145 @@
+"""The governance document of an enclave, and what of it the sources say on purpose."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Iterator
+from dataclasses import dataclass
+from itertools import pairwise
+
+from keymint.api import DomainRange, Governance
+from keymint.keymake.glob import GlobError
+from keymint_ros2_dds import governance as sources
+from keymint_ros2_dds.decision import governance
+from keymint_ros2_dds.decision.governance import ACCESS, JOIN, UNAUTHENTICATED, DomainRule, GovernanceDocument
+from keymint_ros2_dds.decision.semantics import STANDARD
+from keymint_ros2_dds.proving.opening import regions
+
+ACTIONS = ("publish", "subscribe")
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Governing:
+    """A governance document as it is signed, beside what the sources say.
+
+    Attributes:
+        document: the document.
+        sources: what the sources compile to; None where that is not known.
+        accepted: what the sources leave open is accepted.
+        key: digest of all that claims depend on.
+        differs: the document is not what the sources compile to, byte for byte.
+    """
+
+    document: GovernanceDocument
+    sources: GovernanceDocument | None
+    accepted: bool
+    key: bytes
+    differs: bool
+
+    @classmethod
+    def of(
+        cls, content: bytes, place: tuple[str, int], said: Governance | None, subject: str, distro: str
+    ) -> Governing:
+        """Read a document.
+
+        Args:
+            content: the document, unsigned.
+            place: the file that it lies in, and how many lines of that come before it.
+            said: what the sources say.
+            subject: whose document it is.
+            distro: ROS 2 distribution whose mapping of names applies.
+
+        Raises:
+            KeymintError: the document cannot be read, or the sources say what no document can.
+        """
+        built = b""
+        if said is not None:
+            built, _ = sources.build(said, subject, distro, allow_vendor_specific=True)
+        accepted = said is not None and said.accepts_open
+        key = hashlib.sha256(repr((content, place, built, accepted)).encode()).digest()
+        own = governance.read(built) if built else None
+        return cls(governance.read(content, *place), own, accepted, key, content != built)
+
+    def source_rule(self, domain: int) -> DomainRule | None:
+        """Return the rule of the sources for a domain."""
+        return None if self.sources is None else self.sources.rule(domain)
+
+    def accepted_rule(self, domain: int) -> DomainRule | None:
+        """Return the rule whose openings are accepted in a domain."""
+        return self.source_rule(domain) if self.accepted else None
+
+    def transparent(self, domains: tuple[DomainRange, ...]) -> bool:
+        """Tell whether the document changes nothing of what the permissions say, by every reading.
+
+        Then it is plain, each domain has a rule, and each rule puts joining and every topic under access control.
+
+        Args:
+            domains: the domains in question.
+        """
+        document = self.document
+        if document.peculiarities or document.defect or self.differs or self.outlandish():
+            return False
+        try:
+            closed = all(
+                rule.join_controlled
+                and not rule.unauthenticated
+                and all(regions(rule, action, STANDARD, pairs=False).closed for action in ACTIONS)
+                for rule in document.domain_rules
+            )
+        except GlobError:
+            return False
+        exact = all(
+            each.last is not None and each.first is not None for rule in document.domain_rules for each in rule.domains
+        )
+        wanted = {domain for each in domains for domain in range(each.first, each.last + 1)}
+        return closed and exact and all(document.rule(domain) is not None for domain in wanted)
+
+    def outlandish(self) -> str:
+        """Return why what a rule matches depends on the locale of a vendor; or an empty text."""
+        for rule in self.document.domain_rules:
+            for topic in rule.topic_rules:
+                if not topic.expression.isascii() or "[:" in topic.expression:
+                    what = f"the expression {topic.expression!r} has characters beyond ASCII, or a class"
+                    return f"{self.document.place(topic.line)}: {what}: what it matches depends on the locale"
+        return ""
+
+    def opens(self) -> bool:
+        """Tell whether some rule leaves some topic open."""
+        return any(
+            not topic.controls(action)
+            for rule in self.document.domain_rules
+            for topic in rule.topic_rules
+            for action in ACTIONS
+        )
+
+    def excepted(self, rule: DomainRule, action: str, domain: int) -> Iterator[str]:
+        """Yield what a rule of the document leaves open in a domain, as far as that may be accepted."""
+        own = self.accepted_rule(domain)
+        if own is None:
+            return
+        where = f" in domain {domain}" if domain else ""
+        for topic in rule.topic_rules:
+            if not topic.controls(action):
+                place = self.document.place(topic.line)
+                yield f"{action} {topic.expression!r}{where} ({place}: {ACCESS[action]} is false)"
+        if not rule.join_controlled and not own.join_controlled:
+            yield f"joining{where or ' domain 0'} ({self.document.place(rule.line_of(JOIN))}: {JOIN} is false)"
+        if rule.unauthenticated and own.unauthenticated:
+            place = self.document.place(rule.line_of(UNAUTHENTICATED))
+            yield f"participants without identity{where or ' in domain 0'} ({place}: {UNAUTHENTICATED} is true)"
+
+
+def cuts(*documents: GovernanceDocument | None, last: int) -> Iterator[DomainRange]:
+    """Yield ranges of domains in each of which the same rules of all documents count.
+
+    Args:
+        documents: the documents.
+        last: the highest domain id.
+    """
+    edges = {0, last + 1}
+    for document in documents:
+        for each in (each for rule in (document.domain_rules if document else ()) for each in rule.domains):
+            first = each.first or 0
+            edges |= {first, first + 1, *(() if each.last is None else (each.last + 1,))}
+    for begin, end in pairwise(sorted(edge for edge in edges if 0 <= edge <= last + 1)):
+        yield DomainRange(begin, end - 1)

@@ -1,0 +1,218 @@
+"""Claims about a domain as a whole, made only where they do not hold: who may join, and how topics are protected.
+
+Permissions are about participants that were let in with an identity and a rule. A governance that lets others in, or
+that protects a topic less than the sources say, takes from the worth of every claim.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+from keymint.api import Claim, Counterexample, DomainRange, PolicyDecision, Proof, Verdict
+from keymint.graph import Edge, Object
+from keymint.keymake.glob import EVERYTHING
+from keymint.proof import Block, Budget, DecisionList, Universe, Unknown, Witness, escapes
+from keymint_ros2_dds.decision.access import Governed
+from keymint_ros2_dds.decision.governance import (
+    ACCESS,
+    DOMAIN_PROTECTIONS,
+    JOIN,
+    TOPIC_PROTECTIONS,
+    UNAUTHENTICATED,
+    DomainRule,
+    TopicRule,
+)
+from keymint_ros2_dds.decision.semantics import Semantics
+from keymint_ros2_dds.proving import octets
+from keymint_ros2_dds.proving.governing import Governing, cuts
+from keymint_ros2_dds.proving.opening import patterns
+
+LAST_DOMAIN = 232
+JOINS = "every participant"
+PROTECTED = "every topic name that the claims about publish and subscribe are about"
+ACCEPT = "or accept it with <accept><open_governance/></accept> in profile/keymint_profile.xml"
+_QUALITIES = {
+    "true": {"protected"},
+    "1": {"protected"},
+    "SIGN": {"signed"},
+    "ENCRYPT": {"signed", "encrypted"},
+    "SIGN_WITH_ORIGIN_AUTHENTICATION": {"signed", "origin"},
+    "ENCRYPT_WITH_ORIGIN_AUTHENTICATION": {"signed", "encrypted", "origin"},
+}
+"""What a text of a protection gives; others give nothing."""
+
+
+@dataclass(frozen=True, slots=True)
+class Weaker:
+    """What a document protects less than the sources say.
+
+    Attributes:
+        line: line of the rule.
+        tag: the element.
+        text: what it says.
+        said: what the sources say.
+        topic: a topic that it is about; empty for the domain as a whole.
+    """
+
+    line: int
+    tag: str
+    text: str
+    said: str
+    topic: str = ""
+
+
+def help_for(governing: Governing | None, domain: int) -> str:
+    """Return how to mend what a governance leaves open, or refuses."""
+    if governing is None:
+        return ""
+    if governing.accepted_rule(domain) is not None:
+        return "the sources say otherwise: 'keymint install' signs what they build"
+    return f"put it under access control in the governance of the package or its defaults, {ACCEPT}"
+
+
+def claims(
+    subject: str, model: str, semantics: Semantics, governing: Governing, universe: Universe, budget: Budget
+) -> Iterator[Claim]:
+    """Yield the claims about domains as a whole that do not hold, or are not known.
+
+    Args:
+        subject: the subject.
+        model: whose reading.
+        semantics: how documents are read.
+        governing: the governance.
+        universe: names of topics.
+        budget: what each question may cost.
+    """
+    for domains in cuts(governing.document, governing.sources, last=LAST_DOMAIN):
+        rule = Governed.of(governing.document, domains.first, semantics).rule
+        if rule is None:
+            continue
+        own, accepted = governing.source_rule(domains.first), governing.accepted_rule(domains.first)
+        for tag, opens in (
+            (JOIN, not rule.join_controlled and (accepted is None or accepted.join_controlled)),
+            (UNAUTHENTICATED, rule.unauthenticated and (accepted is None or not accepted.unauthenticated)),
+        ):
+            if opens:
+                yield _join(subject, model, governing, domains, rule, tag)
+        if own is not None and governing.differs:
+            for found in weaker(rule, own, semantics, universe, budget):
+                yield _protect(subject, model, governing, domains, found)
+
+
+def _join(subject: str, model: str, governing: Governing, domains: DomainRange, rule: DomainRule, tag: str) -> Claim:
+    where = governing.document.place(rule.line_of(tag))
+    who = {
+        JOIN: f"{JOIN} is false: every identity of the authority may join",
+        UNAUTHENTICATED: f"{UNAUTHENTICATED} is true: participants without identity and permissions may join",
+    }
+    reason = f"{where}: {who[tag]}{f' domain {domains.first}' if domains.first else ''}"
+    said = PolicyDecision(allowed=False, where=None, reason="only subjects with a rule of the policy may join")
+    endpoint = Edge(subject, "join", Object("domain", str(domains.first)), domains.first)
+    verdict = Verdict(allowed=True, reason=reason, where=where)
+    example = Counterexample(endpoint, None, said, verdict, help_for(governing, domains.first))
+    return Claim(model, "join", (domains,), JOINS, Proof.COUNTEREXAMPLE, "", example)
+
+
+def _protect(subject: str, model: str, governing: Governing, domains: DomainRange, found: Weaker | Unknown) -> Claim:
+    if isinstance(found, Unknown):
+        return Claim(model, "protect", (domains,), PROTECTED, Proof.UNKNOWN, found.reason, None, spent=True)
+    where = governing.document.place(found.line)
+    about = f" for the topic {found.topic!r}" if found.topic else f" in domain {domains.first}"
+    reason = f"{where}: {found.tag} is {found.text}{about}, but the sources say {found.said}"
+    said = PolicyDecision(allowed=False, where=None, reason="the sources say how topics are protected")
+    object_ = Object("topic", found.topic) if found.topic else Object("domain", str(domains.first))
+    verdict = Verdict(allowed=True, reason=reason, where=where)
+    mend = "'keymint install' signs what the sources build"
+    example = Counterexample(Edge(subject, "protect", object_, domains.first), None, said, verdict, mend)
+    return Claim(model, "protect", (domains,), PROTECTED, Proof.COUNTEREXAMPLE, "", example)
+
+
+STRICT = DomainRule(
+    (),
+    join_controlled=True,
+    unauthenticated=False,
+    protections=("NONE",) * len(DOMAIN_PROTECTIONS),
+    topic_rules=(
+        TopicRule(
+            "*", read_controlled=True, write_controlled=True, protections=("false", "false", "NONE", "NONE"), line=0
+        ),
+    ),
+    line=0,
+)
+"""What is asked of a domain of which the sources say nothing: access control, and no protection."""
+
+
+def weaker(
+    signed: DomainRule,
+    said: DomainRule,
+    semantics: Semantics,
+    universe: Universe,
+    budget: Budget,
+    *,
+    access: bool = False,
+) -> Iterator[Weaker | Unknown]:
+    """Yield what a domain rule protects less than another one: each element once, with a shortest topic.
+
+    Args:
+        signed: the rule of the document.
+        said: that of the sources.
+        semantics: how documents are read.
+        universe: names of topics, in words of one field.
+        budget: what each question may cost.
+        access: access control counts as protection, too.
+
+    Raises:
+        GlobError: an expression means nothing.
+    """
+    yield from _weaker_domain(signed, said, access=access)
+    found: dict[tuple[int, str], Weaker] = {}
+    for rule, region in _regions(signed, semantics):
+        for own, wanted_region in _regions(said, semantics):
+            lacking = list(_lacking(rule, own, access=access))
+            if not lacking or all((rule.line, tag) in found for tag, _, _ in lacking):
+                continue
+            outcome = escapes((region, wanted_region), (), universe, budget)
+            if isinstance(outcome, Unknown):
+                yield outcome
+            elif isinstance(outcome, Witness):
+                for tag, text, wanted in lacking:
+                    found.setdefault(
+                        (rule.line, tag), Weaker(rule.line, tag, text, wanted, octets.in_text(outcome.word))
+                    )
+    yield from found.values()
+
+
+def _weaker_domain(signed: DomainRule, said: DomainRule, *, access: bool) -> Iterator[Weaker]:
+    for tag, text, wanted in zip(DOMAIN_PROTECTIONS, signed.protections, said.protections, strict=True):
+        if _lacks(text, wanted):
+            yield Weaker(signed.line_of(tag), tag, text, wanted)
+    if access and said.join_controlled and not signed.join_controlled:
+        yield Weaker(signed.line_of(JOIN), JOIN, "false", "true")
+    if access and signed.unauthenticated and not said.unauthenticated:
+        yield Weaker(signed.line_of(UNAUTHENTICATED), UNAUTHENTICATED, "true", "false")
+
+
+def _lacking(rule: TopicRule, own: TopicRule, *, access: bool) -> Iterator[tuple[str, str, str]]:
+    """Yield each element in which a topic rule is weaker than another one, and what both say."""
+    for tag, text, wanted in zip(TOPIC_PROTECTIONS, rule.protections, own.protections, strict=True):
+        if _lacks(text, wanted):
+            yield tag, text, wanted
+    for action, tag in ACCESS.items():
+        if access and own.controls(action) and not rule.controls(action):
+            yield tag, "false", "true"
+
+
+def _lacks(text: str, wanted: str) -> bool:
+    return not _QUALITIES.get(wanted, set()) <= _QUALITIES.get(text, set())
+
+
+def _regions(rule: DomainRule, semantics: Semantics) -> Iterator[tuple[TopicRule, DecisionList]]:
+    """Yield each topic rule with the list that permits the topics that it decides."""
+    before: tuple[Block, ...] = ()
+    for each in rule.topic_rules:
+        own = patterns(each.expression, semantics, pairs=False)
+        yield each, (*before, Block(True, own))
+        before = (*before, Block(False, own))
+        if EVERYTHING in own:
+            return
