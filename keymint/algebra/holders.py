@@ -14,13 +14,16 @@ from keymint.algebra.lists import (
     text,
     without,
 )
-from keymint.algebra.subjects import EVERY, at_most, can_be, example, matching, rules_of, structure
-from keymint.api import LoadedPolicy, Structure
+from keymint.algebra.purse import Purse
+from keymint.algebra.spoken import Book, Spoken
+from keymint.algebra.subjects import can_be, example, matching, rules_of, structure
+from keymint.algebra.symbolic import EVERYBODY, Condition, Entry, Found, Undecided, find
+from keymint.api import LoadedPolicy
 from keymint.errors import Origin
 from keymint.ir import Effect, Rule
 from keymint.keymake.algebra import TooComplexError, intersection, matches
 from keymint.keymake.composites import parts
-from keymint.keymake.glob import STAR, Glob, literal, surround
+from keymint.keymake.glob import Glob, literal
 from keymint.proof import Equal, Unknown, Witness
 
 
@@ -43,7 +46,9 @@ class Held:
     unknown: str = ""
 
 
-def holders(policy: LoadedPolicy, within: Glob, kind: str, permission: str, name: Glob) -> Iterator[Held]:
+def holders(
+    policy: LoadedPolicy, within: Glob, kind: str, permission: str, name: Glob, purse: Purse | None = None
+) -> Iterator[Held]:
     """Yield who holds a permission: subjects that a policy names first, then one for each pattern of others.
 
     Where nothing is yielded nobody does: for every subject there is, and every name. A policy whose type does not tell
@@ -55,21 +60,28 @@ def holders(policy: LoadedPolicy, within: Glob, kind: str, permission: str, name
         kind: kind of the objects.
         permission: a permission of that kind.
         name: pattern of the objects in question; for kind ``topic`` with the partition.
+        purse: pays for it.
     """
     exact = literal(within)
-    named = (exact,) if exact is not None else matching(policy, within)
+    written = structure(policy) if exact is None else None
+    book = Book(written) if written else None
+    singles = [subject for subject in book.singles if matches(within, subject) and can_be((subject,))] if book else []
+    named = (exact,) if exact is not None else tuple(dict.fromkeys((*matching(policy, within), *singles)))
     for subject in named:
         found = held(rules_of(policy, subject), kind, permission, name)
         if found is not None:
             yield _said(subject, "", found, policy, kind, permission)
-    written = structure(policy)
-    if exact is None and written is not None:
-        yield from _others(policy, written, within, kind, permission, name, set(named))
+    if book is not None:
+        question = _Question(policy, book, kind, permission, name, frozenset(named), purse or Purse())
+        yield from question.others(within)
 
 
-def held(rules: Sequence[Rule], kind: str, permission: str, name: Glob) -> Witness | Unknown | None:
+def held(
+    rules: Sequence[Rule], kind: str, permission: str, name: Glob, purse: Purse | None = None
+) -> Witness | Unknown | None:
     """Return the shortest of some names on which rules grant a permission, or None."""
-    outcome = meet(kind, allowed(name), *conjunction(rules, kind, permission))
+    lists = conjunction(rules, kind, permission)
+    outcome = meet(kind, allowed(name), *lists, budget=purse.question(len(lists)) if purse else None)
     return None if isinstance(outcome, Equal) else outcome
 
 
@@ -92,69 +104,100 @@ def _said(subject: str, like: str, found: Witness | Unknown, policy: LoadedPolic
     return Held(subject, like, found.word, rule.origin if rule else None)
 
 
-def _others(
-    policy: LoadedPolicy,
-    written: Structure,
-    within: Glob,
-    kind: str,
-    permission: str,
-    name: Glob,
-    known: set[str],
-) -> Iterator[Held]:
-    """Yield those that a policy does not name."""
+class _Question:
+    """Who holds a permission, of the subjects that a policy does not name.
+
+    Args:
+        policy: the policy.
+        book: what its rules say.
+        kind: kind of the objects.
+        permission: the permission.
+        name: pattern of the objects in question.
+        named: subjects that were asked already.
+        purse: pays for it.
+    """
+
+    def __init__(
+        self,
+        policy: LoadedPolicy,
+        book: Book,
+        kind: str,
+        permission: str,
+        name: Glob,
+        named: frozenset[str],
+        purse: Purse,
+    ) -> None:
+        self._policy = policy
+        self._book = book
+        self._kind, self._permission, self._name = kind, permission, name
+        self._named = named
+        self._purse = purse
+        self._asked: set[str] = set()
+
+    def others(self, within: Glob) -> Iterator[Held]:
+        """Yield one holder for each pattern of subjects, where there is one."""
+        (kind, part, suffix), *_ = parts(self._kind, self._permission)
+        told: set[Glob] = set()
+        doubts: dict[Glob, str] = {}
+        for spoken in self._book.all((kind, part), Effect.ALLOW).values():
+            for subjects in (piece for one in spoken.reach.subjects for piece in _both(one, within)):
+                if subjects in told:
+                    continue
+                for shape in _before(spoken.object, suffix):
+                    found = self._holder(subjects, shape, spoken)
+                    if isinstance(found, Undecided):
+                        doubts.setdefault(subjects, found.reason)
+                    elif found is not None:
+                        told.add(subjects)
+                        yield from self._said(found.subject, subjects)
+                        break
+        for subjects, reason in doubts.items():
+            if subjects not in told:
+                yield Held("", text(subjects), "", None, reason)
+
+    def _holder(self, subjects: Glob, shape: Glob, spoken: Spoken) -> Found | Undecided | None:
+        first = example(subjects)
+        tried = [] if first is None or first in self._named else [first]
+        for subject in tried:
+            if self._judge(subject) is True:
+                return Found(subject)
+        excluded = {subject for subject in self._named if matches(subjects, subject)}
+        conditions = (*spoken.reach.conditions, *self._conditions(subjects))
+        return find(self._kind, subjects, shape, conditions, self._judge, (*excluded, *tried), self._purse)
+
+    def _conditions(self, subjects: Glob) -> Iterator[Condition]:
+        """Yield what the rules require: of an action or parameter that each of its parts is allowed."""
+        yield Condition(some=(Entry((EVERYBODY,), self._name),))
+        for number, (kind, part, suffix) in enumerate(parts(self._kind, self._permission)):
+            key = (kind, part)
+            yield Condition(tuple(_without(self._book.surely(key, Effect.DENY, subjects), suffix)))
+            if number:
+                yield Condition(some=tuple(_without(self._book.perhaps(key, Effect.ALLOW, subjects), suffix)))
+
+    def _judge(self, subject: str) -> bool | Undecided:
+        found = held(rules_of(self._policy, subject), self._kind, self._permission, self._name, self._purse)
+        return Undecided(self._purse.reason(found.reason)) if isinstance(found, Unknown) else found is not None
+
+    def _said(self, subject: str, subjects: Glob) -> Iterator[Held]:
+        found = held(rules_of(self._policy, subject), self._kind, self._permission, self._name)
+        if found is not None and subject not in self._asked:
+            self._asked.add(subject)
+            yield _said(subject, text(subjects), found, self._policy, self._kind, self._permission)
+
+
+def _both(one: Glob, other: Glob) -> tuple[Glob, ...]:
+    """Return patterns that together match what two have in common; what one of them matches if that is too much."""
     try:
-        classes = _possible(written, within, kind, permission, name)
+        return intersection(one, other)
     except TooComplexError:
-        yield Held("", text(within), "", None, "the subjects cannot be told apart within bounds")
-        return
-    for subjects, word in classes.items():
-        if literal(subjects) in known:
-            continue
-        for subject in _candidates(subjects, word, kind):
-            if subject in known:
-                continue
-            found = held(rules_of(policy, subject), kind, permission, name)
-            if isinstance(found, Witness):
-                yield _said(subject, text(subjects), found, policy, kind, permission)
-                break
-        else:
-            if can_be(subjects):
-                yield Held("", text(subjects), "", None, "whether one of these does was not decided")
+        return (one,)
 
 
-def _possible(written: Structure, within: Glob, kind: str, permission: str, name: Glob) -> dict[Glob, str]:
-    """Return patterns of the subjects that can hold a permission at all, each with a name on which."""
-    found: dict[Glob, str] = {}
-    pieces = intersection(within, EVERY)
-    for number, (part_kind, part, suffix) in enumerate(parts(kind, permission)):
-        mine: dict[Glob, str] = {}
-        for piece in pieces:
-            for subjects, decided in at_most(written, piece, (part_kind, part)):
-                outcome = meet(kind, allowed(name), without(decided, suffix))
-                if not isinstance(outcome, Equal):
-                    mine.setdefault(subjects, getattr(outcome, "word", ""))
-        if not mine:
-            return {}
-        if number == 0:
-            found = mine
-    return found
+def _before(pattern: Glob, suffix: str) -> tuple[Glob, ...]:
+    """Return patterns of the words that a pattern matches with a suffix."""
+    return without(allowed(pattern), suffix)[0].patterns
 
 
-def _candidates(subjects: Glob, word: str, kind: str) -> Iterator[str]:
-    """Yield subjects that a pattern matches: one like any other, and some near the name that is asked for."""
-    seen: set[str] = set()
-    near = [subjects]
-    if kind != "topic":
-        segments = word.split("/")
-        for at in range(len(segments) - 1, 0, -1):
-            head = "/".join(segments[:at])
-            for around in (surround(f"{head}/", (STAR,), ""), (head,) if head else None):
-                if around is not None:
-                    near += intersection(subjects, around)
-        for segment in segments[:0:-1]:
-            near += intersection(subjects, surround("", (STAR,), f"/{segment}"))
-    for pattern in near:
-        subject = example(pattern)
-        if subject is not None and subject not in seen:
-            seen.add(subject)
-            yield subject
+def _without(entries: Sequence[Entry], suffix: str) -> Iterator[Entry]:
+    for entry in entries:
+        yield from (Entry(entry.subjects, pattern) for pattern in _before(entry.object, suffix))

@@ -15,9 +15,11 @@ import comarmor
 from comarmor.decide import decide
 from comarmor.expression import matches
 from keymint.algebra.diff import Changed, diff, gains
+from keymint.algebra.holders import Held, holders
 from keymint.api import PolicySource
 from keymint.errors import Origin
-from tests.keymint.algebra.edits import SEGMENTS, edited, random_policy
+from keymint.keymake.glob import parse
+from tests.keymint.algebra.edits import OBJECTS, SEGMENTS, edited, random_policy
 
 DEEPEST = 3
 _PARTITIONS = ("", "p", "q", "pp", "x")
@@ -164,3 +166,46 @@ def pair(seed: int) -> tuple[str, str, str]:
     policy = random_policy(rng)
     name, changed = edited(rng, policy)
     return name, policy.xml(), changed.xml()
+
+
+@dataclass(frozen=True)
+class Answer:
+    """What ``query who`` says.
+
+    Attributes:
+        held: somebody holds the permission, by brute force.
+        perhaps: ``who`` is not certain about some subjects.
+        wrong: whom ``who`` missed, or named wrongly; empty if nobody.
+    """
+
+    held: bool
+    perhaps: bool
+    wrong: str
+
+
+def asked(seed: int) -> Answer:
+    """Ask a random policy who can do something, and hold the answer against what the reference evaluator decides."""
+    rng = random.Random(seed)
+    loaded = _loaded(random_policy(rng).xml())
+    kind = rng.choice([kind for kind in comarmor.PERMISSIONS if kind != "topic"])
+    permission = rng.choice(comarmor.PERMISSIONS[kind][:2])
+    name = rng.choice([each for each in OBJECTS if "{" not in each])
+    found = list(holders(loaded, parse("*"), kind, permission, parse(name)))
+    holding = [
+        subject
+        for subject in _subjects()
+        if (rules := loaded.policy.rules(subject))
+        and any(matches(name, each) and decide(rules, kind, permission, each).allowed for each in _objects(subject))
+    ]
+    certain = [each for each in found if not each.unknown]
+    wrong = [f"{each.subject} cannot" for each in certain if not _holds(loaded, each, permission, kind)]
+    wrong += [
+        f"{subject} can {permission} {name}"
+        for subject in holding
+        if not any(each.subject == subject or (each.like and matches(each.like, subject)) for each in found)
+    ]
+    return Answer(bool(holding), any(each.unknown for each in found), "; ".join(wrong[:3]))
+
+
+def _holds(loaded: keymint_ros2_comarmor._LoadedPolicy, each: Held, permission: str, kind: str) -> bool:
+    return loaded.policy.decide(each.subject, kind, permission, each.word).allowed

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from tests.keymint.algebra.differential import compared, pair
+from tests.keymint.algebra.differential import asked, compared, pair
 from tests.keymint.algebra.policies import profile, rule
 
 SAMPLE = 60
@@ -26,3 +26,10 @@ def test_the_oracle_sees_what_is_missed() -> None:
     verdict = compared(old, new)
     assert verdict.differs
     assert not verdict.wrong
+
+
+@pytest.mark.parametrize("first", range(0, SAMPLE, CHUNK))
+def test_who_holds_a_permission(first: int) -> None:
+    for seed in range(first, first + CHUNK):
+        answer = asked(seed)
+        assert (answer.wrong, answer.perhaps) == ("", False), f"seed {seed}"
