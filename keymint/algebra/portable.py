@@ -39,7 +39,7 @@ def portability(
     said: set[tuple[str, Origin | None, str]] = set()
     for subject, rules in subjects:
         places = {rule.origin.spot for rule in rules}
-        for found in (*_relaying(rules), *_built(build_type, _package(name, distro, subject, rules, now))):
+        for found in (*_relaying(rules), *_built(build_type, package_of(name, distro, subject, rules, now))):
             where = found.where
             if found.severity is Severity.NOTE or where is None or where.spot not in places:
                 continue  # it is about what only a package has
@@ -68,7 +68,7 @@ def _relaying(rules: Iterable[Rule]) -> Iterator[Diagnostic]:
             )
 
 
-def _package(name: str, distro: str, subject: str, rules: tuple[Rule, ...], now: datetime) -> Package:
+def package_of(name: str, distro: str, subject: str, rules: tuple[Rule, ...], now: datetime) -> Package:
     """Return a package that has nothing to complain of but its rules."""
     origin = Origin(subject)
     validity = Validity(now, now + timedelta(days=365))

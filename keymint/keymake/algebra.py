@@ -2,7 +2,7 @@
 
 Answers are exact, but for one: whether a pattern is covered is found out by determinising lazily, within a budget. When
 it is spent, :func:`covers` and :func:`union_covers` say False ("not shown"), which their callers must be able to take
-without harm, and :func:`surely_covers` raises.
+without harm, and :func:`surely_covers` raises. All of them count their steps (:mod:`keymint.keymake.effort`).
 """
 
 from __future__ import annotations
@@ -11,6 +11,7 @@ import re
 from collections.abc import Callable, Iterable, Iterator
 from functools import lru_cache
 
+from keymint.keymake.effort import EffortError, limited, remembered, spend
 from keymint.keymake.glob import (
     ANY,
     EVERYTHING,
@@ -28,6 +29,8 @@ from keymint.keymake.glob import (
 
 BUDGET = 2_000
 """States that a question about covering may visit."""
+INTERSECTION = 200_000
+"""Steps that an intersection may take."""
 
 
 class TooComplexError(Exception):
@@ -95,6 +98,7 @@ def _suffix(glob: Glob) -> str:
 
 def disjoint(left: Glob, right: Glob) -> bool:
     """Tell whether no name is matched by both."""
+    spend()
     text = literal(left)
     if text is not None:
         return not matcher(right)(text)
@@ -134,7 +138,7 @@ def _parted(globs: Iterable[Glob]) -> tuple[set[str], list[Glob]]:
     return exact, wild
 
 
-@lru_cache(maxsize=1 << 14)
+@remembered(1 << 14)
 def _disjoint(left: Glob, right: Glob) -> bool:
     """Search the product of the two for a pair of ends."""
     if is_empty(left) or is_empty(right):
@@ -143,6 +147,7 @@ def _disjoint(left: Glob, right: Glob) -> bool:
     todo = [(0, 0)]
     seen = {(0, 0)}
     while todo:
+        spend()
         at, at2 = todo.pop()
         if first[at] is None and second[at2] is None:
             return False
@@ -196,6 +201,7 @@ def surely_covers(outer: Glob, inner: Glob) -> bool:
 
 
 def _covers(outer: Glob, inner: Glob) -> bool | None:
+    spend()
     text = literal(inner)
     if text is not None:
         return matcher(outer)(text)
@@ -221,7 +227,7 @@ def union_covers(outers: tuple[Glob, ...], inner: Glob, budget: int = BUDGET) ->
     return bool(_union_covers(outers, inner, budget))
 
 
-@lru_cache(maxsize=1 << 14)
+@remembered(1 << 14)
 def _union_covers(outers: tuple[Glob, ...], inner: Glob, budget: int) -> bool | None:
     if is_empty(inner):
         return True
@@ -239,6 +245,7 @@ def _included(goal: tuple[Token, ...], rows: tuple[tuple[Token, ...], ...], budg
     seen = set(todo)
     while todo:
         at, state = todo.pop()
+        spend(1 + len(state))
         if at == len(goal):
             if not any(place == len(rows[row]) for row, place in state):
                 return False
@@ -292,12 +299,12 @@ def _letters(rows: Iterable[tuple[Token, ...]]) -> tuple[str, ...]:
                     edges.update((low, high + 1))
     kinds: dict[tuple[bool, ...], str] = {}
     tokens = list(dict.fromkeys(token for row in rows for token in row if not isinstance(token, Star)))
+    spend(len(edges) * len(tokens) // 8)
     for edge in sorted(edge for edge in edges if edge <= MAX_CODE):
         kinds.setdefault(tuple(_accepts(token, chr(edge)) for token in tokens), chr(edge))
     return tuple(kinds.values())
 
 
-@lru_cache(maxsize=1 << 12)
 def intersection(left: Glob, right: Glob, limit: int = 64) -> tuple[Glob, ...]:
     """Return globs whose union is the set of names that both match.
 
@@ -305,8 +312,29 @@ def intersection(left: Glob, right: Glob, limit: int = 64) -> tuple[Glob, ...]:
     under intersection: J.-E. Pin, "Syntactic semigroups", 1997).
 
     Raises:
-        TooComplexError: there are more than ``limit`` pieces.
+        TooComplexError: there are more than ``limit`` pieces, or more than :data:`INTERSECTION` steps are needed.
     """
+    found = _intersection(left, right, limit)
+    if found is None:
+        raise TooComplexError
+    return found
+
+
+@remembered(1 << 12)
+def _intersection(left: Glob, right: Glob, limit: int) -> tuple[Glob, ...] | None:
+    """Return the pieces of an intersection, or None where there are too many, which is remembered as well."""
+    with limited(INTERSECTION) as effort:
+        try:
+            return _pieces(left, right, limit)
+        except TooComplexError:
+            return None
+        except EffortError:
+            if effort.told == INTERSECTION:
+                return None
+            raise
+
+
+def _pieces(left: Glob, right: Glob, limit: int) -> tuple[Glob, ...]:
     if disjoint(left, right):
         return ()
     if covers(left, right):
@@ -322,7 +350,9 @@ def intersection(left: Glob, right: Glob, limit: int = 64) -> tuple[Glob, ...]:
             for step in _common_steps(token, token2):
                 # By a step that both make, or that one makes under the other's star, a token is read.
                 read = _read(token, token2, step)
-                found.update(normalise((*read, *rest)) for rest in pieces[at + step[0], at2 + step[1]])
+                following = pieces[at + step[0], at2 + step[1]]
+                spend(1 + 4 * len(following))
+                found.update(normalise((*read, *rest)) for rest in following)
             pieces[at, at2] = found if len(found) <= limit else set(maximal(found))
             if len(pieces[at, at2]) > limit:
                 raise TooComplexError

@@ -11,6 +11,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 
 from keymint.keymake.algebra import TooComplexError, covers, disjoint, intersection, matcher, maximal
+from keymint.keymake.effort import spend
 from keymint.keymake.glob import Glob, literal
 
 MAX_PIECES = 1000
@@ -53,6 +54,7 @@ def arrange(allow: Iterable[Glob], deny: Iterable[Glob], *, reduced: bool = True
     if denied := tuple(deny):
         exact = {text for glob in denied if (text := literal(glob)) is not None}
         refuse = [matcher(glob) for glob in denied if literal(glob) is None]
+        spend(len(literals) * len(refuse) // 8)
         literals = [
             (text, glob)
             for text, glob in literals
@@ -63,6 +65,7 @@ def arrange(allow: Iterable[Glob], deny: Iterable[Glob], *, reduced: bool = True
     if wild:
         denied = tuple(maximal(d for d in denied if not all(disjoint(d, glob) for glob in wild)))
         accept = [matcher(glob) for glob in wild]
+        spend(len(literals) * len(accept) // 8)
         literals = [pair for pair in literals if not any(accepted(pair[0]) for accepted in accept)]
     else:
         denied = ()

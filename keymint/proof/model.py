@@ -7,6 +7,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import lru_cache
 
+from keymint.keymake.effort import spend
 from keymint.keymake.glob import ANY, Charset, Glob
 
 
@@ -94,6 +95,10 @@ class Unknown:
 Outcome = Equal | Witness | Unknown
 
 
+SEEN = 200_000
+"""Steps for what is seen of a question before it is searched."""
+
+
 class SpentError(Exception):
     """The budget of a question is spent; says which."""
 
@@ -106,10 +111,18 @@ class Budget:
         states: states that each of the two engines may visit.
         go_on: asked again and again; when it returns False the question is given up. Callers that may read the clock
             make it a deadline.
+        steps_per_state: a state of many patterns takes many steps (:mod:`keymint.keymake.effort`); on average it may
+            take so many. :data:`SEEN` more are for what shows without a search.
     """
 
     states: int = 500_000
     go_on: Callable[[], bool] = field(default=lambda: True)
+    steps_per_state: int = 100
+
+    @property
+    def steps(self) -> int:
+        """Steps that the whole question may take, with both engines."""
+        return SEEN + self.states * self.steps_per_state
 
     def meter(self) -> Callable[[], None]:
         """Return a function to be called for every state.
@@ -125,5 +138,6 @@ class Budget:
             if not visited % 256 and not self.go_on():
                 raise SpentError("not decided in time")
             visited += 1
+            spend()
 
         return count

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
 
+from keymint.keymake.effort import spend
 from keymint.keymake.glob import literal
 from keymint.proof.arena import Arena
 from keymint.proof.model import DecisionList, Universe
@@ -65,7 +66,9 @@ class Product:
                     return word
             following: list[tuple[_State, str]] = []
             for state, word in level:
-                for letter in self._arena.worth_trying(_nodes(state)):
+                nodes = _nodes(state)
+                for letter in self._arena.worth_trying(nodes):
+                    spend(1 + len(nodes) // 4)
                     after = self._step(state, letter)
                     if after is not None and after not in seen:
                         self._meter()

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
-from functools import cache
+from functools import cache, partial
 
+from keymint.keymake.effort import EffortError, limited
 from keymint.keymake.glob import Glob
 from keymint.proof import quick
 from keymint.proof.arena import Arena
@@ -48,9 +49,22 @@ def difference(
     Returns:
         :class:`Equal`, a shortest :class:`Witness`, or :class:`Unknown` when the budget was spent.
     """
+    budget = budget or Budget()
+    return _within(budget, lambda: _difference(a, b, universe, budget))
+
+
+def _within(budget: Budget, ask: Callable[[], Outcome]) -> Outcome:
+    """Ask a question that may take the steps of a budget, or those that are left around it."""
+    try:
+        with limited(budget.steps):
+            return ask()
+    except EffortError as spent:
+        return Unknown(str(spent))
+
+
+def _difference(a: DecisionList, b: Sequence[DecisionList], universe: Universe, budget: Budget) -> Outcome:
     if quick.equal(a, b, universe):
         return Equal()
-    budget = budget or Budget()
     arena = cache(lambda: Arena(_patterns((a, *b)), universe))
     spent = ""
     patterns = sum(len(block.patterns) for decisions in (a, *b) for block in decisions)
@@ -84,7 +98,8 @@ def implies(a: DecisionList, b: DecisionList, universe: Universe = EVERY_WORD, b
         :class:`Equal` if so; else a shortest :class:`Witness` that ``a`` permits and ``b`` does not, or
         :class:`Unknown`.
     """
-    return Equal() if quick.implied(a, b, universe) else _escape((a,), b, universe, budget)
+    budget = budget or Budget()
+    return _within(budget, lambda: Equal() if quick.implied(a, b, universe) else _escape((a,), b, universe, budget))
 
 
 def intersects(
@@ -95,7 +110,8 @@ def intersects(
     Returns:
         a shortest :class:`Witness` if so; else :class:`Equal` (there is none), or :class:`Unknown`.
     """
-    return _escape((a, b), (), universe, budget)
+    budget = budget or Budget()
+    return _within(budget, lambda: _escape((a, b), (), universe, budget))
 
 
 def shadowed(
@@ -109,11 +125,11 @@ def shadowed(
         number of the block, number of the pattern in it, and :class:`Equal` if it is shadowed; else a shortest
         :class:`Witness` of what it alone decides, or :class:`Unknown`.
     """
+    budget = budget or Budget()
     before: dict[Glob, None] = {}
     for at, block in enumerate(decisions):
         for number, pattern in enumerate(block.patterns):
-            earlier = (Block(True, tuple(before)),)
-            yield at, number, _escape(((Block(True, (pattern,)),),), earlier, universe, budget)
+            yield at, number, _within(budget, partial(_beyond, pattern, tuple(before), universe, budget))
             before[pattern] = None
 
 
@@ -129,13 +145,16 @@ def escapes(
         :class:`Equal` if so; else a shortest :class:`Witness` that they permit and the other refuses, or
         :class:`Unknown`.
     """
-    return _escape(permitting, refusing, universe, budget)
-
-
-def _escape(
-    permitting: Sequence[DecisionList], refusing: DecisionList, universe: Universe, budget: Budget | None
-) -> Outcome:
     budget = budget or Budget()
+    return _within(budget, lambda: _escape(permitting, refusing, universe, budget))
+
+
+def _beyond(pattern: Glob, before: tuple[Glob, ...], universe: Universe, budget: Budget) -> Outcome:
+    """Look for a word that a pattern matches, and none of those before it."""
+    return _escape(((Block(True, (pattern,)),),), (Block(True, before),), universe, budget)
+
+
+def _escape(permitting: Sequence[DecisionList], refusing: DecisionList, universe: Universe, budget: Budget) -> Outcome:
     arena = cache(lambda: Arena(_patterns((*permitting, refusing)), universe))
     try:
         word = Escapes(permitting, refusing, universe, arena, budget.meter()).shortest()

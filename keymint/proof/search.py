@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Iterator
 from itertools import product
 
+from keymint.keymake.effort import spend
 from keymint.keymake.glob import Glob
 from keymint.proof.arena import Arena
 
@@ -55,6 +56,7 @@ class Search:
         arena = self._arena
         for places, excluded, word in level:
             for letter in arena.worth_trying((*places, *excluded)):
+                spend(1 + len(places) + len(excluded) // 2)
                 choices = [arena.step(place, letter) for place in places]
                 if not all(choices):
                     continue
@@ -69,12 +71,14 @@ class Search:
         """Tell whether a state may lead to a word that no state before it leads to as soon."""
         self._meter()
         simulates = self._arena.simulates
+        spend(len(places) * len(excluded) // 4)
         if any(simulates(node, place) for place in places for node in excluded):
             return False
         minimal = self._seen.get(places)
         if minimal is None:
             self._seen[places] = [excluded]
             return True
+        spend(len(minimal) // 4)
         if any(known <= excluded for known in minimal):
             return False
         self._seen[places] = [*(known for known in minimal if not excluded <= known), excluded]

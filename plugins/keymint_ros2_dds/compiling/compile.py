@@ -9,7 +9,8 @@ from dataclasses import dataclass
 from keymint.api import BuildOptions, Demand, Permissions
 from keymint.errors import Diagnostic, KeymintError, Severity
 from keymint.ir import Rule
-from keymint.keymake.algebra import disjoint
+from keymint.keymake.algebra import disjoint, sort_key
+from keymint.keymake.effort import EffortError, limited
 from keymint.keymake.glob import Glob
 from keymint_ros2_dds.compiling import partitions
 from keymint_ros2_dds.compiling.criteria import Criteria
@@ -23,6 +24,8 @@ from keymint_ros2_dds.endpoints import endpoints
 from keymint_ros2_dds.mapping import Action, check_distro, knows
 
 DIFFERING = "Cyclone DDS and Fast DDS"
+STEPS = 4_000_000
+"""Steps that putting the rules of a subject in order may take (:mod:`keymint.keymake.effort`)."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -76,12 +79,24 @@ def _blocks(lowered: Lowered, collector: _Collector) -> tuple[Block, ...]:
     if collector.problems:
         return standard_blocks(lowered)
     try:
-        return blocks(lowered)
+        with limited(STEPS):
+            return blocks(lowered)
     except OrderError as error:
         collector.add("portability-order", None, error.pattern, error.reason)
     except PartitionError as error:
         collector.add("portability-partition", None, error.pattern, error.reason)
+    except EffortError as error:
+        reason = (
+            f"it overlaps with others in too many ways: no order of the rules was found within {error.steps:,} steps"
+        )
+        collector.add("portability-effort", None, _widest(lowered), reason)
     return standard_blocks(lowered)
+
+
+def _widest(lowered: Lowered) -> Glob:
+    """Return the pattern with the most wildcards, of several the first in order: one that is hard to put in order."""
+    patterns = (pattern for sides in (lowered.allow, lowered.deny) for side in sides.values() for pattern, _ in side)
+    return min(patterns, key=lambda pattern: (-sum(not isinstance(token, str) for token in pattern), sort_key(pattern)))
 
 
 def _plain(lowered: Lowered, collector: _Collector) -> tuple[Criteria, ...]:
@@ -93,8 +108,9 @@ def _plain(lowered: Lowered, collector: _Collector) -> tuple[Criteria, ...]:
         return collector.written(one_by_one(standard_blocks(lowered), lowered))
     full = collector.of_its_own()
     try:
-        written = full.written(one_by_one(blocks(lowered, reduced=False), lowered))
-    except (OrderError, PartitionError):
+        with limited(STEPS):
+            written = full.written(one_by_one(blocks(lowered, reduced=False), lowered))
+    except (OrderError, PartitionError, EffortError):
         written = ()
     if written and not full.problems:
         return written

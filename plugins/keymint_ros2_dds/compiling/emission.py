@@ -13,6 +13,7 @@ from lxml import etree
 
 from keymint.api import BuildOptions, Claim, Package, Proof
 from keymint.errors import Diagnostic, KeymintError, Severity
+from keymint.keymake.effort import limited
 from keymint.pki import names
 from keymint_ros2_dds import document as documents
 from keymint_ros2_dds.compiling.compile import Compiled, compile_rules, remarks
@@ -25,7 +26,9 @@ from keymint_ros2_dds.permissions import render, rules_size
 from keymint_ros2_dds.proving import ASSUMPTIONS, Held, prove_content
 
 STATES = 50_000
-"""States that a question may visit: about a second, so that a build never hangs."""
+"""States that a question may visit, so that a build never hangs."""
+STEPS = 8_000_000
+"""Steps that all questions about the forms of a document may take together (:mod:`keymint.keymake.effort`)."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -53,6 +56,12 @@ def emit(package: Package, options: BuildOptions) -> Emitted:
             form of the document means what the rules say.
     """
     compiled = compile_rules(package.permissions, package.distro, options)
+    with limited(STEPS):
+        return _smallest(package, options, compiled)
+
+
+def _smallest(package: Package, options: BuildOptions, compiled: Compiled) -> Emitted:
+    """Return the document in the first of its forms that is proven, or else in its plain form."""
     said: list[Diagnostic] = []
     for rules in _forms(compiled, optimise=options.optimise):
         document = render(package.permissions, rules)

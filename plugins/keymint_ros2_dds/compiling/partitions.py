@@ -2,9 +2,10 @@
 
 A policy speaks of each partition by itself: an endpoint is allowed when each of its partitions is. A permissions
 document holds one list per rule, and on Fast DDS the first rule that names the topic decides alone. So every name
-must meet the one rule that has the union of its lists: patterns are closed under intersection, and the more
-specific come first. What is denied is subtracted here; a deny rule cannot do it (Cyclone DDS takes one without
-partitions to be about the default partition, Fast DDS ignores those it has).
+must meet the one rule that has the union of its lists: where two lists meet, the intersection of their patterns gets a
+rule of its own, and rules with more partitions come first. What is denied in some partitions only is subtracted here,
+with all patterns closed under intersection and the more specific first; a deny rule cannot do it (Cyclone DDS takes one
+without partitions to be about the default partition, Fast DDS ignores those it has).
 """
 
 from __future__ import annotations
@@ -21,6 +22,7 @@ from keymint.keymake.algebra import (
     covers,
     disjoint,
     intersection,
+    maximal,
     sort_key,
     surely_covers,
 )
@@ -30,7 +32,7 @@ from keymint_ros2_dds.compiling.spelling import faithful
 
 DEFAULT: Partitions = ("",)
 EVERY: Partitions = ("*",)
-MAX_PATTERNS = 64
+MAX_PATTERNS = 128
 """Patterns with wildcards that a decision list over several lists of partitions may have."""
 
 
@@ -150,16 +152,34 @@ def decision_list(
 ) -> tuple[Entry, ...]:
     """Return a decision list for patterns with different lists of partitions.
 
+    What is denied in every partition comes before all wildcards that are allowed.
+
     Raises:
         PartitionError: a deny takes names out of ``*``, or the patterns overlap in too many ways.
     """
     allow = [(pattern, _plain(listed)) for pattern, listed in allow]
     patterns = dict.fromkeys(pattern for pattern, _ in (*allow, *deny))
     literals = sorted(pattern for pattern in patterns if literal(pattern) is not None)
-    wild = _specific_first(_closure([pattern for pattern in patterns if literal(pattern) is None]))
+    denials = maximal(pattern for pattern, listed in deny if not listed and literal(pattern) is None)
+    narrowed = [pattern for pattern, listed in deny if listed and literal(pattern) is None]
     allowed, denied = _Side.of(allow), _Side.of(deny)
-    needed = _needed([(pattern, _effective(pattern, allowed, denied)) for pattern in (*literals, *wild)])
-    steps = list(_closed(needed))
+    steps: list[tuple[Glob, Partitions]] = [
+        *((pattern, _effective(pattern, allowed, denied)) for pattern in literals),
+        *((pattern, ()) for pattern in denials),
+    ]
+    if narrowed:
+        wild = dict.fromkeys((*(pattern for pattern, _ in allowed.wild), *narrowed))
+        closed = _specific_first(_closure([*wild], denials))
+        steps += ((pattern, _effective(pattern, allowed, denied)) for pattern in closed)
+        steps = list(_closed(_needed(steps)))
+    else:
+        steps = _needed([*steps, *_widest_first(_united(allowed.wild, denials))])
+    return tuple(_entries(_freed(steps)))
+
+
+def _freed(steps: Iterable[tuple[Glob, Partitions]]) -> list[tuple[Glob, Partitions]]:
+    """Return steps with those first that no denial touches, and that overtake no step with other partitions."""
+    steps = list(steps)
     denies = [pattern for pattern, listed in steps if not listed]
     free: list[tuple[Glob, Partitions]] = []
     later: list[tuple[Glob, Partitions]] = []
@@ -167,7 +187,59 @@ def decision_list(
         overtaken = (other for other, where in later if where != listed)
         touched = any(not disjoint(pattern, other) for other in (*denies, *overtaken))
         (later if touched or not listed else free).append((pattern, listed))
-    return tuple(_entries([*free, *later]))
+    return [*free, *later]
+
+
+def _united(wild: Iterable[tuple[Glob, Partitions]], denials: Sequence[Glob]) -> dict[Glob, Partitions]:
+    """Return patterns with lists, so that of those that match a name one has all the partitions of the others.
+
+    Two patterns need an intersection of their own only where neither list has all that the other one has.
+    """
+    found: dict[Glob, Partitions] = {}
+    for pattern, listed in wild:
+        if not any(covers(denial, pattern) for denial in denials):
+            found[pattern] = _reduced(frozenset((*found.get(pattern, ()), *listed)))
+    todo = list(found)
+    while todo:
+        pattern = todo.pop()
+        for other in list(found):
+            listed, theirs = found[pattern], found[other]
+            if _within(listed, theirs) or _within(theirs, listed):
+                continue
+            both = _reduced(frozenset((*listed, *theirs)))
+            for piece in _meeting(pattern, other):
+                if any(covers(denial, piece) for denial in denials) or any(
+                    _within(both, known) and covers(wider, piece) for wider, known in found.items()
+                ):
+                    continue
+                found[piece] = _reduced(frozenset((*found.get(piece, ()), *both)))
+                todo.append(piece)
+                _bound(found, piece)
+    return found
+
+
+def _widest_first(found: Mapping[Glob, Partitions]) -> list[tuple[Glob, Partitions]]:
+    """Return steps so that none stands after one with fewer partitions, the same on every run."""
+    lists = sorted(set(found.values()))
+    weight = {listed: sum(_within(other, listed) for other in lists) for listed in lists}
+    return sorted(found.items(), key=lambda step: (-weight[step[1]], step[1], sort_key(step[0])))
+
+
+def _meeting(pattern: Glob, other: Glob) -> tuple[Glob, ...]:
+    """Return the pieces of an intersection.
+
+    Raises:
+        PartitionError: there are too many.
+    """
+    try:
+        return intersection(pattern, other)
+    except TooComplexError:
+        raise PartitionError(pattern, "it overlaps with others in too many ways") from None
+
+
+def _bound(found: Collection[Glob], pattern: Glob) -> None:
+    if len(found) > MAX_PATTERNS:
+        raise PartitionError(pattern, "patterns with different partitions overlap in too many ways")
 
 
 def _closed(steps: Sequence[tuple[Glob, Partitions]]) -> Iterator[tuple[Glob, Partitions]]:
@@ -248,23 +320,19 @@ def _effective(pattern: Glob, allow: _Side, deny: _Side) -> Partitions:
     return left
 
 
-def _closure(wild: Sequence[Glob]) -> list[Glob]:
-    """Return the patterns and all their intersections."""
-    found = dict.fromkeys(wild)
-    todo = list(wild)
+def _closure(wild: Sequence[Glob], denials: Sequence[Glob]) -> list[Glob]:
+    """Return the patterns and all their intersections, but for what is denied anyway."""
+    found = {pattern: None for pattern in wild if not any(covers(denial, pattern) for denial in denials)}
+    todo = list(found)
     while todo:
         pattern = todo.pop()
         for other in list(found):
-            try:
-                pieces = intersection(pattern, other)
-            except TooComplexError:
-                raise PartitionError(pattern, "it overlaps with others in too many ways") from None
-            for piece in pieces:
-                if piece not in found and not any(covers(known, piece) and covers(piece, known) for known in found):
+            for piece in _meeting(pattern, other):
+                known = any(covers(each, piece) and covers(piece, each) for each in found)
+                if piece not in found and not known and not any(covers(denial, piece) for denial in denials):
                     found[piece] = None
                     todo.append(piece)
-        if len(found) > MAX_PATTERNS:
-            raise PartitionError(pattern, "patterns with different partitions overlap in too many ways")
+                _bound(found, piece)
     return list(found)
 
 
