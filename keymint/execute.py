@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from itertools import groupby
 
-from keymint.plan import known_keys
+from keymint.plan import ignored, known_keys
 from keymint.plan.model import File, Plan, Step
 from keymint.state import State, dump_mark
 from keymint.store import Store
@@ -39,7 +39,8 @@ def execute(
         KeymintError: the system refuses a write; every file is whole, and a later run goes on from here.
     """
     record = plan.state.dump()
-    if not plan.writes() and record == before.dump() and not store.is_marked():
+    guards = ignored.missing(workspace, plan)
+    if not guards and not plan.writes() and record == before.dump() and not store.is_marked():
         for step in plan.steps:
             on_step(step)
         return
@@ -51,6 +52,8 @@ def execute(
         if not file.secret
     ]
     with store.marked(dump_mark(before, public, known_keys.new_fingerprints(before, plan.state))):
+        for guard in guards:  # before the first secret is there
+            store.write(guard.folder, guard.files, private=guard.private)
         for batch in _batches(plan.steps):
             _carry_out(batch, store, jobs, on_step)
         store.write(workspace.state, {RECORD: File(record)})

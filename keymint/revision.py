@@ -14,6 +14,8 @@ from pathlib import Path
 from keymint.errors import KeymintError
 
 _SECONDS = 120
+GIT_MISSING = "git-missing"
+"""Code of the error that git cannot be run."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,14 +53,14 @@ def at_revision(text: str, folder: Path, environment: Mapping[str, str]) -> Iter
     name, _, path = text.partition(":")
     if not name or name.startswith("-"):
         raise KeymintError(f"{text!r} names no revision", help="write REV:path, e.g. HEAD~1:policy", code="revision")
-    top = Path(_git(("rev-parse", "--show-toplevel"), folder, environment).decode().rstrip("\n"))
+    top = Path(run_git(("rev-parse", "--show-toplevel"), folder, environment).decode().rstrip("\n"))
     if path.startswith(("./", "../")):
-        prefix = _git(("rev-parse", "--show-prefix"), folder, environment).decode().rstrip("\n")
+        prefix = run_git(("rev-parse", "--show-prefix"), folder, environment).decode().rstrip("\n")
         path = f"{prefix}{path}"
-    commit = _git(
+    commit = run_git(
         ("rev-parse", "--verify", "--quiet", "--end-of-options", f"{name}^{{commit}}"), top, environment, name
     )
-    archive = _git(("archive", "--format=tar", commit.decode().strip()), top, environment)
+    archive = run_git(("archive", "--format=tar", commit.decode().strip()), top, environment)
     with tempfile.TemporaryDirectory(prefix="keymint-") as made:
         root = Path(made).resolve()
         with tarfile.open(fileobj=io.BytesIO(archive)) as tar:
@@ -73,8 +75,18 @@ def at_revision(text: str, folder: Path, environment: Mapping[str, str]) -> Iter
         yield Revision(name, found, root)
 
 
-def _git(arguments: tuple[str, ...], folder: Path, environment: Mapping[str, str], revision: str = "") -> bytes:
-    """Return what git writes to standard output; run without a shell."""
+def run_git(arguments: tuple[str, ...], folder: Path, environment: Mapping[str, str], revision: str = "") -> bytes:
+    """Return what git writes to standard output; run without a shell.
+
+    Args:
+        arguments: of git.
+        folder: where it runs.
+        environment: its environment variables.
+        revision: name of the revision that it is asked for, for messages.
+
+    Raises:
+        KeymintError: there is no git (with the code :data:`GIT_MISSING`), or it fails.
+    """
     try:
         done = subprocess.run(  # noqa: S603 - the program is fixed, and an argument cannot become an option
             ["git", *arguments],  # noqa: S607 - the user's own git
@@ -86,7 +98,7 @@ def _git(arguments: tuple[str, ...], folder: Path, environment: Mapping[str, str
             timeout=_SECONDS,
         )
     except (OSError, subprocess.TimeoutExpired) as error:
-        raise KeymintError(f"git cannot be run: {error}", help="install git", code="revision") from None
+        raise KeymintError(f"git cannot be run: {error}", help="install git", code=GIT_MISSING) from None
     if done.returncode:
         if revision:
             raise KeymintError(

@@ -14,6 +14,7 @@ from datetime import timedelta
 from keymint.api import Inspection
 from keymint.check.authorities import authorities, authority_keys, in_defect
 from keymint.check.enclaves import identity_key, inspection, on_disk, shared_keys
+from keymint.check.exposed import exposed
 from keymint.check.install_space import shared
 from keymint.check.places import places
 from keymint.errors import Diagnostic, KeymintError, Origin, Severity
@@ -71,7 +72,7 @@ def check(
     findings += shared_keys(inputs, fingerprints)
     findings += shared(inputs, loaded)
     later = _to_be_mended_later(findings, in_defect(of_authorities))
-    return (*of_authorities, *places(inputs), *later)
+    return (*of_authorities, *places(inputs), *exposed(inputs), *later)
 
 
 def _to_be_mended_later(findings: Iterable[Diagnostic], defect: Diagnostic | None) -> Iterator[Diagnostic]:

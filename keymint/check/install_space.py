@@ -9,6 +9,7 @@ from keymint.api import Artifact
 from keymint.check.enclaves import installed_files
 from keymint.check.places import modes
 from keymint.errors import Diagnostic, Origin, Severity
+from keymint.plan import ignored
 from keymint.plan.enclaves import installed
 from keymint.plan.inputs import Inputs, LoadedProfile
 from keymint.workspace import packages
@@ -33,7 +34,7 @@ def shared(inputs: Inputs, loaded: LoadedProfile) -> Iterator[Diagnostic]:
             expected |= {path: artifact.content for path, artifact in shared.items()}
     for path in _files_below(inputs, workspace.install):
         relative = str(path.relative_to(workspace.install))
-        if path.parent in enclaves:
+        if path.parent in enclaves or path == workspace.install / ignored.NAME:
             continue
         if relative not in expected:
             yield Diagnostic(

@@ -1,0 +1,96 @@
+"""What is found on private keys that git tracks, or that ``git add`` would take."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+
+from keymint.errors import Diagnostic, KeymintError, Origin, Severity
+from keymint.plan import ignored
+from keymint.plan.inputs import Inputs
+from keymint.revision import GIT_MISSING, run_git
+
+_MOST = 64 * 1024
+"""Bytes of a file with a private key; larger ones are not read."""
+_LIST = ("-c", "core.fsmonitor=false", "-c", "core.hooksPath=/dev/null", "ls-files", "-z")
+"""Lists files, and starts no program that the repository's configuration names."""
+
+
+def exposed(inputs: Inputs) -> Iterator[Diagnostic]:
+    """Yield what is found on the private keys in all spaces; nothing where there is no repository or no git."""
+    workspace = inputs.workspace
+    spaces = (workspace.private, workspace.install, workspace.build, workspace.public, workspace.src, workspace.profile)
+    for space in spaces:
+        if _in_repository(space.resolve()):
+            yield from _of_space(inputs, space)
+
+
+def _of_space(inputs: Inputs, space: Path) -> Iterator[Diagnostic]:
+    keys = [path for path in _files(inputs, space) if _is_secret(inputs, path)]
+    if not keys:
+        return
+    environment = _plain(inputs.environment)
+    try:
+        tracked = _listed(space, "--cached", environment)
+        added = _listed(space, "--others", environment)
+    except KeymintError as error:
+        found = error.diagnostics[0]
+        if found.code != GIT_MISSING:
+            message = f"whether git tracks private keys is unknown: {found.message}"
+            yield Diagnostic("git-unknown", Severity.NOTE, message, Origin(inputs.workspace.shown(space)))
+        return
+    guard = inputs.workspace.shown(space / ignored.NAME)
+    stop = f"write the line '*' into {guard}"
+    replace = "replace it, since whoever has the repository has it"
+    yield from _finding(inputs, keys, tracked, "key-tracked", "that git tracks", f"'git rm --cached' it, and {replace}")
+    yield from _finding(inputs, keys, added - tracked, "key-exposed", "that 'git add' would take", stop)
+
+
+def _finding(
+    inputs: Inputs, keys: list[Path], listed: frozenset[Path], code: str, what: str, help_: str
+) -> Iterator[Diagnostic]:
+    """Yield one finding for all private keys of a space that are listed."""
+    found = [path for path in keys if path in listed or any(folder in listed for folder in path.parents)]
+    if found:
+        more = f", like {len(found) - 1} more" if len(found) > 1 else ""
+        message = f"is a private key {what}{more}"
+        yield Diagnostic(code, Severity.ERROR, message, Origin(inputs.workspace.shown(found[0])), help_)
+
+
+def _in_repository(folder: Path) -> bool:
+    return any(os.path.lexists(above / ".git") for above in (folder, *folder.parents))
+
+
+def _listed(space: Path, which: str, environment: Mapping[str, str]) -> frozenset[Path]:
+    """Return the files below a space that git lists; a repository inside of it is one entry."""
+    names = run_git((*_LIST, which, "--exclude-standard", "--", "."), space, environment).split(b"\0")
+    return frozenset(space / os.fsdecode(name.removesuffix(b"/")) for name in names if name)
+
+
+def _plain(environment: Mapping[str, str]) -> Mapping[str, str]:
+    """Return an environment in which git looks at the repository that a space lies in, and changes nothing of it."""
+    kept = {name: value for name, value in environment.items() if not name.startswith("GIT_") or "CONFIG" in name}
+    return {**kept, "LC_ALL": "C", "GIT_OPTIONAL_LOCKS": "0", "GIT_TERMINAL_PROMPT": "0"}
+
+
+def _files(inputs: Inputs, folder: Path) -> Iterator[Path]:
+    try:
+        entries = inputs.tree.names(folder)
+    except KeymintError:
+        return  # said where its content is judged
+    for name, is_folder in entries:
+        if not is_folder:
+            yield folder / name
+        elif name != ".git":
+            yield from _files(inputs, folder / name)
+
+
+def _is_secret(inputs: Inputs, path: Path) -> bool:
+    """Tell whether a file holds a private key; in the private space all do."""
+    if path.is_relative_to(inputs.workspace.private):
+        return path.name != ignored.NAME
+    try:
+        return path.lstat().st_size <= _MOST and b"PRIVATE KEY-----" in (inputs.tree.read(path) or b"")
+    except (OSError, KeymintError):
+        return False
