@@ -38,7 +38,11 @@ def missing_transport(usable: Usable) -> NoReturn:
 def probe_cache(pytestconfig: pytest.Config, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Return the folder that keeps the built probes from run to run."""
     cache = getattr(pytestconfig, "cache", None)
-    return cache.mkdir("probes") if cache else tmp_path_factory.mktemp("probes")
+    if cache is None:
+        return tmp_path_factory.mktemp("probes")
+    folder: Path = cache.mkdir("probes")
+    folder.chmod(0o700)  # programs are run from a folder that is ours alone
+    return folder
 
 
 @pytest.fixture(scope="session")

@@ -16,7 +16,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from types import MappingProxyType
 
-from keymint_ros2_dds.vendors import cyclone_access_control
+from keymint_ros2_dds.vendors import cyclone_access_control, programs
 
 _SOURCES = Path(__file__).parent
 
@@ -89,10 +89,10 @@ class Probe:
         return compiler, looked_for.stdout
 
     def build(self, cache: Path, environment: Mapping[str, str] = _NOTHING) -> Path:
-        """Return the program, built in the cache unless it is there.
+        """Return the program, built unless it is in the cache.
 
         Args:
-            cache: a folder for programs; made if it is missing.
+            cache: a folder for programs; made if it is missing, and not used if others can write to it.
             environment: environment variables; the compiler is looked for on its ``PATH``.
 
         Raises:
@@ -101,10 +101,9 @@ class Probe:
         compiler, included = self.require(environment)
         source = _SOURCES / self.source
         state = hashlib.sha256(source.read_bytes() + included + repr(self).encode())
-        program = cache / f"{source.stem}-{state.hexdigest()[:16]}"
-        if not program.exists():
-            cache.mkdir(mode=0o700, parents=True, exist_ok=True)
-            with tempfile.TemporaryDirectory(dir=cache) as scratch:
+        program = programs.place(cache, f"{source.stem}-{state.hexdigest()[:16]}")
+        if not programs.is_ours(program):
+            with tempfile.TemporaryDirectory(dir=program.parent) as scratch:
                 output = Path(scratch) / program.name
                 command = [compiler, *self.arguments[:1], "-O1", "-o", str(output), str(source)]
                 done = subprocess.run(  # noqa: S603 - no shell, and no word of it from outside
@@ -117,6 +116,7 @@ class Probe:
                     said = done.stderr.decode(errors="replace").strip().splitlines()
                     reason = f"{self.source} cannot be built: {said[-1] if said else 'no message'}"
                     raise MissingVendorError(self.vendor, reason, self.packages)
+                output.chmod(0o700)
                 output.replace(program)
         return program
 

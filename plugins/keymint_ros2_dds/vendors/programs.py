@@ -1,0 +1,89 @@
+"""Where compiled probes are kept: in this user's cache if nobody else can write there, else in a folder of this run.
+
+A program from the cache is run with the rights of whoever runs Keymint, so it is only taken from a place that is ours.
+"""
+
+from __future__ import annotations
+
+import functools
+import os
+import stat
+import tempfile
+from collections.abc import Iterator
+from pathlib import Path
+
+
+def place(cache: Path, name: str) -> Path:
+    """Return where a program is, or is to be built: in the cache unless something else lies there in its place.
+
+    Args:
+        cache: a folder for programs.
+        name: the program's.
+    """
+    program = folder(cache) / name
+    return program if is_ours(program) or not os.path.lexists(program) else _of_this_run() / name
+
+
+def folder(cache: Path) -> Path:
+    """Return the cache if it is ours alone, made if it is missing, else a private folder that goes when the run ends.
+
+    Args:
+        cache: a folder for programs.
+    """
+    try:
+        cache.mkdir(mode=0o700, parents=True, exist_ok=True)
+    except OSError:
+        return _of_this_run()
+    return cache if is_ours_alone(cache) else _of_this_run()
+
+
+def is_ours_alone(path: Path) -> bool:
+    """Tell whether a folder is this user's with mode 0700, no link, and cannot be replaced by another one.
+
+    Nobody but root and this user may own or write a folder on the way to it; in a folder with the sticky bit, like
+    ``/tmp``, others can write, but cannot rename what is ours.
+    """
+    try:
+        own = path.lstat()
+        ours = stat.S_ISDIR(own.st_mode) and stat.S_IMODE(own.st_mode) == stat.S_IRWXU and own.st_uid == os.geteuid()
+        return ours and all(map(_is_safe, _above(path)))
+    except OSError:
+        return False
+
+
+def is_ours(program: Path) -> bool:
+    """Tell whether a program is a regular file with one name, of this user, that nobody else can write."""
+    try:
+        found = program.lstat()
+    except OSError:
+        return False
+    return (
+        stat.S_ISREG(found.st_mode)
+        and found.st_uid == os.geteuid()
+        and found.st_nlink == 1
+        and not found.st_mode & (stat.S_IWGRP | stat.S_IWOTH)
+    )
+
+
+def _above(path: Path) -> Iterator[os.stat_result]:
+    """Yield the status of every folder and link on the way to a folder, by its name and by where links lead."""
+    for way in (Path(os.path.abspath(path)), path.resolve()):  # noqa: PTH100 - links are not to be followed
+        for folder_above in way.parents:
+            yield folder_above.lstat()
+
+
+def _is_safe(found: os.stat_result) -> bool:
+    if found.st_uid not in {0, os.geteuid()}:
+        return False
+    writable = found.st_mode & (stat.S_IWGRP | stat.S_IWOTH)
+    return stat.S_ISLNK(found.st_mode) or not writable or bool(found.st_mode & stat.S_ISVTX)
+
+
+def _of_this_run() -> Path:
+    return Path(_temporary().name)
+
+
+@functools.cache
+def _temporary() -> tempfile.TemporaryDirectory[str]:
+    """Return a folder with mode 0700 that lives as long as the process."""
+    return tempfile.TemporaryDirectory(prefix="keymint-")
