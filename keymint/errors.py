@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterable
 from dataclasses import dataclass
 from enum import IntEnum, StrEnum
@@ -27,6 +28,28 @@ class Severity(StrEnum):
     ERROR = "error"
     WARNING = "warning"
     NOTE = "note"
+
+
+_LIBRARY = re.compile(r"(?:.*/)?templates/keymint_ros/comarmor\.d/[a-z]+/(common/.+)", re.DOTALL)
+"""Files of the library that ships with Keymint: in a checkout, and in an installed distribution."""
+
+
+def library_name(file: str) -> str | None:
+    """Return the name of a file of the shipped library, as policies include it; None of any other file."""
+    found = _LIBRARY.fullmatch(file)
+    return found[1] if found else None
+
+
+def cited(file: str, line: int = 0) -> str:
+    """Return a place as a person reads it: ``file:line``, of the shipped library ``common/node.xml:3 (library)``.
+
+    Args:
+        file: path.
+        line: line number from 1, or 0 for the file as a whole.
+    """
+    name = library_name(file)
+    place = f"{name or file}:{line}" if line else name or file
+    return f"{place} (library)" if name else place
 
 
 @dataclass(frozen=True, slots=True, order=True)
@@ -56,8 +79,7 @@ class Origin:
 
     def __str__(self) -> str:
         """Return ``file:line``, followed by the chain of includes."""
-        place = f"{self.file}:{self.line}" if self.line else self.file
-        return "".join([place, *(f", included from {outer}" for outer in self.chain)])
+        return "".join([cited(self.file, self.line), *(f", included from {outer}" for outer in self.chain)])
 
 
 @dataclass(frozen=True, slots=True)

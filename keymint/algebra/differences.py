@@ -7,7 +7,7 @@ from typing import Any
 
 from keymint.algebra.changes import Change
 from keymint.algebra.diff import Changed
-from keymint.errors import Origin
+from keymint.errors import Origin, Spot
 
 Typed = Callable[[Origin | None], str]
 
@@ -27,12 +27,17 @@ def as_text(found: Sequence[Changed], place: Typed) -> Iterator[str]:
             yield f"  {sign} {_held(change, str)}{_objects(change, str)}{where}"
 
 
-def as_markdown(found: Sequence[Changed], place: Typed, titles: tuple[str, str]) -> Iterator[str]:
+def as_markdown(
+    found: Sequence[Changed], place: Typed, library: Callable[[str], str | None], titles: tuple[str, str]
+) -> Iterator[str]:
     """Yield the lines of a comment on a code review.
+
+    Of a node that comes or goes, what the library allows is one line for each file that the policy includes.
 
     Args:
         found: what changed.
         place: returns a place as the user would type it.
+        library: returns the name of a file in the library; None of any other file.
         titles: names of the older and of the newer policy.
     """
     yield f"### Access control: {_code(titles[0])} → {_code(titles[1])}"
@@ -44,15 +49,21 @@ def as_markdown(found: Sequence[Changed], place: Typed, titles: tuple[str, str])
     for each in found:
         yield ""
         yield f"#### {_subject(each, _code).rstrip(':')}"
-        if each.changes:
+        own, folded = _folded(each, library)
+        if own:
             yield ""
             yield "| | permission | objects | rule |"
             yield "|---|---|---|---|"
-        for change in each.changes:
+        for change in own:
             sign = _verb(change)
             objects = _objects(change, _code)
             where = _code(place(change.where)) if change.where else ""
             yield f"| {sign} | {_held(change, _code).rstrip()} | {objects} | {where} |"
+        for at, (name, number) in enumerate(folded.items()):
+            if at == 0:
+                yield ""
+            rules = f"the {number} rules" if number > 1 else "the rule"
+            yield f"… and {rules} of {_code(name)} (library)"
 
 
 def as_data(found: Sequence[Changed], place: Callable[[Origin | None], dict[str, Any] | None]) -> list[dict[str, Any]]:
@@ -103,6 +114,22 @@ def _subject(each: Changed, code: Callable[[str], str] = str) -> str:
         return f"{name}:"
     which = "new" if each.after else "no profile applies any more"
     return f"{name} ({which}):" if each.changes else f"{name} ({which}), without any permission"
+
+
+def _folded(each: Changed, library: Callable[[str], str | None]) -> tuple[list[Change], dict[str, int]]:
+    """Return the changes to list, and how many rules of which file of the library the others are by."""
+    if each.before and each.after:
+        return [*each.changes], {}
+    own: list[Change] = []
+    rules: dict[str, set[Spot]] = {}
+    for change in each.changes:
+        where = change.where
+        if where is None or change.unknown or library(where.file) is None:
+            own.append(change)
+            continue
+        names = [name for place in (where, *where.chain) if (name := library(place.file))]
+        rules.setdefault(names[-1], set()).add(where.spot)
+    return own, {name: len(spots) for name, spots in rules.items()}
 
 
 def _verb(change: Change) -> str:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
 from contextlib import ExitStack
 from dataclasses import replace
 from pathlib import Path
@@ -15,9 +16,9 @@ from keymint.algebra.differences import as_data, as_markdown, as_text, summary
 from keymint.algebra.purse import STATES, Purse
 from keymint.api import LoadedPolicy
 from keymint.commands.common import Run, verb
-from keymint.commands.policies import Policies, place, policy_options
+from keymint.commands.policies import Policies, place, policy_options, typed
 from keymint.console import Console
-from keymint.errors import Diagnostic, ExitCode, KeymintError, Origin, Severity
+from keymint.errors import Diagnostic, ExitCode, KeymintError, Origin, Severity, library_name
 from keymint.report import Report
 from keymint.revision import at_revision, is_revision
 
@@ -59,6 +60,7 @@ def diff(
         trees: dict[str, str] = {}
         one, other = (_loaded(run, policies, text, stack, trees) for text in (old, new))
         found = compare(one, other, Purse(budget))
+        library = _libraries(policies, [each for each in (old, new) if not is_revision(each, run.setting.cwd)])
 
     def said(where: Origin | None) -> str:
         if where is None:
@@ -66,7 +68,7 @@ def diff(
         in_tree = where.file.startswith(tuple(trees))
         return _renamed(str(where.alone()) if in_tree else place(run, where), trees)
 
-    lines = as_markdown(found, said, (old, new)) if kind == "markdown" else as_text(found, said)
+    lines = as_markdown(found, said, library, (old, new)) if kind == "markdown" else as_text(found, said)
     for line in lines:
         run.console.line(line)
     if kind != "markdown":
@@ -75,12 +77,18 @@ def diff(
     def placed(where: Origin | None) -> dict[str, Any] | None:
         if where is None:
             return None
-        file, _, line = said(where).rpartition(":") if where.line else (said(where), "", "0")
-        return {"file": file, "line": int(line) or None}
+        in_tree = where.file.startswith(tuple(trees))
+        return {"file": _renamed(where.file if in_tree else typed(run)(where.file), trees), "line": where.line or None}
 
     result = {"equivalent": not found, "subjects": as_data(found, placed)}
     doubts = [_UNKNOWN] if any(change.unknown for each in found for change in each.changes) else []
     return Report(run.verb, None, (), doubts, result, ExitCode.FINDINGS if gains(found) else ExitCode.DONE)
+
+
+def _libraries(policies: Policies, paths: Sequence[str]) -> Callable[[str], str | None]:
+    """Return a function that names a file of the library of any of some policies; None of any other file."""
+    each = [library_name, *(policies.library(Path(path)) for path in paths)]
+    return lambda file: next((name for library in each if (name := library(file))), None)
 
 
 def _loaded(run: Run, policies: Policies, text: str, stack: ExitStack, trees: dict[str, str]) -> LoadedPolicy:

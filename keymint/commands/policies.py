@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from functools import cache
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -10,7 +11,7 @@ import click
 
 from keymint.api import LoadedPolicy, PolicySource
 from keymint.commands.common import Run
-from keymint.errors import Origin
+from keymint.errors import Origin, cited, library_name
 from keymint.plan.create import load_policy
 from keymint.workspace import Workspace, shown
 
@@ -89,6 +90,27 @@ class Policies:
             self.distro = loaded.profile.distro
         return load_policy(inputs, loaded)
 
+    def library(self, path: Path | None) -> Callable[[str], str | None]:
+        """Return a function that names a file of the library that ships with Keymint; None of any other file.
+
+        The copy of it that a workspace has counts as long as nobody changed it.
+        """
+        shipped = self._run.plugins.profile_type(self._profile_type).library(self.distro)
+        folder = self.places(path)[1]
+
+        def name(file: str) -> str | None:
+            real = (self._run.setting.cwd / file).resolve()
+            if not real.is_relative_to(folder / "common"):
+                return library_name(file)
+            relative = real.relative_to(folder)
+            try:
+                same = (shipped / relative).read_bytes() == real.read_bytes()
+            except OSError:
+                return None
+            return str(relative) if same else None
+
+        return cache(name)
+
     def places(self, path: Path | None) -> tuple[Sequence[Path], Path]:
         """Return where the policies are that :meth:`load` reads, and the library that they include from; resolved."""
         folder = self._run.setting.cwd / path if path is not None else None
@@ -109,5 +131,4 @@ def place(run: Run, where: Origin | None) -> str:
     """Return a place as the user would type it: ``file:line``."""
     if where is None:
         return ""
-    file = typed(run)(where.file)
-    return f"{file}:{where.line}" if where.line else file
+    return cited(typed(run)(where.file), where.line)

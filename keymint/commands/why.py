@@ -11,7 +11,7 @@ import click
 from keymint.api import AppliedProfile, Tier
 from keymint.commands.common import Run, verb
 from keymint.commands.transport_option import transport_option
-from keymint.errors import Diagnostic, ExitCode, Origin, Severity
+from keymint.errors import Diagnostic, ExitCode, Origin, Severity, cited
 from keymint.graph import LABELLED, Edge
 from keymint.plan.anchors import differences
 from keymint.plan.create import load_policy
@@ -132,7 +132,7 @@ def _need(endpoint: Edge) -> str:
 
 
 def _at(where: Origin, typed: Callable[[str], str]) -> str:
-    return typed(where.file) + (f":{where.line}" if where.line else "")
+    return cited(typed(where.file), where.line)
 
 
 def _profile(profile: AppliedProfile, typed: Callable[[str], str]) -> str:

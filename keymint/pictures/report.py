@@ -16,7 +16,7 @@ from typing import Any
 
 from markupsafe import Markup
 
-from keymint.errors import Origin
+from keymint.errors import Origin, cited
 from keymint.pictures.layout import Domain, Key
 from keymint.pictures.model import Labelled, LabelledEdge, Outcome, Said, select
 from keymint.pictures.options import Options
@@ -184,7 +184,7 @@ class _Page:
 
     def _links(self, where: Origin) -> Iterator[_Link]:
         for place in (where, *where.chain):
-            text = f"{place.file}:{place.line}" if place.line else place.file
+            text = cited(place.file, place.line)
             at = self._sources.get(place.file)
             target = "" if at is None else f"f{at}-{place.line}" if place.line else f"f{at}"
             yield _Link(printable(text), target)

@@ -79,7 +79,10 @@ class _LoadedPolicy:
         except comarmor.ComArmorError as error:
             raise KeymintError.of(map(_diagnostic, error.diagnostics)) from error
         where = _origin(decision.where) if decision.where else None
-        return PolicyDecision(decision.allowed, where, decision.reason, decision.audit)
+        reason = decision.reason
+        for rule in decision.rules:  # a place in the library is cited by its name there
+            reason = reason.replace(str(rule.where), str(_origin(rule.where)))
+        return PolicyDecision(decision.allowed, where, reason, decision.audit)
 
 
 class ComArmorPolicyType:
