@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from datetime import datetime
 
@@ -13,7 +13,6 @@ from keymint.plan import build, create, install
 from keymint.plan.authorities import trusted_chains
 from keymint.plan.enclaves import CERTIFICATE, installed
 from keymint.plan.inputs import Inputs, LoadedProfile, Sources
-from keymint.plan.model import Action
 from keymint.workspace import packages
 
 
@@ -51,7 +50,8 @@ def overview(inputs: Inputs, loaded: LoadedProfile, policy: LoadedPolicy | None,
     names = packages(inputs.tree, inputs.workspace.src)
     enclaves = set(installed(inputs, loaded))
     chains = trusted_chains(inputs, loaded)
-    rows = [_row(inputs, loaded, policy, sources, name, chains, installed=name in enclaves) for name in names]
+    stale = _differing(inputs, loaded, policy, names, sources)
+    rows = [_row(inputs, loaded, stale, sources, name, chains, installed=name in enclaves) for name in names]
     rows += [
         Row(name, "orphaned", "install --prune", _certificate_end(inputs, loaded, name), None)
         for name in enclaves - set(names)
@@ -70,7 +70,7 @@ def _certificate_end(inputs: Inputs, loaded: LoadedProfile, name: str) -> dateti
 def _row(
     inputs: Inputs,
     loaded: LoadedProfile,
-    policy: LoadedPolicy | None,
+    differing: Mapping[str, str],
     sources: Sources,
     name: str,
     chains: Mapping[str, bytes],
@@ -85,8 +85,8 @@ def _row(
     try:
         package = sources.load(inputs, loaded, name, files)
         permissions_end = package.permissions.validity.not_after
-        if policy and _differs_from_policy(inputs, loaded, policy, sources, name):
-            stale = "create"
+        if name in differing:
+            stale, problem = "create", differing[name]
     except KeymintError as error:
         stale, problem = "create", str(error.diagnostics[0])
     if not stale:
@@ -97,8 +97,14 @@ def _row(
     return Row(name, stage, stale, end, permissions_end, problem)
 
 
-def _differs_from_policy(
-    inputs: Inputs, loaded: LoadedProfile, policy: LoadedPolicy, sources: Sources, name: str
-) -> bool:
-    plan = create.plan_create(inputs, loaded, policy, [name], sources, force=False)
-    return any(step.action is not Action.UNCHANGED for step in plan.steps)
+def _differing(
+    inputs: Inputs, loaded: LoadedProfile, policy: LoadedPolicy | None, names: Sequence[str], sources: Sources
+) -> Mapping[str, str]:
+    """Return the packages that differ from what the policy says, each with a problem or an empty text."""
+    if policy is None:
+        return {}
+    try:
+        found = create.stale(inputs, loaded, policy, names, sources)
+    except KeymintError as error:
+        return dict.fromkeys(names, str(error.diagnostics[0]))
+    return {name: str(errors[0]) if errors else "" for name, errors in found.items()}

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import functools
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from keymint.api import AppliedProfile, LoadedPolicy, PolicyDecision
@@ -178,41 +178,91 @@ def plan_create(
         KeymintError: no profile of the policy applies to a name, names collide, or an edit by hand is in the way;
             all of them together.
     """
-    existing = set(packages(inputs.tree, inputs.workspace.src))
-    refuse_case_collisions([*existing, *names])
-    policy_digest = digest(*(part for path, value in sorted(policy.seen.items()) for part in (str(path), value)))
-    steps: list[Step] = []
-    diagnostics: list[Diagnostic] = []
-    errors: list[Diagnostic] = []
-    stamps: dict[str, Stamp] = {}
-    package_type = inputs.plugins.package_type(loaded.profile.package_type, inputs.profile_marker())
-    for name in names:
-        folder = inputs.workspace.src / name
-        files = sources.files(inputs, name)
-        stamp = inputs.state.stamp(STAGE, name)
-        wanted = digest(policy_digest, loaded.digest)
-        if stamp and stamp.inputs == wanted and _outputs(files) == stamp.outputs and not force:
-            steps.append(Step(STAGE, name, Action.UNCHANGED))
-            continue
-        rules = policy.rules(f"/{name}")
-        if rules is None:
-            finding = _nothing_applies(name, policy, known=name in existing)
-            (diagnostics if name in existing else errors).append(finding)
-            rules = SubjectRules(f"/{name}", ())
-        try:
-            new = package_type.create(loaded.profile, rules, files, force=force)
-        except KeymintError as error:
-            errors += [placed(diagnostic, inputs.workspace.src) for diagnostic in error.diagnostics]
-            continue
-        # The marker goes last: until then a later run sees no package, and makes what is missing of one.
-        ordered = sorted(new.items(), key=lambda item: item[0] == package_type.MARKER)
-        changes = changed(inputs.tree, folder, {file: File(content) for file, content in ordered})
-        action = (Action.UPDATED if name in existing else Action.CREATED) if changes else Action.UNCHANGED
-        steps.append(Step(STAGE, name, action, changes))
-        stamps[name] = Stamp(wanted, _outputs(files | dict(new)))
-    if errors:
+    one_by_one = _Packages(inputs, loaded, policy, sources)
+    refuse_case_collisions([*one_by_one.existing, *names])
+    planned = {name: one_by_one.planned(name, force=force) for name in names}
+    if errors := [error for each in planned.values() for error in each.errors]:
         raise KeymintError.of(errors)
-    return Plan(tuple(steps), _recorded(inputs, loaded, policy).updated(STAGE, stamps), tuple(diagnostics))
+    steps = tuple(each.step for each in planned.values() if each.step)
+    stamps = {name: each.stamp for name, each in planned.items() if each.stamp}
+    diagnostics = tuple(said for each in planned.values() for said in each.diagnostics)
+    return Plan(steps, _recorded(inputs, loaded, policy).updated(STAGE, stamps), diagnostics)
+
+
+def stale(
+    inputs: Inputs, loaded: LoadedProfile, policy: LoadedPolicy, names: Sequence[str], sources: Sources
+) -> Mapping[str, tuple[Diagnostic, ...]]:
+    """Return the packages that differ from what the policy says, each with what is in the way of their update.
+
+    Args:
+        inputs: the workspace.
+        loaded: its profile.
+        policy: its policy.
+        names: names of packages that are there.
+        sources: the packages' files.
+
+    Raises:
+        KeymintError: names collide.
+    """
+    one_by_one = _Packages(inputs, loaded, policy, sources)
+    refuse_case_collisions([*one_by_one.existing, *names])
+    planned = ((name, one_by_one.planned(name, force=False)) for name in names)
+    return {
+        name: each.errors for name, each in planned if each.step is None or each.step.action is not Action.UNCHANGED
+    }
+
+
+@dataclass(frozen=True, slots=True)
+class _Planned:
+    """What is planned for one package: a step, or the errors that are in the way of one."""
+
+    step: Step | None = None
+    stamp: Stamp | None = None
+    diagnostics: tuple[Diagnostic, ...] = ()
+    errors: tuple[Diagnostic, ...] = ()
+
+
+class _Packages:
+    """Plans packages one by one; what they share is found out once."""
+
+    def __init__(self, inputs: Inputs, loaded: LoadedProfile, policy: LoadedPolicy, sources: Sources) -> None:
+        self._inputs = inputs
+        self._loaded = loaded
+        self._policy = policy
+        self._sources = sources
+        self.existing = frozenset(packages(inputs.tree, inputs.workspace.src))
+        self._policy_digest = digest(
+            *(part for path, value in sorted(policy.seen.items()) for part in (str(path), value))
+        )
+        self._package_type = inputs.plugins.package_type(loaded.profile.package_type, inputs.profile_marker())
+
+    def planned(self, name: str, *, force: bool) -> _Planned:
+        """Return what is planned for a package."""
+        inputs = self._inputs
+        folder = inputs.workspace.src / name
+        files = self._sources.files(inputs, name)
+        stamp = inputs.state.stamp(STAGE, name)
+        wanted = digest(self._policy_digest, self._loaded.digest)
+        if stamp and stamp.inputs == wanted and _outputs(files) == stamp.outputs and not force:
+            return _Planned(Step(STAGE, name, Action.UNCHANGED))
+        known = name in self.existing
+        rules = self._policy.rules(f"/{name}")
+        said: tuple[Diagnostic, ...] = ()
+        if rules is None:
+            said = (_nothing_applies(name, self._policy, known=known),)
+            rules = SubjectRules(f"/{name}", ())
+        errors = () if known else said
+        try:
+            new = self._package_type.create(self._loaded.profile, rules, files, force=force)
+        except KeymintError as error:
+            in_the_way = (placed(diagnostic, inputs.workspace.src) for diagnostic in error.diagnostics)
+            return _Planned(None, None, said if known else (), (*errors, *in_the_way))
+        # The marker goes last: until then a later run sees no package, and makes what is missing of one.
+        ordered = sorted(new.items(), key=lambda item: item[0] == self._package_type.MARKER)
+        changes = changed(inputs.tree, folder, {file: File(content) for file, content in ordered})
+        action = (Action.UPDATED if known else Action.CREATED) if changes else Action.UNCHANGED
+        step = Step(STAGE, name, action, changes)
+        return _Planned(step, Stamp(wanted, _outputs(files | dict(new))), said if known else (), errors)
 
 
 def _recorded(inputs: Inputs, loaded: LoadedProfile, policy: LoadedPolicy) -> State:

@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 import shutil
+from functools import partial
 from pathlib import Path
 
 from tests.conftest import snapshot
+from tests.effort import calls_of
+from tests.families import flat
 
 
 def rows(outcome) -> dict[str, list[str]]:
@@ -63,3 +66,18 @@ def test_a_policy_with_a_defect_is_said(keymint, provisioned: Path, policy: Path
     outcome = keymint("status", cwd=provisioned)
     assert "policy.xml:1" in outcome.err
     assert "talker" in outcome.out
+
+
+def test_cost_grows_with_the_number_of_packages(keymint, tmp_path: Path) -> None:
+    """Each package used to search the whole source space again."""
+    sizes, calls = (8, 16, 48), []
+    for size in sizes:
+        (tmp_path / "policy.xml").write_text(flat(size))
+        workspace = tmp_path / f"ws{size}"
+        assert keymint("provision", "policy.xml", "-w", workspace, "-q").code == 0
+        keymint("status", "-w", workspace)
+        found, number = calls_of(partial(keymint, "status", "-w", workspace))
+        assert found.code == 0
+        calls.append(number)
+    first, second = ((calls[at + 1] - calls[at]) / (sizes[at + 1] - sizes[at]) for at in (0, 1))
+    assert second < 1.2 * first
