@@ -62,7 +62,11 @@ def folded(diagnostics: Sequence[Diagnostic]) -> tuple[Diagnostic, ...]:
     """
     together: dict[Diagnostic, int] = {}
     first: dict[Diagnostic, Diagnostic] = {}
+    seen: set[Diagnostic] = set()
     for diagnostic in diagnostics:
+        if diagnostic.subject and diagnostic in seen:
+            continue  # two stages say the same of one package
+        seen.add(diagnostic)
         key = replace(diagnostic, subject="") if diagnostic.where else diagnostic
         together[key] = together.get(key, 0) + 1
         first.setdefault(key, diagnostic)

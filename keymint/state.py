@@ -43,12 +43,14 @@ class Stamp:
         secret: which of them are secret.
         context: digest of what else the result was made with, where a stage keeps that apart: the options of a build,
             the policy of a proof.
+        lifetimes: when the result is in force, where a stage can tell; see :mod:`keymint.plan.lifetimes`.
     """
 
     inputs: str
     outputs: Mapping[str, str]
     secret: tuple[str, ...] = ()
     context: str = ""
+    lifetimes: str = ""
 
 
 @dataclass(frozen=True, slots=True)
@@ -86,7 +88,13 @@ class State:
             "version": VERSION,
             "stamps": {
                 stage: {
-                    name: [stamp.inputs, dict(sorted(stamp.outputs.items())), sorted(stamp.secret), stamp.context]
+                    name: [
+                        stamp.inputs,
+                        dict(sorted(stamp.outputs.items())),
+                        sorted(stamp.secret),
+                        stamp.context,
+                        *([stamp.lifetimes] if stamp.lifetimes else []),
+                    ]
                     for name, stamp in sorted(stamps.items())
                 }
                 for stage, stamps in sorted(self.stamps.items())
@@ -123,9 +131,13 @@ def _stamps(content: bytes | None) -> dict[str, dict[str, Stamp]]:
         return {
             str(stage): {
                 str(name): Stamp(
-                    str(inputs), {str(k): str(v) for k, v in outputs.items()}, tuple(map(str, secret)), str(context)
+                    str(inputs),
+                    {str(k): str(v) for k, v in outputs.items()},
+                    tuple(map(str, secret)),
+                    str(context),
+                    "".join(map(str, lifetimes)),
                 )
-                for name, (inputs, outputs, secret, context) in stamps.items()
+                for name, (inputs, outputs, secret, context, *lifetimes) in stamps.items()
             }
             for stage, stamps in document["stamps"].items()
         }

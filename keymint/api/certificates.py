@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from datetime import datetime
 
 from keymint.errors import Origin
@@ -10,10 +10,15 @@ from keymint.errors import Origin
 
 @dataclass(frozen=True, slots=True)
 class Validity:
-    """A period of validity, in UTC, both ends included (RFC 5280, 4.1.2.5)."""
+    """A period of validity, in UTC, both ends included (RFC 5280, 4.1.2.5).
+
+    Attributes:
+        origin: where a person wrote its end, if one did.
+    """
 
     not_before: datetime
     not_after: datetime
+    origin: Origin | None = field(default=None, compare=False)
 
 
 @dataclass(frozen=True, slots=True)

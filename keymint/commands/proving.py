@@ -15,6 +15,7 @@ from keymint.plan.inputs import Inputs, LoadedProfile, Sources
 from keymint.plan.install import HAND_EDITED
 from keymint.plan.model import Plan
 from keymint.plan.prove import NO_PROVER, Proven, prove
+from keymint.plan.terms import together
 
 PROVING_OPTIONS: Sequence[Callable[[Any], Any]] = (
     click.option(
@@ -58,7 +59,7 @@ def proven(
     Raises:
         KeymintError: a claim about an enclave is refuted or unknown; exit code 3.
     """
-    from keymint.commands.prove import diagnostics_of, effort_of  # noqa: PLC0415 - only when it is asked for
+    from keymint.commands.prove import dated_of, diagnostics_of, effort_of  # noqa: PLC0415 - only when it is asked for
 
     found = prove(
         planned, loaded, names, sources, policy, effort_of(run), standard_only=standard_only,
@@ -78,8 +79,17 @@ def proven(
         # Other warnings of the plan often say why, e.g. a policy that changed.
         warned = [each for each in plan.diagnostics if each.code != HAND_EDITED or each.subject not in by_edit]
         raise KeymintError.of([*warned, *edits, *refused], ExitCode.FINDINGS)
-    unsupported = [replace(each, severity=Severity.WARNING) for each in said]
-    return replace(plan, state=found.state, diagnostics=(*plan.diagnostics, *unsupported))
+    # Time is no reason to install nothing: what is not in force now may be tomorrow, or in a test.
+    known = {(each.code, each.subject) for each in plan.diagnostics}
+    known |= {(each.code, "") for each in plan.diagnostics}
+    dated = [each for each in dated_of(found) if (each.code, _subject_of(each)) not in known]
+    warned = [replace(each, severity=Severity.WARNING) for each in (*said, *together(dated))]
+    return replace(plan, state=found.state, diagnostics=(*plan.diagnostics, *warned))
+
+
+def _subject_of(found: Diagnostic) -> str:
+    """Return whom a finding is about: an authority belongs to no subject."""
+    return "" if found.code.startswith("authority-") else found.subject
 
 
 def _refused_edits(

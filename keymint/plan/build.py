@@ -8,8 +8,9 @@ from pathlib import Path
 
 from keymint.api import BuildOptions, Built
 from keymint.errors import Diagnostic, KeymintError, Origin
-from keymint.plan import identity_keys, known_keys
+from keymint.plan import identity_keys, known_keys, lifetimes
 from keymint.plan.inputs import Inputs, LoadedProfile, Sources, changed
+from keymint.plan.lifetimes import Lifetime
 from keymint.plan.model import Action, File, FolderChange, Plan, Size, Step
 from keymint.state import Stamp, digest, digest_files
 
@@ -24,6 +25,7 @@ class _Planned:
     stamp: Stamp | None = None
     fingerprint: str = ""
     diagnostics: Sequence[Diagnostic] = ()
+    lifetimes: Sequence[Lifetime] = ()
 
 
 def plan_build(
@@ -61,6 +63,8 @@ def plan_build(
         raise KeymintError.of(errors)
     # What is said of an authority is said once, not for each of the packages below it.
     diagnostics = dict.fromkeys(said for each in planned for said in each.diagnostics)
+    of_packages = {each.step.package: each.lifetimes for each in planned}
+    diagnostics |= dict.fromkeys(lifetimes.findings(of_packages, loaded, inputs.now))
     stamps = {each.step.package: each.stamp for each in planned if each.stamp}
     minted = {each.step.package: each.fingerprint for each in planned if each.fingerprint}
     state = known_keys.record(inputs.state.updated(STAGE, stamps), known_keys.IDENTITIES, minted)
@@ -107,8 +111,10 @@ def _plan_package(
         if None not in there.values():
             edited = [file for file, content in there.items() if digest(content or b"") != stamp.outputs[file]]
             if not edited:
-                return _Planned(Step(STAGE, name, Action.UNCHANGED))
-            return _Planned(Step(STAGE, name, Action.KEPT, detail=_edited(edited)))
+                step = Step(STAGE, name, Action.UNCHANGED)
+            else:
+                step = Step(STAGE, name, Action.KEPT, detail=_edited(edited))
+            return _Planned(step, lifetimes=lifetimes.recalled(inputs, loaded, name, sources, stamp))
     package = sources.load(inputs, loaded, name, files)
     built = inputs.plugins.build_type(package.build_type, inputs.package_marker(package.name)).build(package, options)
     if not force:
@@ -130,7 +136,9 @@ def _plan_package(
     said = [*package.diagnostics, *built.diagnostics]
     sizes = _sizes(built)
     step = Step(STAGE, name, action, (*minted, *changes), ", ".join(map(_smaller, sizes)), sizes)
-    return _Planned(step, Stamp(wanted, outputs, context=asked), fingerprint, said)
+    own = lifetimes.lifetimes(package)
+    made = Stamp(wanted, outputs, context=asked, lifetimes=lifetimes.dump(own, inputs.workspace))
+    return _Planned(step, made, fingerprint, said, own)
 
 
 def _sizes(built: Built) -> tuple[Size, ...]:

@@ -9,10 +9,11 @@ from pathlib import Path
 from keymint.api import Artifact, Credentials, Package
 from keymint.errors import Diagnostic, KeymintError, Origin, Severity
 from keymint.pki import certificates, keys
-from keymint.plan import build, identity_keys, known_keys
+from keymint.plan import build, identity_keys, known_keys, lifetimes
 from keymint.plan.authorities import MintedAuthority
 from keymint.plan.enclaves import CERTIFICATE, installed, orphan_finding, orphans
 from keymint.plan.inputs import Inputs, LoadedProfile, Sources, changed, placed
+from keymint.plan.lifetimes import Lifetime
 from keymint.plan.model import Action, File, FolderChange, Plan, Step
 from keymint.state import Stamp, digest, digest_files
 
@@ -32,6 +33,7 @@ class _Enclave:
     diagnostics: Sequence[Diagnostic]
     fingerprint: str = ""
     """That of its key; empty when nothing of it was looked at, as nothing changed."""
+    lifetimes: Sequence[Lifetime] = ()
 
 
 def plan_install(
@@ -69,6 +71,7 @@ def plan_install(
     # What all share comes first: the folder around the enclaves is then made before there is anything in it.
     steps = [*_shared(inputs, loaded, planned), *(enclave.step for enclave in planned)]
     said = [diagnostic for enclave in planned for diagnostic in enclave.diagnostics]
+    said += lifetimes.findings({each.step.package: each.lifetimes for each in planned}, loaded, inputs.now)
     left = orphans(inputs, loaded)
     if prune:
         steps += [_prune(inputs, loaded, name) for name in left]
@@ -135,8 +138,11 @@ def _plan_enclave(
         )
     chains = {authority: minted.chain for authority, minted in authorities.items()}
     if is_current(inputs, loaded, name, files, chains):
-        return _Enclave(Step(STAGE, name, Action.UNCHANGED), None, "", {}, ())
+        stamp = inputs.state.stamp(STAGE, name)
+        own = lifetimes.recalled(inputs, loaded, name, sources, stamp)
+        return _Enclave(Step(STAGE, name, Action.UNCHANGED), None, "", {}, (), lifetimes=own)
     package = sources.load(inputs, loaded, name, files)
+    own = lifetimes.lifetimes(package)
     there = inputs.tree.files(folder)
     public = identity_keys.load(inputs, package, key_path, key_pem).public_key()
     owners = {keys.fingerprint(certificates.public_key(each.certificate)): who for who, each in authorities.items()}
@@ -158,11 +164,12 @@ def _plan_enclave(
         edited += [] if build.is_current(inputs, loaded, name, files) else [_outdated(inputs, name)]
     return _Enclave(
         Step(STAGE, name, action, changes),
-        Stamp(wanted, outputs, secret),
+        Stamp(wanted, outputs, secret, lifetimes=lifetimes.dump(own, inputs.workspace)),
         package.build_type,
         artifacts,
         [*said, *edited],
         keys.fingerprint(public),
+        own,
     )
 
 

@@ -156,7 +156,7 @@ class _Stage:
         source, files = self._sources.files(inputs, name), inputs.tree.files(folder)
         wanted = self._wanted(source, files)
         stamp = inputs.state.stamp(STAGE, name)
-        known = terms.load(stamp.outputs.get(_TERMS, "")) if stamp is not None else None
+        known = terms.load(stamp.outputs.get(_TERMS, ""), self._shown(name)) if stamp is not None else None
         if stamp is not None and known is not None and stamp.inputs == wanted and self._same_rules(name, stamp):
             # Only what does not depend on the clock is remembered. Whether it is in force is judged at each run.
             self._found.append(Proven(f"/{name}", _recalled(stamp), remembered=True, terms=known))
@@ -164,7 +164,7 @@ class _Stage:
             return
         package = self._sources.load(inputs, self._loaded, name, source)
         rules = _rules(self._policy, package.subject)
-        self._found.append(self._claimed(package, rules, folder, files))
+        self._found.append(self._claimed(package, rules, files))
         if self._standard_only:
             return
         if self._found[-1].diagnostics or any(claim.proof is not Proof.PROVEN for claim in self._found[-1].claims):
@@ -172,7 +172,7 @@ class _Stage:
         else:
             outputs = {_key(claim): "\n".join((claim.universe, *claim.excepted)) for claim in self._found[-1].claims}
             outputs[_RULES] = _meaning(rules)
-            outputs[_TERMS] = terms.dump(self._found[-1].terms)
+            outputs[_TERMS] = terms.dump(self._found[-1].terms, self._shown(name))
             outputs[_BUILD_TYPE] = package.build_type
             self._stamps[name] = Stamp(wanted, outputs, context=self._seen)
 
@@ -185,7 +185,12 @@ class _Stage:
         self._stamps[name] = replace(stamp, context=self._seen)
         return True
 
-    def _claimed(self, package: Package, rules: SubjectRules, folder: Path, files: Mapping[str, bytes]) -> Proven:
+    def _shown(self, name: str) -> str:
+        """Return where messages say that the files of an enclave lie, as the user would type it."""
+        folder = self._inputs.workspace.enclaves(self._loaded.profile.layout) / name
+        return self._inputs.workspace.shown(self._folder(name) if self._folder else folder)
+
+    def _claimed(self, package: Package, rules: SubjectRules, files: Mapping[str, bytes]) -> Proven:
         inputs = self._inputs
         prover = self._assume(package.build_type, package.name)
         if prover is None:
@@ -198,7 +203,7 @@ class _Stage:
             package.distro,
             package.permissions.domains,
             files,
-            inputs.workspace.shown(self._folder(package.name) if self._folder else folder),
+            self._shown(package.name),
             anchors_of(inputs, self._loaded, package, self._chains),
             self._effort.states,
             self._effort.deadline(),

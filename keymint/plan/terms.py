@@ -63,32 +63,32 @@ def together(found: Iterable[Diagnostic]) -> Iterator[Diagnostic]:
         yield replace(first, message=first.message + also)
 
 
-def dump(terms: Sequence[Term]) -> str:
-    """Return terms as text, for the record."""
+def dump(terms: Sequence[Term], folder: str) -> str:
+    """Return the terms of an enclave as text, for the record: places are relative to its folder."""
     return json.dumps(
         [
             [
-                t.code,
-                t.what,
-                t.where.file,
-                t.where.line,
-                [[a.isoformat(), b.isoformat()] for a, b in t.periods],
-                t.models,
+                term.code,
+                term.what,
+                term.where.file.removeprefix(f"{folder}/"),
+                term.where.line,
+                [[first.isoformat(), last.isoformat()] for first, last in term.periods],
+                term.models,
             ]
-            for t in terms
+            for term in terms
         ],
         separators=(",", ":"),
     )
 
 
-def load(text: str) -> tuple[Term, ...] | None:
+def load(text: str, folder: str) -> tuple[Term, ...] | None:
     """Return the terms of :func:`dump`, or None if the text is none of its own."""
     try:
         return tuple(
             Term(
                 str(code),
                 str(what),
-                Origin(str(file), int(line)),
+                Origin(f"{folder}/{file}", int(line)),
                 tuple((datetime.fromisoformat(first), datetime.fromisoformat(last)) for first, last in periods),
                 tuple(map(str, models)),
             )

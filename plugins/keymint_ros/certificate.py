@@ -108,7 +108,7 @@ def complete(own: Source | None, defaults: Source, values: Mapping[str, str]) ->
     first = own or defaults
     said, other = first.written, defaults.written
     subject_name = said.subject_name or other.subject_name
-    period = said.validity or other.validity
+    period = validity.written(said.validity, first.file, other.validity, defaults.file)
     if subject_name is None or period is None:
         missing = "subject_name" if subject_name is None else "validity"
         raise KeymintError(

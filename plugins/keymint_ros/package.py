@@ -134,7 +134,8 @@ class _Loader:
         grant = permissions.read(content or b"", file, subject)
         defaults_file, defaults_content = self.defaults(part)
         defaults = _read_grant_defaults(defaults_content, defaults_file)
-        subject_name, period = grant.subject_name or defaults.subject_name, grant.validity or defaults.validity
+        subject_name = grant.subject_name or defaults.subject_name
+        period = validity.written(grant.validity, file, defaults.validity, defaults_file)
         if subject_name is None or period is None:
             missing = "subject_name" if subject_name is None else "validity"
             raise KeymintError(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from datetime import UTC, datetime
 from typing import TYPE_CHECKING
 
@@ -35,7 +36,20 @@ def read(element: etree._Element) -> Validity:
             help="give an end after the start",
             code="validity-order",
         )
-    return Validity(not_before, not_after)
+    return Validity(not_before, not_after, place(end))
+
+
+def written(own: Validity | None, file: str, defaults: Validity | None, defaults_file: str) -> Validity | None:
+    """Return the period of a document, else that of its defaults, with the file that says it.
+
+    Args:
+        own: of the document, or None.
+        file: the document, as the user would type it.
+        defaults: of its defaults, or None.
+        defaults_file: these, as the user would type them.
+    """
+    said, place_ = (own, file) if own is not None else (defaults, defaults_file)
+    return said and replace(said, origin=Origin(place_, said.origin.line if said.origin else 0))
 
 
 def _date(element: etree._Element) -> datetime:

@@ -282,6 +282,13 @@ def test_what_is_not_in_force_is_a_finding_though_its_proof_is_remembered(
     assert said.err.count("the certificate of 'CN=permissions_ca'") <= 1, "what enclaves have in common is said once"
 
 
+def test_a_remembered_proof_says_its_places_from_where_the_user_stands(keymint: Callable, provisioned: Path):
+    for cwd, shown in ((provisioned.parent, "ws/install/"), (provisioned, "install/"), (provisioned / "src", "../ins")):
+        found = keymint("prove", "-w", provisioned, "talker", cwd=cwd, env=AFTER).err
+        assert f"\n{shown}" in f"\n{found}", found
+        assert "enclaves/talker/permissions.xml:" in found
+
+
 def test_vendors_that_read_a_date_differently_are_told_apart(keymint: Callable, provisioned: Path):
     # Fast DDS ignores the zone: for it this grant ended seven hours ago, for the others it ends in an hour.
     resign(provisioned, "talker", "2028-01-14T00:00:00</not_after>", "2027-01-15T01:00:00-08:00</not_after>")

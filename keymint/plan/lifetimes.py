@@ -1,0 +1,154 @@
+"""Lifetimes as the sources have them: warnings on what is built and signed though it is not in force.
+
+A grant is permitted nothing outside of its time, nor when its authority's certificate has expired; a certificate is cut
+to its issuer's time. Build and install do what they are asked, and warn at each run, not only at the first.
+"""
+
+from __future__ import annotations
+
+import json
+import os.path
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass, replace
+from datetime import datetime
+
+from keymint.api import Authority, Package, Validity
+from keymint.errors import Diagnostic, Origin, Severity
+from keymint.plan.inputs import Inputs, LoadedProfile, Sources
+from keymint.plan.terms import shown
+from keymint.state import Stamp
+from keymint.workspace import Workspace
+
+_EXTEND = "extend its validity, then run 'keymint build' and 'keymint install'"
+
+
+@dataclass(frozen=True, slots=True)
+class Lifetime:
+    """When something of a package is in force.
+
+    Attributes:
+        what: ``grant`` or ``certificate``.
+        first: the first moment.
+        last: the last one.
+        where: where a person wrote that, as the user would type it.
+        issuer: name of the authority that signs it.
+    """
+
+    what: str
+    first: datetime
+    last: datetime
+    where: Origin
+    issuer: str
+
+
+def lifetimes(package: Package) -> tuple[Lifetime, ...]:
+    """Return the lifetimes of a package: of its grant, and of its certificate."""
+    grant, identity = package.permissions, package.identity
+    return (
+        _lifetime("grant", grant.validity, grant.issuer, grant.origin),
+        _lifetime("certificate", identity.validity, identity.issuer, identity.origin),
+    )
+
+
+def _lifetime(what: str, validity: Validity, issuer: str, origin: Origin) -> Lifetime:
+    return Lifetime(what, validity.not_before, validity.not_after, validity.origin or origin, issuer)
+
+
+def recalled(
+    inputs: Inputs, loaded: LoadedProfile, name: str, sources: Sources, stamp: Stamp | None
+) -> tuple[Lifetime, ...]:
+    """Return the lifetimes of a package whose sources did not change: from the record, else from the package.
+
+    Raises:
+        KeymintError: the package has defects.
+    """
+    found = _load(stamp.lifetimes, inputs.workspace) if stamp is not None else None
+    return lifetimes(sources.load(inputs, loaded, name, sources.files(inputs, name))) if found is None else found
+
+
+def findings(
+    by_package: Mapping[str, Iterable[Lifetime]], loaded: LoadedProfile, now: datetime
+) -> tuple[Diagnostic, ...]:
+    """Return a warning for each lifetime that does not hold now, or outlasts its authority's.
+
+    Args:
+        by_package: lifetimes by package.
+        loaded: the profile, which has the authorities.
+        now: the clock, UTC.
+    """
+    authorities = {authority.name: authority for authority in loaded.profile.authorities}
+    found: dict[Diagnostic, None] = {}
+    used: dict[str, None] = {}
+    for name, own in by_package.items():
+        for each in own:
+            used.update(dict.fromkeys(_above(each.issuer, authorities)))
+            found.update(dict.fromkeys(replace(said, subject=f"/{name}") for said in _of(each, authorities, now)))
+    for name in used:
+        spec = authorities[name].certificate
+        own_time = _lifetime("authority", spec.validity, spec.issuer, spec.origin)
+        found.update(dict.fromkeys(_of(own_time, authorities, now, f"certificate of the authority {name!r}")))
+    return tuple(found)
+
+
+def _above(name: str, authorities: Mapping[str, Authority]) -> Iterator[str]:
+    """Yield an authority and those above it; names and cycles were checked on loading."""
+    while name in authorities:
+        yield name
+        name = authorities[name].certificate.issuer
+
+
+def _of(each: Lifetime, authorities: Mapping[str, Authority], now: datetime, what: str = "") -> Iterator[Diagnostic]:
+    what = what or each.what
+
+    def warning(code: str, message: str, help_: str = _EXTEND) -> Diagnostic:
+        return Diagnostic(f"{each.what}-{code}", Severity.WARNING, message, each.where, help_)
+
+    if now > each.last:
+        yield warning("expired", f"the {what} expired on {shown(each.last)}: nothing is permitted now")
+    elif now < each.first:
+        yield warning("not-yet-valid", f"the {what} is not valid before {shown(each.first)}: nothing is permitted now")
+    authority = authorities.get(each.issuer)
+    if authority is not None and each.last > authority.certificate.validity.not_after:
+        end = authority.certificate.validity
+        place = end.origin or authority.certificate.origin
+        yield warning(
+            "outlives-authority",
+            f"the {what} lasts until {shown(each.last)}, longer than its authority {each.issuer!r}, which ends on "
+            f"{shown(end.not_after)} ({place}): nothing is permitted after that",
+            "let it end with its authority, or extend the authority",
+        )
+
+
+def dump(found: Iterable[Lifetime], workspace: Workspace) -> str:
+    """Return lifetimes as text, for the record: places are relative to the workspace."""
+    return json.dumps(
+        [
+            [
+                each.what,
+                each.first.isoformat(),
+                each.last.isoformat(),
+                os.path.relpath(workspace.shown_from / each.where.file, workspace.root),
+                each.where.line,
+                each.issuer,
+            ]
+            for each in found
+        ],
+        separators=(",", ":"),
+    )
+
+
+def _load(text: str, workspace: Workspace) -> tuple[Lifetime, ...] | None:
+    """Return the lifetimes of :func:`dump`, or None if the text is none of its own."""
+    try:
+        return tuple(
+            Lifetime(
+                str(what),
+                datetime.fromisoformat(first),
+                datetime.fromisoformat(last),
+                Origin(workspace.shown(workspace.root / file), int(line)),
+                str(issuer),
+            )
+            for what, first, last, file, line, issuer in json.loads(text)
+        )
+    except (ValueError, TypeError):
+        return None
