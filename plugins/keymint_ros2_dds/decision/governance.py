@@ -12,7 +12,8 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import lru_cache
 
 from lxml import etree
 
@@ -123,16 +124,22 @@ class GovernanceDocument:
     Attributes:
         file: its name, for people.
         domain_rules: in the order of the document.
-        defect: what the schema has against it, or an empty text.
+        schema_says: what the schema has against it, or an empty text, and in which line.
         peculiarities: what a plain document has not, and what vendors make of it.
         offset: lines of the file before the document's first one.
     """
 
     file: str
     domain_rules: tuple[DomainRule, ...]
-    defect: str
+    schema_says: tuple[str, int]
     peculiarities: tuple[Peculiarity, ...]
     offset: int = 0
+
+    @property
+    def defect(self) -> str:
+        """Why the schema refuses it, or an empty text."""
+        text, at = self.schema_says
+        return f"{self.place(at)}: the schema refuses it: {text}" if text else ""
 
     def place(self, line: int) -> Origin:
         """Return a line of the document as a place in its file."""
@@ -210,28 +217,38 @@ def read(content: bytes, file: str = GOVERNANCE_XML, offset: int = 0) -> Governa
         KeymintError: it is not well-formed, or not a governance document.
     """
     try:
-        root = parse(content, file)
+        return replace(_read(content), file=file, offset=offset)
+    except KeymintError as error:
+        first = error.diagnostics[0]
+        where = Origin(file, first.where.line + offset if first.where and first.where.line else 0)
+        raise KeymintError(first.message, where=where, help=first.help, code=first.code) from None
+
+
+# As a rule all enclaves have the same governance.
+@lru_cache(maxsize=64)
+def _read(content: bytes) -> GovernanceDocument:
+    try:
+        root = parse(content, GOVERNANCE_XML)
     except ComArmorError as error:
         first = error.diagnostics[0]
-        place = Origin(file, first.where.line + offset if first.where and first.where.line else 0)
+        place = Origin(GOVERNANCE_XML, first.where.line if first.where else 0)
         raise KeymintError(first.message, where=place, help=first.help, code=first.code) from None
     if root.tag != "dds" or root.find("domain_access_rules") is None:
-        where = Origin(file, line(root) + offset)
+        where = Origin(GOVERNANCE_XML, line(root))
         raise KeymintError("this is not a governance document", where=where, code="document-kind")
-    defect, at = _defect(root, file, offset)
-    peculiarities = sorted(_peculiarities(content, root, defect, at), key=lambda each: each.line)
+    said = _schema_says(root)
+    peculiarities = sorted(_peculiarities(content, root, *said), key=lambda each: each.line)
     rules = tuple(map(_domain_rule, root.iterfind("domain_access_rules/domain_rule")))
-    return GovernanceDocument(file, rules, defect, tuple(peculiarities), offset)
+    return GovernanceDocument(GOVERNANCE_XML, rules, said, tuple(peculiarities))
 
 
-def _defect(root: etree._Element, file: str, offset: int) -> tuple[str, int]:
+def _schema_says(root: etree._Element) -> tuple[str, int]:
     """Return what the schema has against a document, with its line in the document; or an empty text."""
     try:
-        schema.validate(root, f"dds/{GOVERNANCE}.xsd", file)
+        schema.validate(root, f"dds/{GOVERNANCE}.xsd", GOVERNANCE_XML)
     except ComArmorError as error:
         first = error.diagnostics[0]
-        at = first.where.line if first.where and first.where.line else 1
-        return f"{Origin(file, at + offset)}: the schema refuses it: {first.message}", at
+        return first.message, first.where.line if first.where and first.where.line else 1
     return "", 0
 
 

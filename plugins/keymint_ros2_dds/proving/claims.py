@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from datetime import UTC, datetime, timedelta
 from functools import cache
 from itertools import pairwise
 from types import MappingProxyType
@@ -22,6 +21,7 @@ from keymint_ros2_dds.decision.access import Governed
 from keymint_ros2_dds.decision.document import Grant, PermissionsDocument
 from keymint_ros2_dds.decision.semantics import Semantics
 from keymint_ros2_dds.proving import lists, octets, policy, protection
+from keymint_ros2_dds.proving.eras import Era, eras_of, joined
 from keymint_ros2_dds.proving.governing import Governing, cuts
 from keymint_ros2_dds.proving.opening import NOTHING, REFUSED, WILDCARDS, Regions, regions, without_wildcards
 from keymint_ros2_dds.proving.opening import difference as governed_difference
@@ -107,18 +107,7 @@ def prove_document(question: Question, *, models: Sequence[str] | None = None) -
 
 
 _Claiming = Callable[..., Claim]
-_SECOND = timedelta(seconds=1)
-_LAST_MOMENT = datetime.max.replace(tzinfo=UTC) - _SECOND
 _DATE = "%Y-%m-%dT%H:%M:%S"
-
-
-@dataclass(frozen=True, slots=True)
-class _Era:
-    """A time at which a grant is in force; others may follow in which it is, too."""
-
-    grant: Grant
-    begin: datetime
-    end: datetime
 
 
 @dataclass(frozen=True, slots=True)
@@ -195,7 +184,9 @@ class _Model:
                 governance = self._governing.document
                 odd = self._semantics.governance_untold(governance) or self._governing.outlandish()
                 self._untold = self._untold or odd
-        self._eras = () if self._refused else tuple(_eras(question, self._semantics))
+        self._eras = (
+            () if self._refused else tuple(eras_of(question.document, question.held.subject_name, self._semantics))
+        )
         grants = [era.grant for era in self._eras]
         about = (question.document, grants, question.held.rules, self._semantics)
         self._untold = self._untold or octets.ambiguous(*about)
@@ -254,7 +245,7 @@ class _Model:
                 accepted = None if self._governing is None else self._governing.accepted_rule(first)
                 groups.setdefault((inside, rule, accepted, *held), []).append(DomainRange(first, following - 1))
         for kind, domains in groups.items():
-            yield tuple(_joined(domains)), bool(kind[0])
+            yield tuple(joined(domains)), bool(kind[0])
 
     def _claim(self, action: str, domains: tuple[DomainRange, ...], *, inside: bool) -> Claim:
         universe = octets.PAIRS if self._comparison.pairs else octets.TOPICS
@@ -284,7 +275,7 @@ class _Model:
             return claim(Proof.UNKNOWN, unknown.reason, spent=True)
         return claim(Proof.UNKNOWN, self._by_locale) if self._by_locale else claim(Proof.PROVEN)
 
-    def _compare(self, era: _Era | None, action: str, domain: int, *, inside: bool) -> Outcome:
+    def _compare(self, era: Era | None, action: str, domain: int, *, inside: bool) -> Outcome:
         """Compare what the policy says with what is permitted while a grant is in force, or where none ever is."""
         permitted = _NONE if era is None else self._permitted(era.grant, action, domain, inside=inside)
         return self._comparison.of(action, permitted, inside=inside)
@@ -325,7 +316,7 @@ class _Model:
         return tuple(self._governing.excepted(governed.rule, action, domain))
 
     def _refuted(
-        self, claim: _Claiming, action: str, domain: int, era: _Era | None, witness: Witness, *, inside: bool
+        self, claim: _Claiming, action: str, domain: int, era: Era | None, witness: Witness, *, inside: bool
     ) -> Claim:
         found = self._counterexample(action, domain, era, witness.word, inside=inside, permitted=not witness.left)
         if found.policy.allowed is not witness.left or found.document.allowed is witness.left:
@@ -336,7 +327,7 @@ class _Model:
         return claim(Proof.COUNTEREXAMPLE, "", found)
 
     def _counterexample(
-        self, action: str, domain: int, era: _Era | None, word: str, *, inside: bool, permitted: bool
+        self, action: str, domain: int, era: Era | None, word: str, *, inside: bool, permitted: bool
     ) -> Counterexample:
         asked = self._question.held
         pair = word.split(lists.SEPARATOR) if self._comparison.pairs else ("", word)
@@ -360,9 +351,7 @@ class _Model:
             protection.help_for(self._governing, domain) if verdict.where else "",
         )
 
-    def _verdict(
-        self, action: str, domain: int, era: _Era | None, name: tuple[str, str], *, permitted: bool
-    ) -> Verdict:
+    def _verdict(self, action: str, domain: int, era: Era | None, name: tuple[str, str], *, permitted: bool) -> Verdict:
         """Return what the decision point says of a topic and partition, read by this model.
 
         Where the engine says that it is permitted, the permissions alone may do so: a peer goes by its own governance.
@@ -404,38 +393,3 @@ class _Model:
         dates = f"{grant.not_before.strip()} to {grant.not_after.strip()}"
         reason = f"{document.place(grant.line)}: the grant of {name!r} is never valid ({dates})"
         return Verdict(allowed=False, reason=reason, line=grant.line)
-
-
-def _eras(question: Question, semantics: Semantics) -> Iterator[_Era]:
-    """Yield a time at which each grant that is about the identity is in force; grants that never are have none."""
-    grants = semantics.grants(question.document, question.held.subject_name)
-    if not semantics.passes_over_invalid:
-        grants = grants[:1]
-    if len(grants) == 1:
-        if (only := semantics.period(grants[0])) is not None:
-            yield _Era(grants[0], *only)
-        return
-    periods = [(grant, period) for grant in grants if (period := semantics.period(grant)) is not None]
-    cuts = sorted({begin for _, (begin, _) in periods} | {_next(end) for _, (_, end) in periods})
-    known = set()
-    for begin, following in pairwise(cuts):
-        at = next((n for n, (_, (first, last)) in enumerate(periods) if first <= begin <= last), None)
-        if at is not None and at not in known:
-            known.add(at)
-            yield _Era(periods[at][0], begin, following - _SECOND)
-
-
-def _next(moment: datetime) -> datetime:
-    return moment + _SECOND if moment < _LAST_MOMENT else moment
-
-
-def _joined(domains: Sequence[DomainRange]) -> Iterator[DomainRange]:
-    """Yield ranges of domains, neighbours as one."""
-    first, last = domains[0].first, domains[0].last
-    for each in domains[1:]:
-        if each.first == last + 1:
-            last = each.last
-        else:
-            yield DomainRange(first, last)
-            first, last = each.first, each.last
-    yield DomainRange(first, last)
