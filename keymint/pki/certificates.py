@@ -69,7 +69,7 @@ def load_bundle(pem: bytes, where: Origin | None = None) -> tuple[x509.Certifica
         raise KeymintError(
             "not a certificate in PEM, or a damaged one",
             where=where,
-            help="restore the file, or issue it anew with --renew",
+            help="restore the file from a backup, or run 'keymint install'",
             code="certificate-invalid",
         ) from None
 
@@ -127,7 +127,7 @@ def public_key(certificate: x509.Certificate, where: Origin | None = None) -> ke
         raise KeymintError(
             "certifies neither an EC nor an RSA key",
             where=where,
-            help="restore the file, or issue it anew with --renew",
+            help="restore the file from a backup, or run 'keymint install'",
             code="certificate-invalid",
         )
     return found

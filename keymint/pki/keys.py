@@ -131,14 +131,14 @@ def from_pem(pem: bytes, password: bytes | None = None, where: Origin | None = N
         raise KeymintError(
             problem + (", or its file is damaged" if encrypted else ", or a damaged one"),
             where=where,
-            help="restore the file, or mint a new key with --renew",
+            help="restore the file from a backup",
             code="key-password" if encrypted else "key-invalid",
         ) from None
     if not isinstance(key, ec.EllipticCurvePrivateKey | rsa.RSAPrivateKey):
         raise KeymintError(
             "a private key that is neither EC nor RSA",
             where=where,
-            help="mint one with --renew",
+            help="restore the file from a backup",
             code="key-invalid",
         )
     return key

@@ -43,7 +43,7 @@ def load_signer(signer: api.Signer) -> Signer:
         raise KeymintError(
             "the private key does not belong to the certificate",
             where=where,
-            help="restore the file that was replaced, or mint both anew with --renew",
+            help="restore the one that was replaced",
             code="key-mismatch",
         )
     return Signer(certificate, key)
@@ -110,7 +110,7 @@ def read(signed: bytes, ca_pem: bytes, *, at: datetime | None = None, where: Ori
             f"from {authority.not_valid_before_utc:%Y-%m-%d} "
             f"to {authority.not_valid_after_utc:%Y-%m-%d}, not at {at:%Y-%m-%d}",
             where=where,
-            help="renew the authority with --renew",
+            help="extend the validity of the authority in the profile, then install",
             code="smime-authority-expired",
         )
     if not cms.verify(signature, mime.canonical_text(document.content), authority):

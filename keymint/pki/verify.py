@@ -103,7 +103,7 @@ def _time(certificate: x509.Certificate, at: datetime) -> Iterator[_Problem]:
         yield (
             "certificate-expired",
             f"the certificate of {_shown(certificate.subject)} expired on {_date(certificate.not_valid_after_utc)}",
-            "give it a later validity, or renew it with --renew",
+            "extend its validity in the sources, then build and install",
         )
     elif at < certificate.not_valid_before_utc:
         yield (

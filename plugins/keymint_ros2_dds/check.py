@@ -109,7 +109,7 @@ class _Enclave:
                 "pem-altered",
                 KEY,
                 "is not exactly the encoding of a private key",
-                "restore it, or mint it with --renew",
+                self._again,
             )
         if encrypted:
             return  # without its password nothing more can be said of it
@@ -120,7 +120,7 @@ class _Enclave:
             return
         if not keys.matches(key, certificate):
             message = "is not the key of the certificate beside it"
-            yield self._error("key-mismatch", KEY, message, "restore it, or mint both with --renew")
+            yield self._error("key-mismatch", KEY, message, self._again)
 
     def _authorities(self) -> Iterator[Diagnostic]:
         trusted = {

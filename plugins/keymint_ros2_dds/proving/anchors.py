@@ -130,7 +130,7 @@ class _Enclave:
             return
         if not keys.matches(key, certificate):
             message = "is not the key of the certificate beside it"
-            yield self._error("key-mismatch", KEY, message, "restore it, or mint both with --renew")
+            yield self._error("key-mismatch", KEY, message, "'keymint install' restores it")
 
     def _signed(self, name: str) -> Iterator[Diagnostic]:
         try:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+import re
 import shutil
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -172,6 +173,24 @@ def test_a_new_authority_takes_the_option(keymint, ws: Path) -> None:
     assert keymint("install", cwd=ws).out.startswith("nothing to do")
     (ws / ".keymint/state.json").unlink()
     assert keymint("install", cwd=ws).code == 0
+
+
+@pytest.mark.parametrize("name", ["identity_ca", "permissions_ca"])
+@pytest.mark.parametrize("damage", ["empty", "truncated", "flipped"])
+def test_a_damaged_key_of_an_authority_is_named_and_its_hint_replaces_no_other_key(
+    keymint, ws: Path, name: str, damage: str
+) -> None:
+    before = trusted(ws)
+    DAMAGES[damage](ws, ws / f"private/{name}.key.pem")
+    found = keymint("check", "--json", cwd=ws).document["diagnostics"]
+    assert [(each["code"], each["file"]) for each in found] == [("key-invalid", f"private/{name}.key.pem")]
+    hint = re.search(r"'keymint (install --new-authority \w+)'", found[0]["help"])
+    assert hint, found
+    assert keymint(*hint[1].split(), cwd=ws).code == 0
+    after = trusted(ws)
+    changed = {key.split("/")[-1] for key in before if before[key] != after[key]}
+    assert changed == {f"{name}.cert.pem"}
+    assert keymint("check", cwd=ws).code == 0
 
 
 @pytest.mark.parametrize(
