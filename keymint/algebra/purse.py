@@ -41,5 +41,9 @@ class Purse:
         return self.spent >= self.states
 
     def reason(self, found: str) -> str:
-        """Return why a question was not decided: the shared budget is spent, or its own is, as it says."""
+        """Return why a question was not decided: the shared budget is spent, or its own is, as it says.
+
+        A question that spent its own counts in full: it may have ended by its steps, of which a state takes many.
+        """
+        self.spend(QUESTION)
         return f"the budget of {self.states:,} states is spent" if self.is_empty else found

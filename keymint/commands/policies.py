@@ -111,6 +111,11 @@ class Policies:
 
         return cache(name)
 
+    def common(self, path: Path | None) -> Callable[[Origin], bool]:
+        """Return a function that tells whether a rule is one of the shipped ``common/node.xml``, for every node."""
+        library = self.library(path)
+        return lambda where: (library(where.file) or "").startswith(("common/node.xml", "common/node/"))
+
     def places(self, path: Path | None) -> tuple[Sequence[Path], Path]:
         """Return where the policies are that :meth:`load` reads, and the library that they include from; resolved."""
         folder = self._run.setting.cwd / path if path is not None else None

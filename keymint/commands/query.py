@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
+from itertools import product
 from pathlib import Path
 from typing import Any
 
@@ -30,12 +31,16 @@ _Answer = tuple[str, dict[str, Any]]
 @verb()
 @click.argument("words", nargs=-1, metavar="[POLICY] QUESTION...")
 @click.option("--except", "but", multiple=True, metavar="OBJECT", help="flows, isolated: leave these out of account.")
+@click.option(
+    "--infrastructure", is_flag=True, help="flows, isolated: count also what the library allows to every node."
+)
 @click.option("--partition", default="", metavar="NAME", help="DDS partition of a raw topic [the default one].")
 @policy_options
 def query(
     run: Run,
     words: tuple[str, ...],
     but: tuple[str, ...],
+    infrastructure: bool,
     partition: str,
     distro: str | None,
     profile_type: str,
@@ -52,26 +57,30 @@ def query(
 
     POLICY is a ComArmor file or folder, or a workspace; by default the workspace that the current folder lies in.
     'no' is proven for all names, and for all subjects, also those that the policy does not name. 'flows' takes the
-    subjects that the policy names for steps on the way; 'isolated' asks for channels without anybody between. Ends with
-    3 when subjects are not isolated, or an answer is not known for certain.
+    subjects that the policy names for steps on the way; 'isolated' asks for channels without anybody between. Both list
+    channels that the shipped common/node.xml allows to every node, as ros_discovery_info, apart: they count only with
+    --infrastructure. Ends with 3 when subjects are not isolated, or an answer is not known for certain.
     """
     path, question = _read(words, run.setting.cwd)
-    if but and question.head not in ("flows", "isolated"):
+    if (but or infrastructure) and question.head not in ("flows", "isolated"):
         raise KeymintError(
-            f"'{question.head}' takes no --except",
+            f"'{question.head}' takes no {'--except' if but else '--infrastructure'}",
             help="it is about 'flows' and 'isolated'",
             code="usage",
             exit_code=ExitCode.USAGE,
         )
     for expression in but:
         read(["who", "can", "publish", expression])  # an expression like any other
-    policy = Policies(run, distro, profile_type, policy_type).load(path)
+    policies = Policies(run, distro, profile_type, policy_type)
+    policy = policies.load(path)
+    common = policies.common(path) if question.head in ("flows", "isolated") and not infrastructure else None
+    channels = Channels(policy, but, common) if common else Channels(policy, but)
     answer: Callable[[], _Answer] = {
         "who": lambda: _who(run, policy, question, partition),
         "can": lambda: _can(run, policy, question, partition),
         "what": lambda: _what(run, policy, question),
-        "flows": lambda: _flows(run, policy, question, but),
-        "isolated": lambda: _isolated(run, policy, question, but),
+        "flows": lambda: _flows(run, channels, question),
+        "isolated": lambda: _isolated(run, channels, question),
     }[question.head]
     verdict, more = answer()
     said = list(_doubts(policy, question, partition, verdict))
@@ -197,8 +206,7 @@ def _what(run: Run, policy: LoadedPolicy, question: Question) -> _Answer:
     return "yes" if rows else "no", {"subjects": list(subjects), "abilities": told}
 
 
-def _flows(run: Run, policy: LoadedPolicy, question: Question, but: Sequence[str]) -> _Answer:
-    channels = Channels(policy, but)
+def _flows(run: Run, channels: Channels, question: Question) -> _Answer:
     one, other = question.subjects
     sources, targets = channels.named(one), channels.named(other)
     for expression, found in ((one, sources), (other, targets)):
@@ -206,16 +214,17 @@ def _flows(run: Run, policy: LoadedPolicy, question: Question, but: Sequence[str
             run.console.line(f"no profile of the policy applies to any subject that {expression} matches")
     path = channels.path(sources, targets) if sources and targets else None
     if path is None:
-        run.console.line(f"no: nothing flows from {one} to {other}")
-        return "no", {"path": None}
+        apart = list(_infrastructure(channels, [(sources, targets)]))
+        run.console.line(f"no: nothing flows from {one} to {other}{_but_for(channels, apart)}")
+        return "no", {"path": None, "infrastructure": [_channel(each) for each in apart]}
     run.console.line(f"yes: in {len(path)} step{'' if len(path) == 1 else 's'}")
     for step in path:
         run.console.line(f"  {_step(step)}")
-    return "yes" if all(step.word for step in path) else "unknown", {"path": [_channel(step) for step in path]}
+    verdict = "yes" if all(step.word for step in path) else "unknown"
+    return verdict, {"path": [_channel(step) for step in path], "infrastructure": []}
 
 
-def _isolated(run: Run, policy: LoadedPolicy, question: Question, but: Sequence[str]) -> _Answer:
-    channels = Channels(policy, but)
+def _isolated(run: Run, channels: Channels, question: Question) -> _Answer:
     one, other = question.subjects
     certain: list[Channel] = []
     perhaps: list[Channel] = []
@@ -225,6 +234,8 @@ def _isolated(run: Run, policy: LoadedPolicy, question: Question, but: Sequence[
                 found = channels.between(writer, reader) if writer != reader else ()
                 certain += (channel for channel in found if channel.word)
         perhaps += _unnamed(channels, first, second)
+    theirs, ours = channels.named(one), channels.named(other)
+    common = list(_infrastructure(channels, [(theirs, ours), (ours, theirs)]))
     known = {(channel.kind, channel.word) for channel in certain}
     perhaps = [channel for channel in perhaps if (channel.kind, channel.word) not in known]
     together: dict[tuple[str, str], list[Channel]] = {}
@@ -242,12 +253,42 @@ def _isolated(run: Run, policy: LoadedPolicy, question: Question, but: Sequence[
     apart = f"{one} and {other}"
     run.console.line(
         {
-            "yes": f"isolated: nothing flows between {apart}" + (f", but for {', '.join(but)}" if but else ""),
+            "yes": f"isolated: nothing flows between {apart}{_but_for(channels, common)}",
             "no": f"not isolated: {len(together)} channel{'' if len(together) == 1 else 's'} between {apart}",
             "unknown": f"not known: no subject that the policy names breaks it, but others of {apart} may",
         }[verdict]
     )
-    return verdict, {"channels": [_channel(each) for each in certain], "perhaps": [_channel(each) for each in perhaps]}
+    if verdict != "yes" and common:
+        run.console.line(f"besides, by infrastructure: {_names(common)}")
+    return verdict, {
+        "channels": [_channel(each) for each in certain],
+        "perhaps": [_channel(each) for each in perhaps],
+        "infrastructure": [_channel(each) for each in common],
+    }
+
+
+def _infrastructure(channels: Channels, pairs: Sequence[tuple[Sequence[str], Sequence[str]]]) -> Iterator[Channel]:
+    """Yield the channels between subjects that rules for every node allow, one for each name and direction."""
+    seen: set[tuple[str, tuple[str, str], str]] = set()
+    for writers, readers in pairs:
+        for writer, reader in product(writers, readers):
+            for channel in channels.infrastructure(writer, reader) if writer != reader else ():
+                key = (channel.kind, channel.permissions, channel.word)
+                if key not in seen:
+                    seen.add(key)
+                    yield channel
+
+
+def _but_for(channels: Channels, infrastructure: Sequence[Channel]) -> str:
+    """Return what an answer leaves out of account."""
+    left = [*channels.but]
+    if infrastructure:
+        left.append(f"what the library allows to every node ({_names(infrastructure)})")
+    return f", but for {', '.join(left)}" if left else ""
+
+
+def _names(infrastructure: Sequence[Channel]) -> str:
+    return ", ".join(dict.fromkeys(word(each.kind, each.word) for each in infrastructure))
 
 
 def _unnamed(channels: Channels, first: str, second: str) -> list[Channel]:

@@ -24,7 +24,21 @@ SHARED = ["--except", "/parameter_events", "--except", "ros_discovery_info"]
         ("can /robot1/* ever publish /robot2/*", 0, "no: /robot1/* can never ros_publish /robot2/*"),
         ("can /fleet/dispatcher request /robot1/navigate", 0, "yes: /fleet/dispatcher ros_request /robot1/navigate"),
         ("flows /robot1/lidar /robot1/navigator", 0, "yes: in 1 step"),
-        ("isolated /robot1/* /robot2/*", 3, "not isolated: 2 channels"),
+        (
+            "isolated /robot1/* /robot2/*",
+            0,
+            "but for what the library allows to every node (ros_discovery_info, /param",
+        ),
+        (
+            "isolated /robot1/base /fleet/dispatcher",
+            3,
+            "besides, by infrastructure: ros_discovery_info, /parameter_eve",
+        ),
+        (
+            "flows /fleet/dashboard /robot1/lidar",
+            0,
+            "but for what the library allows to every node (ros_discovery_info",
+        ),
     ],
 )
 def test_answers_on_the_fleet(keymint, question: str, code: int, said: str) -> None:
@@ -32,6 +46,12 @@ def test_answers_on_the_fleet(keymint, question: str, code: int, said: str) -> N
     assert outcome.code == code, outcome.err
     assert said in outcome.out
     assert keymint("query", FLEET, question).out == outcome.out
+
+
+def test_infrastructure_counts_if_asked(keymint) -> None:
+    outcome = keymint("query", FLEET, "isolated", "/robot1/*", "/robot2/*", "--infrastructure")
+    assert outcome.code == 3
+    assert "not isolated: 2 channels" in outcome.out
 
 
 def test_what_is_shared_on_purpose(keymint) -> None:
@@ -76,6 +96,7 @@ def test_partitions(keymint, tmp_path: Path) -> None:
         ("flows /a", "too few words"),
         ("who can publish \\", "backslash"),
         ("who can publish /x --except /y", "takes no --except"),
+        ("who can publish /x --infrastructure", "takes no --infrastructure"),
     ],
 )
 def test_mistakes(keymint, policy: Path, question: str, said: str) -> None:
@@ -122,3 +143,52 @@ def test_what_may_not_be_meant_is_said(keymint, question: str, said: str) -> Non
 
 def test_a_raw_topic_that_is_meant(keymint) -> None:
     assert keymint("query", FLEET, "who can publish ros_discovery_info").err == ""
+
+
+NODES = """<profiles xmlns:xi="http://www.w3.org/2001/XInclude">
+  <profile name="a"><attachment>/a</attachment><xi:include href="common/node.xml" parse="xml"/></profile>
+  <profile name="b"><attachment>/b</attachment><xi:include href="common/node.xml" parse="xml"/>{own}</profile>
+  <profile name="guests"><attachment>/guest/*</attachment><xi:include href="common/node.xml" parse="xml"/></profile>
+</profiles>"""
+
+
+def isolated(keymint, folder: Path, own: str, *subjects: str) -> tuple[str, set[str], set[str]]:
+    """Return the answer, the channels, and those that are infrastructure."""
+    (folder / "nodes.xml").write_text(NODES.format(own=own))
+    result = keymint("query", "nodes.xml", "isolated", *(subjects or ("/a", "/b")), "--json").document["result"]
+    channels, infrastructure = ({each["object"] for each in result[key]} for key in ("channels", "infrastructure"))
+    return result["answer"], channels, infrastructure
+
+
+def test_infrastructure_is_what_the_library_allows_to_both_ends(keymint, tmp_path: Path) -> None:
+    shared = {"ros_discovery_info", "/parameter_events"}
+    assert isolated(keymint, tmp_path, "") == ("yes", set(), shared)
+    reads = '<ros_topic qualifier="ALLOW"><attachment>{}</attachment><permissions>{}</permissions></ros_topic>'
+    # The library lets /a write to /rosout, but that /b reads it is said by the policy.
+    assert isolated(keymint, tmp_path, reads.format("/rosout", "<ros_subscribe/>")) == ("no", {"/rosout"}, shared)
+    assert isolated(keymint, tmp_path, reads.format("/clock", "<ros_publish/>")) == ("no", {"/clock"}, shared)
+    assert isolated(keymint, tmp_path, reads.format("/*", "<ros_subscribe/>")) == ("no", {"/rosout"}, shared)
+    # A denial takes it away from either.
+    denied = reads.format("/parameter_events", "<ros_publish/><ros_subscribe/>").replace("ALLOW", "DENY")
+    assert isolated(keymint, tmp_path, denied) == ("yes", set(), {"ros_discovery_info"})
+
+
+def test_infrastructure_of_subjects_that_are_not_named(keymint, tmp_path: Path) -> None:
+    assert isolated(keymint, tmp_path, "", "/guest/x", "/guest/*")[:2] == ("yes", set())
+    own = (
+        '<ros_topic qualifier="ALLOW"><attachment>/x</attachment><permissions><ros_publish/></permissions></ros_topic>'
+    )
+    assert isolated(keymint, tmp_path, own, "/b", "/guest/*")[:2] == ("yes", set())
+    outcome = keymint("query", "nodes.xml", "isolated", "/guest/x", "/guest/*", "--infrastructure")
+    assert outcome.code == 3
+
+
+def test_a_changed_library_is_no_infrastructure(keymint, tmp_path: Path) -> None:
+    (tmp_path / "p.xml").write_text(NODES.format(own=""))
+    assert keymint("provision", "p.xml", "-w", "ws").code == 0
+    assert keymint("query", "ws", "isolated", "/a", "/b").code == 0
+    (copy,) = (tmp_path / "ws").rglob("common/node/graph.xml")
+    copy.write_text(copy.read_text().replace("ros_discovery_info", "anything"))
+    outcome = keymint("query", "ws", "isolated", "/a", "/b")
+    assert outcome.code == 3
+    assert "by topic anything" in outcome.out
