@@ -4,16 +4,21 @@ from __future__ import annotations
 
 import sys
 
+from keymint import process
+
 
 def main() -> None:
     """Run the command line and end the process with its exit code."""
-    try:
-        from keymint import cli  # noqa: PLC0415 - an interrupt while it is imported is handled as well
+    process.open_missing_streams()
+    process.hold_signals()
+    from keymint import cli  # noqa: PLC0415 - a signal that arrives meanwhile waits
 
+    process.stop_on_signals()
+    try:
+        process.release_signals()
         code = cli.main()
-    except KeyboardInterrupt:
-        sys.stderr.write("keymint: interrupted\n")
-        code = 130  # ExitCode.INTERRUPTED, which may not have been imported yet
+    except process.StoppedError as stop:
+        code = cli.stopped(sys.argv[1:], stop.number)
     sys.exit(code)
 
 

@@ -4,19 +4,25 @@ from __future__ import annotations
 
 import gc
 import importlib
+import io
 import os
+import re
+import signal
 import sys
 import time
 import warnings
-from collections.abc import Callable, Mapping
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Any
+from typing import Any, TextIO, cast
 
 import click
 
 from keymint import __version__
 from keymint.errors import ExitCode
+from keymint.printable import printable, printable_lines
+from keymint.process import Output, OutputError, StoppedError, held_signals, received, settle
 
 VERBS: Mapping[str, str] = {
     "init": "Make a workspace.",
@@ -42,6 +48,11 @@ VERBS: Mapping[str, str] = {
 }
 
 
+_JSON_FORMAT = re.compile(r"-f ?json|--format[ =]json")
+_LAST = datetime(9900, 1, 1, tzinfo=UTC)
+"""A later clock is an error: authorities are made for ten years, and certificates end in the year 9999 (RFC 5280)."""
+
+
 class _Verbs(click.Group):
     """A group whose verbs are imported when they are used, so that ``--help`` is fast."""
 
@@ -53,7 +64,8 @@ class _Verbs(click.Group):
         del ctx
         if cmd_name not in VERBS:
             return None
-        command: click.Command = getattr(importlib.import_module(f"keymint.commands.{cmd_name}"), cmd_name)
+        with held_signals():
+            command: click.Command = getattr(importlib.import_module(f"keymint.commands.{cmd_name}"), cmd_name)
         return command
 
     def resolve_command(
@@ -86,54 +98,109 @@ def cli() -> None:
     keymint install                           build/ -> install/ (signed)
     export ROS_SECURITY_KEYSTORE=$PWD/install
 
-    Exit codes: 0 done, 1 failure, 2 usage, 3 findings, 130 interrupted.
+    Exit codes: 0 done, 1 failure, 2 usage, 3 findings, 130 interrupted, 143 terminated.
     """
 
 
 def main(arguments: list[str] | None = None) -> int:
     """Run the command line and return its exit code."""
+    given = sys.argv[1:] if arguments is None else arguments
+    with _standard_streams() as streams:
+        return _run(given, *streams)
+
+
+@contextmanager
+def _standard_streams() -> Iterator[tuple[Output, Output]]:
+    """Put streams in place that tell when they fail; libraries that print use them as well."""
+    before = sys.stdout, sys.stderr
+    streams = Output(sys.stdout), Output(sys.stderr, required=False)
+    sys.stdout, sys.stderr = (cast("TextIO", stream) for stream in streams)
+    try:
+        yield streams
+    finally:
+        sys.stdout, sys.stderr = before
+
+
+def _run(given: Sequence[str], out: Output, err: Output) -> int:
+    try:
+        try:
+            code = _carried_out(given)
+            out.flush()
+        except StoppedError as stop:
+            code = stopped(given, stop.number)
+            out.flush()
+    except OutputError as error:
+        out.give_up()
+        if not error.broken_pipe:  # a reader that has seen enough is no problem to report
+            err.write(f"keymint: error: standard output: {error}\n")
+        code = int(ExitCode.FAILURE)
+    settle()
+    err.flush()
+    return code
+
+
+def _carried_out(given: Sequence[str]) -> int:
     gc.set_threshold(50_000, 20, 50)  # a run makes many objects, few of them in cycles
     os.umask(0o022)  # secrets are 0600 and public files 0644, whatever the user's umask
-    given = sys.argv[1:] if arguments is None else arguments
     if not sys.warnoptions:  # a library's advice to its programmers is no message to a user
         warnings.simplefilter("ignore")
     try:
-        result: Any = cli.main(given, prog_name="keymint", standalone_mode=False, obj=_setting)
+        result: Any = cli.main(list(given), prog_name="keymint", standalone_mode=False, obj=_setting)
     except click.exceptions.Exit as end:
         return end.exit_code
     except click.ClickException as error:
-        return _fail(given, "usage", error.format_message(), ExitCode.USAGE, error.show)
+        return _fail(given, "usage", " ".join(error.format_message().split()), ExitCode.USAGE, _usage(error))
     except (KeyboardInterrupt, click.Abort):
-        sys.stderr.write("keymint: interrupted; every file is whole, run again to go on\n")
-        return int(ExitCode.INTERRUPTED)
-    except BrokenPipeError:
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        return int(ExitCode.FAILURE)
-    except Exception as error:  # the user gets one line for our bugs as well
-        # A path that the system does not even look at, e.g. since it is too long, is no bug of ours.
-        of_system = isinstance(error, OSError) and error.filename is not None and error.strerror is not None
-        if os.environ.get("KEYMINT_TRACEBACK") and not of_system:
-            raise
-        if isinstance(error, OSError) and of_system:
-            code, message, shown = (
-                "system",
-                f"{error.filename}: {error.strerror}",
-                f"{error.filename}: error: {error.strerror}",
-            )
-        else:
-            code = "internal"
-            message = (
-                f"internal error: {type(error).__name__}: {error} (KEYMINT_TRACEBACK=1 shows where; please report)"
-            )
-            shown = f"keymint: {message}"
-        return _fail(given, code, message, ExitCode.FAILURE, lambda: sys.stderr.write(f"{shown}\n"))
+        return stopped(given, signal.SIGINT)
+    except OutputError:
+        raise
+    except Exception as error:  # noqa: BLE001 - the user gets one line for our bugs as well
+        if received():  # raised while C code ran, which made something else of it
+            return stopped(given, received())
+        return _failed(given, error)
     return result if isinstance(result, int) else int(ExitCode.DONE)
 
 
-def _fail(arguments: list[str], code: str, message: str, exit_code: ExitCode, in_words: Callable[[], object]) -> int:
-    """Say what went wrong before a verb could, in the shape that was asked for."""
-    if "--json" not in arguments:
-        in_words()
+def _failed(given: Sequence[str], error: Exception) -> int:
+    """Say what no verb was ready for, on one line: what the system refuses, or a mistake of ours."""
+    if isinstance(error, OSError) and error.filename is not None and error.strerror is not None:
+        # The system may not even look at a path, e.g. since it is too long: no mistake of ours.
+        place = printable(os.fsdecode(error.filename) if isinstance(error.filename, bytes) else str(error.filename))
+        shown = f"{place}: error: {error.strerror}"
+        return _fail(given, "system", f"{place}: {error.strerror}", ExitCode.FAILURE, shown)
+    if os.environ.get("KEYMINT_TRACEBACK"):
+        raise error
+    what = printable(f"internal error: {type(error).__name__}: {error}")
+    message = f"{what} (KEYMINT_TRACEBACK=1 shows where; please report)"
+    return _fail(given, "internal", message, ExitCode.FAILURE, f"keymint: {message}")
+
+
+def stopped(arguments: Sequence[str], number: int) -> int:
+    """Say that a signal ended the run, and return the exit code.
+
+    Args:
+        arguments: those of the command line.
+        number: of the signal.
+    """
+    exit_code = ExitCode.TERMINATED if number == signal.SIGTERM else ExitCode.INTERRUPTED
+    message = f"{exit_code.name.lower()}; every file is whole, run again to go on"
+    return _fail(arguments, "interrupted", message, exit_code, f"keymint: {message}")
+
+
+def _usage(error: click.ClickException) -> str:
+    shown = io.StringIO()
+    error.show(shown)
+    return printable_lines(shown.getvalue().rstrip("\n"))
+
+
+def _fail(arguments: Sequence[str], code: str, message: str, exit_code: ExitCode, in_words: str) -> int:
+    """Say what went wrong before a verb could, in the shape that was asked for.
+
+    Where a document was begun already, a second one would only make both useless.
+    """
+    as_json = "--json" in arguments or ("diff" in arguments and bool(_JSON_FORMAT.search(" ".join(arguments))))
+    if not as_json or getattr(sys.stdout, "began", False):
+        sys.stderr.write(f"{in_words}\n")
         return int(exit_code)
     from keymint.console import Console, Streams  # noqa: PLC0415 - not needed for --help
     from keymint.errors import Diagnostic, Severity  # noqa: PLC0415
@@ -172,7 +239,10 @@ def _setting() -> Any:
 def _cache() -> Path:
     """Return the folder of this user for what can be made again (XDG Base Directory Specification)."""
     named = os.environ.get("XDG_CACHE_HOME", "")
-    return (Path(named) if named.startswith("/") else Path("~/.cache").expanduser()) / "keymint"
+    try:
+        return (Path(named) if named.startswith("/") else Path("~/.cache").expanduser()) / "keymint"
+    except RuntimeError:  # neither $HOME nor the system knows a home folder of this user
+        return Path(f"/tmp/keymint-{os.getuid()}")  # noqa: S108 - whoever uses it checks whose it is
 
 
 def _current_folder() -> Path:
@@ -185,11 +255,15 @@ def _current_folder() -> Path:
 def _now() -> datetime:
     """Return the time in UTC: that of ``SOURCE_DATE_EPOCH`` (reproducible-builds.org) if it is set."""
     epoch = os.environ.get("SOURCE_DATE_EPOCH")
-    if not epoch:
-        return datetime.now(UTC).replace(microsecond=0)
-    try:
+    if epoch and re.fullmatch("[0-9]{1,12}", epoch) and int(epoch) < _LAST.timestamp():
         return datetime.fromtimestamp(int(epoch), UTC)
-    except (ValueError, OverflowError, OSError):
+    if epoch:
         raise click.UsageError(
-            f"SOURCE_DATE_EPOCH is {epoch!r}, expected seconds since 1970 as a whole number"
-        ) from None
+            f"SOURCE_DATE_EPOCH is {epoch!r}, expected seconds since 1970 as a whole number, before the year {_LAST:%Y}"
+        )
+    seconds = time.time()
+    if 0 <= seconds < _LAST.timestamp():
+        return datetime.fromtimestamp(int(seconds), UTC)
+    raise click.UsageError(
+        f"the system's clock is {seconds:.0f} seconds after 1970, expected a time before the year {_LAST:%Y}: set it"
+    )

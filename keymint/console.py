@@ -11,6 +11,8 @@ from typing import IO, TYPE_CHECKING, Any
 
 from keymint.errors import Diagnostic, Severity
 from keymint.plan.model import Action, Size, Step
+from keymint.printable import encodable, printable, printable_lines
+from keymint.process import Output
 from keymint.report import Report, as_document
 
 if TYPE_CHECKING:
@@ -93,8 +95,8 @@ class Console:
     def show(self, report: Report) -> None:
         """Show a report: the whole of it as JSON, or its steps and diagnostics in words."""
         if self._json:
-            json.dump(as_document(report), self._streams.out, indent=2, ensure_ascii=True)
-            self._streams.out.write("\n")
+            document = json.dumps(encodable(as_document(report)), indent=2, ensure_ascii=True)
+            self._streams.out.write(f"{document}\n")
             return
         for diagnostic in report.diagnostics:
             self.diagnostic(diagnostic)
@@ -107,25 +109,48 @@ class Console:
             return
         if diagnostic.severity is Severity.WARNING and self._verbosity < 0:
             return
-        place = _printable(f"{diagnostic.where}: ") if diagnostic.where else ""
+        place = f"{diagnostic.where}: " if diagnostic.where else ""
         label = _paint(f"{diagnostic.severity}:", _COLOURS[diagnostic.severity], colour=self._streams.colour_err)
         about = f" [{diagnostic.code}]" if self._verbosity > 0 else ""
         hint = f" ({diagnostic.help})" if diagnostic.help else ""
-        self._say_err(f"{place}{label} {_printable(diagnostic.message + hint)}{about}")
+        self._say_err(f"{printable(place)}{label} {printable(diagnostic.message + hint + about)}")
 
     def line(self, text: str = "") -> None:
-        """Say a line of a result, unless quiet or JSON."""
+        """Say a line of a result, unless quiet or JSON; what is not printable in it is escaped."""
+        self._line(printable(text))
+
+    def document(self, content: bytes) -> None:
+        """Write a document of several lines that is itself the result, unless quiet or JSON.
+
+        Byte for byte, so that it can go into a file; on a terminal what is not printable is escaped.
+
+        Args:
+            content: UTF-8; a newline is added where it does not end in one.
+        """
+        if self._json or self._verbosity < 0:
+            return
+        content = content.rstrip(b"\n") + b"\n"
+        if self._streams.out.isatty():
+            self._streams.out.write(printable_lines(content.decode("utf-8", "backslashreplace")))
+        elif isinstance(self._streams.out, Output):
+            self._streams.out.put(content)
+        else:
+            self._streams.out.write(content.decode())
+
+    def _line(self, text: str, colour: str = "") -> None:
+        """Say a line that is printable."""
         if not self._json and self._verbosity >= 0:
-            self._streams.out.write(f"{text}\n")
+            self._streams.out.write(_paint(text, colour, colour=bool(colour) and self._streams.colour_out) + "\n")
 
     def table(self, columns: list[str], rows: list[list[str]]) -> None:
         """Show a table as aligned text: one line a row, so that it can be piped through grep."""
         if self._json or self._verbosity < 0:
             return
+        columns, rows = [printable(cell) for cell in columns], [[printable(cell) for cell in row] for row in rows]
         widths = [max(len(row[at]) for row in [columns, *rows]) for at in range(len(columns))]
         for index, row in enumerate([columns, *rows]):
             text = "  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip()
-            self.line(_paint(text, "1", colour=self._streams.colour_out) if index == 0 else text)
+            self._line(text, "1" if index == 0 else "")
 
     def _steps(self, report: Report) -> None:
         would = "would be " if report.dry_run else ""
@@ -135,7 +160,7 @@ class Console:
             name = step.package or step.detail
             detail = f"  ({step.detail})" if step.detail and step.package else ""
             label = _paint(f"{step.action:9}", "32", colour=self._streams.colour_out)
-            self.line(f"{label} {step.stage:11} {name}{detail}")
+            self._line(f"{label} {printable(f'{step.stage:11} {name}{detail}')}")
             if self._verbosity > 0 and report.workspace:
                 for change in step.changes:
                     for file in change.files:
@@ -170,11 +195,6 @@ def _gain(sizes: Sequence[Size]) -> str:
     files = ", ".join(sorted({size.file for size in sizes}))
     of = f"of {len(sizes)} package{'' if len(sizes) == 1 else 's'}"
     return f"{files} {of}: {now:,} bytes, {plain:,} in plain form ({(now - plain) / plain:+.0%})"
-
-
-def _printable(text: str) -> str:
-    """Return text on one line, with what would steer a terminal made visible: names and paths may hold anything."""
-    return "".join(char if char.isprintable() else char.encode("unicode_escape").decode() for char in text)
 
 
 def _paint(text: str, code: str, *, colour: bool) -> str:

@@ -22,7 +22,7 @@ def digest(*parts: bytes | str) -> str:
     """Return the SHA-256, in hex, of several parts, each with its length so that none runs into the next."""
     sha = hashlib.sha256()
     for part in parts:
-        data = part.encode() if isinstance(part, str) else part
+        data = part.encode("utf-8", "surrogatepass") if isinstance(part, str) else part  # any name on disk
         sha.update(len(data).to_bytes(8, "big"))
         sha.update(data)
     return sha.hexdigest()

@@ -24,5 +24,5 @@ def completion(run: Run, shell: str) -> Report:
         raise click.UsageError(f"no completion for {shell}")
     whole = click.get_current_context().find_root().command
     source = shell_class(whole, {}, "keymint", "_KEYMINT_COMPLETE").source()
-    run.console.line(source)
+    run.console.document(source.encode())
     return Report(run.verb, None, result={"shell": shell, "script": source})

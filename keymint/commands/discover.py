@@ -115,7 +115,7 @@ def discover(
         run.console.line(_summary(graph))
         run.console.line(_outcome(run, target, written))
     else:
-        run.console.line(content.decode().rstrip("\n"))
+        run.console.document(content)
     result: dict[str, Any] = {
         "subjects": list(graph.subjects),
         "objects": len(graph.objects),

@@ -220,7 +220,7 @@ def _report(
 ) -> Report:
     written = write_outputs(run, output, content) if output else []
     if output is None:
-        run.console.line(content.decode().rstrip("\n"))
+        run.console.document(content)
     elif not written:
         run.console.line(f"{output} is up to date")
     for file in written:

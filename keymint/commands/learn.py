@@ -144,7 +144,7 @@ def _refuse_replacing(run: Run, output: Path, document: bytes) -> None:
 
 def _tell(run: Run, learned: Learned, output: Path | None, written: list[str], *, against: bool) -> None:
     if not output:
-        run.console.line(learned.document.decode().rstrip("\n"))
+        run.console.document(learned.document)
         return
     if against:
         for edge in learned.missing:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 from urllib.parse import quote
@@ -35,7 +36,9 @@ def location(where: Origin, typed: Callable[[str], str]) -> dict[str, Any]:
         typed: returns a path as it is to be written, relative to the root of the repository if possible.
     """
     path = typed(where.file)
-    place: dict[str, Any] = {"artifactLocation": {"uri": ("file://" if path.startswith("/") else "") + quote(path)}}
+    place: dict[str, Any] = {
+        "artifactLocation": {"uri": ("file://" if path.startswith("/") else "") + quote(os.fsencode(path))}
+    }
     if where.line:
         place["region"] = {"startLine": where.line} | ({"startColumn": where.column} if where.column else {})
     return {"physicalLocation": place}

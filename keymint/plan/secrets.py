@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Mapping
 from dataclasses import replace
 
@@ -9,12 +10,15 @@ from keymint.api import KeySpec
 from keymint.errors import Diagnostic, KeymintError, Origin
 from keymint.pki import keys
 
+MAX_PASSWORD = 1023
+"""Bytes of a password that OpenSSL can read (PEM_BUFSIZE, less the final null)."""
+
 
 def password(spec: KeySpec, environment: Mapping[str, str], origin: Origin) -> bytes | None:
     """Return the password of a key, or None for a key that is stored unencrypted.
 
     Raises:
-        KeymintError: the variable is not set, or empty.
+        KeymintError: the variable is not set, or empty, or its value is too long.
     """
     if not spec.password_env:
         return None
@@ -26,7 +30,16 @@ def password(spec: KeySpec, environment: Mapping[str, str], origin: Origin) -> b
             help=f"export {spec.password_env}=…",
             code="password-missing",
         )
-    return value.encode()
+    secret = os.fsencode(value)  # the bytes of the environment, which need not be UTF-8
+    if len(secret) > MAX_PASSWORD:
+        raise KeymintError(
+            f"the environment variable {spec.password_env} holds a password of {len(secret):,} bytes, "
+            f"expected at most {MAX_PASSWORD:,}",
+            where=origin,
+            help="take a shorter one; OpenSSL reads no longer ones",
+            code="password-long",
+        )
+    return secret
 
 
 def load_key(

@@ -295,7 +295,7 @@ def _silent() -> Iterator[None]:
 def _uri(document: Document) -> bytes:
     if isinstance(document, bytes):
         return b"data:," + document
-    return f"file:{document.resolve()}".encode() if isinstance(document, Path) else document.encode()
+    return b"file:" + os.fsencode(document.resolve()) if isinstance(document, Path) else document.encode()
 
 
 def _octets(name: str) -> bytes:

@@ -11,8 +11,8 @@ import pytest
 from keymint.cli import VERBS, cli
 from tests.conftest import snapshot
 
-OPEN = {"create NAME", "query --partition", "why --partition", "graph --subject", "graph --namespace"}
-"""Options that take the name of something that no list holds."""
+OPEN = {"install --new-authority", "query --partition", "why --partition", "graph --subject", "graph --namespace"}
+"""Options that take the name of something that only a workspace, a policy or a graph knows."""
 ARGUMENTS = {
     "why": ("/talker", "ros_publish", "/chatter"),
     "diff": ("policy.xml", "policy.xml"),
