@@ -154,7 +154,7 @@ class Store:
         inside of it. A root of the store is none such: it may be a mount point.
 
         Args:
-            changes: what changes, by folder; a folder may be named again. Outer folders are written first.
+            changes: what changes, by folder, in this order; a folder may be named again.
 
         Raises:
             KeymintError: a place is not below a root, a link stands in the way, or the system refuses.
@@ -195,7 +195,15 @@ class Store:
             files = {name: file for name, file in before.files.items() if name not in change.removed}
             removed = tuple(name for name in before.removed if name not in change.files) + tuple(change.removed)
             merged[folder] = _Change(folder, {**files, **change.files}, removed, private or before.private)
-        return dict(sorted(merged.items()))
+        return {folder: merged[folder] for folder in self._outer_first(merged)}
+
+    def _outer_first(self, folders: Iterable[Path]) -> Iterator[Path]:
+        """Yield folders in their order, but a new one before those inside of it, so that it appears whole."""
+        known = dict.fromkeys(folders)
+        for folder in known:
+            for outer in (*reversed(folder.parents), folder):
+                if outer in known and (outer == folder or not (self._stays(outer) or os.path.lexists(outer))):
+                    yield outer
 
     def _is_replaced(self, folder: Path, change: _Change) -> bool:
         """Tell whether a folder is replaced as a whole: a single file is replaced in one step anyway."""

@@ -10,6 +10,7 @@ import os
 import stat
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
+from typing import TypeVar
 
 from keymint.errors import KeymintError, Origin
 
@@ -71,22 +72,65 @@ def unreadable(path: Path, error: OSError) -> KeymintError:
     )
 
 
+_Read = TypeVar("_Read", bytes | None, dict[str, bool])
+
+
 class _Disk:
     """What lies on the disk; every file and folder is read at most once."""
 
     def __init__(self) -> None:
-        self._contents: dict[Path, bytes | None] = {}
-        self._entries: dict[Path, dict[str, bool]] = {}
+        self._contents: dict[Path, bytes | KeymintError | None] = {}
+        self._entries: dict[Path, dict[str, bool] | KeymintError] = {}
+        self._statuses: dict[Path, os.stat_result | None] = {}
+        self._held: set[Path] = set()
+        """Folders of which all is known that is below them."""
 
     def read(self, path: Path) -> bytes | None:
         if path not in self._contents:
-            self._contents[path] = read_file(path)
-        return self._contents[path]
+            self._contents[path] = None if self._is_absent(path) else read_file(path)
+        return _or_raise(self._contents[path])
 
     def entries(self, folder: Path) -> Mapping[str, bool]:
         if folder not in self._entries:
-            self._entries[folder] = self._scan(folder)
-        return self._entries[folder]
+            self._entries[folder] = {} if self._is_absent(folder) else self._scan(folder)
+        return _or_raise(self._entries[folder])
+
+    def status(self, path: Path) -> os.stat_result | None:
+        if path not in self._statuses:
+            self._statuses[path] = None if self._is_absent(path) else _lstat(path)
+        return self._statuses[path]
+
+    def hold(self, folder: Path, suffix: str) -> None:
+        """Read all that lies below a folder, so that the disk is not asked about it any more."""
+        self._statuses[folder] = _lstat(folder)
+        waiting = [folder]
+        while waiting:
+            inner = waiting.pop()
+            try:
+                self._entries[inner] = self._scan(inner)
+            except KeymintError as error:
+                self._entries[inner] = error
+                continue
+            for name, is_folder in self.entries(inner).items():
+                path = inner / name
+                self._statuses[path] = _lstat(path)
+                if is_folder:
+                    waiting += [path] if name != ".git" else []
+                elif name.endswith(suffix):
+                    try:
+                        self._contents[path] = read_file(path)
+                    except KeymintError as error:
+                        self._contents[path] = error
+        self._held.add(folder)
+
+    def _is_absent(self, path: Path) -> bool:
+        """Tell whether a path is known not to be there, because all that lies around it was read."""
+        if not self._held or not any(folder in self._held for folder in path.parents):
+            return False
+        around = self._entries.get(path.parent)
+        if around is None:
+            return ".git" not in path.parts
+        return not isinstance(around, KeymintError) and path.name not in around
 
     @staticmethod
     def _scan(folder: Path) -> dict[str, bool]:
@@ -97,6 +141,20 @@ class _Disk:
             return {}
         except OSError as error:
             raise unreadable(folder, error) from error
+
+
+def _lstat(path: Path) -> os.stat_result | None:
+    try:
+        return path.lstat()
+    except (OSError, ValueError):
+        return None
+
+
+def _or_raise(found: _Read | KeymintError) -> _Read:
+    """Return what was read, or raise what reading it raised."""
+    if isinstance(found, KeymintError):
+        raise KeymintError.of(found.diagnostics, found.exit_code)
+    return found
 
 
 class Tree:
@@ -147,6 +205,21 @@ class Tree:
         if path in self._overlay:
             return self._overlay[path]
         return self._disk.read(path)
+
+    def status(self, path: Path) -> os.stat_result | None:
+        """Return the status of what lies at a path on the disk (of a link: of the link), or None when nothing does."""
+        return self._disk.status(path)
+
+    def hold(self, folder: Path, *, suffix: str = "") -> None:
+        """Read all that lies below a folder into memory; later the disk is not asked about it any more.
+
+        What cannot be read is reported when it is asked for.
+
+        Args:
+            folder: absolute path; need not exist.
+            suffix: only files whose names end so are read; of the others it is known that they are there.
+        """
+        self._disk.hold(folder, suffix)
 
     def names(self, folder: Path) -> Sequence[tuple[str, bool]]:
         """Return the entries of a folder, sorted, each with whether it is a folder (a link is none).

@@ -72,6 +72,10 @@ class Workspace:
         """The folder of Keymint's own records."""
         return self.root / ".keymint"
 
+    def spaces(self) -> tuple[Path, ...]:
+        """Return the folders of all spaces."""
+        return (self.profile, self.private, self.public, self.src, self.build, self.install)
+
     def exists(self) -> bool:
         """Tell whether there is a profile."""
         return (self.profile / PROFILE_MARKER).is_file()

@@ -45,8 +45,14 @@ def installed_files(inputs: Inputs, folder: Path) -> dict[str, bytes]:
     return {
         name: inputs.tree.read(folder / name) or b""
         for name, is_folder in inputs.tree.names(folder)
-        if not is_folder and stat.S_ISREG((folder / name).lstat().st_mode)
+        if not is_folder and is_regular(inputs, folder / name)
     }
+
+
+def is_regular(inputs: Inputs, path: Path) -> bool:
+    """Tell whether a regular file lies at a path, and no link."""
+    status = inputs.tree.status(path)
+    return status is not None and stat.S_ISREG(status.st_mode)
 
 
 def identity_key(
@@ -100,13 +106,13 @@ def on_disk(inputs: Inputs, loaded: LoadedProfile, name: str, files: Mapping[str
     folder = workspace.enclaves(loaded.profile.layout) / name
     stamp = inputs.state.stamp(install.STAGE, name)
     secret = stamp.secret if stamp else ("key.pem",)
-    yield from modes(workspace.shown(folder), folder, 0o700, f"/{name}")
+    yield from modes(inputs, folder, 0o700, f"/{name}")
     for file, is_folder in inputs.tree.names(folder):
         if not is_folder:
             mode = 0o600 if file in secret else 0o644
-            yield from modes(workspace.shown(folder / file), folder / file, mode, f"/{name}")
+            yield from modes(inputs, folder / file, mode, f"/{name}")
             if file in secret:
-                yield from linked_twice(workspace.shown(folder / file), folder / file, f"/{name}")
+                yield from linked_twice(inputs, folder / file, f"/{name}")
     if stamp is None:
         yield Diagnostic(
             "record-missing",

@@ -6,7 +6,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from keymint.api import Artifact
-from keymint.check.enclaves import installed_files
+from keymint.check.enclaves import installed_files, is_regular
 from keymint.check.places import modes
 from keymint.errors import Diagnostic, Origin, Severity
 from keymint.plan import ignored
@@ -45,8 +45,8 @@ def shared(inputs: Inputs, loaded: LoadedProfile) -> Iterator[Diagnostic]:
                 "remove it",
             )
         else:
-            yield from modes(workspace.shown(path), path, 0o644, "")
-            if not path.is_symlink() and inputs.tree.read(path) != expected[relative]:
+            yield from modes(inputs, path, 0o644, "")
+            if is_regular(inputs, path) and inputs.tree.read(path) != expected[relative]:
                 yield Diagnostic(
                     "file-changed",
                     Severity.ERROR,
@@ -58,7 +58,7 @@ def shared(inputs: Inputs, loaded: LoadedProfile) -> Iterator[Diagnostic]:
         message = "is an empty folder in the install space, that Keymint did not put there"
         yield Diagnostic("folder-unexpected", Severity.WARNING, message, Origin(workspace.shown(folder)), "remove it")
     for relative in expected:
-        if not (workspace.install / relative).exists():
+        if inputs.tree.status(workspace.install / relative) is None:
             yield Diagnostic(
                 "file-missing",
                 Severity.ERROR,

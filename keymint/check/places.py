@@ -32,8 +32,8 @@ class _Found:
 def places(inputs: Inputs) -> Iterator[Diagnostic]:
     """Yield what is found on the files and folders of a workspace as such, wherever its spaces lie."""
     workspace = inputs.workspace
-    owners = _owners(workspace.root)
-    root = _status(workspace.root)
+    owners = _owners(inputs)
+    root = inputs.tree.status(workspace.root)
     if root is not None:
         yield from _open_to_others(inputs, [_Found(workspace.root, root)])
     for space in (workspace.private, workspace.install):
@@ -48,9 +48,9 @@ def places(inputs: Inputs) -> Iterator[Diagnostic]:
         yield from _owned_by_others(inputs, found, owners)
 
 
-def modes(shown: str, path: Path, mode: int, subject: str) -> Iterator[Diagnostic]:
+def modes(inputs: Inputs, path: Path, mode: int, subject: str) -> Iterator[Diagnostic]:
     """Yield a finding for a symbolic link, or for another mode than expected; none if nothing is there."""
-    status = _status(path)
+    status, shown = inputs.tree.status(path), inputs.workspace.shown(path)
     if status is None:
         return
     found = status.st_mode
@@ -74,9 +74,9 @@ def modes(shown: str, path: Path, mode: int, subject: str) -> Iterator[Diagnosti
         )
 
 
-def linked_twice(shown: str, path: Path, subject: str) -> Iterator[Diagnostic]:
+def linked_twice(inputs: Inputs, path: Path, subject: str) -> Iterator[Diagnostic]:
     """Yield a finding for a private key that has a second name (a hard link) somewhere."""
-    status = _status(path)
+    status, shown = inputs.tree.status(path), inputs.workspace.shown(path)
     if status is not None and stat.S_ISREG(status.st_mode) and status.st_nlink > 1:
         yield Diagnostic(
             "key-linked",
@@ -92,12 +92,11 @@ def _private(inputs: Inputs) -> Iterator[Diagnostic]:
     """Judge modes and links of all private keys, and of the folders that they lie in."""
     workspace = inputs.workspace
     for each in _walk(inputs, workspace.private):
-        shown = workspace.shown(each.path)
         if stat.S_ISDIR(each.status.st_mode) or stat.S_ISLNK(each.status.st_mode):
-            yield from modes(shown, each.path, 0o700, "")
+            yield from modes(inputs, each.path, 0o700, "")
         elif each.path.suffix == ".pem":
-            yield from modes(shown, each.path, 0o600, "")
-            yield from linked_twice(shown, each.path, "")
+            yield from modes(inputs, each.path, 0o600, "")
+            yield from linked_twice(inputs, each.path, "")
 
 
 def _kinds(inputs: Inputs, found: list[_Found]) -> Iterator[Diagnostic]:
@@ -165,7 +164,7 @@ def _owned_by_others(inputs: Inputs, found: list[_Found], owners: frozenset[int]
 
 def _walk(inputs: Inputs, folder: Path) -> Iterator[_Found]:
     """Yield a folder and all that lies below it, without following links; what cannot be read is passed over."""
-    status = _status(folder)
+    status = inputs.tree.status(folder)
     if status is None:
         return
     yield _Found(folder, status)
@@ -179,20 +178,13 @@ def _walk(inputs: Inputs, folder: Path) -> Iterator[_Found]:
         if is_folder:
             if name != ".git":
                 yield from _walk(inputs, folder / name)
-        elif (found := _status(folder / name)) is not None:
+        elif (found := inputs.tree.status(folder / name)) is not None:
             yield _Found(folder / name, found)
 
 
-def _status(path: Path) -> os.stat_result | None:
-    try:
-        return path.lstat()
-    except OSError:
-        return None
-
-
-def _owners(root: Path) -> frozenset[int]:
+def _owners(inputs: Inputs) -> frozenset[int]:
     """Return who may own the files of a workspace: its owner, whoever runs this, and root, who may do everything."""
-    status = _status(root)
+    status = inputs.tree.status(inputs.workspace.root)
     return frozenset({0, os.geteuid()} | ({status.st_uid} if status else set()))
 
 

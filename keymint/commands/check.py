@@ -43,7 +43,7 @@ def check(run: Run, names: tuple[str, ...], within: timedelta) -> Report:
     Ends with 3 when there is any finding. NAME is a package; by default all of them.
     """
     workspace = run.workspace()
-    inputs = run.inputs(workspace)
+    inputs = run.snapshot(workspace)
     chosen = run.names(inputs, names)
     findings = folded(find(inputs, inputs.profile(), chosen, Sources(run.plugins), within))
     counted = sum(finding.severity is not Severity.NOTE for finding in findings)

@@ -14,14 +14,15 @@ import click
 from keymint.api import Surroundings
 from keymint.commands.plugin_options import require_known
 from keymint.console import Console, Streams
-from keymint.errors import ExitCode, KeymintError
+from keymint.errors import Diagnostic, ExitCode, KeymintError, Severity
 from keymint.execute import RECORD, execute, open_store
+from keymint.locks import LOCK, shared
 from keymint.names import package_name
 from keymint.plan.inputs import Inputs
-from keymint.plan.model import Plan
+from keymint.plan.model import File, Plan
 from keymint.plugins import Plugins
 from keymint.report import Report, as_typed, folded
-from keymint.state import MAX_RECORD
+from keymint.state import MAX_RECORD, State
 from keymint.state import load as load_state
 from keymint.tree import Tree, read_file
 from keymint.workspace import SPACES, Workspace, find, packages
@@ -105,6 +106,23 @@ class Run:
         state = load_state(record, mark)
         return Inputs(workspace, Tree(), state, self.plugins, self.setting.environment, self.setting.now)
 
+    def snapshot(self, workspace: Workspace) -> Inputs:
+        """Return what verbs that only look read from: all of it as it is at one moment, when no run is under way.
+
+        The lock is held while it is read into memory, and no longer: what is made of it may take its time.
+        """
+        for _ in range(2):  # a run may make the lock while a workspace without one is read
+            with shared(workspace.state, self.console.waiting) as locked:
+                inputs = self.inputs(workspace)
+                for space in workspace.spaces():
+                    # What else lies beside people's own files may be large, and is never read.
+                    written = space in (workspace.profile, workspace.src)
+                    inputs.tree.hold(space, suffix=".xml" if written else "")
+                inputs.tree.hold(workspace.state, suffix="no content")
+            if locked or not (workspace.state / LOCK).exists():
+                break
+        return inputs
+
     def names(self, inputs: Inputs, given: tuple[str, ...]) -> tuple[str, ...]:
         """Return the packages that a user named, or all of them.
 
@@ -135,7 +153,7 @@ class Run:
         A workspace that does not exist yet is planned before its first byte is written, lock included.
         """
         if self.dry_run:
-            plan = make_plan(self.inputs(workspace))
+            plan = make_plan(self.snapshot(workspace))
             return Report(self.verb, workspace, plan.steps, plan.diagnostics, dry_run=True)
         planned: tuple[Inputs, Plan] | None = None
         if not workspace.state.is_dir():
@@ -151,6 +169,29 @@ class Run:
             with self.console.progress(len(plan.steps), self.setting.monotonic) as advance:
                 execute(plan, workspace, store, inputs.state, self.jobs, advance)
         return Report(self.verb, workspace, plan.steps, plan.diagnostics)
+
+    def keep(self, inputs: Inputs, state: State) -> tuple[Diagnostic, ...]:
+        """Record what a verb found out that only looks, unless something changed in the workspace meanwhile.
+
+        Args:
+            inputs: the snapshot that it looked at.
+            state: the record with what it found out.
+
+        Returns:
+            A note where the record cannot be written, e.g. on a read-only file system; that is no defect.
+        """
+        workspace = inputs.workspace
+        if self.dry_run or inputs.state.interrupted or state.dump() == inputs.state.dump():
+            return ()
+        store = open_store(workspace)
+        try:
+            with store.locked(self.console.waiting):
+                if not store.is_marked() and self.inputs(workspace).state == inputs.state:
+                    store.write(workspace.state, {RECORD: File(state.dump())})
+        except KeymintError as error:
+            message = f"what was found out is not recorded: {error.diagnostics[0].message}"
+            return (Diagnostic("not-recorded", Severity.NOTE, message, error.diagnostics[0].where),)
+        return ()
 
 
 Verb = Callable[..., Report]

@@ -16,8 +16,8 @@ from keymint.graph import Edge
 from keymint.plan import terms
 from keymint.plan.create import recall_policy
 from keymint.plan.enclaves import orphan_finding, orphans
-from keymint.plan.inputs import Inputs, Sources
-from keymint.plan.model import Action, Plan, Step
+from keymint.plan.inputs import Sources
+from keymint.plan.model import Action, Step
 from keymint.plan.prove import NO_PROVER, STAGE, Effort, Findings, Proven
 from keymint.plan.prove import prove as find
 from keymint.report import Report, as_typed
@@ -60,23 +60,17 @@ def prove(run: Run, names: tuple[str, ...], seconds: float, states: int, allow_v
     proof takes for granted. ENCLAVE is a package; by default all of them.
     """
     workspace = run.workspace()
-    known: list[tuple[Findings, tuple[Diagnostic, ...]]] = []
-
-    def make_plan(inputs: Inputs) -> Plan:
-        loaded = inputs.profile()
-        chosen = run.names(inputs, names)
-        effort = effort_of(run, states, seconds)
-        with run.console.progress(len(chosen), run.setting.monotonic) as advance:
-            policy = recall_policy(inputs, loaded)  # loaded only if something is to be proven
-            found = find(
-                inputs, loaded, chosen, Sources(run.plugins), policy, effort,
-                lambda name: advance(Step(STAGE, name, Action.UNCHANGED)), standard_only=allow_vendor_specific,
-            )  # fmt: skip
-        known.append((found, () if names else tuple(map(orphan_finding, orphans(inputs, loaded)))))
-        return Plan((), found.state)
-
-    run.carry_out(workspace, make_plan)
-    found, unknown = known[-1]
+    inputs = run.snapshot(workspace)
+    loaded = inputs.profile()
+    chosen = run.names(inputs, names)
+    with run.console.progress(len(chosen), run.setting.monotonic) as advance:
+        policy = recall_policy(inputs, loaded)  # loaded only if something is to be proven
+        found = find(
+            inputs, loaded, chosen, Sources(run.plugins), policy, effort_of(run, states, seconds),
+            lambda name: advance(Step(STAGE, name, Action.UNCHANGED)), standard_only=allow_vendor_specific,
+        )  # fmt: skip
+    unknown = () if names else tuple(map(orphan_finding, orphans(inputs, loaded)))
+    unrecorded = run.keep(inputs, found.state)
     claims = [claim for enclave in found.enclaves for claim in enclave.claims]
     _summary(run, found)
     proven = all(claim.proof is Proof.PROVEN for claim in claims)
@@ -91,6 +85,7 @@ def prove(run: Run, names: tuple[str, ...], seconds: float, states: int, allow_v
             *(said for enclave in found.enclaves for said in diagnostics_of(enclave)),
             *dated,
             *unknown,
+            *unrecorded,
         ],
         {
             "at": terms.shown(found.now),

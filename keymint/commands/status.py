@@ -17,7 +17,7 @@ from keymint.report import Report
 def status(run: Run) -> Report:
     """Show a table of all packages: how far each has come, what is stale, and when it expires."""
     workspace = run.workspace()
-    inputs = run.inputs(workspace)
+    inputs = run.snapshot(workspace)
     loaded = inputs.profile()
     said: list[Diagnostic] = []
     missing: list[str] = []

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import click
@@ -22,6 +23,7 @@ from keymint.plan.model import Action, Step
 from keymint.report import Report
 from keymint.verify.choose import choose, models
 from keymint.verify.compare import compare
+from keymint.verify.copies import copied
 from keymint.verify.explain import Explainer
 from keymint.verify.halves import with_halves
 from keymint.verify.judge import Judge, label
@@ -86,7 +88,7 @@ def verify(
     NAME is a package; by default all of them.
     """
     workspace = run.workspace()
-    inputs = run.inputs(workspace)
+    inputs = run.snapshot(workspace)
     loaded = inputs.profile()
     chosen_names, sources = run.names(inputs, names), Sources(run.plugins)
     found = scope(inputs, loaded, chosen_names, sources)
@@ -94,31 +96,35 @@ def verify(
     strange = differences(inputs, loaded, chosen_names, sources)
     policy = load_policy(inputs, loaded)
     subjects = tuple(found.enclaves)
-    if graph is None:
-        edges = edges_of_policy(policy, found)
-    else:
-        subjects, edges = edges_of_graph(load(read_input(run, graph), str(graph)), found, only=bool(names))
     transports = choose(run.plugins, chosen, Tier(tier))
-    judge = Judge(policy, found.namings)
-    explain = Explainer(judge, transports, lambda: models(run.plugins))
-    outcomes: list[Outcome] = []
-    with run.console.progress((1 + len(transports)) * len(subjects), run.setting.monotonic) as advance:
-        said = label(judge, edges(), _advancing(advance, "policy"))
-        for name, transport in transports.items():
-            on_subject = _advancing(advance, name)
-            outcome = compare(name, transport, found.enclaves, edges(), said, Tier(tier), explain, limit, on_subject)
-            outcomes.append(
-                with_halves(outcome, transport, found.enclaves, edges(), judge, found.namings, explain, limit)
-            )
-    _show(run, outcomes, len(subjects), len(said))
-    _write(run, outcomes, subjects, sarif, junit)
-    if report is not None:
-        title = f"{graph.stem if graph else loaded.profile.name} on {', '.join(transports)}"
-        shipped = run.plugins.profile_type(loaded.profile.profile_type).library(loaded.profile.distro)
-        common = library_rules(run.setting.cwd, shipped, loaded.profile.library)
-        labelled = labelled_edges(title, outcomes, edges(), said, judge.decide, _typed(run), common)
-        for file in write_report(run, report, labelled):
-            run.console.line(f"{file} written")
+    with copied(inputs.tree, workspace.enclaves(loaded.profile.layout), found.enclaves, transports) as copies:
+        transports = copies.read_by(transports)
+        if graph is None:
+            edges = edges_of_policy(policy, replace(found, enclaves=copies.enclaves))
+        else:
+            subjects, edges = edges_of_graph(load(read_input(run, graph), str(graph)), found, only=bool(names))
+        judge = Judge(policy, found.namings)
+        explain = Explainer(judge, transports, lambda: copies.read_by(models(run.plugins)), inputs.tree)
+        outcomes: list[Outcome] = []
+        with run.console.progress((1 + len(transports)) * len(subjects), run.setting.monotonic) as advance:
+            said = label(judge, edges(), _advancing(advance, "policy"))
+            for name, transport in transports.items():
+                on_subject = _advancing(advance, name)
+                outcome = compare(
+                    name, transport, found.enclaves, edges(), said, Tier(tier), explain, limit, on_subject
+                )
+                outcomes.append(
+                    with_halves(outcome, transport, found.enclaves, edges(), judge, found.namings, explain, limit)
+                )
+        _show(run, outcomes, len(subjects), len(said))
+        _write(run, outcomes, subjects, sarif, junit)
+        if report is not None:
+            title = f"{graph.stem if graph else loaded.profile.name} on {', '.join(transports)}"
+            shipped = run.plugins.profile_type(loaded.profile.profile_type).library(loaded.profile.distro)
+            common = library_rules(run.setting.cwd, shipped, loaded.profile.library)
+            labelled = labelled_edges(title, outcomes, edges(), said, judge.decide, _typed(run), common)
+            for file in write_report(run, report, labelled):
+                run.console.line(f"{file} written")
     wrong = any(outcome.confusion.errors for outcome in outcomes)
     return Report(
         run.verb,

@@ -56,7 +56,7 @@ def why(
     or the enclave does not rest on the workspace's authorities.
     """
     workspace = run.workspace()
-    inputs = run.inputs(workspace)
+    inputs = run.snapshot(workspace)
     loaded = inputs.profile()
     asked = usual_domain(inputs, loaded, subject) if domain is None else domain
     edge = request(subject, permission, object_name, partitions, asked)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import stat
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -129,7 +130,8 @@ def _plan_enclave(
         )
     files = sources.files(inputs, name)
     folder = workspace.enclaves(loaded.profile.layout) / name
-    if folder.is_symlink():
+    there_now = inputs.tree.status(folder)
+    if there_now is not None and stat.S_ISLNK(there_now.st_mode):
         raise KeymintError(
             "is a symbolic link, which is refused: an enclave is a folder of its own",
             where=Origin(workspace.shown(folder)),
@@ -148,7 +150,9 @@ def _plan_enclave(
     owners = {keys.fingerprint(certificates.public_key(each.certificate)): who for who, each in authorities.items()}
     identity_keys.require_own(inputs, loaded, name, key_path, public, owners)
     artifacts, said = _notarize(inputs, loaded, package, documents, authorities, key_pem, public, there)
-    wrong_mode = [file for file in artifacts if not _mode_is_right(folder / file, secret=artifacts[file].secret)]
+    wrong_mode = [
+        file for file, item in artifacts.items() if not _mode_is_right(inputs, folder / file, secret=item.secret)
+    ]
     contents = {file: File(artifact.content, secret=artifact.secret) for file, artifact in artifacts.items()}
     different = {file: item for file, item in contents.items() if there.get(file) != item.content or file in wrong_mode}
     # The certificate comes last: until then a node that starts in between fails, and lets no one in.
@@ -302,17 +306,15 @@ def _in_place(inputs: Inputs, folder: Path, stamp: Stamp) -> bool:
         content = inputs.tree.read(folder / file)
         if content is None or digest(content) != value:
             return False
-        if not _mode_is_right(folder / file, secret=file in stamp.secret):
+        if not _mode_is_right(inputs, folder / file, secret=file in stamp.secret):
             return False
     return True
 
 
-def _mode_is_right(path: Path, *, secret: bool) -> bool:
+def _mode_is_right(inputs: Inputs, path: Path, *, secret: bool) -> bool:
     """Tell whether a file on the disk has its mode; one that is only planned will have it."""
-    try:
-        return (path.lstat().st_mode & 0o777) == (0o600 if secret else 0o644)
-    except OSError:
-        return True
+    status = inputs.tree.status(path)
+    return status is None or stat.S_IMODE(status.st_mode) & 0o777 == (0o600 if secret else 0o644)
 
 
 def _shared(inputs: Inputs, loaded: LoadedProfile, planned: Sequence[_Enclave]) -> list[Step]:

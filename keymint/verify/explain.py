@@ -9,6 +9,7 @@ from functools import cached_property
 from keymint.api import Enclave, Tier, Transport, Verdict
 from keymint.errors import KeymintError, Origin
 from keymint.graph import Edge
+from keymint.tree import Tree
 from keymint.verify.choose import names_rules
 from keymint.verify.compare import error_of, label_enclave
 from keymint.verify.judge import Judge
@@ -26,11 +27,17 @@ class Explainer:
         asked: the transports whose labels are explained, by name.
         find_models: returns, when it is needed, transports whose verdicts have the line of a rule, by name;
             ``cyclonedds-0.10`` is a model of ``cyclonedds``. The first is asked where there is no model of its own.
+        tree: the files, to tell which documents an enclave has.
     """
 
     def __init__(
-        self, judge: Judge, asked: Mapping[str, Transport], find_models: Callable[[], Mapping[str, Transport]]
+        self,
+        judge: Judge,
+        asked: Mapping[str, Transport],
+        find_models: Callable[[], Mapping[str, Transport]],
+        tree: Tree,
     ) -> None:
+        self._tree = tree
         self._judge = judge
         self._explains_itself = frozenset(name for name, each in asked.items() if names_rules(each.usable()))
         self._find_models = find_models
@@ -49,7 +56,7 @@ class Explainer:
                 self._judge.decide(edge),
                 replace(verdict, line=found.line, deviation=found.deviation),
                 found.reason,
-                document(enclave, found.line),
+                document(self._tree, enclave, found.line),
                 model,
             )
             for (edge, verdict), (found, model) in zip(wrong, modelled, strict=True)
@@ -81,7 +88,7 @@ class Explainer:
         ]
 
 
-def document(enclave: Enclave, line: int) -> Origin:
+def document(tree: Tree, enclave: Enclave, line: int) -> Origin:
     """Return a place in the document that has an enclave's rules."""
-    found = [path for name in DOCUMENTS if (path := enclave.folder / name).is_file()]
+    found = [path for name in DOCUMENTS if tree.status(path := enclave.folder / name) is not None]
     return Origin(str(found[0] if found else enclave.folder / DOCUMENTS[-1]), line)

@@ -14,6 +14,7 @@ from keymint.ir import Rule
 from keymint.plan.enclaves import installed
 from keymint.plan.inputs import Inputs, LoadedProfile, Sources
 from keymint.verify.compare import label_enclave
+from keymint.verify.copies import copied
 from keymint.verify.explain import Explainer
 from keymint.verify.judge import RAW, Judge, Naming
 from keymint.verify.matching import about, nearest
@@ -160,10 +161,13 @@ def explain(
     if there:
         folder = inputs.workspace.enclaves(loaded.profile.layout) / name
         enclave = Enclave(edge.subject, folder, loaded.profile.distro)
-        tell = Explainer(judge, transports, find_models)
-        for each, transport in transports.items():
-            verdicts = list(label_enclave(transport, enclave, [edge], Tier.DECISION))
-            (labels[each],) = tell(each, enclave, verdicts)
+        place = inputs.workspace.enclaves(loaded.profile.layout)
+        with copied(inputs.tree, place, {edge.subject: enclave}, transports) as copies:
+            asked_of = copies.read_by(transports)
+            tell = Explainer(judge, asked_of, lambda: copies.read_by(find_models()), inputs.tree)
+            for each, transport in asked_of.items():
+                verdicts = list(label_enclave(transport, enclave, [edge], Tier.DECISION))
+                (labels[each],) = tell(each, enclave, verdicts)
     return Explanation(
         edge=edge,
         profiles=profiles,

@@ -542,3 +542,19 @@ def test_the_library_has_the_call(tmp_path: Path) -> None:
     os.close(opened)
     assert [path.name for path in (tmp_path / "a").iterdir()] == ["b"]
     shutil.rmtree(tmp_path / "a")
+
+
+def test_folders_are_written_in_their_order_but_new_ones_before_those_inside(root: Path) -> None:
+    order: list[str] = []
+    store = store_at(root)
+    top = root / "install"
+    names = ("z", "new/inner", "new", "", "a")
+
+    def look() -> None:
+        found = {path for path, files in visible(top).items() if files}
+        order.extend(sorted(found - set(order)))
+
+    with Watched(look=look).patched():
+        store.change([Change(top / name, NEW) for name in names])
+    # The root comes when its turn is: whoever names it last means it to be the last.
+    assert order == ["z", "new", "new/inner", ".", "a"]

@@ -100,3 +100,52 @@ def test_the_overlay_alone_is_read_as_a_disk_with_its_files_would_be(planned: di
         return  # a path cannot be a file and a folder
     tree = Tree({root / path: content for path, content in planned.items()})
     assert tree.files_below(root) == files
+
+
+# -- snapshots ---------------------------------------------------------------------------------------------------
+
+
+def test_what_is_held_is_as_it_was_whatever_becomes_of_it(tmp_path: Path) -> None:
+    top = tmp_path / "top"
+    (top / "a" / "b").mkdir(parents=True)
+    (top / "a" / "b" / "x.xml").write_bytes(b"old")
+    (top / "a" / "large.bin").write_bytes(b"old")
+    (top / "link").symlink_to("a")
+    (top / ".git").mkdir()
+    (top / ".git" / "x").write_bytes(b"git")
+    (tmp_path / "other").write_bytes(b"other")
+    tree = Tree()
+    tree.hold(top, suffix=".xml")
+    tree.hold(tmp_path / "missing")
+    (tmp_path / "missing").mkdir()
+    (tmp_path / "missing" / "x").write_bytes(b"late")
+    (top / "a" / "b" / "x.xml").write_bytes(b"new")
+    (top / "a" / "b" / "late.xml").write_bytes(b"late")
+    (top / "late").mkdir()
+    assert tree.read(top / "a" / "b" / "x.xml") == b"old"
+    assert tree.read(top / "a" / "b" / "late.xml") is None
+    assert tree.status(top / "a" / "b" / "late.xml") is None
+    assert tree.names(top / "a" / "b") == [("x.xml", False)]
+    assert tree.names(top) == [(".git", True), ("a", True), ("link", False)]
+    assert tree.names(top / "late" / "deep") == []
+    assert tree.read(top / "late" / "deep" / "x") is None
+    assert tree.names(tmp_path / "missing") == []
+    assert tree.read(tmp_path / "missing" / "x") is None
+    assert tree.read(top / ".git" / "x") == b"git"
+    assert tree.read(top / "a" / "large.bin") == b"old"
+    assert tree.read(tmp_path / "other") == b"other"
+    with pytest.raises(KeymintError, match="symbolic link"):
+        tree.read(top / "link")
+
+
+def test_what_cannot_be_held_is_reported_when_it_is_asked_for(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("keymint.tree.MAX_FILE", 10)
+    (tmp_path / "large.xml").write_bytes(b"x" * 11)
+    (tmp_path / "small.xml").write_bytes(b"x")
+    tree = Tree()
+    tree.hold(tmp_path)
+    (tmp_path / "large.xml").unlink()
+    assert tree.read(tmp_path / "small.xml") == b"x"
+    for _ in range(2):
+        with pytest.raises(KeymintError, match="has 11 bytes, 10 are the most"):
+            tree.read(tmp_path / "large.xml")

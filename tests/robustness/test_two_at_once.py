@@ -67,9 +67,49 @@ def test_two_runs_that_make_the_workspace_both_end_well(folder: Path, keymint: K
     require_clean(folder, keymint)
 
 
-def test_who_only_looks_does_not_wait(folder: Path, keymint: Keymint) -> None:
+READERS = (["check"], ["status"], ["prove"], ["verify", "-t", "omg"], ["install", "--dry-run"])
+
+
+@pytest.mark.parametrize("verb", READERS, ids=lambda verb: verb[0])
+def test_who_only_looks_waits_for_a_run_that_writes_and_not_for_another_that_looks(
+    folder: Path, keymint: Keymint, verb: list[str]
+) -> None:
     assert keymint("provision", folder / "policy.xml", "-w", folder / "ws").code == 0
     with (folder / "ws" / ".keymint" / "lock").open("r+") as lock:
+        fcntl.flock(lock, fcntl.LOCK_SH)
+        looked = keymint(*verb, "-w", folder / "ws")
+        assert (looked.code, looked.err) == (0, "")
         fcntl.flock(lock, fcntl.LOCK_EX)
-        for verb in (["check"], ["status"], ["install", "--dry-run"]):
-            assert keymint(*verb, "-w", folder / "ws").code == 0
+        run = start(folder, *verb)
+        assert run.stderr is not None
+        assert "waiting" in run.stderr.readline()
+        assert run.poll() is None
+    out, err = run.communicate(timeout=60)
+    assert (run.returncode, err) == (0, ""), out
+
+
+def test_nobody_sees_what_a_running_install_is_about_to_finish(folder: Path, keymint: Keymint) -> None:
+    names = ("/robot", "/robot/talker", "/robot/arm", "/listener")
+    (folder / "policy.xml").write_text(scenarios.policy(*names))
+    assert keymint("provision", folder / "policy.xml", "-w", folder / "ws").code == 0
+    renewals = subprocess.Popen(
+        [sys.executable, "-c", _RENEW, *map(str, (folder / "policy.xml", folder / "ws"))],
+        env=tracing.environment(), stdout=subprocess.PIPE, text=True,
+    )  # fmt: skip
+    looked = 0
+    while renewals.poll() is None:
+        checked = keymint("check", "-w", folder / "ws", "--json")
+        assert (checked.code, checked.codes()) == (0, []), checked.out
+        rows = keymint("status", "-w", folder / "ws", "--json").document["result"]["packages"]
+        assert {(row["stage"], row["stale"]) for row in rows} == {("installed", None)}
+        looked += 1
+    assert renewals.communicate()[0].split() == ["0"] * 12
+    assert looked > 2
+
+
+_RENEW = """
+import sys
+from keymint import cli
+for _ in range(12):
+    print(cli.main(["provision", sys.argv[1], "-w", sys.argv[2], "--renew", "-q"]), flush=True)
+"""
