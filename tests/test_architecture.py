@@ -165,6 +165,21 @@ def test_only_the_store_writes() -> None:
     assert writes((CHECKOUT / "keymint/store.py").read_text())
 
 
+def test_what_readers_look_at_comes_from_their_snapshot() -> None:
+    # The policy and its library are read by themselves; git reads the disk; copies follow links.
+    asks = {f".{name}" for name in ("lstat", "is_file", "is_dir", "is_symlink", "iterdir", "rglob", "read_bytes")}
+    asks |= {"os.stat", "os.lstat", "os.listdir", "os.scandir", "os.walk", "os.path.exists", "os.path.lexists"}
+    readers = ("keymint/check/", "keymint/plan/", "keymint/verify/", "keymint/overview.py")
+    known = {"plan/create.py", "plan/ignored.py", "check/exposed.py", "verify/copies.py"}
+
+    def asked(source: str) -> list[int]:
+        return [line for line, name in Uses.of(source).names if among(name, asks)]
+
+    found = [place for place in places(asked, {f"keymint/{name}" for name in known}) if place.startswith(readers)]
+    assert found == []
+    assert asked((CHECKOUT / "keymint/tree.py").read_text())
+
+
 def test_only_the_command_line_looks_around() -> None:
     assert list(places(surroundings, {"keymint/cli.py"})) == []
     assert surroundings((CHECKOUT / "keymint/cli.py").read_text())

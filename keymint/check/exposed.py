@@ -90,7 +90,8 @@ def _is_secret(inputs: Inputs, path: Path) -> bool:
     """Tell whether a file holds a private key; in the private space all do."""
     if path.is_relative_to(inputs.workspace.private):
         return path.name != ignored.NAME
+    status = inputs.tree.status(path)
     try:
-        return path.lstat().st_size <= _MOST and b"PRIVATE KEY-----" in (inputs.tree.read(path) or b"")
-    except (OSError, KeymintError):
+        return status is not None and status.st_size <= _MOST and b"PRIVATE KEY-----" in (inputs.tree.read(path) or b"")
+    except KeymintError:
         return False
