@@ -23,6 +23,12 @@ MAX_DOMAIN = 230
 MAX_YEAR = 2261
 """Cyclone DDS counts time in nanoseconds of 64 bits, and takes later years to be over."""
 
+INDENTED = 32_000
+"""Bytes up to which a document is indented. A sixth of a larger one would be blanks, and handshakes carry it whole.
+
+Line ends stay in either form, so that a line's number says which topic is meant.
+"""
+
 _XSI = "http://www.w3.org/2001/XMLSchema-instance"
 _SPEC = "http://www.omg.org/spec/DDS-Security/20170901"
 _valid: set[bytes] = set()
@@ -91,16 +97,22 @@ def date(moment: datetime) -> str:
 
 
 def render(document: etree._Element, kind: str) -> bytes:
-    """Return a document as bytes, held against its schema first.
+    """Return a document as bytes, held against its schema first: indented, unless it is a large one.
 
     Raises:
         KeymintError: it is not valid.
     """
     validate(document, kind, f"{kind}.xml")
-    etree.indent(document)
-    content = _HEAD + etree.tostring(document, encoding="utf-8") + b"\n"
+    content = _written(document, "  ")
+    if len(content) > INDENTED:
+        content = _written(document, "")
     _valid.add(_digest(content, kind))
     return content
+
+
+def _written(document: etree._Element, space: str) -> bytes:
+    etree.indent(document, space=space)
+    return _HEAD + etree.tostring(document, encoding="utf-8") + b"\n"
 
 
 def require_valid(content: bytes, kind: str, name: str) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
 from xml.sax.saxutils import escape
 
 from lxml import etree
@@ -61,39 +62,63 @@ def _criteria(parent: etree._Element, action: Action, texts: Iterable[str], list
             document.child(names_, "partition", text)
 
 
-def rules_size(permissions: Permissions, rules: Iterable[Criteria]) -> int:
-    """Return how many bytes of a rendered document are its rules: what need not be rendered to know its size."""
+def rendered_size(permissions: Permissions, rules: Iterable[Criteria]) -> int:
+    """Return how many bytes :func:`render` would return, without rendering the rules.
+
+    Raises:
+        KeymintError: as :func:`render` does.
+    """
+    frame = render(permissions, ()).splitlines(keepends=True)
+    bare = _Size(sum(len(line.lstrip(b" ")) for line in frame), 0)
+    whole = bare + _Size(0, sum(map(len, frame)) - bare.text) + _rules_size(permissions, rules)
+    indented = whole.text + whole.blanks
+    return indented if indented <= document.INDENTED else whole.text
+
+
+@dataclass(frozen=True, slots=True)
+class _Size:
+    """Bytes of lines: what they say, and the blanks that they begin with where a document is indented."""
+
+    text: int
+    blanks: int
+
+    def __add__(self, other: _Size) -> _Size:
+        return _Size(self.text + other.text, self.blanks + other.blanks)
+
+
+def _rules_size(permissions: Permissions, rules: Iterable[Criteria]) -> _Size:
     ranges = document.merged(permissions.domains)
     same = {"id": [str(each.first) for each in ranges if each.first == each.last]}
-    spans = [
-        _around("id_range", 5, _lines({"min": [str(each.first)], "max": [str(each.last)]}, 6))
-        for each in ranges
-        if each.first != each.last
+    domains = _lines(same, 5)
+    for each in ranges:
+        if each.first != each.last:
+            domains += _around("id_range", 5, _lines({"min": [str(each.first)], "max": [str(each.last)]}, 6))
+    domains = _around("domains", 4, domains)
+    total = _Size(0, 0)
+    for rule in rules:
+        tag = "allow_rule" if rule.effect is Effect.ALLOW else "deny_rule"
+        total += _around(tag, 3, domains + _criteria_size(rule))
+    return total
+
+
+def _criteria_size(rule: Criteria) -> _Size:
+    listed = _Size(0, 0)
+    if rule.partitions != DEFAULT:
+        listed = _around("partitions", 5, _lines({"partition": rule.partitions}, 6))
+    total = _Size(0, 0)
+    for action, texts in rule.topics.items():
+        total += _around(action, 4, _around("topics", 5, _lines({"topic": texts}, 6)) + listed)
+    return total
+
+
+def _around(tag: str, depth: int, inner: _Size) -> _Size:
+    """Return the size of an element that has others, a line each, in it."""
+    return inner + _Size(2 * len(tag) + len("<>\n</>\n"), 2 * 2 * depth)
+
+
+def _lines(texts: Mapping[str, Sequence[str]], depth: int) -> _Size:
+    """Return the size of elements with a text, a line each, by tag."""
+    sizes = [
+        len(escape(text).encode()) + 2 * len(tag) + len("<></>\n") for tag, listed in texts.items() for text in listed
     ]
-    domains = _around("domains", 4, _lines(same, 5) + sum(spans))
-    return sum(
-        _around("allow_rule" if rule.effect is Effect.ALLOW else "deny_rule", 3, domains + _criteria_size(rule))
-        for rule in rules
-    )
-
-
-def _criteria_size(rule: Criteria) -> int:
-    listed = _around("partitions", 5, _lines({"partition": rule.partitions}, 6)) if rule.partitions != DEFAULT else 0
-    return sum(
-        _around(action, 4, _around("topics", 5, _lines({"topic": texts}, 6)) + listed)
-        for action, texts in rule.topics.items()
-    )
-
-
-def _around(tag: str, depth: int, inner: int) -> int:
-    """Return the bytes of an element that has others, a line each, in it."""
-    return inner + 2 * (2 * depth + len(tag)) + len("<>\n</>\n")
-
-
-def _lines(texts: Mapping[str, Sequence[str]], depth: int) -> int:
-    """Return the bytes of elements with a text, a line each, by tag."""
-    return sum(
-        len(escape(text).encode()) + 2 * depth + 2 * len(tag) + len("<></>\n")
-        for tag, listed in texts.items()
-        for text in listed
-    )
+    return _Size(sum(sizes), 2 * depth * len(sizes))

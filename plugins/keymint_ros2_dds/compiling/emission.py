@@ -22,7 +22,7 @@ from keymint_ros2_dds.compiling.lower import Lowered
 from keymint_ros2_dds.decision import OMG
 from keymint_ros2_dds.document import PERMISSIONS, PERMISSIONS_XML
 from keymint_ros2_dds.mapping import Action
-from keymint_ros2_dds.permissions import render, rules_size
+from keymint_ros2_dds.permissions import render, rendered_size
 from keymint_ros2_dds.proving import ASSUMPTIONS, Held, prove_content
 
 STATES = 50_000
@@ -70,8 +70,8 @@ def _smallest(package: Package, options: BuildOptions, compiled: Compiled) -> Em
             said += [*compiled.diagnostics, *_unproven(package, compiled, open_), *remarks(rules, package.permissions)]
             break
         said += _given_up(package, open_)
-    ours, plain = (rules_size(package.permissions, each) for each in (rules, compiled.plain))
-    return Emitted(document, len(document) - ours + plain, compiled.lowered, tuple(said))
+    plain = len(document) if rules == compiled.plain else rendered_size(package.permissions, compiled.plain)
+    return Emitted(document, plain, compiled.lowered, tuple(said))
 
 
 def _forms(compiled: Compiled, *, optimise: bool) -> Iterator[tuple[Criteria, ...]]:

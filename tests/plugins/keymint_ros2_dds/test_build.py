@@ -270,7 +270,7 @@ def test_rsa_with_2048_bits_is_fine():
 
 def test_a_large_document_is_a_warning_that_says_why():
     many = rule(
-        "ALLOW", "ros_topic", "ros_publish", *(f"/robot/topic_number_{n * n * 7919}" for n in range(900)), line=21
+        "ALLOW", "ros_topic", "ros_publish", *(f"/robot/topic_number_{n * n * 7919}" for n in range(1300)), line=21
     )
     (found,) = build(CHATTER, many).diagnostics
     assert (found.code, found.severity, found.where.line) == ("size-permissions", Severity.WARNING, 21)

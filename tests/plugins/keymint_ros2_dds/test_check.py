@@ -149,7 +149,7 @@ def test_an_authority_that_expired_hides_nothing_else(files):
 
 def test_sizes_are_judged_on_the_signed_files():
     many = package(
-        rule("ALLOW", "ros_topic", "ros_publish", *(f"/robot/topic_number_{n * n * 7919}" for n in range(900)))
+        rule("ALLOW", "ros_topic", "ros_publish", *(f"/robot/topic_number_{n * n * 7919}" for n in range(1300)))
     )
     assert codes(installed(many), many) == ["size-permissions"]
 

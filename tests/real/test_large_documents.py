@@ -1,0 +1,36 @@
+"""The policy of a navigation stack, one enclave for a dozen nodes, on real vendors: their handshakes carry it."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import pytest
+from keymint_ros2_dds.vendors.participants import System
+
+from benchmarks import navigation
+
+from .provisioning import enclave
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+    from pathlib import Path
+
+
+@pytest.fixture(scope="module")
+def install(provisioned: Callable[[str | Path], Path]) -> Path:
+    """Return the keystore of two enclaves that may both do all that the navigation stack does."""
+    policy = navigation.policy()
+    peer = policy.replace('name="navigation"', 'name="peer"').replace(">/navigation<", ">/peer<")
+    end = policy.rindex("</profiles>")
+    return provisioned(policy[:end] + peer[peer.index("<profile name") :])
+
+
+def test_samples_are_exchanged(install: Path, system: System) -> None:
+    sizes = [(enclave(install, subject) / "permissions.p7s").stat().st_size for subject in ("/navigation", "/peer")]
+    assert all(55_000 < size < 60_000 for size in sizes), sizes
+    writer = system.open(enclave(install, "/navigation")).edge("publish", "rt/cmd_vel_smoothed")
+    reader = system.open(enclave(install, "/peer")).edge("subscribe", "rt/cmd_vel_smoothed")
+    writer.await_match()
+    reader.await_match()
+    writer.write("hello")
+    assert reader.read() == "hello"
