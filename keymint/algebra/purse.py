@@ -10,6 +10,10 @@ STATES = 5_000_000
 """States that all questions of a command may visit together."""
 QUESTION = 50_000
 """States that one question may visit."""
+_STARTS = 4
+"""How often a question calls it before an engine can have visited 256 states."""
+_FEW = 16
+"""States that such a call counts for."""
 _TICK = 256
 """States that an engine visits between two calls of :attr:`keymint.proof.Budget.go_on`."""
 
@@ -19,7 +23,7 @@ class Purse:
     """A budget that several questions share.
 
     Attributes:
-        states: states that they may visit together; each engine of each question counts for at least 256.
+        states: states that they may visit together; each engine of each question counts for at least 16.
         spent: states that they visited.
     """
 
@@ -28,7 +32,14 @@ class Purse:
 
     def question(self, lists: int = 1) -> Budget:
         """Return the budget of the next question: of so many lists, of which a state holds each."""
-        return Budget(max(1, min(QUESTION // lists, self.states - self.spent)), lambda: self.spend(_TICK * lists))
+        calls = 0
+
+        def go_on() -> bool:
+            nonlocal calls
+            calls += 1
+            return self.spend(lists * (_FEW if calls <= _STARTS else _TICK))
+
+        return Budget(max(1, min(QUESTION // lists, self.states - self.spent)), go_on)
 
     def spend(self, states: int) -> bool:
         """Count states; tell whether any are left."""

@@ -14,7 +14,7 @@ from functools import lru_cache
 from keymint.algebra.lists import Key, patterns
 from keymint.api import Clause
 from keymint.keymake.algebra import disjoint
-from keymint.keymake.glob import STAR, Glob, Star, Token, normalise, units
+from keymint.keymake.glob import STAR, Glob, Star, Token, literal, normalise, units
 
 NAMESPACE = "\x01"
 """Stands for the subject's namespace without its leading ``/``. XML cannot hold this character."""
@@ -110,8 +110,10 @@ def fitted(pattern: Glob, shape: Glob, namespace: Glob, name: Glob, *, wide: boo
     if _apart(mine[head:end], other[head:end2]) or _apart(mine[head:end][::-1], other[head:end2][::-1]):
         return Fitted((), exact=True)
     exact = True
-    middle = mine[head:end]
-    if any(token in MARKS for token in middle if isinstance(token, str)):
+    middle, others = mine[head:end], other[head:end2]
+    if _has_mark(middle) and not _has_mark(others):
+        return _reversed(mine[:head], middle, others, mine[end:], {NAMESPACE: namespace, NAME: name}, wide=wide)
+    if _has_mark(middle):
         exact = False
         if wide:
             middle = units(filled(normalise(middle), namespace, name))
@@ -134,6 +136,30 @@ def fitted(pattern: Glob, shape: Glob, namespace: Glob, name: Glob, *, wide: boo
                 limits[str(mark)].append(limit)
         pattern_ = normalise((*tokens, *mine[end:]))
         found[tuple(limits[NAMESPACE]), tuple(limits[NAME]), pattern_] = None
+    return Fitted(tuple(found), exact)
+
+
+def _reversed(
+    head: _Units, middle: _Units, shape: _Units, tail: _Units, values: dict[str, Glob], *, wide: bool
+) -> Fitted:
+    """Say a pattern with marks of words without: cut the shape where the marks stand, to tell what they must be.
+
+    That is exact if the shape is one word; else the subject and the word depend on each other.
+    """
+    exact = literal(normalise(shape)) is not None
+    if not (exact or wide):
+        return Fitted((), exact=False)
+    segments = _segments(middle)
+    found: dict[tuple[tuple[Glob, ...], tuple[Glob, ...], Glob], None] = {}
+    for parts in _parted(shape, segments, values):
+        if len(found) == _MOST_PIECES:
+            all_ = ((), (), normalise((*head, *shape, *tail)))
+            return Fitted((all_,) if wide else tuple(found), exact=False)
+        limits: dict[str, list[Glob]] = {NAMESPACE: [], NAME: []}
+        for at in range(1, len(parts), 2):
+            limits[str(segments[at][0])].append(normalise(parts[at]))
+        whole = normalise((*head, *(token for part in parts for token in part), *tail))
+        found[tuple(limits[NAMESPACE]), tuple(limits[NAME]), whole] = None
     return Fitted(tuple(found), exact)
 
 

@@ -14,8 +14,8 @@ from keymint.algebra.lists import Key, flipped, is_composite, listed, meet
 from keymint.algebra.purse import Purse
 from keymint.algebra.spoken import Book, Spoken
 from keymint.algebra.subjects import EVERY, example, rules_of
-from keymint.algebra.symbolic import Condition, Found, Undecided, find
-from keymint.algebra.templates import filled, marks
+from keymint.algebra.symbolic import EVERYBODY, Condition, Found, Undecided, find
+from keymint.algebra.templates import filled, fitted, marks
 from keymint.api import LoadedPolicy
 from keymint.errors import Origin
 from keymint.ir import PERMISSIONS, Effect
@@ -193,9 +193,10 @@ class _Comparison:
     def _both(spoken: Spoken, subjects: Glob, denial: Spoken, mine: _Conditions) -> Iterator[_Way]:
         """Yield the ways to ask whether a rule allows what a denial that depends on the subject denied."""
         conditions = (*mine, *denial.reach.conditions, Condition(some=(denial.entry(),)))
-        yield subjects, denial.object, (*conditions, Condition(some=(spoken.entry(),)))
+        ways = [(subjects, denial.object, (*conditions, Condition(some=(spoken.entry(),))))]
         if marks(spoken.object):
-            yield subjects, spoken.object, conditions
+            ways.append((subjects, spoken.object, conditions))
+        yield from sorted(ways, key=_blurred)
 
     def _differs(self, key: Key, pattern: Glob, subject: str) -> bool | Undecided:
         """Tell whether a subject may do by one policy, and not by the other one, something that a pattern matches."""
@@ -214,6 +215,13 @@ _Way = tuple[Glob, Glob, _Conditions]
 """What :func:`keymint.algebra.symbolic.find` is asked for: subjects, shape of the words, and conditions."""
 _Question = list[_Way]
 """Ways to ask the same; "there is none" is proven by any of them."""
+
+
+def _blurred(way: _Way) -> int:
+    """Return how many expressions cannot be said exactly where the placeholders stand as in the shape of the words."""
+    _, shape, conditions = way
+    entries = (entry for each in conditions for entry in (*each.none, *(each.some or ())))
+    return sum(not fitted(entry.object, shape, *EVERYBODY, wide=False).exact for entry in entries)
 
 
 def _may_meet(denial: Spoken, spoken: Spoken, subjects: Glob) -> bool:
