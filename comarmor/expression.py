@@ -277,6 +277,12 @@ def literal(expression: str) -> str | None:
 _SPECIAL = re.compile(r"[*?\[\\]")
 
 
+def beginning(expression: str) -> str:
+    """Return text that every name begins with that an expression matches: what stands before its first wildcard."""
+    special = _SPECIAL.search(expression)
+    return expression[: special.start()] if special else expression
+
+
 def is_literal(expression: str) -> bool:
     """Tell whether an expression has no wildcards, so that it matches exactly one name.
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 from comarmor.decide import decide
-from comarmor.expression import literal, matches
+from comarmor.expression import beginning, literal, matches
 from comarmor.model import Decision, Profile, Rule, Tunable
 
 _MOST_REMEMBERED = 4096
@@ -21,33 +21,37 @@ class _Level:
     Attributes:
         profiles: the profiles.
         exact: positions of the profiles that name a subject exactly.
-        patterns: position and expression of the other attachments.
+        patterns: position and expression of the other attachments, by the text that they begin with.
+        lengths: the lengths of these texts.
         inner: the level below each profile, or None for a profile without profiles.
     """
 
     profiles: tuple[Profile, ...]
     exact: Mapping[str, list[int]]
-    patterns: tuple[tuple[int, str], ...]
+    patterns: Mapping[str, list[tuple[int, str]]]
+    lengths: tuple[int, ...]
     inner: tuple[_Level | None, ...]
 
     @classmethod
     def of(cls, profiles: tuple[Profile, ...]) -> _Level:
         exact: dict[str, list[int]] = {}
-        patterns: list[tuple[int, str]] = []
+        patterns: dict[str, list[tuple[int, str]]] = {}
         for position, profile in enumerate(profiles):
             for attachment in profile.attachments:
                 name = literal(attachment.text)
                 if name is None:
-                    patterns.append((position, attachment.text))
+                    patterns.setdefault(beginning(attachment.text), []).append((position, attachment.text))
                 else:
                     exact.setdefault(name, []).append(position)
         inner = tuple(cls.of(profile.profiles) if profile.profiles else None for profile in profiles)
-        return cls(profiles, exact, tuple(patterns), inner)
+        return cls(profiles, exact, patterns, tuple(sorted(set(map(len, patterns)))), inner)
 
     def applicable(self, subject: str) -> Iterator[Profile]:
         """Yield the profiles of this level and below that apply to a subject, outer ones first."""
         found = set(self.exact.get(subject, ()))
-        found.update(position for position, text in self.patterns if position not in found and matches(text, subject))
+        for length in self.lengths:
+            near = self.patterns.get(subject[:length], ()) if length <= len(subject) else ()
+            found.update(position for position, text in near if position not in found and matches(text, subject))
         for position in sorted(found):
             yield self.profiles[position]
             inner = self.inner[position]

@@ -14,11 +14,11 @@ from keymint.api import Clause, Structure
 from keymint.ir import Effect
 from keymint.keymake.algebra import TooComplexError, disjoint
 from keymint.keymake.glob import Glob, literal
-from keymint.proof import Equal
+from keymint.proof import Equal, Unknown
 
 
 def may_matter(written: Structure, clause: Clause, at: int) -> bool:
-    """Tell whether a rule may allow something that an expression of a DENY rule denies; True if that is not decided.
+    """Tell whether a rule may allow something that an expression of a DENY rule denies.
 
     Left out are rules that depend on the subject in the same way: any example shows what they have in common.
 
@@ -26,6 +26,10 @@ def may_matter(written: Structure, clause: Clause, at: int) -> bool:
         written: the policy.
         clause: the DENY rule.
         at: which of its expressions.
+
+    Raises:
+        TooComplexError: that was not decided.
+        EffortError: it takes too many steps.
     """
     begins = _beginning(clause, at)
     others = [
@@ -35,18 +39,15 @@ def may_matter(written: Structure, clause: Clause, at: int) -> bool:
         for number in range(len(other.places))
         if begins is None or _beginning(other, number) != begins
     ]
-    try:
-        return any(
-            _overlap(key[0], one, two)
-            for other, number in others
-            for key in keys(clause.rule)
-            for subjects in reached((*clause.profiles, *other.profiles))
-            if literal(subjects) is None
-            for one in _about(clause, at, subjects, key)
-            for two in _about(other, number, subjects, key)
-        )
-    except TooComplexError:
-        return True
+    return any(
+        _overlap(key[0], one, two)
+        for other, number in others
+        for key in keys(clause.rule)
+        for subjects in reached((*clause.profiles, *other.profiles))
+        if literal(subjects) is None
+        for one in _about(clause, at, subjects, key)
+        for two in _about(other, number, subjects, key)
+    )
 
 
 def _beginning(clause: Clause, at: int) -> str | None:
@@ -66,4 +67,9 @@ def _about(clause: Clause, at: int, subjects: Glob, key: Key) -> Iterator[Glob]:
 
 
 def _overlap(kind: str, one: Glob, other: Glob) -> bool:
-    return not disjoint(one, other) and not isinstance(meet(kind, allowed(one), allowed(other)), Equal)
+    if disjoint(one, other):
+        return False
+    found = meet(kind, allowed(one), allowed(other))
+    if isinstance(found, Unknown):
+        raise TooComplexError
+    return not isinstance(found, Equal)

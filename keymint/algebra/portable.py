@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from datetime import datetime, timedelta
 
 from keymint.api import (
@@ -20,8 +20,11 @@ from keymint.api import (
 )
 from keymint.errors import Diagnostic, KeymintError, Origin, Severity
 from keymint.ir import Rule, SubjectRules
+from keymint.keymake.effort import limited
 
 _RELAYS = ("relay", "ros_relay")
+STEPS = 40_000_000
+"""Steps after which no further subject is compiled (:mod:`keymint.keymake.effort`)."""
 
 
 def portability(
@@ -37,16 +40,61 @@ def portability(
         now: the clock, UTC; nothing that is said depends on it.
     """
     said: set[tuple[str, Origin | None, str]] = set()
+    spent = 0
+    for subject, rules in _different(subjects):
+        if spent > STEPS:
+            yield _given_up(subject)
+            return
+        with limited(None) as effort:
+            found = list(_of_subject(build_type, _Asked(name, distro, subject, rules, now), said))
+        spent += effort.spent
+        yield from found
+
+
+@dataclass(frozen=True, slots=True)
+class _Asked:
+    """The rules of a subject, and what the build type needs to know beside them."""
+
+    name: str
+    distro: str
+    subject: str
+    rules: tuple[Rule, ...]
+    now: datetime
+
+
+def _different(subjects: Iterable[tuple[str, tuple[Rule, ...]]]) -> Iterator[tuple[str, tuple[Rule, ...]]]:
+    """Yield subjects, of those with the very same rules the first: nothing else is asked about."""
+    seen: dict[tuple[int, ...], tuple[Rule, ...]] = {}  # which holds the rules, so that no other ones get their ids
     for subject, rules in subjects:
-        places = {rule.origin.spot for rule in rules}
-        for found in (*_relaying(rules), *_built(build_type, package_of(name, distro, subject, rules, now))):
-            where = found.where
-            if found.severity is Severity.NOTE or where is None or where.spot not in places:
-                continue  # it is about what only a package has
-            key = (found.code, where.alone(), found.message if found.code == "never-matches" else "")
-            if key not in said:
-                said.add(key)
-                yield replace(found, severity=Severity.WARNING, subject=found.subject or subject)
+        key = tuple(map(id, rules))
+        if key not in seen:
+            seen[key] = rules
+            yield subject, rules
+
+
+def _given_up(subject: str) -> Diagnostic:
+    return Diagnostic(
+        "lint-unknown",
+        Severity.NOTE,
+        f"{subject} and the subjects after it were not compiled: {STEPS:,} steps were spent on those before it",
+        None,
+        "'keymint build' compiles each of them; or lint parts of the policy",
+    )
+
+
+def _of_subject(
+    build_type: BuildType, asked: _Asked, said: set[tuple[str, Origin | None, str]]
+) -> Iterator[Diagnostic]:
+    places = {rule.origin.spot for rule in asked.rules}
+    package = package_of(asked.name, asked.distro, asked.subject, asked.rules, asked.now)
+    for found in (*_relaying(asked.rules), *_built(build_type, package)):
+        where = found.where
+        if found.severity is Severity.NOTE or where is None or where.spot not in places:
+            continue  # it is about what only a package has
+        key = (found.code, where.alone(), found.message if found.code == "never-matches" else "")
+        if key not in said:
+            said.add(key)
+            yield replace(found, severity=Severity.WARNING, subject=found.subject or asked.subject)
 
 
 def _built(build_type: BuildType, package: Package) -> tuple[Diagnostic, ...]:

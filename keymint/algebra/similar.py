@@ -5,15 +5,17 @@ from __future__ import annotations
 import difflib
 import re
 from collections import defaultdict
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 
 from keymint.algebra.attachments import Attachments
 from keymint.algebra.lists import RAW
 from keymint.api import Structure
 from keymint.errors import Diagnostic, Origin, Severity
 from keymint.ir import Effect, Rule
-from keymint.keymake.algebra import matches
+from keymint.keymake.effort import EffortError, limited, spend
 from keymint.keymake.glob import Glob, literal, parse
+from keymint.keymake.near import Near
+from keymint.keymake.slips import Names
 
 _SIDES = {
     "publish": (RAW, "subscribe"),
@@ -28,6 +30,12 @@ _SIDES = {
 """The kind of a permission, and the permission of whoever is at the other end."""
 _MOST_EDITS = 2
 _SHORTEST = 4
+_ALIKE = 0.8
+"""How much two names must be alike, as :meth:`difflib.SequenceMatcher.ratio` says."""
+_FEW = 64
+"""Names of the same words that are looked at."""
+_STEPS = 2_000
+"""Steps that the search for a name may take."""
 _DIGITS = re.compile(r"\d+")
 
 
@@ -40,15 +48,19 @@ def similar_names(subjects: Mapping[str, tuple[Rule, ...]], attachments: Attachm
     """
     exact, wild = _allowed(subjects)
 
+    wilds = {permission: Near((pattern, None) for pattern in patterns) for permission, patterns in wild.items()}
+
     def alone(permission: str, name: str) -> bool:
         other = _SIDES[permission][1]
-        return name not in exact[other] and not any(matches(pattern, name) for pattern in wild[other])
+        matching = wilds[other].meeting((name,)) if other in wilds else ()
+        return name not in exact[other] and not any(True for _ in matching)
 
     told: set[frozenset[str]] = set()
+    given_up: list[str] = []
     for permission, (kind, other) in _SIDES.items():
-        candidates = [name for name in exact[other] if alone(other, name)]
+        candidates = _Candidates(name for name in exact[other] if alone(other, name))
         for name, (subject, rule) in exact[permission].items():
-            near = _nearest(name, candidates) if alone(permission, name) else None
+            near = _given(candidates, name, _MOST_EDITS, given_up) if alone(permission, name) else None
             if near and frozenset((name, near)) not in told:
                 told.add(frozenset((name, near)))
                 whose, theirs = exact[other][near]
@@ -62,6 +74,7 @@ def similar_names(subjects: Mapping[str, tuple[Rule, ...]], attachments: Attachm
                     f"did you mean {near!r}?",
                     subject,
                 )
+    yield from _unknown(given_up)
 
 
 def similar_subjects(written: Structure) -> Iterator[Diagnostic]:
@@ -76,9 +89,10 @@ def similar_subjects(written: Structure) -> Iterator[Diagnostic]:
             name = literal(parse(expression))
             if name is not None:
                 named[name][profile.where] = where
-    often = [name for name, places in named.items() if len(places) > 1]
+    given_up: list[str] = []
+    often = _Candidates(name for name, places in named.items() if len(places) > 1)
     for name, places in named.items():
-        near = _nearest(name, often, most=1) if len(places) == 1 else None
+        near = _given(often, name, 1, given_up) if len(places) == 1 else None
         if near:
             yield Diagnostic(
                 "name-similar",
@@ -87,6 +101,7 @@ def similar_subjects(written: Structure) -> Iterator[Diagnostic]:
                 next(iter(places.values())),
                 f"did you mean {near!r}?",
             )
+    yield from _unknown(given_up)
 
 
 def _allowed(
@@ -115,14 +130,68 @@ def _plain(permission: str) -> str:
     return f"{plain} to" if plain == "subscribe" else plain
 
 
-def _nearest(name: str, candidates: list[str], most: int = _MOST_EDITS) -> str | None:
-    """Return a name that differs by a slip of the pen, and not in numbers only."""
-    for near in difflib.get_close_matches(name, candidates, n=3, cutoff=0.8):
-        if near == name or _DIGITS.sub("", near) == _DIGITS.sub("", name):
-            continue
-        if min(len(near), len(name)) >= _SHORTEST and _edits(name, near) <= most:
-            return near
-    return None
+def _given(candidates: _Candidates, name: str, most: int, given_up: list[str]) -> str | None:
+    """Return the nearest of some candidates; note the name where that takes too many steps."""
+    try:
+        return candidates.nearest(name, most)
+    except EffortError:
+        given_up.append(name)
+        return None
+
+
+def _unknown(given_up: Sequence[str]) -> Iterator[Diagnostic]:
+    """Yield a note on names that were not held against all others."""
+    if given_up:
+        yield Diagnostic(
+            "lint-unknown",
+            Severity.NOTE,
+            f"it was not found out which names are nearly like {given_up[0]!r}"
+            + (f" and {len(given_up) - 1:,} others" if len(given_up) > 1 else "")
+            + f": there are too many within {_STEPS:,} steps",
+            None,
+            "look at these names yourself, or lint parts of the policy",
+        )
+
+
+class _Candidates:
+    """Names that another one may have been meant to be.
+
+    Numbers are left out of the search: names that differ in numbers only are no slips.
+    """
+
+    def __init__(self, names: Iterable[str]) -> None:
+        self._by_words: dict[str, list[str]] = defaultdict(list)
+        self._by_numbers: dict[tuple[str, tuple[str, ...]], list[str]] = defaultdict(list)
+        for name in names:
+            if len(name) >= _SHORTEST:
+                words = _DIGITS.sub("", name)
+                self._by_words[words].append(name)
+                self._by_numbers[words, tuple(_DIGITS.findall(name))].append(name)
+        self._words = Names(self._by_words)
+
+    def nearest(self, name: str, most: int) -> str | None:
+        """Return the name that is most alike of those that differ by a slip of the pen, and not in numbers only.
+
+        Raises:
+            EffortError: there are too many names like it.
+        """
+        if len(name) < _SHORTEST:
+            return None
+        words = _DIGITS.sub("", name)
+        best: tuple[float, str] | None = None
+        with limited(_STEPS):
+            for other in self._words.near(words, most):
+                for near in self._likely(name, other) if other != words else ():
+                    spend(len(name))
+                    ratio = difflib.SequenceMatcher(None, name, near).ratio()
+                    if ratio >= _ALIKE and _edits(name, near) <= most and (best is None or (ratio, near) > best):
+                        best = (ratio, near)
+        return best[1] if best else None
+
+    def _likely(self, name: str, words: str) -> Sequence[str]:
+        """Return the names of some words that have the numbers of another name, or else a few."""
+        same = self._by_numbers.get((words, tuple(_DIGITS.findall(name))), ())
+        return same or self._by_words[words][:_FEW]
 
 
 def _edits(one: str, other: str) -> int:

@@ -10,20 +10,25 @@ from __future__ import annotations
 import difflib
 import re
 from collections.abc import Iterable, Iterator, Sequence
-from functools import lru_cache
+from operator import itemgetter
 
 from keymint.algebra.lists import Key, allowed, decisions, keys, names, patterns, text, universe
 from keymint.api import Clause, LoadedPolicy, Structure
 from keymint.ir import Effect, Rule
 from keymint.keymake.algebra import TooComplexError, covers, intersection, matches
+from keymint.keymake.effort import EffortError, limited, remembered, spend
 from keymint.keymake.glob import Charset, Glob, Star, literal, normalise, parse, units
+from keymint.keymake.near import Near
 from keymint.proof import Block, DecisionList, Equal, difference
 
 EVERY = parse("/*")
 """What every subject matches."""
 _LEGAL = re.compile(r"(/[A-Za-z_][A-Za-z0-9_]*)+")
 _PREFERRED = "xyzabcdefghijklmnopqrstuvw0123456789_/ABCDEFGHIJKLMNOPQRSTUVWXYZ"
+_FILLINGS = ("x", "", "x/y", "/x", "x/", "_")
 _MOST_EXAMPLES = 400
+_OVERLAPS = 1_000_000
+"""Steps that the search for patterns of subjects that overlap may take."""
 _MOST_PIECES = 64
 _NODE = "ros_parameter"
 
@@ -41,7 +46,7 @@ def rules_of(policy: LoadedPolicy, subject: str) -> tuple[Rule, ...]:
     return found.rules if found else ()
 
 
-@lru_cache(maxsize=1 << 12)
+@remembered(1 << 14)
 def reached(profiles: tuple[tuple[str, ...], ...], within: Glob = EVERY) -> tuple[Glob, ...]:
     """Return patterns that together match the subjects to which nested profiles apply.
 
@@ -52,43 +57,55 @@ def reached(profiles: tuple[tuple[str, ...], ...], within: Glob = EVERY) -> tupl
     Raises:
         TooComplexError: there are too many.
     """
-    found: tuple[Glob, ...] = (within,)
-    for level in profiles:
-        wanted = [parse(expression) for expression in level]
-        exact = {each for each in wanted if literal(each) is not None}
-        wild = [each for each in wanted if literal(each) is None]
-        new: dict[Glob, None] = {}
-        for each in found:
-            name = literal(each)
-            if name is not None:
-                if each in exact or any(matches(one, name) for one in wild):
-                    new[each] = None
-                continue
-            new |= dict.fromkeys(one for one in wanted if one in exact and matches(each, literal(one) or ""))
-            for one in wild:
-                new |= dict.fromkeys(intersection(each, one))
-            wildcards = sum(literal(each) is None for each in new) if len(new) > _MOST_PIECES else 0
-            if wildcards > max(_MOST_PIECES, len(wild)):
-                raise TooComplexError
-        found = tuple(new)
-    return found
+    if not profiles:
+        return (within,)
+    return _narrowed(reached(profiles[:-1], within), profiles[-1])
+
+
+def _narrowed(found: Iterable[Glob], level: Sequence[str]) -> tuple[Glob, ...]:
+    """Return patterns that match what others match, as far as an expression of a profile does so, too."""
+    wanted = [parse(expression) for expression in level]
+    exact = {each for each in wanted if literal(each) is not None}
+    wild = [each for each in wanted if literal(each) is None]
+    new: dict[Glob, None] = {}
+    for each in found:
+        name = literal(each)
+        if name is not None:
+            if each in exact or any(matches(one, name) for one in wild):
+                new[each] = None
+            continue
+        spend(len(wanted))
+        new |= dict.fromkeys(one for one in wanted if one in exact and matches(each, literal(one) or ""))
+        for one in wild:
+            new |= dict.fromkeys(intersection(each, one))
+        wildcards = sum(literal(each) is None for each in new) if len(new) > _MOST_PIECES else 0
+        if wildcards > max(_MOST_PIECES, len(wild)):
+            raise TooComplexError
+    return tuple(new)
 
 
 def can_be(pattern: Glob) -> bool:
     """Tell whether a subject can have a name that a pattern matches; True where that is not decided."""
+    if _filled_legally(pattern) is not None:
+        return True
     found = difference((), allowed(pattern), names(_NODE), universe=universe(_NODE))
     return not isinstance(found, Equal)
 
 
-def example(pattern: Glob) -> str | None:
-    """Return a subject that a pattern matches, or None when none is found."""
+def _filled_legally(pattern: Glob) -> str | None:
+    """Return a legal name that a pattern matches, with one text for all its wildcards; None where none is seen."""
     name = literal(pattern)
     if name is not None:
         return name if _LEGAL.fullmatch(name) else None
-    for filling in ("x", "", "x/y", "/x", "x/", "_"):
-        filled = _filled(pattern, filling)
-        if _LEGAL.fullmatch(filled):
-            return filled
+    filled = (_filled(pattern, each) for each in _FILLINGS)
+    return next((name for name in filled if _LEGAL.fullmatch(name) and matches(pattern, name)), None)
+
+
+def example(pattern: Glob) -> str | None:
+    """Return a subject that a pattern matches, or None when none is found."""
+    filled = _filled_legally(pattern)
+    if filled is not None or literal(pattern) is not None:
+        return filled
     found = difference((), allowed(pattern), names(_NODE), universe=universe(_NODE))
     return getattr(found, "word", None)
 
@@ -97,7 +114,9 @@ def _member(members: Charset) -> str:
     return next((char for char in _PREFERRED if char in members), "")
 
 
-def examples(structures: Sequence[Structure], known: Iterable[str]) -> dict[str, str]:
+def examples(
+    structures: Sequence[Structure], known: Iterable[str], given_up: list[str] | None = None
+) -> dict[str, str]:
     """Return subjects for each class of subjects that profiles match by a pattern: pattern by subject.
 
     Where rules depend on the subject's namespace there is one in a namespace below as well.
@@ -105,19 +124,21 @@ def examples(structures: Sequence[Structure], known: Iterable[str]) -> dict[str,
     Args:
         structures: policies as they are written.
         known: subjects that need no example.
+        given_up: gets a text for each reason why there may be classes without an example.
     """
     wild: dict[Glob, None] = {}
+    given_up = [] if given_up is None else given_up
     for each in structures:
         for profile in each.profiles:
             chain = (*profile.around, tuple(expression for expression, _ in profile.attachments))
             try:
                 wild |= dict.fromkeys(one for one in reached(chain) if literal(one) is None)
             except TooComplexError:
-                continue
+                given_up.append(f"the profiles around {profile.name!r} overlap in too many ways")
     found: dict[str, str] = {}
     taken = set(known)
     depends = any(_depends(clause) for each in structures for clause in each.clauses)
-    for pattern in _with_overlaps(tuple(wild)):
+    for pattern in _with_overlaps(tuple(wild), given_up):
         for subject in (example(pattern), _deeper(pattern) if depends else None):
             if subject is not None and subject not in taken:
                 taken.add(subject)
@@ -149,28 +170,49 @@ def _filled(pattern: Glob, filling: str) -> str:
     )
 
 
-def stand_ins(policy: LoadedPolicy) -> dict[str, str]:
+def stand_ins(policy: LoadedPolicy, given_up: list[str] | None = None) -> dict[str, str]:
     """Return a subject for each class of those that a policy does not name; see :func:`examples`."""
     written = structure(policy)
-    return examples([written], policy.subjects()) if written else {}
+    return examples([written], policy.subjects(), given_up) if written else {}
 
 
-def _with_overlaps(wild: Sequence[Glob]) -> Iterator[Glob]:
+def _with_overlaps(wild: Sequence[Glob], given_up: list[str]) -> Iterator[Glob]:
     """Yield patterns, and what two of them have in common, up to a number."""
     yield from wild
+    reason = f"more than {_MOST_EXAMPLES} patterns of subjects overlap"
     left = _MOST_EXAMPLES
-    for at, one in enumerate(wild):
-        for other in wild[:at]:
-            if not left:
-                return
-            try:
-                both = intersection(one, other)
-            except TooComplexError:
-                continue
-            for each in both:
-                if each not in (one, other) and left:
-                    left -= 1
-                    yield each
+    known = set(wild)
+    try:
+        for each in _overlaps(wild):
+            if each not in known:
+                known.add(each)
+                if not left:
+                    given_up.append(reason)
+                    return
+                left -= 1
+                yield each
+    except (EffortError, TooComplexError):
+        given_up.append("patterns of subjects overlap in too many ways")
+
+
+def _overlaps(wild: Sequence[Glob]) -> list[Glob]:
+    """Return what two patterns have in common, as far as that is an overlap of its own.
+
+    Raises:
+        EffortError: there are too many patterns with the same beginning.
+        TooComplexError: two patterns overlap in too many ways.
+    """
+    places = {pattern: at for at, pattern in enumerate(wild)}
+    near = Near(places.items())
+    found: dict[Glob, None] = {}
+    with limited(_OVERLAPS):
+        for at, one in enumerate(wild):
+            before = sorted(((place, other) for other, place in near.meeting(one) if place < at), key=itemgetter(0))
+            for _, other in before:
+                found |= dict.fromkeys(each for each in intersection(one, other) if each not in (one, other))
+            if len(found) > 2 * _MOST_EXAMPLES:
+                break
+    return list(found)
 
 
 def at_most(found: Structure, within: Glob, key: Key) -> Iterator[tuple[Glob, DecisionList]]:

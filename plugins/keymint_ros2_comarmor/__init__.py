@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import comarmor
@@ -42,6 +42,7 @@ class _LoadedPolicy:
     """A ComArmor policy, loaded once per command."""
 
     policy: comarmor.Policy
+    _known: dict[int, tuple[comarmor.Rule, Rule]] = field(default_factory=dict, repr=False, compare=False)
 
     @property
     def seen(self) -> Mapping[Path, bytes]:
@@ -56,7 +57,17 @@ class _LoadedPolicy:
         """Return the rules of a subject, or None when no profile applies to it."""
         if not self.policy.applicable(subject):
             return None
-        return SubjectRules(subject, tuple(_rule(rule) for rule in self.policy.rules(subject)))
+        return SubjectRules(subject, tuple(map(self._shared, self.policy.rules(subject))))
+
+    def _shared(self, rule: comarmor.Rule) -> Rule:
+        """Return a rule; the same one for all subjects, where it does not depend on the subject."""
+        known = self._known.get(id(rule))
+        if known is not None and known[0] is rule:
+            return known[1]
+        found = _rule(rule)
+        if not any(attachment.value for attachment in rule.attachments):
+            self._known[id(rule)] = (rule, found)
+        return found
 
     def profiles(self, subject: str) -> tuple[AppliedProfile, ...]:
         """Return the profiles that apply to a subject, outer ones first."""
