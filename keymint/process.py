@@ -117,6 +117,9 @@ class Output(io.TextIOBase):
             if self._stream is not None:
                 self._stream.flush()
 
+    def close(self) -> None:
+        """Leave the stream as it is: it is the process's, and may be closed already when this wrapper goes."""
+
     def give_up(self) -> None:
         """Let what could not be written go, so that nothing tries again when the process ends."""
         with contextlib.suppress(AttributeError, OSError, ValueError):
@@ -150,6 +153,9 @@ class _Bytes(io.RawIOBase):
 
     def flush(self) -> None:
         self._output.flush()
+
+    def close(self) -> None:
+        """Leave the stream as it is."""
 
 
 def open_missing_streams() -> None:

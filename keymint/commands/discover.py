@@ -15,6 +15,7 @@ from keymint import graph_json
 from keymint.api import Discovered, GraphSource
 from keymint.commands.common import Run, verb
 from keymint.commands.files import exists, read_input, write_outputs
+from keymint.commands.numbers import Number
 from keymint.commands.signals import ended_by_signals
 from keymint.errors import Diagnostic, ExitCode, KeymintError, Origin, Severity
 from keymint.graph import Graph
@@ -27,7 +28,7 @@ _FILE = click.Path(path_type=Path)
 @click.option("--domain", type=click.IntRange(0, 232), metavar="N", help="DDS domain id [$ROS_DOMAIN_ID, else 0].")
 @click.option(
     "--seconds",
-    type=click.FloatRange(min=0, min_open=True, max=86_400),
+    type=Number(min=0, min_open=True, max=86_400),
     default=10.0,
     show_default=True,
     metavar="S",

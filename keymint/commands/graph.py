@@ -14,6 +14,7 @@ from keymint.api import LoadedPolicy, PolicySource
 from keymint.commands.common import Run, verb
 from keymint.commands.files import read_input, write_outputs
 from keymint.commands.library import library_rules
+from keymint.commands.numbers import Number
 from keymint.commands.verify_report import sources
 from keymint.errors import Diagnostic, ExitCode, KeymintError, Origin
 from keymint.graph import Graph
@@ -59,7 +60,7 @@ class _Policy:
 @click.option("--common", is_flag=True, help="Draw what every node may do too (parameters, logging, time, discovery).")
 @click.option("--limit", type=click.IntRange(1), default=600, show_default=True, help="The most lines to draw.")
 @click.option("--theme", type=click.Choice([str(theme) for theme in Theme]), default="auto", show_default=True)
-@click.option("--scale", type=click.FloatRange(0.1, 10), default=2.0, show_default=True, help="Resolution of a PNG.")
+@click.option("--scale", type=Number(0.1, 10), default=2.0, show_default=True, help="Resolution of a PNG.")
 @click.option("--title", metavar="TEXT", help="Title of the picture.")
 @click.option(
     "--distro", metavar="NAME", help="ROS 2 distribution of what a policy includes [$ROS_DISTRO, else jazzy]."

@@ -10,6 +10,7 @@ import click
 
 from keymint.api import Claim, Counterexample, Proof
 from keymint.commands.common import Run, complete_package, verb
+from keymint.commands.numbers import Number
 from keymint.commands.proving import standard_only_option
 from keymint.errors import Diagnostic, ExitCode, Origin, Severity
 from keymint.graph import Edge
@@ -34,7 +35,7 @@ OF_DOMAINS = frozenset(("join", "protect"))
 @click.argument("names", nargs=-1, metavar="[ENCLAVE]...", shell_complete=complete_package)
 @click.option(
     "--seconds",
-    type=click.FloatRange(0),
+    type=Number(0),
     default=SECONDS,
     show_default=True,
     help="Give an enclave up after this time; what is not decided is unknown.",

@@ -12,6 +12,7 @@ from keymint.algebra.junit import junit as as_junit
 from keymint.api import Expectation
 from keymint.commands.common import Run, verb
 from keymint.commands.files import write_outputs
+from keymint.commands.numbers import Number
 from keymint.commands.policies import Policies, policy_options, typed
 from keymint.errors import Diagnostic, ExitCode, KeymintError, Origin, Severity
 from keymint.ir import Rule
@@ -25,7 +26,7 @@ _PATH = click.Path(path_type=Path)
 @click.option("--junit", type=click.Path(path_type=Path, dir_okay=False), metavar="FILE", help="Write JUnit XML.")
 @click.option(
     "--min-coverage",
-    type=click.FloatRange(0, 100),
+    type=Number(0, 100),
     default=0.0,
     metavar="PERCENT",
     help="So many of the policy's rules must be exercised by an expectation [0].",

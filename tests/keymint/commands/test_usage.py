@@ -39,7 +39,7 @@ def closed() -> list[tuple[str, str, str]]:
             if isinstance(option.type, click.Choice) or option.metavar in {"NAME", "PERIOD", "GUID=NAME"}:
                 found.append((verb, name, "no-such-value"))
             elif isinstance(option.type, click.types._NumberRangeBase):
-                found += [(verb, name, value) for value in ("-1", "1e300", "x", "", "\u0662\u200f")]
+                found += [(verb, name, value) for value in ("-1", "1e300", "nan", "x", "", "\u0662\u200f")]
     return found
 
 
