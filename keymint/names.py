@@ -14,6 +14,10 @@ from keymint.errors import KeymintError
 _SEGMENT = re.compile(r"[A-Za-z_][A-Za-z0-9_]*\Z")
 MAX_SEGMENT = 200
 """Bytes of a segment: file systems end at 255, and temporary files need some of them."""
+RESERVED = "KEYMINT_IGNORE"
+"""The file that hides a folder of packages: as a segment it would be one folder with it, whatever its case."""
+_TOPS_OF_KEYSTORES = ("enclaves", "private", "public")
+"""What lies at the top of a keystore of the other layout (sros2's ``create_keystore``)."""
 MAX_NAME = 1000
 """Bytes of a name: Linux' PATH_MAX is 4096, and the workspace's own path comes before it."""
 
@@ -45,6 +49,12 @@ def package_name(text: str) -> str:
                 help="a name is '/' and segments, e.g. /robot1/talker",
                 code="name-illegal",
             )
+        if segment.casefold() == RESERVED.casefold():
+            raise KeymintError(
+                f"{text[:80]!r} is not a legal name: {segment!r} is reserved for the file that hides packages",
+                help="rename the subject",
+                code="name-reserved",
+            )
         if len(segment) > MAX_SEGMENT:
             raise KeymintError(
                 f"{segment[:40]!r}… has {len(segment)} characters, a segment may have {MAX_SEGMENT}",
@@ -72,3 +82,22 @@ def refuse_case_collisions(names: Iterable[str]) -> None:
                     help="rename one of them",
                     code="name-collision",
                 )
+
+
+def refuse_reserved(name: str, layout: str) -> None:
+    """Refuse a package name that would be taken for something else in the install space.
+
+    Args:
+        name: the package name, legal.
+        layout: layout of the install space.
+
+    Raises:
+        KeymintError: in the flat layout, the enclave would lie where a keystore of the layout sros2 has other things.
+    """
+    first = name.split("/", maxsplit=1)[0]
+    if layout == "flat" and first.casefold() in _TOPS_OF_KEYSTORES:
+        raise KeymintError(
+            f"'/{name}' cannot be a name in the layout 'flat': {first!r} is a folder of the layout 'sros2'",
+            help="rename the subject, or use the layout 'sros2'",
+            code="name-reserved",
+        )

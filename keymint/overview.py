@@ -8,10 +8,9 @@ from datetime import datetime
 
 from keymint.api import LoadedPolicy
 from keymint.errors import KeymintError
-from keymint.pki import certificates
 from keymint.plan import build, create, install
 from keymint.plan.authorities import trusted_chains
-from keymint.plan.enclaves import CERTIFICATE, installed
+from keymint.plan.enclaves import hidden, installed, installed_certificate, orphans
 from keymint.plan.inputs import Inputs, LoadedProfile, Sources
 from keymint.workspace import packages
 
@@ -23,7 +22,7 @@ class Row:
     Attributes:
         package: its name.
         stage: the last stage that it went through: ``source``, ``built`` or ``installed``; ``orphaned`` for an
-            enclave without a source package.
+            enclave without a source package, ``ignored`` for one whose package a KEYMINT_IGNORE hides.
         stale: the first verb that would do something for it, or empty.
         certificate_expires: end of validity of the installed certificate, UTC.
         permissions_expire: end of validity of the grant, UTC.
@@ -54,17 +53,15 @@ def overview(inputs: Inputs, loaded: LoadedProfile, policy: LoadedPolicy | None,
     rows = [_row(inputs, loaded, stale, sources, name, chains, installed=name in enclaves) for name in names]
     rows += [
         Row(name, "orphaned", "install --prune", _certificate_end(inputs, loaded, name), None)
-        for name in enclaves - set(names)
+        for name in orphans(inputs, loaded)
     ]
+    rows += [Row(name, "ignored", "", _certificate_end(inputs, loaded, name), None) for name in hidden(inputs, loaded)]
     return tuple(sorted(rows, key=lambda row: row.package))
 
 
 def _certificate_end(inputs: Inputs, loaded: LoadedProfile, name: str) -> datetime | None:
-    content = inputs.tree.read(inputs.workspace.enclaves(loaded.profile.layout) / name / CERTIFICATE)
-    try:
-        return certificates.load(content).not_valid_after_utc if content else None
-    except KeymintError:
-        return None
+    certificate = installed_certificate(inputs, loaded, name)
+    return certificate.not_valid_after_utc if certificate else None
 
 
 def _row(
@@ -77,11 +74,14 @@ def _row(
     *,
     installed: bool,
 ) -> Row:
-    documents = install.built_documents(inputs, name)
-    stage = "installed" if installed else "built" if documents else "source"
-    files = sources.files(inputs, name)
     end = _certificate_end(inputs, loaded, name)
     stale, problem, permissions_end = "", "", None
+    try:
+        documents = install.built_documents(inputs, name)
+        files = sources.files(inputs, name)
+    except KeymintError as error:  # a file that is no file, or too large
+        return Row(name, "installed" if installed else "source", "", end, None, str(error.diagnostics[0]))
+    stage = "installed" if installed else "built" if documents else "source"
     try:
         package = sources.load(inputs, loaded, name, files)
         permissions_end = package.permissions.validity.not_after

@@ -221,6 +221,13 @@ class Tree:
         """
         self._disk.hold(folder, suffix)
 
+    def has_file(self, path: Path) -> bool:
+        """Tell whether there is a regular file, on the disk or planned; a link or a folder is none."""
+        if path in self._overlay:
+            return self._overlay[path] is not None
+        status = self.status(path)
+        return status is not None and stat.S_ISREG(status.st_mode)
+
     def names(self, folder: Path) -> Sequence[tuple[str, bool]]:
         """Return the entries of a folder, sorted, each with whether it is a folder (a link is none).
 

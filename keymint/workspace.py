@@ -9,12 +9,12 @@ from functools import lru_cache
 from pathlib import Path
 
 from keymint.errors import ExitCode, KeymintError
-from keymint.names import package_name
+from keymint.names import RESERVED, package_name
 from keymint.tree import Tree
 
 PROFILE_MARKER = "keymint_profile.xml"
 PACKAGE_MARKER = "keymint_package.xml"
-IGNORE_MARKER = "KEYMINT_IGNORE"
+IGNORE_MARKER = RESERVED
 SPACES = ("profile", "private", "public", "src", "build", "install")
 
 
@@ -141,7 +141,7 @@ def find(start: Path, spaces: Mapping[str, Path], shown_from: Path) -> Workspace
 def packages(tree: Tree, src: Path) -> tuple[str, ...]:
     """Return the names of the source packages, sorted.
 
-    A folder with a file ``KEYMINT_IGNORE`` is not searched, nor are hidden folders and links.
+    A folder with a regular file ``KEYMINT_IGNORE`` is not searched, nor are hidden folders and links.
 
     Raises:
         KeymintError: the folder of a package is not a legal name.
@@ -151,13 +151,19 @@ def packages(tree: Tree, src: Path) -> tuple[str, ...]:
 
 def _packages(tree: Tree, folder: Path, name: str) -> Iterator[str]:
     entries = dict(tree.names(folder))
-    if IGNORE_MARKER in entries:
+    if entries.get(IGNORE_MARKER) is False and tree.has_file(folder / IGNORE_MARKER):
         return
     if name and entries.get(PACKAGE_MARKER) is False:
         yield package_name(name)
     for entry, is_folder in entries.items():
         if is_folder and not entry.startswith(".") and not entry.endswith(".defaults"):
             yield from _packages(tree, folder / entry, f"{name}/{entry}" if name else entry)
+
+
+def hidden_by(tree: Tree, src: Path, name: str) -> Path | None:
+    """Return the file ``KEYMINT_IGNORE`` that hides a package of this name, or None."""
+    folders = (src, *(src / "/".join(name.split("/")[:end]) for end in range(1, name.count("/") + 2)))
+    return next((folder / IGNORE_MARKER for folder in folders if tree.has_file(folder / IGNORE_MARKER)), None)
 
 
 def package_files(tree: Tree, folder: Path) -> dict[str, bytes]:

@@ -18,7 +18,7 @@ from keymint.check.exposed import exposed
 from keymint.check.install_space import shared
 from keymint.check.places import places
 from keymint.errors import Diagnostic, KeymintError, Origin, Severity
-from keymint.plan.enclaves import orphan_finding, orphans
+from keymint.plan.enclaves import unaccounted
 from keymint.plan.inputs import Inputs, LoadedProfile, Sources
 
 
@@ -43,7 +43,7 @@ def check(
         try:
             files = sources.files(inputs, name)
             package = sources.load(inputs, loaded, name, files)
-            seen = inspection(inputs, loaded, package, within)
+            seen, unread = inspection(inputs, loaded, package, within)
         except KeymintError as error:
             findings += error.diagnostics
             continue
@@ -51,7 +51,8 @@ def check(
         findings += found
         if fingerprint:
             fingerprints[name] = fingerprint
-        if not seen.files:
+        findings += unread
+        if not seen.files and not unread:
             findings.append(
                 Diagnostic(
                     "enclave-missing",
@@ -64,11 +65,13 @@ def check(
             )
             continue
         findings += on_disk(inputs, loaded, name, seen.files)
-        findings += inputs.plugins.build_type(package.build_type, inputs.package_marker(package.name)).check(seen)
+        judged = inputs.plugins.build_type(package.build_type, inputs.package_marker(package.name)).check(seen)
+        there = {found.where for found in unread}
+        findings += (found for found in judged if found.code != "file-missing" or found.where not in there)
         inspections.setdefault(package.build_type, []).append(seen)
     for build_type, together in sorted(inspections.items()):
         findings += inputs.plugins.build_type(build_type).check_all(together)
-    findings += map(orphan_finding, orphans(inputs, loaded))
+    findings += unaccounted(inputs, loaded)
     findings += shared_keys(inputs, fingerprints)
     findings += shared(inputs, loaded)
     later = _to_be_mended_later(findings, in_defect(of_authorities))

@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-import stat
 from collections.abc import Iterator, Mapping
 from dataclasses import replace
 from datetime import timedelta
-from pathlib import Path
 
 from keymint.api import BuildOptions, Inspection, Package
 from keymint.check.places import linked_twice, modes
@@ -14,12 +12,15 @@ from keymint.errors import Diagnostic, KeymintError, Origin, Severity
 from keymint.pki import keys
 from keymint.plan import identity_keys, install
 from keymint.plan.authorities import trusted_chains
+from keymint.plan.enclaves import enclave_files
 from keymint.plan.inputs import Inputs, LoadedProfile
 from keymint.state import digest
 
 
-def inspection(inputs: Inputs, loaded: LoadedProfile, package: Package, within: timedelta) -> Inspection:
-    """Return what a build type needs to judge the enclave of a package."""
+def inspection(
+    inputs: Inputs, loaded: LoadedProfile, package: Package, within: timedelta
+) -> tuple[Inspection, tuple[Diagnostic, ...]]:
+    """Return what a build type needs to judge the enclave of a package, and a finding for each unreadable file."""
     workspace = inputs.workspace
     folder = workspace.enclaves(loaded.profile.layout) / package.name
     chains = trusted_chains(inputs, loaded)
@@ -27,10 +28,11 @@ def inspection(inputs: Inputs, loaded: LoadedProfile, package: Package, within: 
     built = inputs.plugins.build_type(package.build_type, inputs.package_marker(package.name)).build(
         package, BuildOptions(allow_vendor_specific=True)
     )
-    return Inspection(
+    files, unread = enclave_files(inputs, folder, f"/{package.name}")
+    seen = Inspection(
         package=package,
         documents=built.documents,
-        files=installed_files(inputs, folder),
+        files=files,
         folder=workspace.shown(folder),
         layout=loaded.profile.layout,
         identity_ca=chains.get(package.identity.issuer, b""),
@@ -38,21 +40,7 @@ def inspection(inputs: Inputs, loaded: LoadedProfile, package: Package, within: 
         now=inputs.now,
         within_days=within / timedelta(days=1),
     )
-
-
-def installed_files(inputs: Inputs, folder: Path) -> dict[str, bytes]:
-    """Return the enclave's regular files; a link is a finding of its own."""
-    return {
-        name: inputs.tree.read(folder / name) or b""
-        for name, is_folder in inputs.tree.names(folder)
-        if not is_folder and is_regular(inputs, folder / name)
-    }
-
-
-def is_regular(inputs: Inputs, path: Path) -> bool:
-    """Tell whether a regular file lies at a path, and no link."""
-    status = inputs.tree.status(path)
-    return status is not None and stat.S_ISREG(status.st_mode)
+    return seen, tuple(found for found in unread if found.code != "symlink-refused")  # said with the modes
 
 
 def identity_key(

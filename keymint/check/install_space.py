@@ -6,11 +6,10 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from keymint.api import Artifact
-from keymint.check.enclaves import installed_files, is_regular
 from keymint.check.places import modes
-from keymint.errors import Diagnostic, Origin, Severity
+from keymint.errors import Diagnostic, KeymintError, Origin, Severity
 from keymint.plan import ignored
-from keymint.plan.enclaves import installed
+from keymint.plan.enclaves import enclave_files, installed
 from keymint.plan.inputs import Inputs, LoadedProfile
 from keymint.workspace import packages
 
@@ -23,7 +22,7 @@ def shared(inputs: Inputs, loaded: LoadedProfile) -> Iterator[Diagnostic]:
     known = set(packages(inputs.tree, workspace.src))
     artifacts = {
         f"/{folder.relative_to(workspace.enclaves(layout))}": {
-            name: Artifact(content) for name, content in installed_files(inputs, folder).items()
+            name: Artifact(content) for name, content in enclave_files(inputs, folder, "")[0].items()
         }
         for folder in enclaves
         if str(folder.relative_to(workspace.enclaves(layout))) in known
@@ -46,7 +45,7 @@ def shared(inputs: Inputs, loaded: LoadedProfile) -> Iterator[Diagnostic]:
             )
         else:
             yield from modes(inputs, path, 0o644, "")
-            if is_regular(inputs, path) and inputs.tree.read(path) != expected[relative]:
+            if inputs.tree.has_file(path) and _content(inputs, path) != expected[relative]:
                 yield Diagnostic(
                     "file-changed",
                     Severity.ERROR,
@@ -66,6 +65,14 @@ def shared(inputs: Inputs, loaded: LoadedProfile) -> Iterator[Diagnostic]:
                 Origin(workspace.shown(workspace.install / relative)),
                 "'keymint install' restores it",
             )
+
+
+def _content(inputs: Inputs, path: Path) -> bytes | None:
+    """Return the content of a file, or None if it cannot be read."""
+    try:
+        return inputs.tree.read(path)
+    except KeymintError:
+        return None
 
 
 def _files_below(inputs: Inputs, folder: Path) -> Iterator[Path]:

@@ -3,14 +3,17 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Sequence
 from datetime import timedelta
 
 import click
 
 from keymint.check import check as find
 from keymint.commands.common import Run, complete_package, verb
-from keymint.errors import Severity
-from keymint.plan.inputs import Sources
+from keymint.errors import Diagnostic, KeymintError, Severity
+from keymint.plan.create import recall_policy
+from keymint.plan.inputs import Inputs, LoadedProfile, Sources
+from keymint.plan.uncreated import uncreated
 from keymint.report import Report, findings_exit, folded
 
 _UNITS = {"h": timedelta(hours=1), "d": timedelta(days=1), "w": timedelta(weeks=1)}
@@ -45,7 +48,9 @@ def check(run: Run, names: tuple[str, ...], within: timedelta) -> Report:
     workspace = run.workspace()
     inputs = run.snapshot(workspace)
     chosen = run.names(inputs, names)
-    findings = folded(find(inputs, inputs.profile(), chosen, Sources(run.plugins), within))
+    loaded = inputs.profile()
+    said = find(inputs, loaded, chosen, Sources(run.plugins), within)
+    findings = folded((*said, *(() if names else _uncreated(inputs, loaded, chosen))))
     counted = sum(finding.severity is not Severity.NOTE for finding in findings)
     plural = "" if len(chosen) == 1 else "s"
     run.console.line(f"checked {len(chosen)} enclave{plural}: {counted or 'no'} finding{'' if counted == 1 else 's'}")
@@ -57,3 +62,11 @@ def check(run: Run, names: tuple[str, ...], within: timedelta) -> Report:
         {"checked": [f"/{name}" for name in chosen]},
         findings_exit(findings),
     )
+
+
+def _uncreated(inputs: Inputs, loaded: LoadedProfile, known: Sequence[str]) -> Sequence[Diagnostic]:
+    """Return the finding on subjects without a package; that the policy cannot be read is one as well."""
+    try:
+        return uncreated(inputs, recall_policy(inputs, loaded), known)
+    except KeymintError as error:
+        return error.diagnostics

@@ -154,7 +154,7 @@ class Run:
         """
         if self.dry_run:
             plan = make_plan(self.snapshot(workspace))
-            return Report(self.verb, workspace, plan.steps, plan.diagnostics, dry_run=True)
+            return Report(self.verb, workspace, plan.steps, plan.diagnostics, {}, _exit_code(plan), dry_run=True)
         planned: tuple[Inputs, Plan] | None = None
         if not workspace.state.is_dir():
             inputs = self.inputs(workspace)
@@ -168,7 +168,7 @@ class Run:
             inputs, plan = planned
             with self.console.progress(len(plan.steps), self.setting.monotonic) as advance:
                 execute(plan, workspace, store, inputs.state, self.jobs, advance)
-        return Report(self.verb, workspace, plan.steps, plan.diagnostics)
+        return Report(self.verb, workspace, plan.steps, plan.diagnostics, {}, _exit_code(plan))
 
     def keep(self, inputs: Inputs, state: State) -> tuple[Diagnostic, ...]:
         """Record what a verb found out that only looks, unless something changed in the workspace meanwhile.
@@ -192,6 +192,12 @@ class Run:
             message = f"what was found out is not recorded: {error.diagnostics[0].message}"
             return (Diagnostic("not-recorded", Severity.NOTE, message, error.diagnostics[0].where),)
         return ()
+
+
+def _exit_code(plan: Plan) -> ExitCode:
+    """Return the exit code of a plan that was carried out: an error is about an enclave that was left as it is."""
+    failed = any(found.severity is Severity.ERROR for found in plan.diagnostics)
+    return ExitCode.FAILURE if failed else ExitCode.DONE
 
 
 Verb = Callable[..., Report]

@@ -15,7 +15,8 @@ from keymint.plan.create import policy_changed, recall_policy
 from keymint.plan.inputs import Inputs, Sources
 from keymint.plan.install import plan_install
 from keymint.plan.model import Plan
-from keymint.report import Report
+from keymint.plan.uncreated import UNCREATED, uncreated
+from keymint.report import Report, findings_exit
 
 
 @verb(writes=True)
@@ -50,13 +51,17 @@ def install(
         chosen = run.names(inputs, names)
         installed = plan_install(after, loaded, chosen, Sources(run.plugins), authorities, prune=prune)
         said = policy_changed(inputs, loaded) if chosen else (no_packages(inputs),)
+        missing = () if names or (chosen and not prove) else uncreated(inputs, recall_policy(inputs, loaded), chosen)
         done = plan.then(installed)
-        done = replace(done, diagnostics=(*done.diagnostics, *said))
+        done = replace(done, diagnostics=(*done.diagnostics, *said, *missing))
         if prove:
             sources = Sources(run.plugins)
             policy = recall_policy(inputs, loaded)
             after = after.after(installed)
-            done = proven(run, after, loaded, chosen, sources, policy, done, standard_only=allow_vendor_specific)
+            within = tuple(name for name in chosen if name not in installed.kept())
+            done = proven(run, after, loaded, within, sources, policy, done, standard_only=allow_vendor_specific)
         return done
 
-    return run.carry_out(workspace, make_plan)
+    report = run.carry_out(workspace, make_plan)
+    nothing = findings_exit([found for found in report.diagnostics if found.code == UNCREATED])
+    return replace(report, exit_code=report.exit_code or nothing)

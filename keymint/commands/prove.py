@@ -16,12 +16,13 @@ from keymint.errors import Diagnostic, ExitCode, Origin, Severity
 from keymint.graph import Edge
 from keymint.plan import terms
 from keymint.plan.create import recall_policy
-from keymint.plan.enclaves import orphan_finding, orphans
+from keymint.plan.enclaves import unaccounted
 from keymint.plan.inputs import Sources
 from keymint.plan.model import Action, Step
 from keymint.plan.prove import NO_PROVER, STAGE, Effort, Findings, Proven
 from keymint.plan.prove import prove as find
-from keymint.report import Report, as_typed
+from keymint.plan.uncreated import uncreated
+from keymint.report import Report, as_typed, findings_exit
 
 SECONDS = 10.0
 SHOWN = 5
@@ -70,7 +71,7 @@ def prove(run: Run, names: tuple[str, ...], seconds: float, states: int, allow_v
             inputs, loaded, chosen, Sources(run.plugins), policy, effort_of(run, states, seconds),
             lambda name: advance(Step(STAGE, name, Action.UNCHANGED)), standard_only=allow_vendor_specific,
         )  # fmt: skip
-    unknown = () if names else tuple(map(orphan_finding, orphans(inputs, loaded)))
+    unknown = () if names else (*unaccounted(inputs, loaded), *uncreated(inputs, policy, chosen))
     unrecorded = run.keep(inputs, found.state)
     claims = [claim for enclave in found.enclaves for claim in enclave.claims]
     _summary(run, found)
@@ -94,7 +95,7 @@ def prove(run: Run, names: tuple[str, ...], seconds: float, states: int, allow_v
             "assumptions": {model: list(lines) for model, lines in _taken(found).items()},
             "enclaves": [_enclave(enclave, found.now, run) for enclave in found.enclaves],
         },
-        ExitCode.FINDINGS if unread or dated or unknown or not proven else ExitCode.DONE,
+        ExitCode.FINDINGS if unread or dated or findings_exit(unknown) or not proven else ExitCode.DONE,
         run.dry_run,
     )
 

@@ -9,6 +9,7 @@ from typing import cast
 from keymint.api import Anchor, Anchors, Package, Prover
 from keymint.errors import Diagnostic
 from keymint.plan.authorities import trusted_chains
+from keymint.plan.enclaves import enclave_files
 from keymint.plan.inputs import Inputs, LoadedProfile, Sources
 
 
@@ -48,7 +49,7 @@ def differences(
     chains = trusted_chains(inputs, loaded)
     for name in names:
         folder = inputs.workspace.enclaves(loaded.profile.layout) / name
-        files = inputs.tree.files(folder)
+        files, _ = enclave_files(inputs, folder, f"/{name}")
         if not files:
             continue
         package = sources.load(inputs, loaded, name, sources.files(inputs, name))

@@ -11,7 +11,7 @@ from keymint.api import AppliedProfile, LoadedPolicy, PolicyDecision
 from keymint.errors import Diagnostic, KeymintError, Origin, Severity
 from keymint.graph import Edge
 from keymint.ir import SubjectRules
-from keymint.names import package_name, refuse_case_collisions
+from keymint.names import package_name, refuse_case_collisions, refuse_reserved
 from keymint.plan.inputs import Inputs, LoadedProfile, Sources, changed, placed
 from keymint.plan.model import Action, File, Plan, Step
 from keymint.state import Stamp, State, digest
@@ -151,8 +151,17 @@ def everything(inputs: Inputs, policy: LoadedPolicy) -> tuple[str, ...]:
     A package that is there follows the policy whatever the policy says of it now: permissions that were
     withdrawn must not live on in its sources.
     """
-    exact = [package_name(subject) for subject in policy.subjects()]
+    exact = [package_of(policy, subject) for subject in policy.subjects()]
     return tuple(sorted({*exact, *packages(inputs.tree, inputs.workspace.src)}))
+
+
+def package_of(policy: LoadedPolicy, subject: str) -> str:
+    """Return the package of a subject; the error for a name that cannot be one has the place in the policy."""
+    try:
+        return package_name(subject)
+    except KeymintError as error:
+        where = next((applied.where for applied in policy.profiles(subject)), None)
+        raise KeymintError.of(replace(found, where=where) for found in error.diagnostics) from None
 
 
 def plan_create(
@@ -180,6 +189,8 @@ def plan_create(
     """
     one_by_one = _Packages(inputs, loaded, policy, sources)
     refuse_case_collisions([*one_by_one.existing, *names])
+    for name in names:
+        refuse_reserved(name, loaded.profile.layout)
     planned = {name: one_by_one.planned(name, force=force) for name in names}
     if errors := [error for each in planned.values() for error in each.errors]:
         raise KeymintError.of(errors)
@@ -206,10 +217,16 @@ def stale(
     """
     one_by_one = _Packages(inputs, loaded, policy, sources)
     refuse_case_collisions([*one_by_one.existing, *names])
-    planned = ((name, one_by_one.planned(name, force=False)) for name in names)
-    return {
-        name: each.errors for name, each in planned if each.step is None or each.step.action is not Action.UNCHANGED
-    }
+    found: dict[str, tuple[Diagnostic, ...]] = {}
+    for name in names:
+        try:
+            each = one_by_one.planned(name, force=False)
+        except KeymintError as error:  # a file that is no file, or too large
+            found[name] = error.diagnostics
+            continue
+        if each.step is None or each.step.action is not Action.UNCHANGED:
+            found[name] = tuple(each.errors)
+    return found
 
 
 @dataclass(frozen=True, slots=True)

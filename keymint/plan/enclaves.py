@@ -3,16 +3,19 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 
 from cryptography import x509
 
-from keymint.errors import Diagnostic, KeymintError, Severity
+from keymint.errors import Diagnostic, KeymintError, Origin, Severity
 from keymint.pki import certificates
 from keymint.plan.inputs import Inputs, LoadedProfile
-from keymint.workspace import packages
+from keymint.workspace import hidden_by, packages
 
 CERTIFICATE, KEY = "cert.pem", "key.pem"
+INSTALLED = "install"
+"""Where the record has what was installed."""
 
 
 def installed(inputs: Inputs, loaded: LoadedProfile) -> tuple[str, ...]:
@@ -32,21 +35,93 @@ def installed(inputs: Inputs, loaded: LoadedProfile) -> tuple[str, ...]:
 
 
 def orphans(inputs: Inputs, loaded: LoadedProfile) -> tuple[str, ...]:
-    """Return the installed enclaves that have no source package, sorted."""
-    known = set(packages(inputs.tree, inputs.workspace.src))
-    return tuple(name for name in installed(inputs, loaded) if name not in known)
+    """Return the installed enclaves that have no source package, sorted; none of those that KEYMINT_IGNORE hides."""
+    return tuple(name for name, marker in _unknown(inputs, loaded) if marker is None)
 
 
-def orphan_finding(name: str) -> Diagnostic:
-    """Return the finding on an installed enclave without a source package."""
-    return Diagnostic(
-        "enclave-orphaned",
-        Severity.WARNING,
-        f"the enclave /{name} is installed, but has no source package",
-        None,
-        "'keymint install --prune' removes it",
-        f"/{name}",
-    )
+def hidden(inputs: Inputs, loaded: LoadedProfile) -> tuple[str, ...]:
+    """Return the installed enclaves whose source packages a KEYMINT_IGNORE hides, sorted."""
+    return tuple(name for name, marker in _unknown(inputs, loaded) if marker is not None)
+
+
+def unaccounted(inputs: Inputs, loaded: LoadedProfile) -> Iterator[Diagnostic]:
+    """Yield a finding for each installed enclave that no source package is found for."""
+    for name, marker in _unknown(inputs, loaded):
+        if marker is None:
+            message, help_ = "has no source package", "'keymint install --prune' removes it"
+            yield Diagnostic(
+                "enclave-orphaned",
+                Severity.WARNING,
+                f"the enclave /{name} is installed, but {message}",
+                None,
+                help_,
+                f"/{name}",
+            )
+            continue
+        yield Diagnostic(
+            "enclave-ignored",
+            Severity.WARNING,
+            f"hides the source package of /{name}, which is installed: nothing is checked or updated of it",
+            Origin(inputs.workspace.shown(marker)),
+            "remove this file, or the enclave",
+            f"/{name}",
+        )
+
+
+def _unknown(inputs: Inputs, loaded: LoadedProfile) -> Iterator[tuple[str, Path | None]]:
+    """Yield the installed enclaves that are no packages, each with the marker that hides it."""
+    src = inputs.workspace.src
+    known = set(packages(inputs.tree, src))
+    for name in installed(inputs, loaded):
+        if name not in known:
+            yield name, hidden_by(inputs.tree, src, name)
+
+
+def require_sources(inputs: Inputs) -> None:
+    """Require that there is a source space: without one every enclave would be taken for an orphan.
+
+    Raises:
+        KeymintError: there is none.
+    """
+    src = inputs.workspace.src
+    if inputs.tree.status(src) is None and not inputs.tree.names(src):
+        raise KeymintError(
+            "there is no source space, so that nothing tells which enclaves are orphans",
+            where=Origin(inputs.workspace.shown(src)),
+            help="name it with --src-space, or make it if all enclaves are to go",
+            code="sources-missing",
+        )
+
+
+def enclave_files(inputs: Inputs, folder: Path, subject: str) -> tuple[dict[str, bytes], tuple[Diagnostic, ...]]:
+    """Return the files of an enclave by name, and a finding for each that cannot be read.
+
+    Args:
+        inputs: the workspace.
+        folder: the enclave's.
+        subject: the enclave's, for the findings.
+    """
+    found: dict[str, bytes] = {}
+    said: list[Diagnostic] = []
+    try:
+        entries = inputs.tree.names(folder)
+    except KeymintError as error:
+        return {}, tuple(replace(each, subject=subject) for each in error.diagnostics)
+    for name, is_folder in entries:
+        if not is_folder:
+            try:
+                content = inputs.tree.read(folder / name)
+            except KeymintError as error:
+                said += (_placed(inputs, each, folder / name, subject) for each in error.diagnostics)
+                continue
+            if content is not None:
+                found[name] = content
+    return found, tuple(said)
+
+
+def _placed(inputs: Inputs, found: Diagnostic, path: Path, subject: str) -> Diagnostic:
+    help_ = found.help or "remove it"
+    return replace(found, where=Origin(inputs.workspace.shown(path)), help=help_, subject=subject)
 
 
 def deployed_authorities(inputs: Inputs, loaded: LoadedProfile) -> tuple[x509.Certificate, ...]:

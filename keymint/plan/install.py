@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import stat
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from keymint.api import Artifact, Credentials, Package
@@ -12,7 +12,15 @@ from keymint.errors import Diagnostic, KeymintError, Origin, Severity
 from keymint.pki import certificates, keys
 from keymint.plan import build, identity_keys, known_keys, lifetimes
 from keymint.plan.authorities import MintedAuthority
-from keymint.plan.enclaves import CERTIFICATE, installed, orphan_finding, orphans
+from keymint.plan.enclaves import (
+    CERTIFICATE,
+    INSTALLED,
+    enclave_files,
+    installed,
+    orphans,
+    require_sources,
+    unaccounted,
+)
 from keymint.plan.inputs import Inputs, LoadedProfile, Sources, changed, placed
 from keymint.plan.lifetimes import Lifetime
 from keymint.plan.model import Action, File, FolderChange, Plan, Step
@@ -20,7 +28,7 @@ from keymint.state import Stamp, digest, digest_files
 
 HAND_EDITED = "hand-edited"
 """Code of what is reported of a document that a person edited."""
-STAGE = "install"
+STAGE = INSTALLED
 
 
 @dataclass(frozen=True, slots=True)
@@ -74,10 +82,10 @@ def plan_install(
     said = [diagnostic for enclave in planned for diagnostic in enclave.diagnostics]
     said += lifetimes.findings({each.step.package: each.lifetimes for each in planned}, loaded, inputs.now)
     left = orphans(inputs, loaded)
+    said += [found for found in unaccounted(inputs, loaded) if not prune or found.code != "enclave-orphaned"]
     if prune:
+        require_sources(inputs)
         steps += [_prune(inputs, loaded, name) for name in left]
-    else:
-        said += [orphan_finding(name) for name in left]
     stamps = {enclave.step.package: enclave.stamp for enclave in planned if enclave.stamp}
     state = inputs.state.updated(STAGE, stamps, removed=left if prune else ())
     fingerprints = {enclave.step.package: enclave.fingerprint for enclave in planned if enclave.fingerprint}
@@ -145,7 +153,7 @@ def _plan_enclave(
         return _Enclave(Step(STAGE, name, Action.UNCHANGED), None, "", {}, (), lifetimes=own)
     package = sources.load(inputs, loaded, name, files)
     own = lifetimes.lifetimes(package)
-    there = inputs.tree.files(folder)
+    there, unread = enclave_files(inputs, folder, f"/{name}")
     public = identity_keys.load(inputs, package, key_path, key_pem).public_key()
     owners = {keys.fingerprint(certificates.public_key(each.certificate)): who for who, each in authorities.items()}
     identity_keys.require_own(inputs, loaded, name, key_path, public, owners)
@@ -155,6 +163,9 @@ def _plan_enclave(
     ]
     contents = {file: File(artifact.content, secret=artifact.secret) for file, artifact in artifacts.items()}
     different = {file: item for file, item in contents.items() if there.get(file) != item.content or file in wrong_mode}
+    said = [*said, *_junk(inputs, folder, unread, artifacts)]
+    if blocked := _blocking(inputs, folder, unread, artifacts):
+        return _Enclave(Step(STAGE, name, Action.KEPT, (), "not updated"), None, "", {}, blocked, lifetimes=own)
     # The certificate comes last: until then a node that starts in between fails, and lets no one in.
     ordered = dict(sorted(different.items(), key=lambda item: item[0] == CERTIFICATE))
     changes = (FolderChange(folder, ordered),) if ordered else ()
@@ -175,6 +186,24 @@ def _plan_enclave(
         keys.fingerprint(public),
         own,
     )
+
+
+def _blocking(
+    inputs: Inputs, folder: Path, unread: Sequence[Diagnostic], artifacts: Mapping[str, Artifact]
+) -> Sequence[Diagnostic]:
+    """Return what stands where a file is to be written and is no file: it is not ours to replace."""
+    places = {inputs.workspace.shown(folder / file) for file in artifacts}
+    kinds = {"file-kind", "symlink-refused"}
+    return [found for found in unread if found.code in kinds and found.where and found.where.file in places]
+
+
+def _junk(
+    inputs: Inputs, folder: Path, unread: Sequence[Diagnostic], artifacts: Mapping[str, Artifact]
+) -> Sequence[Diagnostic]:
+    """Return a warning for each file that cannot be read and does not belong to the enclave; others are replaced."""
+    places = {inputs.workspace.shown(folder / file) for file in artifacts}
+    others = (found for found in unread if not found.where or found.where.file not in places)
+    return [replace(found, severity=Severity.WARNING) for found in others]
 
 
 def _outdated(inputs: Inputs, name: str) -> Diagnostic:
@@ -303,7 +332,10 @@ def _wanted(
 
 def _in_place(inputs: Inputs, folder: Path, stamp: Stamp) -> bool:
     for file, value in stamp.outputs.items():
-        content = inputs.tree.read(folder / file)
+        try:
+            content = inputs.tree.read(folder / file)
+        except KeymintError:
+            return False
         if content is None or digest(content) != value:
             return False
         if not _mode_is_right(inputs, folder / file, secret=file in stamp.secret):
@@ -329,7 +361,7 @@ def _shared(inputs: Inputs, loaded: LoadedProfile, planned: Sequence[_Enclave]) 
         if name in new:
             by_type.setdefault(new[name].build_type, {})[f"/{name}"] = new[name].artifacts
         elif len(types) == 1:
-            there = inputs.tree.files(inputs.workspace.enclaves(layout) / name)
+            there, _ = enclave_files(inputs, inputs.workspace.enclaves(layout) / name, f"/{name}")
             artifacts = {file: Artifact(content, secret=file == "key.pem") for file, content in there.items()}
             by_type.setdefault(next(iter(types)), {})[f"/{name}"] = artifacts
     steps = []

@@ -92,6 +92,10 @@ class Plan:
         """Return this plan followed by one that was made on top of it."""
         return Plan(self.steps + other.steps, other.state, self.diagnostics + other.diagnostics)
 
+    def kept(self) -> frozenset[str]:
+        """Return the packages that are left as they are, although they should be something else."""
+        return frozenset(step.package for step in self.steps if step.action is Action.KEPT)
+
     def overlay(self) -> list[tuple[Path, bytes | None]]:
         """Return the planned content by path, for the stages that plan on top of this one."""
         changed: list[tuple[Path, bytes | None]] = []

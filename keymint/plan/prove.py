@@ -18,6 +18,7 @@ from keymint.ir import SubjectRules
 from keymint.plan import terms
 from keymint.plan.anchors import anchors_of
 from keymint.plan.authorities import trusted_chains
+from keymint.plan.enclaves import INSTALLED, enclave_files
 from keymint.plan.inputs import Inputs, LoadedProfile, Sources
 from keymint.state import Stamp, State, digest, digest_files
 
@@ -153,7 +154,12 @@ class _Stage:
         """Prove the claims about one enclave, unless they are known."""
         inputs = self._inputs
         folder = inputs.workspace.enclaves(self._loaded.profile.layout) / name
-        source, files = self._sources.files(inputs, name), inputs.tree.files(folder)
+        source = self._sources.files(inputs, name)
+        files, unread = enclave_files(inputs, folder, f"/{name}")
+        if defects := self._of_enclave(name, unread):
+            self._found.append(Proven(f"/{name}", (), diagnostics=defects))
+            self._refuted.add(name)
+            return
         wanted = self._wanted(source, files)
         stamp = inputs.state.stamp(STAGE, name)
         known = terms.load(stamp.outputs.get(_TERMS, ""), self._shown(name)) if stamp is not None else None
@@ -175,6 +181,14 @@ class _Stage:
             outputs[_TERMS] = terms.dump(self._found[-1].terms, self._shown(name))
             outputs[_BUILD_TYPE] = package.build_type
             self._stamps[name] = Stamp(wanted, outputs, context=self._seen)
+
+    def _of_enclave(self, name: str, unread: Sequence[Diagnostic]) -> tuple[Diagnostic, ...]:
+        """Return the files that cannot be read and, by the record, belong to the enclave; without one, all of them."""
+        stamp = self._inputs.state.stamp(INSTALLED, name)
+        names = [found.where.file.rpartition("/")[2] if found.where else "" for found in unread]
+        return tuple(
+            found for found, file in zip(unread, names, strict=True) if stamp is None or file in {*stamp.outputs, ""}
+        )
 
     def _same_rules(self, name: str, stamp: Stamp) -> bool:
         """Tell whether the policy says the same of a subject as when the stamp was made."""
