@@ -41,8 +41,9 @@ def ended_by_signals() -> Iterator[Ending]:
         ending.exit_code = _EXIT_CODES[signal.Signals(number)]
         restore()
 
-    for number in _EXIT_CODES:
-        signal.signal(number, note)
+    for number, handler in before.items():
+        if handler is not signal.SIG_IGN:  # nohup, or a shell's background job, wants it ignored
+            signal.signal(number, note)
     try:
         yield ending
     finally:

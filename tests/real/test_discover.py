@@ -240,3 +240,16 @@ def test_what_was_seen_is_kept_when_a_signal_ends_the_look(
     assert process.returncode == code, err
     assert "warning: interrupted after" in err
     assert json.loads(output.read_text())["subjects"] == ["/talker"]
+
+
+def test_a_signal_that_is_ignored_on_purpose_stays_ignored(running: Unsecured, tmp_path: Path) -> None:
+    before = signal.signal(signal.SIGINT, signal.SIG_IGN)  # inherited by the child, as from nohup
+    try:
+        process = running.discovering(tmp_path / "g.json", seconds=5)
+    finally:
+        signal.signal(signal.SIGINT, before)
+    time.sleep(3)
+    process.send_signal(signal.SIGINT)
+    _, err = process.communicate(timeout=60)
+    assert process.returncode == 0, err
+    assert "interrupted" not in err
