@@ -173,7 +173,7 @@ def decision_list(
         steps += ((pattern, _effective(pattern, allowed, denied)) for pattern in closed)
         steps = list(_closed(_needed(steps)))
     else:
-        steps = _needed([*steps, *_widest_first(_united(allowed.wild, denials))])
+        steps = list(_closed(_needed([*steps, *_widest_first(_united(allowed.wild, denials))]), literals_only=True))
     return tuple(_entries(_freed(steps)))
 
 
@@ -242,8 +242,13 @@ def _bound(found: Collection[Glob], pattern: Glob) -> None:
         raise PartitionError(pattern, "patterns with different partitions overlap in too many ways")
 
 
-def _closed(steps: Sequence[tuple[Glob, Partitions]]) -> Iterator[tuple[Glob, Partitions]]:
+def _closed(
+    steps: Sequence[tuple[Glob, Partitions]], *, literals_only: bool = False
+) -> Iterator[tuple[Glob, Partitions]]:
     """Follow each step by a denial where a later one would allow its names in more partitions.
+
+    With ``literals_only`` the wildcards stand so that each name meets all of its partitions first; a literal may have
+    fewer than the wildcards behind it, as a denial of that name took some away.
 
     Where the topic matches and the partition does not, the standard and Cyclone DDS go on to the next rule. On Fast
     DDS the first rule that names the topic decides alone, so the denial changes nothing there.
@@ -251,6 +256,8 @@ def _closed(steps: Sequence[tuple[Glob, Partitions]]) -> Iterator[tuple[Glob, Pa
     wild = [(at, step) for at, step in enumerate(steps) if literal(step[0]) is None]
     for at, (pattern, listed) in enumerate(steps):
         yield pattern, listed
+        if literals_only and literal(pattern) is None:
+            continue
         # Literals come first and once, so that only wildcards can be about the same names later.
         wider = (other for place, (other, later) in wild if place > at and not _within(later, listed))
         if listed and listed != EVERY and any(not disjoint(pattern, other) for other in wider):

@@ -87,6 +87,12 @@ def test_every_vendor_decides_as_the_policy_does(drawn):
         rule("ALLOW", "topic", "publish", "*a", partitions=("*",)),
     ]
 )
+@example(
+    [
+        rule("ALLOW", "topic", "publish", "*", partitions=("p", "q")),
+        rule("DENY", "topic", "publish", "a", partitions=("p",)),
+    ]
+)
 @given(st.lists(st.one_of(rules(), rules(PARTITIONS), rules(DENIED)), min_size=1, max_size=5))
 def test_partitions_are_decided_as_the_policy_does_or_refused(drawn):
     loaded = package(*drawn)
