@@ -214,9 +214,14 @@ def _has_mark(pattern: _Units) -> bool:
 
 
 def _cuts(pattern: _Units) -> Iterator[tuple[_Units, _Units]]:
-    """Yield the ways to cut a pattern in two: beside a star the cut is in it, so that both sides have it."""
+    """Yield the ways to cut a pattern in two.
+
+    Beside a star the cut is in it, so that both sides have it; a mark is also cut off by itself.
+    """
     for at in range(len(pattern) + 1):
-        if at < len(pattern) and isinstance(pattern[at], Star):
-            yield pattern[: at + 1], pattern[at:]
-        elif not (at and isinstance(pattern[at - 1], Star)):
-            yield pattern[:at], pattern[at:]
+        left, right = pattern[:at], pattern[at:]
+        if right and isinstance(right[0], Star):
+            yield pattern[: at + 1], right
+        beside_star = any(isinstance(token, Star) for token in (*left[-1:], *right[:1]))
+        if not beside_star or _has_mark((*left[-1:], *right[:1])):
+            yield left, right

@@ -46,7 +46,8 @@ def diff(
 
     A and B are ComArmor files or folders, workspaces, or any of these at a revision of git: REV:PATH. 'equivalent' is
     proven for all subjects, also those that no policy names. Subjects that profiles match by a pattern are listed by
-    that pattern, with an example. Kinds are compared each by itself. Ends with 3 when a subject gains something, or
+    that pattern, with an example. Kinds are compared each by itself. Names are legal ROS names; of raw topics, and of
+    partitions, any text. Ends with 3 when a subject gains something, or
     may do so where the answer is not known, so that it can guard a merge.
 
     \b

@@ -14,6 +14,8 @@ SUBJECTS = (
     "/a", "/b", "/a/b", "/a/a", "/a*", "/[ab]*", "/*", "*", "/?", "/a/*", "/*/b", "/[ab]/b", "/[a-c]", "/[!a]/b",
     "/?/b", "/a/[ab]", "/*b", "*b", "*/a", "/a?", "/[ab]?", "/?b", "/b/*", "/*/*", "/[b-d]/*", "/a[!b]*", "/@{T}",
     "/@{T}/*", "/c/@{T}", "/[a-b]/*/b", "/*a*", "/a*b",
+    "/a[/b]*", "/[!b]*", "/*[ab]", "/?[/]b", "/a[!/]b", "/\\a", "/[[:alpha:]]", "/*/*/b", "/a*/*b", "*[ab]/[ab]*",
+    "/d*[!b]",
 )  # fmt: skip
 """Attachments of profiles."""
 OBJECTS = (
@@ -21,6 +23,9 @@ OBJECTS = (
     "/@{T}", "/c/@{T}", "{namespace}a", "{namespace}*", "{namespace}/b", "{namespace}{name}", "{namespace}{name}/a",
     "/c/{name}", "/{name}", "{namespace}{name}/*", "*/{name}", "/c{namespace}a", "/*/{name}/*", "{namespace}[ab]",
     "/{name}/{name}", "/?/{name}", "{namespace}@{T}",
+    "[/]{namespace}a", "{namespace}{namespace}a", "/{name}{namespace}a", "/?{name}", "*{namespace}*", "{namespace}?",
+    "{namespace}*{name}", "*{name}*", "/a{name}", "/{name}b", "{namespace}{name}{name}", "/a/{name}/{name}",
+    "*/a{namespace}b", "{namespace}[!a]", "/[ab]{namespace}a", "/*{name}", "{namespace}a*", "{namespace}*a",
 )  # fmt: skip
 """Attachments of rules."""
 RAW = ("a", "b", "?", "[ab]", "*", "a*", "rt/a", "{name}", "rt{namespace}a", "x@{T}")

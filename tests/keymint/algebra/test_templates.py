@@ -48,6 +48,17 @@ def test_narrow_is_too_little_and_wide_too_much(pattern: Glob, shape: Glob) -> N
             assert much is truth
 
 
+@given(PATTERNS)
+def test_a_pattern_is_said_as_itself(pattern: Glob) -> None:
+    for namespace, name, word in product(NAMESPACES, NAMES, words(pattern)):
+        assert any(
+            all(matches(one, namespace) for one in limits)
+            and all(matches(one, name) for one in limits2)
+            and matches(object_, word)
+            for limits, limits2, object_ in fitted(pattern, pattern, *HALVES, wide=False).pieces
+        )
+
+
 def test_what_is_exact() -> None:
     same = parse(f"/{NAMESPACE}[ab]")
     assert fitted(same, parse(f"/{NAMESPACE}*"), *HALVES, wide=False).exact
