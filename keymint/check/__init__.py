@@ -19,6 +19,7 @@ from keymint.check.install_space import shared
 from keymint.check.places import places
 from keymint.errors import Diagnostic, KeymintError, Origin, Severity
 from keymint.plan.enclaves import unaccounted
+from keymint.plan.identity_keys import Keyring
 from keymint.plan.inputs import Inputs, LoadedProfile, Sources
 
 
@@ -35,7 +36,7 @@ def check(
         within: report what expires within this time.
     """
     of_authorities = tuple(authorities(inputs, loaded, within))
-    owners = authority_keys(inputs, loaded)
+    keyring = Keyring(inputs, loaded, authority_keys(inputs, loaded))
     fingerprints: dict[str, str] = {}
     findings: list[Diagnostic] = []
     inspections: dict[str, list[Inspection]] = {}
@@ -47,7 +48,7 @@ def check(
         except KeymintError as error:
             findings += error.diagnostics
             continue
-        fingerprint, found = identity_key(inputs, loaded, package, owners)
+        fingerprint, found = identity_key(inputs, package, keyring)
         findings += found
         if fingerprint:
             fingerprints[name] = fingerprint

@@ -36,7 +36,9 @@ def authorities(inputs: Inputs, loaded: LoadedProfile, within: timedelta) -> Ite
                 Severity.ERROR,
                 f"the authority {authority.name!r} has no certificate",
                 Origin(place.certificate_file),
-                "run 'keymint install'" if place.key else "restore it and its key from a backup",
+                "'keymint install' restores it"
+                if place.key
+                else f"restore it; {authority_places.choice(authority.name)}",
             )
         elif place.certificate is None:
             yield from _unreadable(place)

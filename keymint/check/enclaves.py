@@ -44,15 +44,14 @@ def inspection(
 
 
 def identity_key(
-    inputs: Inputs, loaded: LoadedProfile, package: Package, authorities: Mapping[str, str]
+    inputs: Inputs, package: Package, keyring: identity_keys.Keyring
 ) -> tuple[str, tuple[Diagnostic, ...]]:
     """Return the fingerprint of a package's private key (empty if it cannot be read), and what is found on it.
 
     Args:
         inputs: the workspace.
-        loaded: its profile.
         package: the package.
-        authorities: names of the authorities by the fingerprint of their key.
+        keyring: the keys that all subjects and authorities have.
     """
     path, subject = inputs.workspace.identity_key(package.name), f"/{package.name}"
     fingerprint = ""
@@ -64,7 +63,7 @@ def identity_key(
             return "", (Diagnostic("key-missing", Severity.NOTE, message, where, help_, subject),)
         key = identity_keys.load(inputs, package, path, pem).public_key()
         fingerprint = keys.fingerprint(key)
-        identity_keys.require_own(inputs, loaded, package.name, path, key, authorities)
+        keyring.require_own(package.name, path, key)
     except KeymintError as error:
         return fingerprint, tuple(_about_key(found, subject) for found in error.diagnostics)
     return fingerprint, ()

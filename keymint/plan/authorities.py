@@ -163,6 +163,8 @@ def _plan_authority(
     if lacking is not None and place.content is not None and not renew:
         return _without_key(place, above, lacking), (), ()
     secret = password(spec.key, inputs.environment, spec.origin)
+    if place.key is None and not renew:
+        authority_places.require_unused(place)
     if place.key is None or renew:
         return _mint(inputs, place, above, secret)
     pem = place.key

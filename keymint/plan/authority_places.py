@@ -14,6 +14,7 @@ from keymint.api import Authority
 from keymint.errors import KeymintError, Origin
 from keymint.pki import certificates, keys, names
 from keymint.plan import known_keys
+from keymint.plan.enclaves import INSTALLED
 from keymint.plan.inputs import Inputs
 
 COST = "no deployed enclave trusts it until all are deployed anew"
@@ -80,7 +81,10 @@ def look(inputs: Inputs, authority: Authority, deployed: Callable[[], Sequence[x
         key=inputs.tree.read(key_path),
         content=content,
         certificate=_readable(content),
-        recorded=known_keys.recorded(inputs.state, known_keys.AUTHORITIES, authority.name),
+        # Before anything was installed nobody trusts the authority: one of the user's own may take its place.
+        recorded=known_keys.recorded(inputs.state, known_keys.AUTHORITIES, authority.name)
+        if inputs.state.stamps.get(INSTALLED)
+        else "",
         deployed=deployed,
     )
 
@@ -99,6 +103,22 @@ def _readable(content: bytes | None) -> x509.Certificate | None:
 def choice(name: str) -> str:
     """Return the option that makes a new authority, and what that costs."""
     return f"'keymint install --new-authority {name}' makes a new authority ({COST})"
+
+
+def require_unused(place: Place) -> None:
+    """Require that no enclave trusts an authority that has neither key nor certificate here.
+
+    Raises:
+        KeymintError: one does, so that what is here was lost.
+    """
+    if place.in_use():
+        name = place.authority.name
+        raise KeymintError(
+            f"the authority {name!r} has neither key nor certificate here, but enclaves that are installed trust it",
+            where=Origin(place.certificate_file),
+            help=f"restore them, or the certificate alone from an enclave; {choice(name)}",
+            code="authority-lost",
+        )
 
 
 def require_fit(place: Place, key: keys.PublicKey) -> None:

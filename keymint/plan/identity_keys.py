@@ -5,14 +5,15 @@ A key that was replaced in its place would give the subject's rights to whoever 
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import functools
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 from keymint.api import Package
 from keymint.errors import KeymintError, Origin
 from keymint.pki import certificates, keys
 from keymint.plan import known_keys
-from keymint.plan.enclaves import KEY, installed, installed_certificate
+from keymint.plan.enclaves import INSTALLED, KEY, installed, installed_certificate
 from keymint.plan.inputs import Inputs, LoadedProfile
 from keymint.plan.model import File, FolderChange
 from keymint.plan.secrets import load_key, password
@@ -68,63 +69,79 @@ def restore_or_mint(inputs: Inputs, loaded: LoadedProfile, package: Package, pat
 
 
 def known_fingerprint(inputs: Inputs, loaded: LoadedProfile, name: str) -> str:
-    """Return the fingerprint of a package's key by the record, else by its installed certificate, or an empty text."""
+    """Return the fingerprint of the key that a package's subject has, or an empty text.
+
+    That is the key on record, or if the record was lost that of the installed certificate. Before anything was
+    installed the subject has none: a key of the user's own may take the place of the one that was minted.
+    """
     recorded = known_keys.recorded(inputs.state, known_keys.IDENTITIES, name)
-    if recorded:
+    if recorded and inputs.state.stamp(INSTALLED, name):
         return recorded
     certificate = installed_certificate(inputs, loaded, name)
-    return keys.fingerprint(certificates.public_key(certificate)) if certificate else ""
+    return (recorded or keys.fingerprint(certificates.public_key(certificate))) if certificate else ""
 
 
-def require_own(
-    inputs: Inputs,
-    loaded: LoadedProfile,
-    name: str,
-    path: Path,
-    key: keys.PublicKey,
-    authorities: Mapping[str, str],
-) -> None:
-    """Require that a key is the one that was minted for a package, and nobody else's.
+class Keyring:
+    """The keys that subjects and authorities have, to compare the one that lies in a subject's place with.
 
     Args:
         inputs: the workspace.
         loaded: its profile.
-        name: the package.
-        path: where its key lies.
-        key: the public key of what lies there.
         authorities: names of the authorities by the fingerprint of their key.
-
-    Raises:
-        KeymintError: it is an authority's key, was replaced, or is that of another subject.
     """
-    fingerprint, shown = keys.fingerprint(key), Origin(inputs.workspace.shown(path))
-    if fingerprint in authorities:
-        raise KeymintError(
-            f"is the private key of the authority {authorities[fingerprint]!r}, which must never reach a robot",
-            where=shown,
-            help=remedy(name),
-            code="key-of-authority",
-        )
-    if known_keys.was_under_way(inputs.state, fingerprint):
-        return
-    known = known_fingerprint(inputs, loaded, name)
-    if known and known != fingerprint:
-        raise KeymintError(
-            f"is not the private key that /{name} had: it was replaced",
-            where=shown,
-            help=remedy(name),
-            code="key-replaced",
-        )
-    if not known_keys.recorded(inputs.state, known_keys.IDENTITIES, name):
-        _require_unshared(inputs, loaded, name, shown, fingerprint)
 
+    def __init__(self, inputs: Inputs, loaded: LoadedProfile, authorities: Mapping[str, str]) -> None:
+        self._inputs = inputs
+        self._loaded = loaded
+        self._authorities = authorities
 
-def _require_unshared(inputs: Inputs, loaded: LoadedProfile, name: str, shown: Origin, fingerprint: str) -> None:
-    """Require that no other subject has a key; one that Keymint minted is nobody else's."""
-    others = {*inputs.state.stamps.get(known_keys.IDENTITIES, ()), *installed(inputs, loaded)}
-    for other in sorted(others):
-        if other != name and known_fingerprint(inputs, loaded, other) == fingerprint:
-            raise shared(name, other, shown)
+    def require_own(self, name: str, path: Path, key: keys.PublicKey) -> None:
+        """Require that a key is the one that a package's subject has, and nobody else's.
+
+        Args:
+            name: the package.
+            path: where its key lies.
+            key: the public key of what lies there.
+
+        Raises:
+            KeymintError: it is an authority's key, was replaced, or is that of another subject.
+        """
+        state = self._inputs.state
+        fingerprint, shown = keys.fingerprint(key), Origin(self._inputs.workspace.shown(path))
+        if fingerprint in self._authorities:
+            authority = self._authorities[fingerprint]
+            raise KeymintError(
+                f"is the private key of the authority {authority!r}, which must never reach a robot",
+                where=shown,
+                help=remedy(name),
+                code="key-of-authority",
+            )
+        if known_keys.was_under_way(state, fingerprint):
+            return
+        known = known_fingerprint(self._inputs, self._loaded, name)
+        if known and known != fingerprint:
+            raise KeymintError(
+                f"is not the private key that /{name} had: it was replaced",
+                where=shown,
+                help=remedy(name),
+                code="key-replaced",
+            )
+        if known_keys.recorded(state, known_keys.IDENTITIES, name) != fingerprint:  # so it may not be ours
+            for other in self._owners.get(fingerprint, ()):
+                if other != name:
+                    raise shared(name, other, shown)
+
+    @functools.cached_property
+    def _owners(self) -> Mapping[str, Sequence[str]]:
+        """The names of the packages by the fingerprints of the keys that they have."""
+        recorded = self._inputs.state.stamps.get(known_keys.IDENTITIES, {})
+        found: dict[str, list[str]] = {}
+        for name in sorted({*recorded, *installed(self._inputs, self._loaded)}):
+            if name in recorded:
+                found.setdefault(recorded[name].inputs, []).append(name)
+            elif certificate := installed_certificate(self._inputs, self._loaded, name):
+                found.setdefault(keys.fingerprint(certificates.public_key(certificate)), []).append(name)
+        return found
 
 
 def shared(name: str, other: str, shown: Origin) -> KeymintError:

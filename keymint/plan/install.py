@@ -21,6 +21,7 @@ from keymint.plan.enclaves import (
     require_sources,
     unaccounted,
 )
+from keymint.plan.identity_keys import Keyring
 from keymint.plan.inputs import Inputs, LoadedProfile, Sources, changed, placed
 from keymint.plan.lifetimes import Lifetime
 from keymint.plan.model import Action, File, FolderChange, Plan, Step
@@ -67,11 +68,13 @@ def plan_install(
     Raises:
         KeymintError: the defects of all packages together, e.g. one that was not built.
     """
+    owners = {keys.fingerprint(certificates.public_key(each.certificate)): who for who, each in authorities.items()}
+    keyring = Keyring(inputs, loaded, owners)
     planned: list[_Enclave] = []
     errors: list[Diagnostic] = []
     for name in names:
         try:
-            planned.append(_plan_enclave(inputs, loaded, name, sources, authorities))
+            planned.append(_plan_enclave(inputs, loaded, name, sources, authorities, keyring))
         except KeymintError as error:
             errors += error.diagnostics
     errors += _shared_keys(inputs, planned)
@@ -124,6 +127,7 @@ def _plan_enclave(
     name: str,
     sources: Sources,
     authorities: Mapping[str, MintedAuthority],
+    keyring: Keyring,
 ) -> _Enclave:
     workspace = inputs.workspace
     documents = built_documents(inputs, name)
@@ -155,8 +159,7 @@ def _plan_enclave(
     own = lifetimes.lifetimes(package)
     there, unread = enclave_files(inputs, folder, f"/{name}")
     public = identity_keys.load(inputs, package, key_path, key_pem).public_key()
-    owners = {keys.fingerprint(certificates.public_key(each.certificate)): who for who, each in authorities.items()}
-    identity_keys.require_own(inputs, loaded, name, key_path, public, owners)
+    keyring.require_own(name, key_path, public)
     artifacts, said = _notarize(inputs, loaded, package, documents, authorities, key_pem, public, there)
     wrong_mode = [
         file for file, item in artifacts.items() if not _mode_is_right(inputs, folder / file, secret=item.secret)

@@ -393,4 +393,7 @@ def test_an_authority_is_not_replaced_because_its_key_is_not_here(keymint, provi
     assert f"the private key of the authority '{name}' is not here" in outcome.err
     assert snapshot(provisioned) == before
     (provisioned / f"public/{name}.cert.pem").unlink()
-    assert keymint("install", cwd=provisioned).code == 0
+    outcome = keymint("install", cwd=provisioned)
+    assert outcome.code == 1
+    assert "has neither key nor certificate here, but enclaves that are installed trust it" in outcome.err
+    assert keymint("install", "--new-authority", name, cwd=provisioned).code == 0

@@ -281,6 +281,47 @@ def test_another_name_or_kind_of_key_is_a_new_authority(keymint, ws: Path, old: 
     assert keymint("check", cwd=ws).code == 0
 
 
+def test_an_offline_authority_that_lost_its_certificate_is_not_made_anew(keymint, ws: Path) -> None:
+    for path in (CERTIFICATES[0], AUTHORITY_KEYS[0]):
+        (ws / path).unlink()
+    before = snapshot(ws)
+    outcome = keymint("install", cwd=ws)
+    assert outcome.code == 1
+    assert "--new-authority identity_ca" in outcome.err
+    assert snapshot(ws) == before
+    assert "authority-missing" in keymint("check", "--json", cwd=ws).codes()
+    shutil.copyfile(ws / "install/enclaves/talker/identity_ca.cert.pem", ws / CERTIFICATES[0])
+    assert keymint("install", cwd=ws).out.startswith("nothing to do")
+    assert keymint("check", cwd=ws).code == 0
+
+
+def test_before_anything_is_installed_keys_of_ones_own_are_taken(keymint, made: Path, tmp_path: Path) -> None:
+    assert keymint("init", "own", "--policy", made / "policy.xml").code == 0
+    own = tmp_path / "own"
+    for words in (("create", "--all"), ("build",)):
+        assert keymint(*words, cwd=own).code == 0
+    for part in (AUTHORITY_KEYS[0], CERTIFICATES[0], AUTHORITY_KEYS[1], IDENTITY_KEYS[0]):
+        shutil.copyfile(made / "foreign" / part, own / part)
+    (own / CERTIFICATES[1]).unlink()
+    assert keymint("install", cwd=own).code == 0
+    assert keymint("check", cwd=own).code == 0
+    for part in (AUTHORITY_KEYS[0], CERTIFICATES[0], AUTHORITY_KEYS[1], IDENTITY_KEYS[0]):
+        assert (own / part).read_bytes() == (made / "foreign" / part).read_bytes()
+
+
+@pytest.mark.parametrize("stage", ["new authority", "renewed identity"])
+def test_a_run_that_was_killed_between_key_and_certificate_is_carried_on(keymint, ws: Path, stage: str) -> None:
+    """It leaves its mark with the fingerprints of the keys that it was about to store."""
+    path = AUTHORITY_KEYS[0] if stage == "new authority" else IDENTITY_KEYS[0]
+    another_key(ws, ws / path)
+    key = keys.from_pem((ws / path).read_bytes())
+    assert keymint("install", cwd=ws).code == 1
+    (ws / ".keymint/running").write_text(keys.fingerprint(key))
+    assert keymint("install", cwd=ws).code == 0
+    assert keymint("check", cwd=ws).code == 0
+    assert keys.fingerprint(keys.from_pem((ws / path).read_bytes())) == keys.fingerprint(key)
+
+
 class TestIdentities:
     def test_an_authoritys_key_never_reaches_a_robot(self, keymint, ws: Path) -> None:
         shutil.copyfile(ws / AUTHORITY_KEYS[1], ws / IDENTITY_KEYS[0])
