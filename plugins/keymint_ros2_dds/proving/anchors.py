@@ -27,6 +27,11 @@ from keymint_ros2_dds.install import (
     PERMISSIONS_P7S,
 )
 
+IN_PLACE_OF = {f"{name.removesuffix('.pem')}.p11": name for name in (IDENTITY_CA, PERMISSIONS_CA, CERTIFICATE, KEY)}
+"""A file with a PKCS #11 URI that ROS 2 reads in place of another one, where the vendor takes such URIs.
+
+Source: ``get_security_files`` in ``security.cpp`` of rmw_dds_common, from Jazzy on, as rmw_fastrtps calls it.
+"""
 _ANY_TIME = datetime(2000, 1, 1, tzinfo=UTC)
 _TIMES = frozenset(("certificate-expired", "certificate-not-yet-valid"))
 """What a certificate is at a time is not a matter of whom it rests on."""
@@ -62,6 +67,7 @@ class _Enclave:
         self._anchors = anchors
 
     def found(self) -> Iterator[Diagnostic]:
+        yield from self._in_place_of()
         yield from self._authorities()
         yield from self._identity()
         yield from self._signed(PERMISSIONS_P7S)
@@ -85,6 +91,11 @@ class _Enclave:
                 "is missing", where=self._where(name), help="'keymint install' restores it", code="file-missing"
             )
         return content
+
+    def _in_place_of(self) -> Iterator[Diagnostic]:
+        for name in sorted(self._files.keys() & IN_PLACE_OF.keys()):
+            message = f"is read in place of {IN_PLACE_OF[name]} by ROS 2 from Jazzy on: what it refers to is not known"
+            yield self._error("file-replaced", name, message, "remove it")
 
     def _authorities(self) -> Iterator[Diagnostic]:
         """Compare the authorities that the enclave trusts, also those that its layout does not have."""

@@ -110,3 +110,9 @@ def test_the_flat_layout_has_one_authority():
     assert refused({**files, "ca.cert.pem": authority("stranger").pem}, wanted) == {
         ("authority-differs", "ca.cert.pem")
     }
+
+
+@pytest.mark.parametrize("name", ["identity_ca.cert", "permissions_ca.cert", "cert", "key"])
+def test_a_file_that_ros_2_reads_in_place_of_another_one(name):
+    """rmw_dds_common from Jazzy on prefers ``*.p11`` to ``*.pem``; what is in the token is not known."""
+    assert refused({**OURS, f"{name}.p11": b"pkcs11:object=other;type=cert"}) == {("file-replaced", f"{name}.p11")}
