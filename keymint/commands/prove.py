@@ -84,7 +84,7 @@ def prove(run: Run, names: tuple[str, ...], seconds: float, states: int, allow_v
         (),
         [
             *_assumptions(found),
-            *(said for enclave in found.enclaves for said in diagnostics_of(enclave)),
+            *dict.fromkeys(said for enclave in found.enclaves for said in diagnostics_of(enclave)),
             *dated,
             *unknown,
             *unrecorded,

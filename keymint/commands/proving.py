@@ -65,7 +65,7 @@ def proven(
         planned, loaded, names, sources, policy, effort_of(run), standard_only=standard_only,
         folder=lambda name: planned.workspace.build / name,
     )  # fmt: skip
-    said = [diagnostic for enclave in found.enclaves for diagnostic in diagnostics_of(enclave)]
+    said = list(dict.fromkeys(diagnostic for enclave in found.enclaves for diagnostic in diagnostics_of(enclave)))
     standard = next(iter(found.assumptions), "")
     of_vendors = {enclave.subject for enclave in found.enclaves if _holds(enclave, standard)}
     refused = [

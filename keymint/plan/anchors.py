@@ -8,8 +8,9 @@ from typing import cast
 
 from keymint.api import Anchor, Anchors, Package, Prover
 from keymint.errors import Diagnostic
+from keymint.plan import vouching
 from keymint.plan.authorities import trusted_chains
-from keymint.plan.enclaves import enclave_files
+from keymint.plan.enclaves import TAKEN, enclave_files
 from keymint.plan.inputs import Inputs, LoadedProfile, Sources
 
 
@@ -46,16 +47,18 @@ def differences(
         KeymintError: a package has defects.
     """
     found: list[Diagnostic] = []
-    chains = trusted_chains(inputs, loaded)
+    chains, doubts = trusted_chains(inputs, loaded), vouching.doubts(inputs, loaded)
     for name in names:
         folder = inputs.workspace.enclaves(loaded.profile.layout) / name
-        files, _ = enclave_files(inputs, folder, f"/{name}")
+        files, unread = enclave_files(inputs, folder, f"/{name}")
+        found += (each for each in unread if each.where is not None and each.where.file.endswith(TAKEN))
         if not files:
             continue
         package = sources.load(inputs, loaded, name, sources.files(inputs, name))
+        found += vouching.about(doubts, package)
         build_type = inputs.plugins.build_type(package.build_type, inputs.package_marker(name))
         if hasattr(build_type, "differences"):
             anchors = anchors_of(inputs, loaded, package, chains)
             told = cast("Prover", build_type).differences(files, inputs.workspace.shown(folder), anchors)
             found += (replace(each, subject=package.subject) for each in told)
-    return tuple(found)
+    return tuple(dict.fromkeys(found))

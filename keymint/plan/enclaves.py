@@ -93,6 +93,13 @@ def require_sources(inputs: Inputs) -> None:
         )
 
 
+TAKEN = (".pem", ".p7s", ".p11")
+"""How the names of files end that ROS 2 takes from an enclave, through links as well (rmw_dds_common, security.cpp).
+
+One that is not read here may be read there, in place of another one, so nothing is claimed of an enclave that has it.
+"""
+
+
 def enclave_files(inputs: Inputs, folder: Path, subject: str) -> tuple[dict[str, bytes], tuple[Diagnostic, ...]]:
     """Return the files of an enclave by name, and a finding for each that cannot be read.
 

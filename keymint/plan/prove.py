@@ -15,10 +15,10 @@ from keymint import __version__
 from keymint.api import Claim, DomainRange, LoadedPolicy, Obligation, Package, Proof, Prover, Term
 from keymint.errors import Diagnostic, KeymintError, Origin, Severity
 from keymint.ir import SubjectRules
-from keymint.plan import terms
+from keymint.plan import terms, vouching
 from keymint.plan.anchors import anchors_of
 from keymint.plan.authorities import trusted_chains
-from keymint.plan.enclaves import INSTALLED, enclave_files
+from keymint.plan.enclaves import INSTALLED, TAKEN, enclave_files
 from keymint.plan.inputs import Inputs, LoadedProfile, Sources
 from keymint.state import Stamp, State, digest, digest_files
 
@@ -136,6 +136,7 @@ class _Stage:
         self._standard_only = standard_only
         self._folder = folder
         self._chains = trusted_chains(inputs, loaded)
+        self._doubts = vouching.doubts(inputs, loaded)
         self._seen = digest(*(f"{path} {value.hex()}" for path, value in sorted(policy.seen.items())))
         self._found: list[Proven] = []
         self._stamps: dict[str, Stamp] = {}
@@ -160,6 +161,9 @@ class _Stage:
             self._found.append(Proven(f"/{name}", (), diagnostics=defects))
             self._refuted.add(name)
             return
+        if self._doubts and (doubts := self._about_authorities(name, source)):
+            self._found.append(Proven(f"/{name}", (), diagnostics=doubts))
+            return
         wanted = self._wanted(source, files)
         stamp = inputs.state.stamp(STAGE, name)
         known = terms.load(stamp.outputs.get(_TERMS, ""), self._shown(name)) if stamp is not None else None
@@ -182,12 +186,18 @@ class _Stage:
             outputs[_BUILD_TYPE] = package.build_type
             self._stamps[name] = Stamp(wanted, outputs, context=self._seen)
 
+    def _about_authorities(self, name: str, source: Mapping[str, bytes]) -> tuple[Diagnostic, ...]:
+        """Return what speaks against the authorities that an enclave rests on."""
+        return vouching.about(self._doubts, self._sources.load(self._inputs, self._loaded, name, source))
+
     def _of_enclave(self, name: str, unread: Sequence[Diagnostic]) -> tuple[Diagnostic, ...]:
-        """Return the files that cannot be read and, by the record, belong to the enclave; without one, all of them."""
+        """Return the files that cannot be read and belong to the enclave: by the record, or by their names."""
         stamp = self._inputs.state.stamp(INSTALLED, name)
         names = [found.where.file.rpartition("/")[2] if found.where else "" for found in unread]
         return tuple(
-            found for found, file in zip(unread, names, strict=True) if stamp is None or file in {*stamp.outputs, ""}
+            found
+            for found, file in zip(unread, names, strict=True)
+            if stamp is None or file in {*stamp.outputs, ""} or file.endswith(TAKEN)
         )
 
     def _same_rules(self, name: str, stamp: Stamp) -> bool:
