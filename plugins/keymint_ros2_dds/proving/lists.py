@@ -28,11 +28,14 @@ _DEFAULT: Glob = ()
 def has_partitions(lowered: Lowered, grants: Iterable[Grant]) -> bool:
     """Tell whether anything may be allowed outside of the default partition, by the policy or by a document."""
     return any(listed not in {(), ("",)} for side in lowered.allow.values() for _, listed in side) or any(
-        criteria.partitions not in {None, ("",)}
+        grant.allows  # by default, in every partition
+        or any(
+            criteria.partitions not in {None, ("",)}
+            for rule in grant.rules
+            if rule.allows
+            for criteria in rule.criteria
+        )
         for grant in grants
-        for rule in grant.rules
-        if rule.allows
-        for criteria in rule.criteria
     )
 
 

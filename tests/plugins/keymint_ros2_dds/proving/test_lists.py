@@ -64,6 +64,19 @@ def test_lists_of_a_grant_say_what_the_decision_point_says(model, content):
                 assert all(permits(each, name) for each in plain) == expected, (action, name)
 
 
+@settings(max_examples=150, deadline=None)
+@given(grants())
+@example(xml.document(xml.grant(xml.rule("allow", xml.criteria("publish", "*")), default="ALLOW")))
+def test_partitions_are_left_out_only_where_nothing_is_permitted_in_any(content):
+    document = decision.read(content)
+    if lists.has_partitions(lower(SubjectRules("/talker", ()), "jazzy"), document.grants):
+        return
+    for variation in VARIATIONS.values():
+        judge = Judge(document, xml.SUBJECT, xml.NOW, 0, variation)
+        for action, name, partition in itertools.product(("publish", "subscribe"), NAMES, ASKED[1:]):
+            assert not judge.decide(action, name, (partition,)).allowed, (variation.name, action, name, partition)
+
+
 @pytest.mark.parametrize("dialect", READERS, ids=lambda dialect: dialect.__name__)
 @settings(max_examples=300, deadline=None)
 @given(st.text(alphabet="ab*?[]!-\\", max_size=7))

@@ -442,3 +442,16 @@ def test_several_grants_hold_whenever_one_is_in_force(grants, wrong, when):
 def test_the_time_is_told_only_where_it_matters():
     found = after(PLAIN, "rt/chatter", "rt/*")
     assert not any("in force" in claim.counterexample.document.reason for claim in found if claim.counterexample)
+
+
+def test_a_default_that_allows_does_so_in_every_partition():
+    """A policy allows the default partition, unless it names others."""
+    everything = package(rule("ALLOW", "topic", "publish subscribe", "*"))
+    found = refuted(
+        claim
+        for claim in after(everything, "<default>DENY</default>", "<default>ALLOW</default>")
+        if claim.domains == DOMAIN
+    )
+    assert {key for key, (_, partitions, policy, document) in found.items() if partitions and document > policy} == {
+        (model, action) for model in ("omg", "cyclonedds-0.10") for action in ("publish", "subscribe")
+    }
