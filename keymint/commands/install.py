@@ -58,7 +58,8 @@ def install(
             sources = Sources(run.plugins)
             policy = recall_policy(inputs, loaded)
             after = after.after(installed)
-            within = tuple(name for name in chosen if name not in installed.kept())
+            kept = installed.kept()
+            within = tuple(name for name in chosen if name not in kept)
             done = proven(run, after, loaded, within, sources, policy, done, standard_only=allow_vendor_specific)
         return done
 

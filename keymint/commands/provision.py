@@ -101,7 +101,8 @@ def provision(
         if not prove:
             return plan
         after = after.after(installed)
-        within = tuple(name for name in names if name not in installed.kept())
+        kept = installed.kept()
+        within = tuple(name for name in names if name not in kept)
         return proven(run, after, loaded, within, sources, acquired, plan, standard_only=allow_vendor_specific)
 
     def _profile_plan(inputs: Inputs) -> Plan:

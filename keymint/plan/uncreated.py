@@ -27,8 +27,8 @@ def uncreated(inputs: Inputs, policy: LoadedPolicy, known: Sequence[str]) -> tup
         known: names of its packages. Where there are none, subjects that a KEYMINT_IGNORE hides count as well: then
             nothing at all would be looked at.
     """
-    src = inputs.workspace.src
-    missing = [name for name in (package_of(policy, subject) for subject in policy.subjects()) if name not in known]
+    src, created = inputs.workspace.src, set(known)
+    missing = [name for name in (package_of(policy, subject) for subject in policy.subjects()) if name not in created]
     missing = [name for name in missing if not known or hidden_by(inputs.tree, src, name) is None]
     if not missing:
         return ()
