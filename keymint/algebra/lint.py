@@ -12,11 +12,14 @@ from functools import partial
 from keymint.algebra.attachments import Attachments
 from keymint.algebra.profiles import unreachable
 from keymint.algebra.similar import similar_names, similar_subjects
+from keymint.algebra.slips import CODES as SLIPS
+from keymint.algebra.slips import slips
 from keymint.algebra.subjects import rules_of, stand_ins, structure
 from keymint.algebra.vain import MOST_PAIRS, Vain, bounded, is_name, warning
 from keymint.api import LoadedPolicy
 from keymint.errors import Diagnostic, Origin, Severity, Spot
 from keymint.ir import Rule
+from keymint.keymake.rosnames import advice
 
 CODES: Mapping[str, str] = {
     "rule-shadowed": "An ALLOW rule allows nothing, because DENY rules deny all of it.",
@@ -28,6 +31,7 @@ CODES: Mapping[str, str] = {
     "profile-never": "A profile never applies together with the profiles around it.",
     "tunable-unused": "A tunable is declared, and nothing uses it.",
     "name-similar": "A name is nearly, but not quite, one that would fit.",
+    **SLIPS,
     "lint-unknown": "Something was not found out within the steps that it may take.",
 }
 """The findings of this room, each with one line that says what it means."""
@@ -52,7 +56,7 @@ def lint(policy: LoadedPolicy) -> list[Diagnostic]:
         found += Vain(subjects, attachments, written).findings()
         found += map(_unknown, given_up)
     found += similar_names({subject: subjects[subject] for subject in named if subject in subjects}, attachments)
-    found += similar_subjects(written) if written else ()
+    found += (*similar_subjects(written), *slips(written)) if written else ()
     return in_order(found)
 
 
@@ -86,11 +90,6 @@ def _names(subjects: Mapping[str, tuple[Rule, ...]], attachments: Attachments) -
                     verdicts[key] = (is_name(rule, expression), rule, subject)
     for (_, expression), (fine, rule, subject) in verdicts.items():
         if not fine:
-            if rule.kind == "topic":
-                help_ = "remove it"
-            elif expression.startswith("/"):
-                help_ = "segments are letters, digits and '_', do not begin with a digit, and none is empty"
-            else:
-                help_ = f"write {'/' + expression!r}: every ROS name begins with '/'"
+            help_ = "remove it" if rule.kind == "topic" else advice(expression)
             message = f"no object can be named as {expression!r} says in this {rule.effect} {rule.kind} rule"
             yield warning("object-never", message, attachments.of(rule, subject)[expression].where, help_)

@@ -92,12 +92,14 @@ class Clause:
         rule: the rule; its expressions may hold ``{name}`` and ``{namespace}``.
         expand: returns its expressions for expressions of a namespace (with its last ``/``) and of a name.
         places: where each of its expressions is written; empty if that is not known.
+        included: the innermost profile includes it from another file.
     """
 
     profiles: tuple[tuple[str, ...], ...]
     rule: Rule
     expand: Callable[[str, str], tuple[str, ...]] = field(repr=False, compare=False)
     places: tuple[Origin, ...] = ()
+    included: bool = False
 
 
 @dataclass(frozen=True, slots=True)

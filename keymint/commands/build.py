@@ -8,6 +8,7 @@ import click
 
 from keymint.commands.build_options import BUILD_OPTIONS, build_options
 from keymint.commands.common import Run, complete_package, verb
+from keymint.commands.policy_slips import policy_slips
 from keymint.commands.profile_options import add_options
 from keymint.errors import Diagnostic, Severity
 from keymint.plan.build import plan_build
@@ -52,6 +53,7 @@ def build(
         chosen = run.names(inputs, names)
         plan = plan_build(inputs, loaded, chosen, Sources(run.plugins), hinted.options, force=force, renew=renew)
         said = policy_changed(inputs, loaded) if chosen else (no_packages(inputs),)
+        said = (*said, *policy_slips(inputs, loaded, plan.steps))
         return Plan(plan.steps, plan.state, (*plan.diagnostics, *said, *hinted.unknown(run.names(inputs, ()))))
 
     return run.carry_out(workspace, make_plan)

@@ -10,6 +10,7 @@ import click
 from keymint.commands.build_options import BUILD_OPTIONS, build_options
 from keymint.commands.common import Run, verb
 from keymint.commands.init import bootstrap_request
+from keymint.commands.policy_slips import policy_slips
 from keymint.commands.profile_options import (
     DEFAULT_PROFILE_TYPE,
     PROFILE_OPTIONS,
@@ -97,7 +98,8 @@ def provision(
         installed = plan_install(after, loaded, names, sources, authorities, prune=prune)
         for stage in (created, built, minted, installed):
             plan = plan.then(stage)
-        plan = replace(plan, diagnostics=(*plan.diagnostics, *hinted.unknown(names)))
+        slips = policy_slips(after, loaded, (*created.steps, *built.steps))
+        plan = replace(plan, diagnostics=(*plan.diagnostics, *slips, *hinted.unknown(names)))
         if not prove:
             return plan
         after = after.after(installed)

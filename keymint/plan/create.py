@@ -7,7 +7,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from keymint.api import AppliedProfile, LoadedPolicy, PolicyDecision
+from keymint.api import AppliedProfile, LoadedPolicy, PolicyDecision, Structure
 from keymint.errors import Diagnostic, KeymintError, Origin, Severity
 from keymint.graph import Edge
 from keymint.ir import SubjectRules
@@ -136,6 +136,15 @@ class _Relocated:
         """Return what the policy says about an edge, with the rule's place to be."""
         found = self._policy.decide(edge)
         return replace(found, where=self._origin(found.where) if found.where else None)
+
+    def structure(self) -> Structure | None:
+        """Return the policy as it is written, if its type tells; its profiles have their place to be."""
+        of = getattr(self._policy, "structure", None)
+        found = of() if of else None
+        if not isinstance(found, Structure):
+            return None
+        profiles = tuple(replace(profile, where=self._origin(profile.where)) for profile in found.profiles)
+        return replace(found, profiles=profiles)
 
     @functools.cache  # noqa: B019 - lives as long as the run
     def _origin(self, origin: Origin) -> Origin:

@@ -41,6 +41,7 @@ def structure(
             to_rule(rule),
             _expanding(rule),
             tuple(origin(attachment.where) for attachment in rule.attachments),
+            len(rule.where.chain) > len(profile.where.chain),
         )
         for profile, around in walked
         for rule in profile.rules

@@ -15,6 +15,7 @@ from keymint.ir import Effect, Rule, SubjectRules
 from keymint.keymake import glob
 from keymint.keymake.composites import parts
 from keymint.keymake.glob import Glob
+from keymint.keymake.rosnames import advice, is_possible
 from keymint_ros2_dds.compiling.spelling import faithful
 from keymint_ros2_dds.mapping import IMAGES, Action, images, knows
 
@@ -22,6 +23,9 @@ Partitions = tuple[str, ...]
 """Partition expressions as a policy has them, sorted; empty: not narrowed."""
 Side = Mapping[tuple[Glob, Partitions], Rule]
 """Patterns with their partitions, and the rule that first says something of them."""
+
+RAW = "topic"
+"""The kind of rules on DDS topics by their own names."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -60,7 +64,7 @@ def lower(rules: SubjectRules, distro: str) -> Lowered:
             for action, pattern, partition in _images(expression, rule, distro):
                 side[action].setdefault((pattern, partition or partitions), rule)
                 found = True
-            if not found:
+            if not found or not (rule.kind == RAW or is_possible(_parse(expression, rule))):
                 diagnostics.append(_never(expression, rule, rules.subject))
     return Lowered(sides[Effect.ALLOW], sides[Effect.DENY], tuple(diagnostics))
 
@@ -106,13 +110,14 @@ def _unknown(rule: Rule, distro: str, subject: str) -> Diagnostic:
 
 
 def _never(expression: str, rule: Rule, subject: str) -> Diagnostic:
-    raw = rule.kind == "topic"
+    raw = rule.kind == RAW
     return Diagnostic(
         "never-matches",
         Severity.WARNING,
-        f"the expression {expression!r} of this {rule.effect} {rule.kind} rule matches no name: "
-        + ("no DDS topic has such a name" if raw else "every ROS name begins with '/'"),
+        f"the expression {expression!r} of this {rule.effect} {rule.kind} rule matches no name: no "
+        + ("DDS topic" if raw else "ROS object")
+        + " can have such a name",
         rule.origin,
-        "remove it" if raw or not expression else f"write {'/' + expression!r}",
+        "remove it" if raw or not expression else advice(expression),
         subject,
     )

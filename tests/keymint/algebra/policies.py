@@ -27,7 +27,7 @@ def deny(kind: str, permissions: str, *names: str) -> str:
 
 def profile(attachment: str, *inside: str) -> str:
     """Return a profile; its first line is its own."""
-    return f'<profile name="p"><attachment>{attachment}</attachment>\n{"".join(inside)}</profile>\n'
+    return f'<profile name="{attachment}"><attachment>{attachment}</attachment>\n{"".join(inside)}</profile>\n'
 
 
 def loaded(folder: Path, *profiles: str, name: str = "policy.xml") -> LoadedPolicy:

@@ -201,7 +201,7 @@ def test_every_rule_that_cannot_be_said_is_reported_with_its_place():
 def test_a_rule_that_matches_no_name_is_a_warning():
     (found,) = build(CHATTER, rule("ALLOW", "ros_topic", "ros_publish", "chatter", line=9)).diagnostics
     assert (found.code, found.severity, str(found.where)) == ("never-matches", Severity.WARNING, "policy.xml:9")
-    assert found.help == "write '/chatter'"
+    assert found.help == "write '/chatter': every ROS name begins with '/'"
 
 
 def test_a_permission_that_dds_does_not_know_is_refused():

@@ -1,0 +1,29 @@
+"""What a policy is likely not to mean, said where rights are built from it."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+from keymint.algebra.slips import slips
+from keymint.algebra.subjects import structure
+from keymint.errors import Diagnostic, KeymintError
+from keymint.plan.create import load_policy
+from keymint.plan.inputs import Inputs, LoadedProfile
+from keymint.plan.model import Action, Step
+
+
+def policy_slips(inputs: Inputs, loaded: LoadedProfile, steps: Iterable[Step]) -> tuple[Diagnostic, ...]:
+    """Return likely slips in the policy of a workspace, if any step does something.
+
+    Args:
+        inputs: the workspace.
+        loaded: its profile.
+        steps: what is planned.
+    """
+    if all(step.action is Action.UNCHANGED for step in steps):
+        return ()
+    try:
+        written = structure(load_policy(inputs, loaded))
+    except KeymintError:
+        return ()  # 'create' reads the policy, and says what is wrong with it; a build takes what was created
+    return tuple(slips(written)) if written else ()
