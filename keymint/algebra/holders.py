@@ -132,7 +132,6 @@ class _Question:
         self._kind, self._permission, self._name = kind, permission, name
         self._named = named
         self._purse = purse
-        self._asked: set[str] = set()
 
     def others(self, within: Glob) -> Iterator[Held]:
         """Yield one holder for each pattern of subjects, where there is one."""
@@ -180,8 +179,7 @@ class _Question:
 
     def _said(self, subject: str, subjects: Glob) -> Iterator[Held]:
         found = held(rules_of(self._policy, subject), self._kind, self._permission, self._name)
-        if found is not None and subject not in self._asked:
-            self._asked.add(subject)
+        if found is not None:
             yield _said(subject, text(subjects), found, self._policy, self._kind, self._permission)
 
 

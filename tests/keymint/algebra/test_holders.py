@@ -60,6 +60,12 @@ def test_who(tmp_path: Path, policy: str, question: tuple[str, str], expected: l
     assert who(tmp_path, policy, *question) == expected
 
 
+def test_each_pattern_has_a_holder(tmp_path: Path) -> None:
+    # /x/b is an example of both.
+    policy = loaded(tmp_path, profile("/[!a]/b", rule(*PUB, "/x")) + profile("/*/b", rule(*PUB, "/x")))
+    assert [each.like for each in holders(policy, parse("*"), *PUB, parse("/x"))] == ["/[!a]/b", "/*/b"]
+
+
 def test_within_a_pattern_of_subjects(tmp_path: Path) -> None:
     policy = profile("/amr1/nav", rule(*SUB, "/amr2/x")) + profile("/amr2/cam", rule(*SUB, "/amr2/y"))
     assert who(tmp_path, policy, "subscribe", "/amr2/*", "/amr*/nav") == [("/amr1/nav", "/amr2/x")]
