@@ -90,13 +90,21 @@ def read_bounded(folder: Path, real: Path, size: int) -> bytes:
         return stream.read(size)
 
 
-def nearest(folder: Folder, relative: str) -> str:
-    """Return a hint at a file beside the missing one that has nearly its name."""
+def nearest(folder: Folder, relative: str, including: str = "") -> str:
+    """Return a hint at a file beside the missing one that has nearly its name.
+
+    Args:
+        folder: the root that the file was looked for in.
+        relative: its path there.
+        including: name of the file that includes it, as messages have it; no file includes itself.
+    """
     beside = folder.real / posixpath.dirname(relative)
     try:
         names = [entry.name for entry in beside.iterdir()]
     except OSError:
         return ""
+    parent = posixpath.dirname(relative)
+    names = [name for name in names if folder.name(posixpath.join(parent, name)) != including]
     return did_you_mean(posixpath.basename(relative), names)
 
 

@@ -244,7 +244,7 @@ class _Reader:
 
     def missing(self, folder: Folder, target: str, href: str, where: Location) -> ComArmorError:
         """Return the error for an include that is nowhere: where it was looked for, and a similar name there."""
-        places, near = [folder.name(target)], nearest(folder, target)
+        places, near = [folder.name(target)], nearest(folder, target, where.file)
         if self.library is not None:
             from_root = posixpath.normpath(href)
             places.append(self.library.name(from_root))

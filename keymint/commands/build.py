@@ -52,7 +52,7 @@ def build(
         loaded = inputs.profile()
         chosen = run.names(inputs, names)
         plan = plan_build(inputs, loaded, chosen, Sources(run.plugins), hinted.options, force=force, renew=renew)
-        said = policy_changed(inputs, loaded) if chosen else (no_packages(inputs),)
+        said = policy_changed(inputs, loaded, Sources(run.plugins)) if chosen else (no_packages(inputs),)
         said = (*said, *policy_slips(inputs, loaded, plan.steps))
         return Plan(plan.steps, plan.state, (*plan.diagnostics, *said, *hinted.unknown(run.names(inputs, ()))))
 

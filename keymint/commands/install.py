@@ -50,7 +50,7 @@ def install(
         after = inputs.after(plan)
         chosen = run.names(inputs, names)
         installed = plan_install(after, loaded, chosen, Sources(run.plugins), authorities, prune=prune)
-        said = policy_changed(inputs, loaded) if chosen else (no_packages(inputs),)
+        said = policy_changed(inputs, loaded, Sources(run.plugins)) if chosen else (no_packages(inputs),)
         missing = () if names or (chosen and not prove) else uncreated(inputs, recall_policy(inputs, loaded), chosen)
         done = plan.then(installed)
         done = replace(done, diagnostics=(*done.diagnostics, *said, *missing))

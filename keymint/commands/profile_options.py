@@ -13,6 +13,12 @@ from keymint.errors import KeymintError, Origin
 from keymint.workspace import PROFILE_MARKER, Workspace
 
 DEFAULT_PROFILE_TYPE = "keymint_ros"
+_DEFAULTS = "package.defaults"
+_PLACES = {
+    "domain": (f"{_DEFAULTS}/permissions.xml", f"{_DEFAULTS}/governance.xml"),
+    "subject-format": (f"{_DEFAULTS}/permissions.xml", f"{_DEFAULTS}/identities.xml"),
+}
+"""Where a setting is that is not in the profile's marker; all the places have to agree."""
 
 PROFILE_OPTIONS: Sequence[Callable[[Any], Any]] = (
     click.option(
@@ -76,10 +82,12 @@ def refuse_contradiction(run: Run, workspace: Workspace, asked: Mapping[str, obj
         present |= profile_type.settings(profile)
     for option, value in given.items():
         if present.get(option) != value:
+            places = _PLACES.get(option, (PROFILE_MARKER,))
             has = f"has {option} {present[option]!r}" if option in present else f"exists and keeps its {option}"
             raise KeymintError(
                 f"the workspace {has}, so --{option} {value} cannot take effect",
-                where=Origin(workspace.shown(workspace.profile / PROFILE_MARKER)),
-                help="edit the files of the profile, or name another workspace",
+                where=Origin(workspace.shown(workspace.profile / places[0])),
+                help=f"change it in {' and '.join(workspace.shown(workspace.profile / place) for place in places)}, "
+                "or name another workspace",
                 code="workspace-exists",
             )

@@ -12,6 +12,7 @@ from keymint.api import Claim, Counterexample, Proof
 from keymint.commands.common import Run, complete_package, verb
 from keymint.commands.numbers import Number
 from keymint.commands.proving import standard_only_option
+from keymint.commands.refusals import alike
 from keymint.errors import Diagnostic, ExitCode, Origin, Severity
 from keymint.graph import Edge
 from keymint.plan import terms
@@ -73,6 +74,11 @@ def prove(run: Run, names: tuple[str, ...], seconds: float, states: int, allow_v
         )  # fmt: skip
     unknown = () if names else (*unaccounted(inputs, loaded), *uncreated(inputs, policy, chosen))
     unrecorded = run.keep(inputs, found.state)
+    enclaves = workspace.enclaves(loaded.profile.layout)
+
+    def folder(name: str) -> str:
+        return workspace.shown(enclaves / name)
+
     claims = [claim for enclave in found.enclaves for claim in enclave.claims]
     _summary(run, found)
     proven = all(claim.proof is Proof.PROVEN for claim in claims)
@@ -84,7 +90,7 @@ def prove(run: Run, names: tuple[str, ...], seconds: float, states: int, allow_v
         (),
         [
             *_assumptions(found),
-            *dict.fromkeys(said for enclave in found.enclaves for said in diagnostics_of(enclave)),
+            *alike(dict.fromkeys(said for enclave in found.enclaves for said in diagnostics_of(enclave)), folder),
             *dated,
             *unknown,
             *unrecorded,

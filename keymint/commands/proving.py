@@ -9,6 +9,7 @@ from typing import Any
 import click
 
 from keymint.api import LoadedPolicy, Proof
+from keymint.commands import refusals
 from keymint.commands.common import Run
 from keymint.errors import Diagnostic, ExitCode, KeymintError, Origin, Severity
 from keymint.plan.inputs import Inputs, LoadedProfile, Sources
@@ -78,7 +79,10 @@ def proven(
         by_edit = {each.subject for each in edits}
         # Other warnings of the plan often say why, e.g. a policy that changed.
         warned = [each for each in plan.diagnostics if each.code != HAND_EDITED or each.subject not in by_edit]
-        raise KeymintError.of([*warned, *edits, *refused], ExitCode.FINDINGS)
+        unsigned = (refusals.unsigned(each, planned, loaded) for each in refused)
+        build = planned.workspace.build
+        once = refusals.alike(unsigned, lambda name: planned.workspace.shown(build / name))
+        raise KeymintError.of([*warned, *edits, *once], ExitCode.FINDINGS)
     # Time is no reason to install nothing: what is not in force now may be tomorrow, or in a test.
     known = {(each.code, each.subject) for each in plan.diagnostics}
     known |= {(each.code, "") for each in plan.diagnostics}

@@ -110,8 +110,8 @@ def _clamp(spec: CertificateSpec, issuer: x509.Certificate | None) -> tuple[Vali
     warning = Diagnostic(
         "validity-clamped",
         Severity.WARNING,
-        f"the validity of {spec.subject_name!r}, {_period(wanted)}, is cut to its issuer's: {_period(given)}",
-        spec.origin,
+        f"the validity of the certificate, {_period(wanted)}, is cut to its issuer's: {_period(given)}",
+        spec.validity.origin or spec.origin,
         "ask for no more than the issuer has, or renew the issuer",
     )
     return given, (warning,)

@@ -20,6 +20,10 @@ from keymint.workspace import packages
 STAGE = "create"
 POLICY = "policy"
 """Where the record has what the policy was read from."""
+CHANGED = "policy-changed"
+"""Code of the warning that packages are not what the policy says now."""
+_SHOWN = 5
+"""Packages that a message names."""
 
 
 def load_policy(inputs: Inputs, loaded: LoadedProfile) -> LoadedPolicy:
@@ -55,13 +59,36 @@ def recall_policy(inputs: Inputs, loaded: LoadedProfile) -> LoadedPolicy:
     return _Recalled(seen, tuple(sorted(subjects.outputs)), functools.partial(load_policy, inputs, loaded))
 
 
-def policy_changed(inputs: Inputs, loaded: LoadedProfile) -> Sequence[Diagnostic]:
-    """Return a warning when the policy is not the one that the packages were made from."""
+def policy_changed(inputs: Inputs, loaded: LoadedProfile, sources: Sources) -> Sequence[Diagnostic]:
+    """Return a warning when the policy is not what the packages were made from.
+
+    What the record has is only a hint: a comment, another default of the profile or a copy of the workspace changes no
+    package. So the packages are asked; the policy is loaded for that only where the record differs.
+    """
     recorded = inputs.state.stamp(POLICY, "seen")
     if recorded is None or _as_recorded(inputs, loaded, recorded):
         return ()
-    message = "the policy, or the profile, changed since the packages were made from it"
-    return (Diagnostic("policy-changed", Severity.WARNING, message, None, "run 'keymint create --all'"),)
+    try:
+        behind = _behind(inputs, loaded, sources)
+    except KeymintError as error:
+        message = f"the policy changed since the packages were made from it, and cannot be read: {error.diagnostics[0]}"
+        return (Diagnostic(CHANGED, Severity.WARNING, message, None, "mend it, then run 'keymint create --all'"),)
+    if not behind:
+        return ()
+    shown = ", ".join(f"/{name}" for name in behind[:_SHOWN]) + (", …" if len(behind) > _SHOWN else "")
+    count = "1 package" if len(behind) == 1 else f"{len(behind)} packages"
+    message = f"the policy changed since the packages were made from it; it says something else of {count}: {shown}"
+    return (Diagnostic(CHANGED, Severity.WARNING, message, None, "run 'keymint create --all'"),)
+
+
+def _behind(inputs: Inputs, loaded: LoadedProfile, sources: Sources) -> list[str]:
+    """Return the packages that differ from the policy, and those of subjects that it did not name before."""
+    policy = load_policy(inputs, loaded)
+    existing = packages(inputs.tree, inputs.workspace.src)
+    recorded = inputs.state.stamp(POLICY, "subjects")
+    before = set(recorded.outputs) if recorded is not None else set()
+    new = {package_name(subject) for subject in policy.subjects() if subject not in before}
+    return sorted({*stale(inputs, loaded, policy, existing, sources), *(new - set(existing))})
 
 
 def _as_recorded(inputs: Inputs, loaded: LoadedProfile, recorded: Stamp) -> bool:

@@ -29,6 +29,8 @@ from keymint.state import Stamp, digest, digest_files
 
 HAND_EDITED = "hand-edited"
 """Code of what is reported of a document that a person edited."""
+OUTDATED = "build-outdated"
+"""Code of the warning for builds whose sources changed."""
 STAGE = INSTALLED
 
 
@@ -44,6 +46,8 @@ class _Enclave:
     fingerprint: str = ""
     """That of its key; empty when nothing of it was looked at, as nothing changed."""
     lifetimes: Sequence[Lifetime] = ()
+    outdated: bool = False
+    """Its sources changed since its documents were built."""
 
 
 def plan_install(
@@ -83,6 +87,7 @@ def plan_install(
     # What all share comes first: the folder around the enclaves is then made before there is anything in it.
     steps = [*_shared(inputs, loaded, planned), *(enclave.step for enclave in planned)]
     said = [diagnostic for enclave in planned for diagnostic in enclave.diagnostics]
+    said += _outdated(inputs, [enclave.step.package for enclave in planned if enclave.outdated])
     said += lifetimes.findings({each.step.package: each.lifetimes for each in planned}, loaded, inputs.now)
     left = orphans(inputs, loaded)
     said += [found for found in unaccounted(inputs, loaded) if not prune or found.code != "enclave-orphaned"]
@@ -176,10 +181,8 @@ def _plan_enclave(
     outputs = {file: digest(item.content) for file, item in contents.items()}
     secret = tuple(file for file, item in contents.items() if item.secret)
     wanted = _wanted(inputs, loaded, name, files, chains)
-    edited: list[Diagnostic] = []
-    if inputs.state.stamp(build.STAGE, name):  # of what no record knows nothing can be said
-        edited += _edits(inputs, name, documents)
-        edited += [] if build.is_current(inputs, loaded, name, files) else [_outdated(inputs, name)]
+    recorded = inputs.state.stamp(build.STAGE, name) is not None  # of what no record knows nothing can be said
+    edited = _edits(inputs, name, documents) if recorded else ()
     return _Enclave(
         Step(STAGE, name, action, changes),
         Stamp(wanted, outputs, secret, lifetimes=lifetimes.dump(own, inputs.workspace)),
@@ -188,6 +191,7 @@ def _plan_enclave(
         [*said, *edited],
         keys.fingerprint(public),
         own,
+        outdated=recorded and not build.is_current(inputs, loaded, name, files),
     )
 
 
@@ -209,15 +213,21 @@ def _junk(
     return [replace(found, severity=Severity.WARNING) for found in others]
 
 
-def _outdated(inputs: Inputs, name: str) -> Diagnostic:
-    """Return the warning for documents whose sources changed after they were built."""
-    return Diagnostic(
-        "build-outdated",
-        Severity.WARNING,
-        "is stale; signing the existing build",
-        Origin(str(inputs.workspace.build / name)),
-        f"'keymint build {name}' rebuilds it",
-        f"/{name}",
+def _outdated(inputs: Inputs, names: Sequence[str]) -> Sequence[Diagnostic]:
+    """Return the warning for documents whose sources changed after they were built; often one cause concerns many."""
+    if not names:
+        return ()
+    name = names[0]
+    one = len(names) == 1
+    return (
+        Diagnostic(
+            OUTDATED,
+            Severity.WARNING,
+            "is stale; signing the existing build" + ("" if one else f" [{len(names)} packages]"),
+            Origin(inputs.workspace.shown(inputs.workspace.build / name)),
+            f"'keymint build {name}' rebuilds it" if one else "'keymint build' rebuilds all that is stale",
+            f"/{name}" if one else "",
+        ),
     )
 
 
@@ -264,7 +274,8 @@ def _notarize(
         certificate, package.identity, public, issuer.issuer.certificate, authority=False
     ):
         issued = certificates.issue_identity(package.identity, public, issuer.issuer)
-        certificate, said = issued.pem, issued.diagnostics
+        certificate = issued.pem
+        said = [replace(each, subject=package.subject) for each in issued.diagnostics]
     credentials = Credentials(
         certificate=certificate,
         key=pem,

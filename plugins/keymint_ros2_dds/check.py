@@ -162,10 +162,10 @@ class _Enclave:
             return None
         yield from map(self._for_subject, limits.check_size(len(signed), kind, self._seen.package))
         if not self._as_built(kind, content):
-            message = f"the sources now build another {kind} document"
-            yield self._warning(
-                "drift", name, message, f"run 'keymint provision' or build and install it; {self._again}"
-            )
+            package = self._seen.package.name
+            message = f"the sources build another {kind} document: they changed, or the built one was edited by hand"
+            mend = f"'keymint build -f {package}' and 'keymint install {package}' write what the sources say"
+            yield self._warning("drift", name, message, mend)
         try:
             root = document.read(content, kind, str(where))
         except KeymintError as error:

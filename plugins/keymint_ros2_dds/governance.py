@@ -147,10 +147,11 @@ def _domain_rule(parent: etree._Element, rule: DomainRule, distro: str, lenient:
                 _topic_rule(topics, text, topic)
         said += own
     if not union_covers(tuple(said), EVERYTHING):
+        last = rule.topic_rules[-1].origin if rule.topic_rules else rule.origin
         yield Diagnostic(
             "governance-open-end", Severity.WARNING,
             "no topic rule matches every topic; a last one is added for '*', with access control and encryption",
-            rule.origin, "end with a rule for '*' that says how all other topics are protected",
+            last, "end with a rule for '*' that says how all other topics are protected",
         )  # fmt: skip
         _topic_rule(topics, "*", _strictest(rule))
 

@@ -138,6 +138,12 @@ def test_a_missing_include_says_where_it_was_looked_for(write, tmp_path) -> None
     assert found.help == f"looked for '{root}/s/nod.xml'; did you mean node.xml?"
 
 
+def test_a_missing_include_is_not_advised_to_be_the_including_file(write) -> None:
+    root = write({"p.xml": including("o.xml")})
+    found = quickly_refused(root / "p.xml")
+    assert found.help == f"looked for '{root}/o.xml'"
+
+
 def test_and_in_the_library_as_well(write, tmp_path) -> None:
     root = write({"p.xml": including("s/nod.xml")})
     library = tmp_path / "library"

@@ -65,7 +65,10 @@ def test_install_refuses_with_a_counterexample_that_names_the_option(keymint: Ca
     before = (provisioned / "install/enclaves/talker/governance.p7s").read_bytes()
     outcome = keymint("install", "-w", provisioned)
     assert outcome.code == 3
-    assert re.search(r"governance\.p7s:\d+: error: /talker: the document permits it to publish", outcome.err)
+    assert re.search(
+        r"build/robot1/listener/governance\.xml:\d+: error: /robot1/listener: the document permits it to publish",
+        outcome.err,
+    )
     assert ACCEPT in outcome.err
     assert (provisioned / "install/enclaves/talker/governance.p7s").read_bytes() == before
 

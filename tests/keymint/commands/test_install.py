@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import json
+import re
+import shutil
 import subprocess
 from pathlib import Path
 
@@ -171,14 +174,73 @@ def test_a_document_that_breaks_its_schema_is_not_signed(keymint, provisioned: P
     assert snapshot(provisioned / "install") == before
 
 
+def test_nobody_is_told_to_create_what_is_as_the_policy_says(keymint, provisioned: Path, policy: Path) -> None:
+    defaults = provisioned / "profile/package.defaults/permissions.xml"
+    text = defaults.read_text()
+    defaults.write_text(text.replace("<not_after>", "<!-- longer --><not_after>"))
+    policy.write_text(f"{policy.read_text()}<!-- reviewed -->")
+    copy = shutil.copytree(provisioned, provisioned.parent / "copy", symlinks=True)
+    for workspace in (provisioned, copy):
+        for words in (["build"], ["install"]):
+            outcome = keymint(*words, cwd=workspace)
+            assert (outcome.code, outcome.err) == (0, "")
+
+
+def test_a_subject_that_the_policy_names_since_is_told(keymint, provisioned: Path, policy: Path) -> None:
+    more = "<profile name='new'><attachment>/new</attachment></profile></profiles>"
+    policy.write_text(policy.read_text().replace("</profiles>", more))
+    outcome = keymint("build", cwd=provisioned)
+    assert "it says something else of 1 package: /new (run 'keymint create --all')" in outcome.err
+    policy.write_text("<profiles>")
+    outcome = keymint("build", cwd=provisioned)
+    assert "the policy changed since the packages were made from it, and cannot be read: " in outcome.err
+    assert outcome.err.count("\n") == 1
+
+
+def test_what_all_packages_owe_to_the_defaults_is_said_once(keymint, provisioned: Path) -> None:
+    defaults = provisioned / "profile/package.defaults"
+    identities = defaults / "identities.xml"
+    identities.write_text(re.sub("<not_after>[^<]*", "<not_after>2070-01-01T00:00:00", identities.read_text()))
+    governance = defaults / "governance.xml"
+    governance.write_text(governance.read_text().replace("<topic_expression>*", "<topic_expression>x"))
+    said = keymint("build", cwd=provisioned).err
+    governance.write_text(governance.read_text().replace("SIGN<", "ENCRYPT<"))
+    said += keymint("install", "--no-prove", cwd=provisioned).err
+    lines = said.splitlines()
+    for text in ("no topic rule matches every topic", "is cut to its issuer's", "is stale; signing the existing build"):
+        (line,) = [line for line in lines if text in line]
+        assert "[2 packages]" in line
+    assert all("[2 packages]" in line for line in lines)
+    assert "package.defaults/governance.xml:18: warning: no topic rule" in said
+    assert "package.defaults/identities.xml:10: warning: the validity of the certificate" in said
+
+
+def test_an_open_governance_of_all_is_refused_once_at_the_unsigned_document(keymint, provisioned: Path) -> None:
+    governance = provisioned / "profile/package.defaults/governance.xml"
+    governance.write_text(governance.read_text().replace("write_access_control>true", "write_access_control>false"))
+    keymint("build", cwd=provisioned)
+    outcome = keymint("install", "--json", cwd=provisioned)
+    assert outcome.code == 3
+    (found,) = [each for each in json.loads(outcome.out)["diagnostics"] if each["code"] == "counterexample"]
+    assert "[2 packages]" in found["message"]
+    assert found["file"] == "build/robot1/listener/governance.xml"
+    lines = (provisioned / found["file"]).read_text().splitlines()
+    assert "<topic_rule>" in lines[found["line"] - 1]
+    assert f"{found['file']}:{found['line']}: enable_write_access_control is false" in found["message"]
+
+
 def test_sources_and_policy_that_changed_are_said(keymint, provisioned: Path, policy: Path) -> None:
     policy.write_text(policy.read_text().replace("/chatter", "/other"))
     for words in (["build"], ["install"], ["install", "--no-prove"]):
         outcome = keymint(*words, cwd=provisioned)
-        assert "the policy, or the profile, changed since the packages were made from it" in outcome.err
+        assert (
+            "the policy changed since the packages were made from it; it says something else of 2 packages"
+            in outcome.err
+        )
+        assert "packages: /robot1/listener, /talker (run 'keymint create --all')" in outcome.err
     keymint("create", "--all", cwd=provisioned)
     outcome = keymint("install", "--no-prove", cwd=provisioned)
-    assert "build/talker: warning: is stale; signing the existing build" in outcome.err
+    assert "build/robot1/listener: warning: is stale; signing the existing build [2 packages]" in outcome.err
     keymint("build", cwd=provisioned)
     outcome = keymint("install", cwd=provisioned)
     assert (outcome.code, outcome.err) == (0, "")
