@@ -12,6 +12,7 @@ from datetime import UTC, datetime
 from functools import lru_cache
 
 from cryptography import x509
+from cryptography.exceptions import UnsupportedAlgorithm
 
 from keymint.api import Anchor, Anchors
 from keymint.errors import Diagnostic, KeymintError, Origin, Severity
@@ -32,6 +33,8 @@ IN_PLACE_OF = {f"{name.removesuffix('.pem')}.p11": name for name in (IDENTITY_CA
 
 Source: ``get_security_files`` in ``security.cpp`` of rmw_dds_common, from Jazzy on, as rmw_fastrtps calls it.
 """
+CRL = "crl.pem"
+"""The revocation list of an enclave, which Keymint does not write, and ROS 2 takes from Humble on where it is there."""
 _ANY_TIME = datetime(2000, 1, 1, tzinfo=UTC)
 _TIMES = frozenset(("certificate-expired", "certificate-not-yet-valid"))
 """What a certificate is at a time is not a matter of whom it rests on."""
@@ -68,6 +71,7 @@ class _Enclave:
 
     def found(self) -> Iterator[Diagnostic]:
         yield from self._in_place_of()
+        yield from self._revocations()
         yield from self._authorities()
         yield from self._identity()
         yield from self._signed(PERMISSIONS_P7S)
@@ -96,6 +100,16 @@ class _Enclave:
         for name in sorted(self._files.keys() & IN_PLACE_OF.keys()):
             message = f"is read in place of {IN_PLACE_OF[name]} by ROS 2 from Jazzy on: what it refers to is not known"
             yield self._error("file-replaced", name, message, "remove it")
+
+    def _revocations(self) -> Iterator[Diagnostic]:
+        """Look at a revocation list: vendors refuse the participant if it is not the authority's, or revokes it."""
+        pem = self._files.get(CRL)
+        if pem is None:
+            return
+        problem = _problem_of(pem, self._files.get(CERTIFICATE, b""), self._anchors.identity.chain)
+        if problem:
+            help_ = f"remove it, or write a list of the authority {self._anchors.identity.name!r}"
+            yield self._error("revocation-list", CRL, problem, help_)
 
     def _authorities(self) -> Iterator[Diagnostic]:
         """Compare the authorities that the enclave trusts, also those that its layout does not have."""
@@ -151,6 +165,22 @@ class _Enclave:
         for each in found:
             line = each.where.line if each.where else 0
             yield replace(each, where=Origin(f"{self._folder}/{name}", line))
+
+
+def _problem_of(pem: bytes, identity: bytes, chain: bytes) -> str:
+    """Return what is wrong with a revocation list for a certificate and the authority that issued it, or nothing."""
+    try:
+        found = x509.load_pem_x509_crl(pem)
+        revoked = found.get_revoked_certificate_by_serial_number(certificates.load(identity).serial_number)
+        authority = certificates.load_bundle(chain)[0]
+        public = certificates.public_key(authority)
+        if found.issuer != authority.subject or not found.is_signature_valid(public):
+            return "is not a revocation list of the authority that issued the certificate: no participant is let in"
+    except (ValueError, TypeError, UnsupportedAlgorithm):
+        return "is not a revocation list in PEM: vendors refuse the participant"
+    except KeymintError:
+        return ""  # a certificate that cannot be read is a finding of its own
+    return "" if revoked is None else "revokes the certificate beside it"
 
 
 # As a rule all enclaves have the same governance.

@@ -3,16 +3,19 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from datetime import timedelta
 from itertools import chain, combinations
 
 import pytest
+from cryptography import x509
+from cryptography.hazmat.primitives import hashes, serialization
 from keymint_ros2_dds import build_type
 from keymint_ros2_dds.proving import prove
 
 from keymint.api import KeySpec, Obligation, Proof
 from keymint.errors import KeymintError
-from keymint.pki import keys
-from tests.plugins.keymint_ros2_dds.enclaves import anchors, authority, installed
+from keymint.pki import certificates, keys
+from tests.plugins.keymint_ros2_dds.enclaves import NOW, anchors, authority, installed
 from tests.plugins.keymint_ros2_dds.packages import package, rule
 
 PLAIN = package(rule("ALLOW", "ros_topic", "ros_publish", "/chatter"))
@@ -116,3 +119,31 @@ def test_the_flat_layout_has_one_authority():
 def test_a_file_that_ros_2_reads_in_place_of_another_one(name):
     """rmw_dds_common from Jazzy on prefers ``*.p11`` to ``*.pem``; what is in the token is not known."""
     assert refused({**OURS, f"{name}.p11": b"pkcs11:object=other;type=cert"}) == {("file-replaced", f"{name}.p11")}
+
+
+def revoking(issuer: str, serial: int) -> bytes:
+    """Return a revocation list of an authority with one certificate."""
+    ca = authority(issuer)
+    entry = x509.RevokedCertificateBuilder().serial_number(serial).revocation_date(NOW).build()
+    made = x509.CertificateRevocationListBuilder().issuer_name(ca.certificate.subject).last_update(NOW)
+    made = made.next_update(NOW + timedelta(days=30)).add_revoked_certificate(entry)
+    return made.sign(ca.key, hashes.SHA256()).public_bytes(serialization.Encoding.PEM)
+
+
+@pytest.mark.parametrize(
+    "made",
+    [
+        lambda _own: b"garbage",
+        lambda _own: authority("identity_ca").pem,
+        lambda _own: revoking("stranger", 7),
+        lambda own: revoking("identity_ca", own),
+    ],
+    ids=["garbage", "a certificate", "a stranger's", "revokes the identity"],
+)
+def test_a_revocation_list_for_which_vendors_refuse_the_participant(made):
+    own = certificates.load(OURS["cert.pem"]).serial_number
+    assert refused({**OURS, "crl.pem": made(own)}) == {("revocation-list", "crl.pem")}
+
+
+def test_a_revocation_list_of_others_takes_nothing_from_the_enclave():
+    assert {claim.proof for claim in claims({**OURS, "crl.pem": revoking("identity_ca", 7)})} == {Proof.PROVEN}
