@@ -28,10 +28,12 @@ class Reach:
     Attributes:
         subjects: patterns that together match them.
         left: expressions of the profiles that are not yet in the patterns, which match too much then.
+        exact: patterns that match no other subjects, though they are many; empty if they are too many.
     """
 
     subjects: tuple[Glob, ...]
-    left: _Profiles = ()
+    left: _Profiles
+    exact: tuple[Glob, ...]
 
     @property
     def conditions(self) -> tuple[Condition, ...]:
@@ -65,7 +67,8 @@ class Spoken:
 
     def entry(self) -> Entry:
         """Return it as part of a condition."""
-        return Entry(tuple(pair for one in self.reach.subjects for pair in pairs(one)), self.object)
+        subjects = self.reach.exact or self.reach.subjects
+        return Entry(tuple(pair for one in subjects for pair in pairs(one)), self.object)
 
 
 class Book:
@@ -102,7 +105,7 @@ class Book:
 
     def surely(self, key: Key, effect: Effect, subjects: Glob) -> tuple[Entry, ...]:
         """Return what rules of an effect say that may be about some subjects; where that is too complex, less."""
-        return tuple(one.entry() for one in self._about(key, effect, subjects) if not one.reach.left)
+        return tuple(one.entry() for one in self._about(key, effect, subjects) if one.reach.exact)
 
     def perhaps(self, key: Key, effect: Effect, subjects: Glob) -> tuple[Entry, ...]:
         """Return what rules of an effect say that may be about some subjects; where that is too complex, more."""
@@ -147,16 +150,19 @@ class _Near:
 
 def reach(profiles: _Profiles) -> tuple[Reach, tuple[str, ...]]:
     """Return the subjects that nested profiles match by a pattern, and those that they match each by itself."""
+    exact: tuple[Glob, ...] = ()
     for depth in range(len(profiles), 0, -1):
         try:
             found = reached(profiles[:depth])
         except TooComplexError:
             continue
+        if depth == len(profiles):
+            exact = found
         if depth > 1 and len(found) > max(_MOST_PIECES, *map(len, profiles)):
             continue
         singles = tuple(name for one in found if (name := literal(one)) is not None)
-        return Reach(tuple(one for one in found if literal(one) is None), profiles[depth:]), singles
-    return Reach((EVERY,), profiles), ()
+        return Reach(tuple(one for one in found if literal(one) is None), profiles[depth:], exact), singles
+    return Reach((EVERY,), profiles, ()), ()
 
 
 def _head(pattern: Glob) -> str:
