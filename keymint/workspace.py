@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import os
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from pathlib import Path
 
-from keymint.errors import ExitCode, KeymintError
+from keymint.errors import ExitCode, KeymintError, Origin
 from keymint.names import RESERVED, package_name
 from keymint.tree import Tree
 
@@ -154,7 +154,11 @@ def _packages(tree: Tree, folder: Path, name: str) -> Iterator[str]:
     if entries.get(IGNORE_MARKER) is False and tree.has_file(folder / IGNORE_MARKER):
         return
     if name and entries.get(PACKAGE_MARKER) is False:
-        yield package_name(name)
+        try:
+            yield package_name(name)
+        except KeymintError as error:
+            where = Origin(str(folder))
+            raise KeymintError.of([replace(found, where=where) for found in error.diagnostics]) from None
     for entry, is_folder in entries.items():
         if is_folder and not entry.startswith(".") and not entry.endswith(".defaults"):
             yield from _packages(tree, folder / entry, f"{name}/{entry}" if name else entry)

@@ -20,12 +20,11 @@ def shared(inputs: Inputs, loaded: LoadedProfile) -> Iterator[Diagnostic]:
     enclaves = {workspace.enclaves(layout) / name for name in installed(inputs, loaded)}
     expected: dict[str, bytes] = {}
     known = set(packages(inputs.tree, workspace.src))
+    names = {str(folder.relative_to(workspace.enclaves(layout))): folder for folder in enclaves}
     artifacts = {
-        f"/{folder.relative_to(workspace.enclaves(layout))}": {
-            name: Artifact(content) for name, content in enclave_files(inputs, folder, "")[0].items()
-        }
-        for folder in enclaves
-        if str(folder.relative_to(workspace.enclaves(layout))) in known
+        f"/{name}": {file: Artifact(content) for file, content in enclave_files(inputs, folder, "")[0].items()}
+        for name, folder in names.items()
+        if name in known or known.isdisjoint(names)  # where all are hidden or orphaned, they still need what they share
     }
     for info in inputs.plugins.infos:
         if info.group == "keymint.build_types" and artifacts:
@@ -39,7 +38,7 @@ def shared(inputs: Inputs, loaded: LoadedProfile) -> Iterator[Diagnostic]:
             yield Diagnostic(
                 "file-unexpected",
                 Severity.WARNING,
-                "is in the install space, but Keymint did not put it there",
+                "is in the install space, but belongs to no enclave",
                 Origin(workspace.shown(path)),
                 "remove it",
             )

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import re
+import textwrap
 from collections import defaultdict
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
@@ -88,7 +89,9 @@ def draw(labelled: Labelled, options: Options, embedding: Embedding | None) -> s
     placed, sheet_width, sheet_height = _placed(panels, max(width, _SHEET) if len(panels) > 1 else width)
     width = max(sheet_width, _LEAST_WIDTH)
     samples, legend_height = flowed(samples, width)
-    top = MARGIN + 2 * LINE
+    subtitle = _subtitle(labelled, options, drawn)
+    subtitles = textwrap.wrap(subtitle, int(width / CHARACTER), break_long_words=False, break_on_hyphens=False)
+    top = MARGIN + (1 + len(subtitles)) * LINE
     legend_top = top + 4
     panel_top = legend_top + legend_height + 18
     left = MARGIN + (max(0.0, width - sheet_width) / 2)
@@ -98,7 +101,8 @@ def draw(labelled: Labelled, options: Options, embedding: Embedding | None) -> s
         .render(
             title=printable(labelled.title),
             heading=shorten(printable(labelled.title), int(width / (CHARACTER * 15 / 12))),
-            subtitle=_subtitle(labelled, options, drawn),
+            subtitle=subtitle,
+            subtitles=[(text, MARGIN + 34 + at * LINE) for at, text in enumerate(subtitles)],
             style=None if embedding else style_sheet(options.theme),
             standalone=embedding is None,
             width=_number(width + 2 * MARGIN),

@@ -43,6 +43,24 @@ class TestNoPackage:
                 assert keymint(*words, cwd=ws).code == 0
         assert keymint("check", cwd=ws).code == 0
 
+    @pytest.mark.parametrize("how", ["all hidden", "all removed"])
+    def test_nobody_is_told_to_remove_what_enclaves_share(self, keymint, ws: Path, how: str) -> None:
+        if how == "all hidden":
+            (ws / "src/KEYMINT_IGNORE").touch()
+        else:
+            sources(ws)
+        stray = ws / "install/public/stray.pem"
+        stray.write_bytes(b"stray")
+        found = keymint("check", "--json", cwd=ws).document["diagnostics"]
+        assert [each["file"] for each in found if each["code"] == "file-unexpected"] == ["install/public/stray.pem"]
+
+    @pytest.mark.parametrize("verb", ["check", "status", "build", "install", "prove"])
+    def test_an_illegal_name_is_reported_with_its_folder(self, keymint, ws: Path, verb: str) -> None:
+        shutil.copytree(ws / "src/talker", ws / "src/two words")
+        outcome = keymint(verb, cwd=ws)
+        assert outcome.code == 1
+        assert outcome.err.startswith("src/two words: error: 'two words' is not a legal name")
+
     @pytest.mark.parametrize("verb", ["check", "prove"])
     def test_one_that_is_missing_is_noted(self, keymint, ws: Path, verb: str) -> None:
         policy = ws.parent / "policy.xml"

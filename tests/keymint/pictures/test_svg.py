@@ -284,3 +284,21 @@ def test_contrast(palette: dict[str, str]) -> None:
 
 def test_hostile_is_hostile() -> None:
     assert {"<", ">", '"', "'", "&", "\x01", "\u202e"} <= set(HOSTILE)
+
+
+def test_what_is_said_below_the_title_is_never_cut_off() -> None:
+    """A line of monospaced text fits into the picture's width, and the legend begins below the last one."""
+    said = "a_transport_of_a_long_name_that_has_to_be_said_as_well"
+    edges = [
+        labelled(f"/robot{robot}/node{node}", "ros_publish", f"/robot{robot}/topic{node}", ALLOWED, ALLOWED)
+        for robot in range(6)
+        for node in range(10)
+    ]
+    root = tree(svg(Labelled.of("t", edges, transports=[said])))
+    width, margin = float(root.get("width")), 24.0
+    lines = root.xpath("/s:svg/s:text[@class='muted']", namespaces=NS)
+    assert len(lines) > 1
+    assert " ".join(line.text for line in lines) == root.findtext("s:desc", namespaces=NS)
+    assert all(margin + len(line.text) * 7.3 <= width for line in lines)
+    (at,) = root.xpath("/s:svg/s:g[@class='legend']/@transform", namespaces=NS)
+    assert float(at.rstrip(")").split()[1]) > max(float(line.get("y")) for line in lines)
