@@ -138,7 +138,7 @@ class Term:
     """When something holds without which an enclave is permitted nothing: a certificate, or its grants.
 
     Attributes:
-        code: ``certificate``, ``authority`` or ``grant``.
+        code: ``certificate``, ``authority``, ``grant`` or ``revocation-list``.
         what: the same in words, with its name.
         where: its place.
         periods: when it holds, both ends included; sorted, and apart from each other. None at all is never.

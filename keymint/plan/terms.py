@@ -11,6 +11,7 @@ from keymint.api import Term
 from keymint.errors import Diagnostic, Origin, Severity
 
 _HELP = "extend its validity in the sources, then run 'keymint build' and 'keymint install'"
+_HELP_BY_CODE = {"revocation-list": "write a current one, or remove it"}
 
 
 def shown(moment: datetime) -> str:
@@ -49,7 +50,9 @@ def findings(terms: Sequence[Term], now: datetime, subject: str) -> Iterator[Dia
         else:
             code, message = "never-valid", "is never valid"
         text = f"{term.what} {message}{reading}; now is {shown(now)}, and nothing is permitted"
-        yield Diagnostic(f"{term.code}-{code}", Severity.ERROR, text, term.where, _HELP, subject)
+        yield Diagnostic(
+            f"{term.code}-{code}", Severity.ERROR, text, term.where, _HELP_BY_CODE.get(term.code, _HELP), subject
+        )
 
 
 def together(found: Iterable[Diagnostic]) -> Iterator[Diagnostic]:

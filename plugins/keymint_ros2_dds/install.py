@@ -16,6 +16,8 @@ GOVERNANCE_P7S = f"{GOVERNANCE}.p7s"
 PERMISSIONS_P7S = f"{PERMISSIONS}.p7s"
 CERTIFICATE, KEY = "cert.pem", "key.pem"
 CA, IDENTITY_CA, PERMISSIONS_CA = "ca.cert.pem", "identity_ca.cert.pem", "permissions_ca.cert.pem"
+CRL = "crl.pem"
+"""The revocation list of an enclave, which Keymint does not write, and ROS 2 takes from Humble on where it is there."""
 
 FILES: Mapping[str, tuple[str, ...]] = {
     "sros2": (IDENTITY_CA, PERMISSIONS_CA, CERTIFICATE, KEY, GOVERNANCE_P7S, PERMISSIONS_P7S, PERMISSIONS_XML),

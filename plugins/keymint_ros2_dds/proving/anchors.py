@@ -20,6 +20,7 @@ from keymint.pki import certificates, keys, names, smime, verify
 from keymint_ros2_dds.install import (
     CA,
     CERTIFICATE,
+    CRL,
     FILES,
     GOVERNANCE_P7S,
     IDENTITY_CA,
@@ -33,8 +34,6 @@ IN_PLACE_OF = {f"{name.removesuffix('.pem')}.p11": name for name in (IDENTITY_CA
 
 Source: ``get_security_files`` in ``security.cpp`` of rmw_dds_common, from Jazzy on, as rmw_fastrtps calls it.
 """
-CRL = "crl.pem"
-"""The revocation list of an enclave, which Keymint does not write, and ROS 2 takes from Humble on where it is there."""
 _ANY_TIME = datetime(2000, 1, 1, tzinfo=UTC)
 _TIMES = frozenset(("certificate-expired", "certificate-not-yet-valid"))
 """What a certificate is at a time is not a matter of whom it rests on."""

@@ -147,3 +147,13 @@ def test_a_revocation_list_for_which_vendors_refuse_the_participant(made):
 
 def test_a_revocation_list_of_others_takes_nothing_from_the_enclave():
     assert {claim.proof for claim in claims({**OURS, "crl.pem": revoking("identity_ca", 7)})} == {Proof.PROVEN}
+
+
+def test_a_revocation_list_is_in_force_for_a_time():
+    """Cyclone DDS and Fast DDS refuse the participant when the list has expired."""
+    files = {**OURS, "crl.pem": revoking("identity_ca", 7)}
+    terms = build_type.terms(files, "install/talker", anchors(PLAIN))
+    found = [term for term in terms if term.where.file == "install/talker/crl.pem"]
+    assert [(term.code, term.periods) for term in found] == [
+        ("revocation-list", ((NOW, NOW + timedelta(days=30)),)),
+    ]
