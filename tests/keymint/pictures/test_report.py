@@ -36,6 +36,17 @@ def test_what_a_subject_may_do_and_why() -> None:
     assert row.xpath(".//a[text()='policy.xml:3']/@href") == ["#f0-3"]
 
 
+def test_what_is_allowed_against_the_policy_looks_dangerous_in_every_table() -> None:
+    document = page(one_of_each())
+    found = [
+        one for one in document.xpath("//span[contains(., 'allowed')]") if "against the policy" in one.text_content()
+    ]
+    assert found
+    for one in found:
+        assert "yes" not in one.get("class").split()
+        assert one.text_content().startswith("⚠ allowed")
+
+
 def test_every_link_has_its_place() -> None:
     for graph in (one_of_each(), hostile()):
         document = page(graph)
