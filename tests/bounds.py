@@ -1,0 +1,105 @@
+"""Policies through all stages, with the steps that each takes. In full: ``python benchmarks/bounds.py``."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from datetime import UTC, datetime
+from pathlib import Path
+
+from keymint.algebra.diff import diff
+from keymint.algebra.lint import lint
+from keymint.algebra.portable import package_of
+from keymint.algebra.subjects import rules_of
+from keymint.api import BuildOptions, LoadedPolicy, PolicySource
+from keymint.errors import KeymintError, Origin
+from keymint.keymake.effort import limited
+from keymint.plugins import Plugins
+
+COMPILE = 17_000_000
+"""Most steps of compiling a subject: two orders of its rules, and the proofs of its document, and a little."""
+REFUSED = ("portability-effort",)
+TOO_MANY = ("in too many ways", "too hard to find out")
+NOW = datetime(2026, 1, 1, tzinfo=UTC)
+
+
+@dataclass
+class Tally:
+    """What was counted."""
+
+    policies: int = 0
+    subjects: int = 0
+    most: dict[str, tuple[int, str]] = field(default_factory=dict)
+    refused: list[str] = field(default_factory=list)
+    unproven: list[str] = field(default_factory=list)
+    unknown: list[str] = field(default_factory=list)
+    unportable: int = 0
+
+    def count(self, stage: str, steps: int, name: str) -> None:
+        """Note the steps of a stage."""
+        self.most[stage] = max(self.most.get(stage, (0, "")), (steps, name))
+
+
+class Sweep:
+    """Runs policies through all stages.
+
+    Args:
+        folder: where policies are written.
+    """
+
+    def __init__(self, folder: Path) -> None:
+        self._folder = folder
+        plugins = Plugins()
+        self._policies = plugins.policy_type("keymint_ros2_comarmor")
+        self._compiler = plugins.build_type("keymint_ros2_dds")
+        self.tally = Tally()
+
+    def load(self, text: str) -> LoadedPolicy:
+        """Return the policy of a text."""
+        path = self._folder / "policy.xml"
+        path.write_text(text)
+        return self._policies.load([PolicySource("policy", path, Origin("policy.xml"))], None)
+
+    def run(self, name: str, text: str, other: str = "") -> None:
+        """Run one policy, and the comparison with another one."""
+        self.tally.policies += 1
+        policy = self.load(text)
+        self._asked("lint", name, lambda: self._linted(name, policy))
+        if other:
+            changed = self.load(other)
+            self._asked("diff", name, lambda: diff(policy, changed))
+        for subject in policy.subjects():
+            self.tally.subjects += 1
+            self._asked("compile", name, lambda subject=subject: self._compiled(name, policy, subject))
+
+    def _asked(self, stage: str, name: str, ask: Callable[[], object]) -> None:
+        with limited(None) as effort:
+            ask()
+        self.tally.count(stage, effort.spent, name)
+
+    def _linted(self, name: str, policy: LoadedPolicy) -> None:
+        if any(each.code == "lint-unknown" for each in lint(policy)):
+            self.tally.unknown.append(name)
+
+    def _compiled(self, name: str, policy: LoadedPolicy, subject: str) -> None:
+        package = package_of("keymint_ros2_dds", "humble", subject, rules_of(policy, subject), NOW)
+        try:
+            found = self._compiler.build(package, BuildOptions()).diagnostics
+        except KeymintError as error:
+            hard = [
+                each
+                for each in error.diagnostics
+                if each.code in REFUSED or any(text in each.message for text in TOO_MANY)
+            ]
+            if not hard:
+                self.tally.unportable += 1
+            elif name not in self.tally.refused:
+                self.tally.refused.append(name)
+        else:
+            if any(each.code == "compile-unproven" for each in found):
+                self.tally.unproven.append(f"{name} {subject}")
+
+
+def changed(text: str) -> str:
+    """Return a policy with one edit: the first rule that allows denies."""
+    return text.replace('qualifier="ALLOW"', 'qualifier="DENY"', 1)
