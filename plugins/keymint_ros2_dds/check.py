@@ -11,10 +11,10 @@ from lxml import etree
 from keymint.api import DomainRange, Inspection
 from keymint.errors import Diagnostic, KeymintError, Origin, Severity
 from keymint.pki import certificates, keys, names, smime, verify
-from keymint_ros2_dds import check_governance, document, limits
+from keymint_ros2_dds import check_governance, document, limits, revocation
 from keymint_ros2_dds.compiling.emission import means_the_same
 from keymint_ros2_dds.document import GOVERNANCE, PERMISSIONS, PERMISSIONS_XML
-from keymint_ros2_dds.install import CA, CERTIFICATE, FILES, IDENTITY_CA, KEY, PERMISSIONS_CA
+from keymint_ros2_dds.install import CA, CERTIFICATE, CRL, FILES, IDENTITY_CA, KEY, PERMISSIONS_CA
 
 SLACK = timedelta(days=1)
 """Fast DDS reads dates in the host's time zone; so a period must reach a day beyond the time it is needed for."""
@@ -36,6 +36,7 @@ class _Enclave:
     def findings(self) -> Iterator[Diagnostic]:
         yield from self._inventory()
         yield from self._identity()
+        yield from self._revocations()
         yield from self._authorities()
         permissions = yield from self._signed(PERMISSIONS)
         governance = yield from self._signed(GOVERNANCE)
@@ -72,9 +73,19 @@ class _Enclave:
         for name in self._names:
             if name not in self._files:
                 yield self._error("file-missing", name, "is missing", self._again)
-        for name in sorted(self._files.keys() - set(self._names)):
+        for name in sorted(self._files.keys() - {*self._names, CRL}):
             message = f"does not belong to the layout {self._seen.layout!r}"
             yield self._warning("file-unexpected", name, message, "remove it")
+
+    def _revocations(self) -> Iterator[Diagnostic]:
+        """Judge the revocation list, which is the user's to put there."""
+        pem = self._files.get(CRL)
+        if pem is None:
+            return
+        if problem := revocation.problem(pem, self._files.get(CERTIFICATE, b""), self._seen.identity_ca):
+            yield self._error("revocation-list", CRL, problem, "put a sound list there, or remove it")
+        elif held := revocation.period(pem):
+            yield from self._validity("revocation list", CRL, *held, slack=timedelta(0))
 
     def _identity(self) -> Iterator[Diagnostic]:
         pem = self._files.get(CERTIFICATE)
@@ -228,20 +239,23 @@ class _Enclave:
         self, what: str, name: str, begin: datetime, end: datetime, *, slack: timedelta
     ) -> Iterator[Diagnostic]:
         now = self._seen.now
-        renew = "extend its validity in the sources, then build and install"
+        code = what.replace(" ", "-")
+        renew = (
+            "extend its validity in the sources, then build and install" if name != CRL else "put a newer list there"
+        )
         if now >= end:
-            yield self._error(f"{what}-expired", name, f"the {what} expired on {_shown(end)}", renew)
+            yield self._error(f"{code}-expired", name, f"the {what} expired on {_shown(end)}", renew)
         elif now <= begin:
             message = f"the {what} is not valid before {_shown(begin)}"
-            yield self._error(f"{what}-not-yet-valid", name, message, renew)
+            yield self._error(f"{code}-not-yet-valid", name, message, renew)
         elif now + timedelta(days=self._seen.within_days) >= end:
-            yield self._warning(f"{what}-expires", name, f"the {what} expires on {_shown(end)}", renew)
+            yield self._warning(f"{code}-expires", name, f"the {what} expires on {_shown(end)}", renew)
         elif now + slack >= end or now - slack < begin:
             message = (
                 f"the {what} is valid from {_shown(begin)} to {_shown(end)}, which is within a day of now: Fast DDS "
                 "reads these dates in its host's time zone"
             )
-            yield self._warning(f"{what}-slack", name, message, renew)
+            yield self._warning(f"{code}-slack", name, message, renew)
 
     def _domains(self, permissions: etree._Element, governance: etree._Element) -> Iterator[Diagnostic]:
         known = [item for element in governance.iter("domains") for item in _ranges(element)]

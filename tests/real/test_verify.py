@@ -64,3 +64,18 @@ def test_an_expired_grant_refuses_the_whole_enclave(keymint, tmp_path: Path, tra
     assert {each["edge"]["subject"] for each in found["findings"]} == {"/talker"}
     assert found["confusion"]["false_positive"] == 0
     assert all("expired" in each["transport"]["reason"] for each in found["findings"])
+
+
+def test_participants_without_the_password_are_not_asked(keymint, tmp_path: Path, fastdds: object) -> None:
+    """Fast DDS refuses the participant, which is no denial of the enclave."""
+    keymint("init", "ws", "--policy", CHECKOUT / "examples/talker_listener")
+    defaults = tmp_path / "ws/profile/package.defaults/identities.xml"
+    text = defaults.read_text().replace("NoEncryption", "BestAvailableEncryption")
+    defaults.write_text(text.replace("<password_env></password_env>", "<password_env>NODE_PASSWORD</password_env>"))
+    env = {"NODE_PASSWORD": "secret word"}
+    for verb in (("create", "--all"), ("build",), ("install",)):
+        assert keymint(*verb, "-w", "ws", env=env).code == 0
+    outcome = keymint("verify", "-w", "ws", "-t", "fastdds", env=env)
+    assert outcome.code == 1
+    assert "error: the private key of /listener is encrypted" in outcome.err
+    assert keymint("verify", "-w", "ws", "-t", "fastdds-2.9", env=env).code == 0

@@ -12,11 +12,11 @@ from datetime import UTC, datetime
 from functools import lru_cache
 
 from cryptography import x509
-from cryptography.exceptions import UnsupportedAlgorithm
 
 from keymint.api import Anchor, Anchors
 from keymint.errors import Diagnostic, KeymintError, Origin, Severity
 from keymint.pki import certificates, keys, names, smime, verify
+from keymint_ros2_dds import revocation
 from keymint_ros2_dds.install import (
     CA,
     CERTIFICATE,
@@ -105,7 +105,7 @@ class _Enclave:
         pem = self._files.get(CRL)
         if pem is None:
             return
-        problem = _problem_of(pem, self._files.get(CERTIFICATE, b""), self._anchors.identity.chain)
+        problem = revocation.problem(pem, self._files.get(CERTIFICATE, b""), self._anchors.identity.chain)
         if problem:
             help_ = f"remove it, or write a list of the authority {self._anchors.identity.name!r}"
             yield self._error("revocation-list", CRL, problem, help_)
@@ -164,22 +164,6 @@ class _Enclave:
         for each in found:
             line = each.where.line if each.where else 0
             yield replace(each, where=Origin(f"{self._folder}/{name}", line))
-
-
-def _problem_of(pem: bytes, identity: bytes, chain: bytes) -> str:
-    """Return what is wrong with a revocation list for a certificate and the authority that issued it, or nothing."""
-    try:
-        found = x509.load_pem_x509_crl(pem)
-        revoked = found.get_revoked_certificate_by_serial_number(certificates.load(identity).serial_number)
-        authority = certificates.load_bundle(chain)[0]
-        public = certificates.public_key(authority)
-        if found.issuer != authority.subject or not found.is_signature_valid(public):
-            return "is not a revocation list of the authority that issued the certificate: no participant is let in"
-    except (ValueError, TypeError, UnsupportedAlgorithm):
-        return "is not a revocation list in PEM: vendors refuse the participant"
-    except KeymintError:
-        return ""  # a certificate that cannot be read is a finding of its own
-    return "" if revoked is None else "revokes the certificate beside it"
 
 
 # As a rule all enclaves have the same governance.

@@ -7,11 +7,10 @@ from dataclasses import replace
 from datetime import UTC, datetime, timedelta
 from functools import cache, lru_cache
 
-from cryptography import x509
-
 from keymint.api import Term
 from keymint.errors import KeymintError, Origin
 from keymint.pki import certificates, names
+from keymint_ros2_dds import revocation
 from keymint_ros2_dds.decision import VARIATIONS, PermissionsDocument
 from keymint_ros2_dds.decision.document import Grant
 from keymint_ros2_dds.decision.semantics import Semantics
@@ -38,17 +37,8 @@ def of_certificates(files: Mapping[str, bytes], folder: str) -> Iterator[Term]:
                 raise KeymintError.of([replace(each, where=where) for each in error.diagnostics]) from None
             for subject, period in found:
                 yield Term(code, f"the certificate of {subject!r}", where, (period,))
-    if CRL in files and (listed := _of_revocations(files[CRL])):
+    if CRL in files and (listed := revocation.period(files[CRL])):
         yield Term("revocation-list", "the revocation list", Origin(f"{folder}/{CRL}"), (listed,))
-
-
-def _of_revocations(pem: bytes) -> Period | None:
-    """Return when a revocation list holds: vendors let nobody in with another one. One that is none is no term."""
-    try:
-        found = x509.load_pem_x509_crl(pem)
-    except ValueError:
-        return None
-    return found.last_update_utc, found.next_update_utc or _LAST
 
 
 # As a rule all enclaves have the same authorities.

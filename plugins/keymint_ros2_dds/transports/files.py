@@ -11,9 +11,9 @@ from cryptography import x509
 from keymint.api import Enclave
 from keymint.errors import KeymintError, Origin
 from keymint.pki import certificates, mime, names
-from keymint_ros2_dds.install import CA, IDENTITY_CA, PERMISSIONS_CA
+from keymint_ros2_dds.install import CA, IDENTITY_CA, KEY, PERMISSIONS_CA
 
-__all__ = ["authority", "by_subject", "content", "raise_if_unread", "subject_name"]
+__all__ = ["authority", "by_subject", "content", "raise_if_unread", "refuse_encrypted_key", "subject_name"]
 
 
 def by_subject(enclaves: Sequence[Enclave]) -> Mapping[str, Enclave]:
@@ -59,6 +59,20 @@ def subject_name(certificate: bytes, where: Origin) -> str:
         return names.render(loaded.subject)
     except KeymintError:  # not portable, which is for ``keymint check`` to say
         return loaded.subject.rfc4514_string()
+
+
+def refuse_encrypted_key(enclave: Enclave) -> None:
+    """Refuse to ask a participant about an enclave whose private key is encrypted: nobody gives it the password.
+
+    Raises:
+        KeymintError: the key is encrypted.
+    """
+    if (enclave.folder / KEY).is_file() and b"ENCRYPTED" in content(enclave.folder, KEY):
+        raise KeymintError(
+            f"the private key of {enclave.subject} is encrypted, and the participants that are asked get no password",
+            help="ask transports that need no key: -t omg -t cyclonedds-0.10 -t fastdds-2.9",
+            code="key-encrypted",
+        )
 
 
 def raise_if_unread(error: KeymintError, folder: Path) -> None:

@@ -11,6 +11,7 @@ from keymint.errors import KeymintError
 from keymint.graph import Edge
 from keymint_ros2_dds.decision import Variation
 from keymint_ros2_dds.endpoints import endpoints
+from keymint_ros2_dds.transports import files
 from keymint_ros2_dds.transports.simulated import Court, Courts
 from keymint_ros2_dds.vendors.participants import Direction, Participant, ProbeError, RefusedError, System, Vendor
 
@@ -68,6 +69,7 @@ def admission(
     """
     for (subject, domain), group in groupby(edges, key=lambda edge: (edge.subject, edge.domain)):
         enclave, court = courts.enclave(subject), courts.of(subject, domain)
+        files.refuse_encrypted_key(enclave)
         try:
             with System(vendor) as system:
                 try:

@@ -11,7 +11,7 @@ from keymint.api import Enclave, Surroundings, Tier, Usable, Verdict
 from keymint.errors import KeymintError
 from keymint.graph import Edge
 from keymint_ros2_dds.decision import Variation
-from keymint_ros2_dds.transports import real
+from keymint_ros2_dds.transports import files, real
 from keymint_ros2_dds.transports.exchange import exchange
 from keymint_ros2_dds.transports.simulated import Courts
 from keymint_ros2_dds.vendors import probes
@@ -61,6 +61,8 @@ class RealTransport(ABC):
         vendor = self._vendor(nonconforming=tier is Tier.EXCHANGE)
         if tier is Tier.ADMISSION:
             return real.admission(vendor, self.MODEL, courts, edges)
+        for enclave in enclaves:
+            files.refuse_encrypted_key(enclave)
         return exchange(vendor, self.MODEL, courts, enclaves, edges)
 
     def _decision(self, courts: Courts, edges: Iterable[Edge]) -> Iterator[tuple[Edge, Verdict]]:

@@ -6,6 +6,8 @@ from dataclasses import dataclass, replace
 from datetime import UTC, datetime, timedelta
 from functools import cache
 
+from cryptography import x509
+from cryptography.hazmat.primitives import hashes, serialization
 from keymint_ros2_dds import build_type
 
 from keymint.api import (
@@ -89,3 +91,12 @@ def anchors(package: Package, layout: str = "sros2", **chains: bytes) -> Anchors
         for name in ("identity_ca", "permissions_ca")
     )
     return Anchors(identity, permissions, package.identity.subject_name, layout)
+
+
+def revoking(issuer: str, serial: int) -> bytes:
+    """Return a revocation list of an authority with one certificate."""
+    ca = authority(issuer)
+    entry = x509.RevokedCertificateBuilder().serial_number(serial).revocation_date(NOW).build()
+    made = x509.CertificateRevocationListBuilder().issuer_name(ca.certificate.subject).last_update(NOW - timedelta(days=1))
+    made = made.next_update(NOW + timedelta(days=60)).add_revoked_certificate(entry)
+    return made.sign(ca.key, hashes.SHA256()).public_bytes(serialization.Encoding.PEM)

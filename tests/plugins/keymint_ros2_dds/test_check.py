@@ -13,9 +13,9 @@ from keymint_ros2_dds.check_all import cyclone_takes_for
 
 from keymint.api import KeySpec
 from keymint.errors import Severity
-from keymint.pki import smime
+from keymint.pki import certificates, smime
 
-from .enclaves import authority, inspection, installed
+from .enclaves import NOW, authority, inspection, installed, revoking
 from .packages import VALIDITY, package, rule
 
 CHATTER = rule("ALLOW", "ros_topic", "ros_publish", "/chatter")
@@ -71,6 +71,15 @@ def test_missing_and_unexpected_files(files):
     assert codes(without) == ["file-missing"]
     assert codes({**files, "notes.txt": b""}) == ["file-unexpected"]
     assert codes({}).count("file-missing") == 7
+
+
+def test_a_revocation_list_is_judged_and_not_called_foreign(files):
+    own = certificates.load(files["cert.pem"]).serial_number
+    assert codes({**files, "crl.pem": revoking("identity_ca", 7)}) == []
+    for wrong in (b"garbage", revoking("stranger", 7), revoking("identity_ca", own)):
+        assert codes({**files, "crl.pem": wrong}) == ["revocation-list"]
+    late = inspection(TALKER, {**files, "crl.pem": revoking("identity_ca", 7)}, now=NOW + timedelta(days=61))
+    assert "revocation-list-expired" in {each.code for each in build_type.check(late)}
 
 
 def test_a_key_of_another_certificate(files):

@@ -7,15 +7,13 @@ from datetime import timedelta
 from itertools import chain, combinations
 
 import pytest
-from cryptography import x509
-from cryptography.hazmat.primitives import hashes, serialization
 from keymint_ros2_dds import build_type
 from keymint_ros2_dds.proving import prove
 
 from keymint.api import KeySpec, Obligation, Proof
 from keymint.errors import KeymintError
 from keymint.pki import certificates, keys
-from tests.plugins.keymint_ros2_dds.enclaves import NOW, anchors, authority, installed
+from tests.plugins.keymint_ros2_dds.enclaves import NOW, anchors, authority, installed, revoking
 from tests.plugins.keymint_ros2_dds.packages import package, rule
 
 PLAIN = package(rule("ALLOW", "ros_topic", "ros_publish", "/chatter"))
@@ -121,15 +119,6 @@ def test_a_file_that_ros_2_reads_in_place_of_another_one(name):
     assert refused({**OURS, f"{name}.p11": b"pkcs11:object=other;type=cert"}) == {("file-replaced", f"{name}.p11")}
 
 
-def revoking(issuer: str, serial: int) -> bytes:
-    """Return a revocation list of an authority with one certificate."""
-    ca = authority(issuer)
-    entry = x509.RevokedCertificateBuilder().serial_number(serial).revocation_date(NOW).build()
-    made = x509.CertificateRevocationListBuilder().issuer_name(ca.certificate.subject).last_update(NOW)
-    made = made.next_update(NOW + timedelta(days=30)).add_revoked_certificate(entry)
-    return made.sign(ca.key, hashes.SHA256()).public_bytes(serialization.Encoding.PEM)
-
-
 @pytest.mark.parametrize(
     "made",
     [
@@ -155,5 +144,5 @@ def test_a_revocation_list_is_in_force_for_a_time():
     terms = build_type.terms(files, "install/talker", anchors(PLAIN))
     found = [term for term in terms if term.where.file == "install/talker/crl.pem"]
     assert [(term.code, term.periods) for term in found] == [
-        ("revocation-list", ((NOW, NOW + timedelta(days=30)),)),
+        ("revocation-list", ((NOW - timedelta(days=1), NOW + timedelta(days=60)),)),
     ]
