@@ -24,6 +24,8 @@ def missing(workspace: Workspace, plan: Plan) -> Sequence[FolderChange]:
     plan writes to it anyway.
     """
     written = {change.folder for step in plan.steps for change in step.changes if change.files}
+    if written:
+        written.add(workspace.state)  # has the record of what is written
     spaces = (workspace.private, workspace.build, workspace.install, workspace.state)
     return [
         FolderChange(space, {NAME: File(_EVERYTHING)}, private=space == workspace.private)

@@ -158,7 +158,7 @@ def test_files_and_folders_are_removed(workspace: Workspace) -> None:
     run(Plan((step(workspace, "a/b"), step(workspace, "c")), State()), workspace)
     gone = FolderChange(workspace.build / "a" / "b", {}, ("document.xml",))
     run(Plan((Step("build", "a/b", Action.REMOVED, (gone,)),), State()), workspace)
-    assert sorted(path.name for path in workspace.build.iterdir()) == ["c"]
+    assert sorted(path.name for path in workspace.build.iterdir() if path.is_dir()) == ["c"]
 
 
 def test_private_is_private_in_the_store_of_a_workspace(workspace: Workspace) -> None:

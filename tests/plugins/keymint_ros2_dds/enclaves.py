@@ -97,6 +97,8 @@ def revoking(issuer: str, serial: int) -> bytes:
     """Return a revocation list of an authority with one certificate."""
     ca = authority(issuer)
     entry = x509.RevokedCertificateBuilder().serial_number(serial).revocation_date(NOW).build()
-    made = x509.CertificateRevocationListBuilder().issuer_name(ca.certificate.subject).last_update(NOW - timedelta(days=1))
-    made = made.next_update(NOW + timedelta(days=60)).add_revoked_certificate(entry)
+    made = x509.CertificateRevocationListBuilder().issuer_name(ca.certificate.subject)
+    made = (
+        made.last_update(NOW - timedelta(days=1)).next_update(NOW + timedelta(days=60)).add_revoked_certificate(entry)
+    )
     return made.sign(ca.key, hashes.SHA256()).public_bytes(serialization.Encoding.PEM)
