@@ -4,11 +4,12 @@ DEMO ?= demo_ws
 BIN = $(VENV)/bin
 WORKERS ?= $(shell nproc)
 
-.PHONY: help setup vendors demo test test-all lint bench lock clean
+.PHONY: help setup vendors demo test test-full test-all lint bench lock clean
 
 help:
 	@echo "make demo    provision the talker/listener example and show the keystore"
 	@echo "make test    the whole suite, including the tests on real DDS software"
+	@echo "make test-full  the same, trying in full what the suite samples"
 	@echo "make test-all the same on every Python from 3.11 on that is here"
 	@echo "make lint    ruff, mypy, import-linter"
 	@echo "make bench   the benchmarks"
@@ -25,6 +26,9 @@ demo: setup
 
 test: setup vendors
 	@BIN=$(BIN) WORKERS=$(WORKERS) .ci/test $(PYTEST_ARGS)
+
+test-full: setup vendors
+	@KEYMINT_FULL=1 BIN=$(BIN) WORKERS=$(WORKERS) .ci/test $(PYTEST_ARGS)
 
 test-all: vendors
 	@WORKERS=$(WORKERS) .ci/test-all $(PYTEST_ARGS)

@@ -23,7 +23,7 @@ _RULES = """<ros_topic qualifier="ALLOW">
 def policy(*subjects: str, version: str = "") -> str:
     """Return a policy that names these subjects; another version gives another rule to ``/robot/talker``."""
     profiles = (
-        f'<profile name="p"><attachment>{subject}</attachment>'
+        f'<profile name="{subject}"><attachment>{subject}</attachment>'
         f"{_RULES.format(version if subject == '/robot/talker' else '')}</profile>"
         for subject in subjects
     )

@@ -1,6 +1,6 @@
 """No run ends in a traceback, an internal error or an escape sequence, whatever it finds around it.
 
-Every verb meets some of the surroundings; with ``KEYMINT_EVERY_SURROUNDING=1`` each meets all of them.
+Every verb meets some of the surroundings; with ``KEYMINT_FULL=1`` each meets all of them.
 """
 
 from __future__ import annotations
@@ -8,7 +8,6 @@ from __future__ import annotations
 import io
 import itertools
 import json
-import os
 import shutil
 import signal
 import subprocess
@@ -22,18 +21,18 @@ import pytest
 from keymint.console import Console, Streams
 from keymint.process import Output
 from tests.conftest import NOW, snapshot
+from tests.effort import FULL
 
 from . import hostile
 from .hostile import EPOCHS, LOCALES, NASTY, POLICY, STREAMS, VARIABLES, VERBS, require_orderly
 
-EVERY = os.environ.get("KEYMINT_EVERY_SURROUNDING") == "1"
 READ_NO_FILE = {"plugins", "transports", "completion"}
 PROCESSES = {**STREAMS, **LOCALES, **VARIABLES}
 
 
 def processes() -> Iterator[tuple[str, str, bool]]:
     """Yield verb, surroundings, and whether the result is JSON: all of them, or each verb and surroundings once."""
-    if EVERY:
+    if FULL:
         yield from itertools.product(VERBS, PROCESSES, (False, True))
         return
     verbs = itertools.cycle([verb for verb in VERBS if verb not in {"verify", "prove"}])
@@ -74,7 +73,7 @@ def test_streams_locales_and_variables(place: Path, verb: str, name: str, as_jso
 
 @pytest.mark.parametrize("verb", VERBS)
 def test_clocks(keymint: Callable, place: Path, verb: str) -> None:
-    chosen = EPOCHS if EVERY else EPOCHS[list(VERBS).index(verb) :: 10]
+    chosen = EPOCHS if FULL else EPOCHS[list(VERBS).index(verb) :: 10]
     for epoch in chosen:
         for made in ("new_ws", "fresh"):
             shutil.rmtree(place / made, ignore_errors=True)
@@ -158,7 +157,7 @@ PLACES = {
 @pytest.mark.parametrize("verb", [verb for verb in VERBS if verb not in READ_NO_FILE])
 def test_names_in_files(keymint: Callable, place: Path, verb: str) -> None:
     cases = [(name, old, text) for name, found in PLACES.items() for old in found for text in WRITTEN]
-    for name, old, written in cases if EVERY else cases[list(VERBS).index(verb) :: 23]:
+    for name, old, written in cases if FULL else cases[list(VERBS).index(verb) :: 23]:
         path, text = place / name, (place / name).read_text()
         assert old in text, (name, old)
         path.write_bytes(text.replace(old, old[:-1] + written + old[-1]).encode("utf-8", "surrogatepass"))
@@ -265,8 +264,8 @@ def test_a_signal_at_any_time(keymint: Callable, tmp_path: Path, part: int) -> N
     whole = struck(tmp_path, 0, 0, *words)
     events = int(whole.stderr)
     assert (whole.returncode, events > 500) == (0, True)
-    step = 7 if EVERY else events // 3
-    for count, at in enumerate(range(1 + part * (1 if EVERY else step // 4), events, step)):
+    step = 7 if FULL else events // 3
+    for count, at in enumerate(range(1 + part * (1 if FULL else step // 4), events, step)):
         shutil.rmtree(tmp_path / "ws", ignore_errors=True)
         number = (signal.SIGTERM, signal.SIGINT)[(count + part) % 2]
         as_json = (count + part) % 4 < 2

@@ -1,6 +1,6 @@
 """A run that is struck at any system call: what it leaves is whole, and a later run ends what it began.
 
-Every call that may change the workspace is struck in turn when ``KEYMINT_EVERY_CALL=1``, else a part of them.
+Every call that may change the workspace is struck in turn when ``KEYMINT_FULL=1``, else a part of them.
 """
 
 from __future__ import annotations
@@ -18,6 +18,8 @@ from typing import Any
 
 import pytest
 
+from tests.effort import FULL
+
 from . import scenarios, tracing
 from .scenarios import PROVISION, SCENARIOS, Scenario
 from .tracing import Ended, Point, Trace
@@ -27,7 +29,7 @@ pytestmark = pytest.mark.strace
 Keymint = Callable[..., Any]
 CRITICAL = frozenset({"renameat", "renameat2", "rmdir", "unlink"})
 """The calls around which what is visible changes."""
-IN_ORDER = 20
+IN_ORDER = 14
 """How many of the calls of one kind are struck, evenly spread over the run."""
 
 
@@ -90,7 +92,7 @@ def prepare(name: str, folder: Path, keymint: Keymint) -> Prepared:
 
 def chosen(points: Sequence[Point], most: int = IN_ORDER) -> list[Point]:
     """Return the points to strike at: of each kind of call, some from the whole course of the run."""
-    if os.environ.get("KEYMINT_EVERY_CALL") == "1":
+    if FULL:
         return list(points)
     kept: list[Point] = []
     for call in sorted({point.call for point in points}):

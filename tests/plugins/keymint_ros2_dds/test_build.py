@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+import random
 import subprocess
 import sys
 from dataclasses import replace
@@ -17,6 +18,7 @@ from lxml import etree
 from comarmor.data import locate
 from keymint.api import BuildOptions, DomainRange, KeySpec, Validity
 from keymint.errors import KeymintError, Severity
+from tests.effort import tries
 
 from .packages import VALIDITY, domain_rule, package, rule
 
@@ -286,7 +288,9 @@ def test_the_documents_do_not_depend_on_the_order_of_the_rules():
         rule("ALLOW", "topic", "publish", "p*", "q*", partitions=["q", "p"]),
         rule("ALLOW", "topic", "publish", "*pq", "*qq"),
     ]
-    documents = {build(*order).documents["permissions.xml"] for order in itertools.permutations(rules)}
+    orders = list(itertools.permutations(rules))
+    some = random.Random("order").sample(orders, tries(60, len(orders)))
+    documents = {build(*order).documents["permissions.xml"] for order in some}
     assert len(documents) == 1
 
 
