@@ -20,7 +20,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 from tests.real.signed_readers import Bench, Counts
 
 CHUNK = 1000
-"""Files of one seed; the documents are signed anew for each."""
+"""Files of one seed; the documents are signed again for each."""
 
 
 def compared(task: tuple[int, int]) -> Counts:
@@ -54,7 +54,7 @@ def main() -> int:
     print(file=sys.stderr)
     for name, number in sorted(total.items()):
         print(f"{number:8} {name}")
-    print(f"{len(wrong):8} read otherwise than we do")
+    print(f"{len(wrong):8} read differently by others")
     print(*wrong[:20], sep="\n")
     return 1 if wrong else 0
 

@@ -17,7 +17,7 @@ def shared(records: Path, on_wait: Callable[[], None]) -> Iterator[bool]:
     """Keep writers away while the workspace is read; several readers may hold this at once.
 
     Where there is no lock, or where it cannot be opened or locked, e.g. in a copy or on a read-only file system, the
-    workspace is read all the same: nobody writes there under a lock either.
+    workspace is read anyway: nobody writes there under a lock either.
 
     Args:
         records: folder of the lock.

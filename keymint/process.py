@@ -1,4 +1,4 @@
-"""What a process owes the system: streams that are there, writes whose failure is said, and an orderly end.
+"""What a process owes the system: streams that are there, writes whose failure is reported, and an orderly end.
 
 Only the command line uses it; everything below gets its streams from there.
 """

@@ -1,7 +1,7 @@
 """Slips in how profiles are attached, which give rights to a subject without a word: copies, and wildcards too wide.
 
-What is meant and what is a slip look alike. So nothing is said of the ways that the documentation shows: a profile for
-all subjects, a profile around others, and profiles that list several subjects each.
+What is meant and what is a slip look alike. So there is no warning about the ways that the documentation
+shows: a profile for all subjects, a profile around others, and profiles that list several subjects each.
 """
 
 from __future__ import annotations
@@ -66,7 +66,7 @@ def _copied(profiles: Iterable[AttachedProfile]) -> Iterator[Diagnostic]:
         if not all(literal(parse(text)) is not None for text in texts):
             continue
         other = first.setdefault((each.around, each.where.file, texts), each)
-        if other is not each and other.name != each.name:  # of equal names it is said already
+        if other is not each and other.name != each.name:  # equal names are reported already
             yield _said(
                 "profile-copied",
                 f"the profiles {other.name!r} ({other.where.alone()}) and {each.name!r} are both attached to "

@@ -130,7 +130,7 @@ class _Near:
         self._known: dict[Glob, tuple[Spoken, ...]] = {}
 
     def of(self, subjects: Glob) -> tuple[Spoken, ...]:
-        """Return what is said of subjects that a pattern matches."""
+        """Return the description of subjects that a pattern matches."""
         if subjects not in self._known:
             head = _head(subjects)
             near = dict.fromkeys(

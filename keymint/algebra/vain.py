@@ -1,7 +1,7 @@
 """Rules without effect: what is allowed or denied elsewhere as well, and what nothing is left of.
 
-Every question has a limit of steps, and so have all of them together; where it is reached the answer is unknown, and
-that is said.
+Every question has a limit of steps, and so have all of them together; where it is reached the answer is unknown, which
+is reported.
 """
 
 from __future__ import annotations
@@ -95,7 +95,7 @@ class Vain:
     def findings(self) -> Iterator[Diagnostic]:
         """Yield what is found, the expressions of a rule together if it is about all of them, else each by itself.
 
-        An expression that no object can match is left out: it is said to be one.
+        An expression that no object can match is left out: it is reported as such.
         """
         found: dict[tuple[Spot, str], list[_Unit]] = defaultdict(list)
         with limited(TOGETHER + EACH * len(self._by_unit)):
@@ -183,7 +183,7 @@ class Vain:
         """Tell whether no rule allows anything of what an expression denies."""
         for key, found in self._applied[subject].own[unit].items():
             for pattern in found:
-                # Also what is said to be shadowed: it may be so by this one.
+                # Also what is reported as shadowed: this one may shadow it.
                 near = tuple(dict.fromkeys(one for one, _ in self._near(subject, key, Effect.ALLOW, pattern)))
                 if near and not _surely(meet(key[0], allowed(pattern), (Block(True, near),))):
                     return False

@@ -82,7 +82,7 @@ def _key(inputs: Inputs, place: Place) -> tuple[keys.PublicKey | None, Iterator[
     spec, name = place.authority.certificate, place.authority.name
     if place.key is None:
         message = f"the private key of {name!r} is not here"
-        where, help_ = Origin(place.certificate_file), "restore it to sign anything anew"
+        where, help_ = Origin(place.certificate_file), "restore it to sign anything"
         note = Diagnostic("authority-key-missing", Severity.NOTE, message, where, help_)
         return None, iter((note,) if place.content is not None else ())
     remedy = f"restore it from a backup; {authority_places.choice(name)}"
@@ -135,13 +135,13 @@ def _certificate(
             Severity.ERROR,
             f"the certificate of {place.authority.name!r} is not what the profile asks for",
             Origin(place.certificate_file),
-            "run 'keymint install', which issues it again for the same key, and deploy all enclaves anew",
+            "run 'keymint install', which issues it again for the same key, and redeploy all enclaves",
         )
 
 
 def _validity(inputs: Inputs, place: Place, certificate: x509.Certificate, within: timedelta) -> Iterator[Diagnostic]:
     name, where, end = place.authority.name, Origin(place.certificate_file), certificate.not_valid_after_utc
-    help_ = f"extend its validity at {place.authority.certificate.origin}, and install anew"
+    help_ = f"extend its validity at {place.authority.certificate.origin}, and run 'keymint install'"
     if end < inputs.now:
         message = f"the certificate of {name!r} expired on {end:%Y-%m-%d %H:%M} UTC"
         yield Diagnostic("authority-expired", Severity.ERROR, message, where, help_)

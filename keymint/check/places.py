@@ -60,7 +60,7 @@ def modes(inputs: Inputs, path: Path, mode: int, subject: str) -> Iterator[Diagn
             Severity.ERROR,
             "is a symbolic link, and breaks when the enclave is copied",
             Origin(shown),
-            "remove it and install anew",
+            "remove it and run 'keymint install'",
             subject,
         )
     elif stat.S_IMODE(found) != mode:

@@ -20,7 +20,7 @@ from keymint.report import Report
 
 @verb(writes=True)
 @click.argument("names", nargs=-1, metavar="[NAME]...", shell_complete=complete_package)
-@click.option("-f", "--force", is_flag=True, help="Build anew, also over documents that were edited by hand.")
+@click.option("-f", "--force", is_flag=True, help="Rebuild everything, and discard edits by hand.")
 @click.option("--renew", is_flag=True, help="Mint new private keys; keys are never replaced otherwise.")
 @click.option(
     "--unsigned",

@@ -1,4 +1,4 @@
-"""``keymint lint``: finds what in a policy is in vain, or is likely not meant."""
+"""``keymint lint``: reports unreachable, redundant and suspicious rules of a policy."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ def lint(
     profile_type: str,
     policy_type: str,
 ) -> Report:
-    """Find what in POLICY is in vain, or is likely not meant.
+    """Report unreachable, redundant and suspicious rules of POLICY.
 
     \b
     rules that nothing is left of, or that add nothing; denials that deny nothing

@@ -46,7 +46,7 @@ new_authority_option = click.option(
     multiple=True,
     metavar="NAME",
     help="Replace the key and certificate of this authority by new ones, for good: no deployed enclave trusts what it "
-    "signs from then on, until all are deployed anew. May be given again.",
+    "signs from then on, until all are redeployed. May be given again.",
 )
 
 

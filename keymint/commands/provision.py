@@ -59,8 +59,8 @@ def provision(
     """From a ComArmor POLICY to a keystore in one go: init, create --all, build and install.
 
     All of it is planned and validated before the first byte is written. Run it again after every change of the
-    policy: only what the change concerns is built and signed anew, and no key is replaced. Nothing is installed unless
-    it is proven to permit exactly what the policy says, for every name there is.
+    policy: only what the change concerns is rebuilt and signed again, and no key is replaced. Nothing is installed
+    unless it is proven to permit exactly what the policy says, for every name there is.
     """
     workspace = run.workspace_at(None)
     asked = {

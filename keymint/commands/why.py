@@ -52,8 +52,8 @@ def why(
     keymint why /robot1/nav ros_call /map/get
     keymint why /bridge publish telemetry --partition ops
 
-    The kind of the object is that of the permission. Ends with 3 when a transport decides otherwise than the policy,
-    or the enclave does not rest on the workspace's authorities.
+    The kind of the object is that of the permission. Ends with 3 when a transport and the policy
+    disagree, or the enclave does not rest on the workspace's authorities.
     """
     workspace = run.workspace()
     inputs = run.snapshot(workspace)

@@ -97,7 +97,7 @@ def load_first(pem: bytes, where: Origin | None = None) -> x509.Certificate:
     raise KeymintError(
         f"the certificate of the authority {problem}",
         where=where,
-        help="install it again, or write it anew: openssl x509 -in FILE -out FILE",
+        help="install it again, or rewrite it: openssl x509 -in FILE -out FILE",
         code="certificate-ambiguous",
     )
 

@@ -250,7 +250,7 @@ def _lacking(inputs: Inputs, place: Place) -> KeymintError | None:
     spec, name = place.authority.certificate, place.authority.name
     if place.key is None:
         return KeymintError(
-            f"the private key of the authority {name!r} is not here, and is needed to sign anew",
+            f"the private key of the authority {name!r} is not here, and is needed to sign",
             where=Origin(place.key_file),
             help=f"restore it; {authority_places.choice(name)}",
             code="authority-key-missing",

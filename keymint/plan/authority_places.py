@@ -17,7 +17,7 @@ from keymint.plan import known_keys
 from keymint.plan.enclaves import INSTALLED
 from keymint.plan.inputs import Inputs
 
-COST = "no deployed enclave trusts it until all are deployed anew"
+COST = "no deployed enclave trusts it until all are redeployed"
 """What a new authority costs."""
 
 

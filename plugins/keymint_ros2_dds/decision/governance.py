@@ -5,7 +5,7 @@ is about a domain counts, and in it the first topic rule that is about a topic; 
 
 The models of vendors hold for plain documents: elements in the order of the schema, text without decoration. What a
 vendor refuses otherwise is stated where it was measured (Cyclone DDS 0.10.2, Fast DDS 2.9.1); of everything else
-nothing is said.
+there is no verdict.
 """
 
 from __future__ import annotations

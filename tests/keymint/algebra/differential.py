@@ -51,7 +51,7 @@ def compared(old: str, new: str) -> Verdict:
     requests = list(_differing(one.policy, other.policy))
     wrong = [*_missed(requests, found), *_false(one.policy, other.policy, found)]
     if any(allowed for _, allowed in requests) and not gains(found):
-        wrong.append("nothing is said to be gained")
+        wrong.append("no gain is reported")
     return Verdict(bool(requests), undecided, "; ".join(wrong[:3]))
 
 

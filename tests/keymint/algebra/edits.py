@@ -1,4 +1,4 @@
-"""Random policies that are one edit apart: for tests that compare what is said of both with what both decide."""
+"""Random policies that are one edit apart: for tests that compare the reported differences with what both decide."""
 
 from __future__ import annotations
 

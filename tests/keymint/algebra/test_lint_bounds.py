@@ -1,4 +1,4 @@
-"""What linting may cost: steps, linear in the policy; what is given up is said in a note."""
+"""What linting may cost: steps, linear in the policy; what is given up is reported as a note."""
 
 from __future__ import annotations
 

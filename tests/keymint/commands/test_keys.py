@@ -165,7 +165,7 @@ def test_a_new_authority_takes_the_option(keymint, ws: Path) -> None:
     assert snapshot(ws) == dry
     outcome = keymint("install", "--new-authority", "identity_ca", cwd=ws)
     assert outcome.code == 0
-    assert "'identity_ca' is a new authority: no deployed enclave trusts it until all are deployed anew" in outcome.err
+    assert "'identity_ca' is a new authority: no deployed enclave trusts it until all are redeployed" in outcome.err
     after = trusted(ws)
     changed = {name for name in before if before[name] != after[name]}
     assert changed == {f"{enclave}/identity_ca.cert.pem" for enclave in ENCLAVES}

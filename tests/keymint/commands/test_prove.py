@@ -115,7 +115,7 @@ def test_install_refuses_what_is_not_proven(keymint: Callable, provisioned: Path
     assert outcome.code == 3
     assert "permits it to publish 'rt/chattera'" in outcome.err
     assert installed.read_bytes() == before, "nothing is installed"
-    assert "build/talker/permissions.xml: error: was edited by hand" in outcome.err, "what led to it is said as well"
+    assert "build/talker/permissions.xml: error: was edited by hand" in outcome.err, "the cause is reported as well"
     assert "--allow-vendor-specific" not in outcome.err, "the standard is at odds with it as well"
     assert keymint("install", "--no-prove", "-w", provisioned).code == 0
     assert installed.read_bytes() != before, "unless that is asked for"
@@ -279,7 +279,9 @@ def test_what_is_not_in_force_is_a_finding_though_its_proof_is_remembered(
     assert [one["file"].endswith("permissions.xml") and one["line"] > 0 for one in grants] == [True, True]
     said = keymint("prove", "-w", provisioned, env=clock)
     assert "; 2 enclaves are not in force at" in said.out
-    assert said.err.count("the certificate of 'CN=permissions_ca'") <= 1, "what enclaves have in common is said once"
+    assert said.err.count("the certificate of 'CN=permissions_ca'") <= 1, (
+        "what enclaves have in common is reported once"
+    )
 
 
 def test_a_remembered_proof_says_its_places_from_where_the_user_stands(keymint: Callable, provisioned: Path):

@@ -164,7 +164,7 @@ def test_infrastructure_is_what_the_library_allows_to_both_ends(keymint, tmp_pat
     shared = {"ros_discovery_info", "/parameter_events"}
     assert isolated(keymint, tmp_path, "") == ("yes", set(), shared)
     reads = '<ros_topic qualifier="ALLOW"><attachment>{}</attachment><permissions>{}</permissions></ros_topic>'
-    # The library lets /a write to /rosout, but that /b reads it is said by the policy.
+    # The library lets /a write to /rosout, but the policy says that /b reads it.
     assert isolated(keymint, tmp_path, reads.format("/rosout", "<ros_subscribe/>")) == ("no", {"/rosout"}, shared)
     assert isolated(keymint, tmp_path, reads.format("/clock", "<ros_publish/>")) == ("no", {"/clock"}, shared)
     assert isolated(keymint, tmp_path, reads.format("/*", "<ros_subscribe/>")) == ("no", {"/rosout"}, shared)

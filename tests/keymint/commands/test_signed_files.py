@@ -45,7 +45,7 @@ def test_what_other_tools_sign_is_read_by_every_verb(
     verified = keymint("verify", *ASKED, cwd=provisioned)
     assert verified.code == 0, verified
     checked = keymint("check", "--json", cwd=provisioned)
-    assert checked.codes() == ["file-changed", "file-changed"], "the record tells, and nothing else is said"
+    assert checked.codes() == ["file-changed", "file-changed"], "the record tells, and nothing else is reported"
     explained = keymint(*REQUEST, "--json", cwd=provisioned)
     assert (explained.code, explained.document["result"]["transports"][0]["allowed"]) == (0, True)
     assert keymint("install", cwd=provisioned).code == 0

@@ -1,4 +1,4 @@
-"""Large documents: no blanks that handshakes would carry, and a line for each topic all the same."""
+"""Large documents: no blanks that handshakes would carry, and still a line for each topic."""
 
 from __future__ import annotations
 
