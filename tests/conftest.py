@@ -6,6 +6,7 @@ import contextlib
 import io
 import json
 import os
+import signal
 import sys
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
@@ -22,6 +23,11 @@ from keymint import cli
 if not os.environ.get("CI"):
     hypothesis.settings.register_profile("keymint", deadline=None)
     hypothesis.settings.load_profile("keymint")
+
+# A shell that starts the suite in the background has SIGINT ignored, and every process that a test starts would inherit
+# that: then nothing could be interrupted.
+if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
+    signal.signal(signal.SIGINT, signal.default_int_handler)
 
 CHECKOUT = Path(__file__).resolve().parent.parent
 NOW = 1_800_000_000
