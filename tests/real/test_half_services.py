@@ -28,7 +28,7 @@ READ = ("describe_parameters", "get_parameters", "get_parameter_types", "list_pa
 WRITE = ("set_parameters", "set_parameters_atomically")
 SUBJECTS = ("/talker", "/listener")
 SERVICES = tuple(f"{node}/{name}" for node in SUBJECTS for name in (*READ, *WRITE))
-DOCUMENTS = tries(2, 200)
+DOCUMENTS = tries(2, 100)
 
 
 @dataclass(frozen=True)
