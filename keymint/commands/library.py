@@ -15,14 +15,20 @@ def library_rules(cwd: Path, shipped: Path, copy: Path | None = None) -> Callabl
     Args:
         cwd: folder that relative places start from.
         shipped: folder of the library.
-        copy: folder of a workspace that holds a copy of the library, maybe among other files.
+        copy: folder of a workspace that holds a copy of the library, maybe among other files. A file there counts
+            as long as nobody changed it: what a person wrote must not hide behind what every node may do.
     """
-    names = frozenset(path.relative_to(shipped) for path in shipped.rglob("*.xml"))
     folders = tuple(folder.resolve() for folder in (shipped, copy) if folder is not None)
 
     @cache
     def is_shipped(file: str) -> bool:
         path = (cwd / file).resolve()
-        return any(path.is_relative_to(folder) and path.relative_to(folder) in names for folder in folders)
+        return any(path.is_relative_to(folder) and same(path, path.relative_to(folder)) for folder in folders)
+
+    def same(path: Path, relative: Path) -> bool:
+        try:
+            return path.read_bytes() == (shipped / relative).read_bytes()
+        except OSError:
+            return False
 
     return lambda where: is_shipped(where.file)

@@ -141,3 +141,13 @@ def test_the_title_is_the_name_of_the_policy_and_not_its_path(keymint, tmp_path:
         found = keymint("graph", path, "-f", "svg").out
         assert f"<title>{path.stem}</title>" in found
         assert str(tmp_path) not in found
+
+
+def test_a_copy_of_the_library_that_was_edited_hides_nothing(keymint, tmp_path: Path) -> None:
+    keymint("init", "ws")
+    copy = tmp_path / "ws/profile/comarmor.d/common/node/logging.xml"
+    copy.write_text(copy.read_text().replace("/rosout", "/cmd_vel"))
+    outcome = keymint("graph", "-w", "ws", "-f", "svg")
+    assert outcome.code == 0, outcome.err
+    assert "/cmd_vel</text>" in outcome.out
+    assert "/rosout</text>" not in outcome.out
