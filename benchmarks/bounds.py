@@ -2,9 +2,9 @@
 
 usage: python benchmarks/bounds.py [--policies N] [--seed N] [--families]
 
-Steps are those of keymint.keymake.effort: no clock is read, so that the figures are the same on every machine. A policy
-is refused if the compiler gives one of its subjects up; at most 2 in 100 may be. What vendors do not read alike is not
-counted as that. With --families policies that grow are tried as well, in two sizes.
+Steps are those of comarmor.patterns.effort: no clock is read, so that the figures are the same on every machine. A
+policy is refused if the compiler gives one of its subjects up; at most 2 in 100 may be. What vendors do not read
+alike is not counted as that. With --families policies that grow are tried as well, in two sizes.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 
-from keymint.algebra import vain
+from keymint.analysis import vain
 from tests.bounds import COMPILE, Sweep, changed
 from tests.families import FAMILIES
 from tests.generated import minified, tokens

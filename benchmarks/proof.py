@@ -21,8 +21,18 @@ from pathlib import Path
 
 import provision
 
-from keymint.keymake.glob import parse
-from keymint.proof import PRINTABLE, Block, Budget, DecisionList, Equal, Outcome, Unknown, Witness, difference
+from comarmor.patterns.decision_lists import (
+    PRINTABLE,
+    Block,
+    Budget,
+    DecisionList,
+    Equal,
+    Outcome,
+    Unknown,
+    Witness,
+)
+from comarmor.patterns.glob import parse
+from comarmor.patterns.proofs import difference
 
 WORDS = (  # noqa: SIM905 - a list of so many strings would be harder to read
     "arm base camera chatter cmd depth drive estop fleet gripper image imu joint lidar map motor nav odom plan pose "

@@ -7,13 +7,21 @@ services, actions, parameters).
     >>> policy = comarmor.load("comarmor.d")  # doctest: +SKIP
     >>> policy.decide("/talker", "ros_topic", "ros_publish", "/chatter").allowed  # doctest: +SKIP
     True
+
+The names below load with their first use: whoever imports only ``comarmor.text`` or ``comarmor.patterns`` loads no XML.
 """
 
-from comarmor.errors import ComArmorError, Diagnostic, Location, Severity
-from comarmor.loading import load, load_all
-from comarmor.model import PARTS, PERMISSIONS, Decision, Effect, Expression, Profile, Rule
-from comarmor.policy import Policy
-from comarmor.render import render
+from __future__ import annotations
+
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from comarmor.errors import ComArmorError, Diagnostic, Location, Severity
+    from comarmor.language.loading import load, load_all
+    from comarmor.language.policy import Policy
+    from comarmor.language.render import render
+    from comarmor.language.syntax import PARTS, PERMISSIONS, Decision, Effect, Expression, Profile, Rule
 
 __all__ = [
     "PARTS",
@@ -32,3 +40,19 @@ __all__ = [
     "load_all",
     "render",
 ]
+
+_MODULES = {
+    "comarmor.errors": ("ComArmorError", "Diagnostic", "Location", "Severity"),
+    "comarmor.language.loading": ("load", "load_all"),
+    "comarmor.language.policy": ("Policy",),
+    "comarmor.language.render": ("render",),
+    "comarmor.language.syntax": ("PARTS", "PERMISSIONS", "Decision", "Effect", "Expression", "Profile", "Rule"),
+}
+_MODULE_OF = {name: module for module, names in _MODULES.items() for name in names}
+
+
+def __getattr__(name: str) -> Any:
+    """Load a public name from the module that defines it (PEP 562)."""
+    if name not in _MODULE_OF:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    return getattr(import_module(_MODULE_OF[name]), name)

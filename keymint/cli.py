@@ -19,9 +19,9 @@ from typing import Any, TextIO, cast
 
 import click
 
+from comarmor.text import printable, printable_lines
 from keymint import __version__
 from keymint.errors import ExitCode
-from keymint.printable import printable, printable_lines
 from keymint.process import Output, OutputError, StoppedError, held_signals, received, settle
 
 VERBS: Mapping[str, str] = {
@@ -202,9 +202,9 @@ def _fail(arguments: Sequence[str], code: str, message: str, exit_code: ExitCode
     if not as_json or getattr(sys.stdout, "began", False):
         sys.stderr.write(f"{in_words}\n")
         return int(exit_code)
-    from keymint.console import Console, Streams  # noqa: PLC0415 - not needed for --help
     from keymint.errors import Diagnostic, Severity  # noqa: PLC0415
-    from keymint.report import Report  # noqa: PLC0415
+    from keymint.output.console import Console, Streams  # noqa: PLC0415 - not needed for --help
+    from keymint.output.report import Report  # noqa: PLC0415
 
     verb = next((argument for argument in arguments if argument in VERBS), "keymint")
     said = (Diagnostic(code, Severity.ERROR, message),)
@@ -215,7 +215,7 @@ def _fail(arguments: Sequence[str], code: str, message: str, exit_code: ExitCode
 def _setting() -> Any:
     """Return what only the command line knows; called when a verb runs, so that ``--help`` needs none of it."""
     from keymint.commands.common import Setting  # noqa: PLC0415 - not needed for --help
-    from keymint.console import Streams  # noqa: PLC0415
+    from keymint.output.console import Streams  # noqa: PLC0415
 
     plain = bool(os.environ.get("NO_COLOR")) or os.environ.get("TERM") == "dumb"
     err_tty = sys.stderr.isatty()

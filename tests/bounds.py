@@ -7,13 +7,13 @@ from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from pathlib import Path
 
-from keymint.algebra.diff import diff
-from keymint.algebra.lint import lint
-from keymint.algebra.portable import package_of
-from keymint.algebra.subjects import rules_of
+from comarmor.patterns.effort import limited
+from keymint.analysis.diff import diff
+from keymint.analysis.lint import lint
+from keymint.analysis.portable import package_of
+from keymint.analysis.subjects import rules_of
 from keymint.api import BuildOptions, LoadedPolicy, PolicySource
 from keymint.errors import KeymintError, Origin
-from keymint.keymake.effort import limited
 from keymint.plugins import Plugins
 
 COMPILE = 17_000_000

@@ -7,9 +7,9 @@ from collections.abc import Iterator, Mapping
 from pathlib import Path
 
 from keymint.errors import Diagnostic, KeymintError, Origin, Severity
+from keymint.git import GIT_MISSING, run_git
 from keymint.plan import ignored
 from keymint.plan.inputs import Inputs
-from keymint.revision import GIT_MISSING, run_git
 
 _MOST = 64 * 1024
 """Bytes of a file with a private key; larger ones are not read."""

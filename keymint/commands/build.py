@@ -11,11 +11,11 @@ from keymint.commands.common import Run, complete_package, verb
 from keymint.commands.policy_slips import policy_slips
 from keymint.commands.profile_options import add_options
 from keymint.errors import Diagnostic, Severity
+from keymint.output.report import Report
 from keymint.plan.build import plan_build
 from keymint.plan.create import policy_changed
 from keymint.plan.inputs import Inputs, Sources
 from keymint.plan.model import Plan
-from keymint.report import Report
 
 
 @verb(writes=True)

@@ -9,11 +9,11 @@ from typing import Any
 
 import click
 
-from keymint import demand
 from keymint.api import BuildOptions
 from keymint.commands.common import Run
 from keymint.commands.files import read_input
 from keymint.errors import Diagnostic
+from keymint.hints import load_hints, unknown_subjects
 
 BUILD_OPTIONS: Sequence[Callable[[Any], Any]] = (
     click.option(
@@ -45,7 +45,7 @@ class Hinted:
 
     def unknown(self, names: Sequence[str]) -> tuple[Diagnostic, ...]:
         """Return a warning for each subject of the hints that is none of these packages'."""
-        return tuple(demand.unknown_subjects(self.options.demand, [f"/{name}" for name in names], self.hints))
+        return tuple(unknown_subjects(self.options.demand, [f"/{name}" for name in names], self.hints))
 
 
 def build_options(run: Run, *, allow_vendor_specific: bool, optimise: bool, hints: Path | None) -> Hinted:
@@ -57,5 +57,5 @@ def build_options(run: Run, *, allow_vendor_specific: bool, optimise: bool, hint
     """
     if hints is not None and not optimise:
         raise click.UsageError("--hints is about the order of rules, which --no-optimise leaves as it is.")
-    asked = () if hints is None else demand.load(read_input(run, hints), str(hints))
+    asked = () if hints is None else load_hints(read_input(run, hints), str(hints))
     return Hinted(BuildOptions(allow_vendor_specific, optimise, asked), str(hints or ""))

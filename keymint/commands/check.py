@@ -11,10 +11,10 @@ import click
 from keymint.check import check as find
 from keymint.commands.common import Run, complete_package, verb
 from keymint.errors import Diagnostic, KeymintError, Severity
+from keymint.output.report import Report, findings_exit, folded
 from keymint.plan.create import recall_policy
 from keymint.plan.inputs import Inputs, LoadedProfile, Sources
 from keymint.plan.uncreated import uncreated
-from keymint.report import Report, findings_exit, folded
 
 _UNITS = {"h": timedelta(hours=1), "d": timedelta(days=1), "w": timedelta(weeks=1)}
 _MOST_DAYS = 365 * 200

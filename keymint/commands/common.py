@@ -13,15 +13,15 @@ import click
 
 from keymint.api import Surroundings
 from keymint.commands.plugin_options import require_known
-from keymint.console import Console, Streams
 from keymint.errors import Diagnostic, ExitCode, KeymintError, Severity
 from keymint.execute import RECORD, execute, open_store
 from keymint.locks import LOCK, shared
 from keymint.names import package_name
+from keymint.output.console import Console, Streams
+from keymint.output.report import Report, as_typed, folded
 from keymint.plan.inputs import Inputs
 from keymint.plan.model import File, Plan
 from keymint.plugins import Plugins
-from keymint.report import Report, as_typed, folded
 from keymint.state import MAX_RECORD, State
 from keymint.state import load as load_state
 from keymint.tree import Tree, read_file

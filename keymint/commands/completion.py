@@ -6,7 +6,7 @@ import click
 from click.shell_completion import get_completion_class
 
 from keymint.commands.common import Run, verb
-from keymint.report import Report
+from keymint.output.report import Report
 
 
 @verb()

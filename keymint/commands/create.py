@@ -7,10 +7,10 @@ import click
 from keymint.commands.common import Run, verb
 from keymint.errors import ExitCode, KeymintError
 from keymint.names import package_name
+from keymint.output.report import Report
 from keymint.plan.create import everything, plan_create, recall_policy
 from keymint.plan.inputs import Inputs, Sources
 from keymint.plan.model import Plan
-from keymint.report import Report
 
 
 @verb(writes=True)

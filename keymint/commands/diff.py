@@ -10,17 +10,17 @@ from typing import Any
 
 import click
 
-from keymint.algebra.diff import diff as compare
-from keymint.algebra.diff import gains
-from keymint.algebra.differences import as_data, as_markdown, as_text, summary
-from keymint.algebra.purse import STATES, Purse
+from keymint.analysis.diff import diff as compare
+from keymint.analysis.diff import gains
+from keymint.analysis.differences import as_data, as_markdown, as_text, summary
+from keymint.analysis.purse import STATES, Purse
 from keymint.api import LoadedPolicy
 from keymint.commands.common import Run, verb
 from keymint.commands.policies import Policies, place, policy_options, typed
-from keymint.console import Console
 from keymint.errors import Diagnostic, ExitCode, KeymintError, Origin, Severity, library_name
-from keymint.report import Report
-from keymint.revision import at_revision, is_revision
+from keymint.git import at_revision, is_revision
+from keymint.output.console import Console
+from keymint.output.report import Report
 
 _UNKNOWN = Diagnostic(
     "diff-unknown",

@@ -19,7 +19,7 @@ from keymint.commands.numbers import Number
 from keymint.commands.signals import ended_by_signals
 from keymint.errors import Diagnostic, ExitCode, KeymintError, Origin, Severity
 from keymint.graph import Graph
-from keymint.report import Report
+from keymint.output.report import Report
 
 _FILE = click.Path(path_type=Path)
 

@@ -16,14 +16,14 @@ from keymint.commands.files import read_input, write_outputs
 from keymint.commands.library import library_rules
 from keymint.commands.numbers import Number
 from keymint.commands.verify_report import sources
+from keymint.drawing.model import Labelled, Outcome, choose, select
+from keymint.drawing.of_policy import of_graph, of_policy
+from keymint.drawing.options import Options, Split
+from keymint.drawing.palette import Theme
 from keymint.errors import Diagnostic, ExitCode, KeymintError, Origin
 from keymint.graph import Graph
-from keymint.pictures.model import Labelled, Outcome, choose, select
-from keymint.pictures.of_policy import of_graph, of_policy
-from keymint.pictures.options import Options, Split
-from keymint.pictures.palette import Theme
+from keymint.output.report import Report
 from keymint.plan.create import load_policy
-from keymint.report import Report
 from keymint.workspace import shown
 
 FORMATS = ("svg", "png", "dot", "html")
@@ -205,7 +205,7 @@ def _typed(run: Run) -> Callable[[str], str]:
 
 def _drawn(run: Run, labelled: Labelled, kind: str, options: Options, scale: float) -> bytes:
     # Templates are slow to import, and no other verb needs them.
-    from keymint.pictures import dot, raster, report, svg  # noqa: PLC0415
+    from keymint.drawing import dot, raster, report, svg  # noqa: PLC0415
 
     if kind == "dot":
         return dot.dot(labelled, options)

@@ -15,11 +15,11 @@ from keymint.commands.profile_options import (
     refuse_contradiction,
 )
 from keymint.errors import KeymintError, Origin
+from keymint.output.report import Report
 from keymint.plan.authorities import plan_authorities
 from keymint.plan.bootstrap import plan_init, policy_path
 from keymint.plan.inputs import Inputs
 from keymint.plan.model import Action, Plan, Step
-from keymint.report import Report
 from keymint.workspace import Workspace
 
 

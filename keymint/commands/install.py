@@ -10,13 +10,13 @@ from keymint.commands.build import no_packages
 from keymint.commands.common import Run, complete_package, verb
 from keymint.commands.profile_options import add_options, new_authority_option
 from keymint.commands.proving import PROVING_OPTIONS, proven, standard_only_option
+from keymint.output.report import Report, findings_exit
 from keymint.plan.authorities import plan_authorities
 from keymint.plan.create import policy_changed, recall_policy
 from keymint.plan.inputs import Inputs, Sources
 from keymint.plan.install import plan_install
 from keymint.plan.model import Plan
 from keymint.plan.uncreated import UNCREATED, uncreated
-from keymint.report import Report, findings_exit
 
 
 @verb(writes=True)

@@ -15,7 +15,7 @@ from keymint.commands.common import Run, verb
 from keymint.commands.files import read_input, write_outputs
 from keymint.errors import Diagnostic, ExitCode, KeymintError, Origin, Severity
 from keymint.graph import Edge
-from keymint.report import Report, as_typed
+from keymint.output.report import Report, as_typed
 
 _FILE = click.Path(path_type=Path)
 

@@ -6,15 +6,15 @@ from pathlib import Path
 
 import click
 
-from keymint.algebra.lint import CODES, in_order
-from keymint.algebra.lint import lint as look
-from keymint.algebra.portable import portability
-from keymint.algebra.sarif import sarif as as_sarif
-from keymint.algebra.subjects import rules_of, stand_ins
+from keymint.analysis.lint import CODES, in_order
+from keymint.analysis.lint import lint as look
+from keymint.analysis.portable import portability
+from keymint.analysis.sarif import sarif as as_sarif
+from keymint.analysis.subjects import rules_of, stand_ins
 from keymint.commands.common import Run, verb
 from keymint.commands.files import write_outputs
 from keymint.commands.policies import Policies, policy_options, typed
-from keymint.report import Report, findings_exit
+from keymint.output.report import Report, findings_exit
 
 _PATH = click.Path(path_type=Path)
 

@@ -6,7 +6,7 @@ from dataclasses import asdict
 
 from keymint.commands.common import Run, verb
 from keymint.errors import Diagnostic, ExitCode, KeymintError
-from keymint.report import Report
+from keymint.output.report import Report
 
 
 @verb()

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 
-from keymint.algebra.slips import slips
-from keymint.algebra.subjects import structure
+from keymint.analysis.slips import slips
+from keymint.analysis.subjects import structure
 from keymint.errors import Diagnostic, KeymintError
 from keymint.plan.create import load_policy
 from keymint.plan.inputs import Inputs, LoadedProfile

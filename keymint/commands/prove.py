@@ -15,6 +15,7 @@ from keymint.commands.proving import standard_only_option
 from keymint.commands.refusals import alike
 from keymint.errors import Diagnostic, ExitCode, Origin, Severity
 from keymint.graph import Edge
+from keymint.output.report import Report, as_typed, findings_exit
 from keymint.plan import terms
 from keymint.plan.create import recall_policy
 from keymint.plan.enclaves import unaccounted
@@ -23,7 +24,6 @@ from keymint.plan.model import Action, Step
 from keymint.plan.prove import NO_PROVER, STAGE, Effort, Findings, Proven
 from keymint.plan.prove import prove as find
 from keymint.plan.uncreated import uncreated
-from keymint.report import Report, as_typed, findings_exit
 
 SECONDS = 10.0
 SHOWN = 5

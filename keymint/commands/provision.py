@@ -20,6 +20,7 @@ from keymint.commands.profile_options import (
 )
 from keymint.commands.proving import PROVING_OPTIONS, proven
 from keymint.errors import KeymintError, Origin
+from keymint.output.report import Report
 from keymint.plan.authorities import plan_authorities
 from keymint.plan.bootstrap import plan_init, plan_policy, policy_path
 from keymint.plan.build import plan_build
@@ -27,7 +28,6 @@ from keymint.plan.create import everything, plan_create, recall_policy
 from keymint.plan.inputs import Inputs, Sources
 from keymint.plan.install import plan_install
 from keymint.plan.model import Plan
-from keymint.report import Report
 
 
 @verb(writes=True)

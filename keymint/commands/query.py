@@ -9,19 +9,19 @@ from typing import Any
 
 import click
 
-from keymint.algebra.abilities import abilities
-from keymint.algebra.channels import Channel, Channels
-from keymint.algebra.holders import Held, holders
-from keymint.algebra.lists import RAW, allowed, asked, meet, word
-from keymint.algebra.question import FORMS, HEADS, Question, read
-from keymint.algebra.subjects import doubt, rules_of
+from comarmor.patterns.decision_lists import Equal
+from comarmor.patterns.glob import literal, parse
+from keymint.analysis.abilities import abilities
+from keymint.analysis.channels import Channel, Channels
+from keymint.analysis.holders import Held, holders
+from keymint.analysis.lists import RAW, allowed, asked, meet, word
+from keymint.analysis.question import FORMS, HEADS, Question, read
+from keymint.analysis.subjects import doubt, rules_of
 from keymint.api import LoadedPolicy
 from keymint.commands.common import Run, verb
 from keymint.commands.policies import Policies, place, policy_options
 from keymint.errors import Diagnostic, ExitCode, KeymintError, Severity
-from keymint.keymake.glob import literal, parse
-from keymint.proof import Equal
-from keymint.report import Report
+from keymint.output.report import Report
 
 _MOST = 20
 _Answer = tuple[str, dict[str, Any]]

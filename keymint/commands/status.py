@@ -7,10 +7,10 @@ from typing import Any
 
 from keymint.commands.common import Run, verb
 from keymint.errors import Diagnostic, KeymintError
-from keymint.overview import Row, overview
+from keymint.output.report import Report
 from keymint.plan.create import everything, load_policy
 from keymint.plan.inputs import Sources
-from keymint.report import Report
+from keymint.status import Row, overview
 
 
 @verb()

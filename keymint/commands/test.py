@@ -7,8 +7,8 @@ from pathlib import Path
 
 import click
 
-from keymint.algebra.expected import Checked, Checks, Place, diagnostics
-from keymint.algebra.junit import junit as as_junit
+from keymint.analysis.expected import Checked, Checks, Place, diagnostics
+from keymint.analysis.junit import junit as as_junit
 from keymint.api import Expectation
 from keymint.commands.common import Run, verb
 from keymint.commands.files import write_outputs
@@ -16,7 +16,7 @@ from keymint.commands.numbers import Number
 from keymint.commands.policies import Policies, policy_options, typed
 from keymint.errors import Diagnostic, ExitCode, KeymintError, Origin, Severity
 from keymint.ir import Rule
-from keymint.report import Report
+from keymint.output.report import Report
 
 _PATH = click.Path(path_type=Path)
 

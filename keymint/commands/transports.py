@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from keymint.commands.common import Run, verb
-from keymint.report import Report
+from keymint.output.report import Report
 
 
 @verb()

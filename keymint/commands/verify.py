@@ -16,11 +16,11 @@ from keymint.commands.transport_option import transport_option
 from keymint.commands.verify_report import labelled_edges, write_report
 from keymint.errors import ExitCode
 from keymint.graph_json import load
+from keymint.output.report import Report
 from keymint.plan.anchors import differences
 from keymint.plan.create import load_policy
 from keymint.plan.inputs import Sources
 from keymint.plan.model import Action, Step
-from keymint.report import Report
 from keymint.verify.choose import choose, models
 from keymint.verify.compare import compare
 from keymint.verify.copies import copied

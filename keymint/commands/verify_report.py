@@ -10,11 +10,11 @@ from pathlib import Path
 from keymint.api import PolicyDecision
 from keymint.commands.common import Run
 from keymint.commands.files import exists, read_input, write_outputs
+from keymint.drawing.model import DIFFERENCES, Confusion, Labelled, LabelledEdge, Said, select
+from keymint.drawing.of_policy import nowhere
+from keymint.drawing.options import Options
 from keymint.errors import Origin
 from keymint.graph import Edge
-from keymint.pictures.model import DIFFERENCES, Confusion, Labelled, LabelledEdge, Said, select
-from keymint.pictures.of_policy import nowhere
-from keymint.pictures.options import Options
 from keymint.verify.model import Finding, Outcome
 
 PAGE = "index.html"
@@ -122,8 +122,8 @@ def write_report(run: Run, folder: Path, labelled: Labelled) -> list[str]:
         KeymintError: something stands in the way, or the system refuses.
     """
     # Templates are slow to import, and a run without a report needs none.
-    from keymint.pictures.report import html_report  # noqa: PLC0415
-    from keymint.pictures.svg import svg  # noqa: PLC0415
+    from keymint.drawing.report import html_report  # noqa: PLC0415
+    from keymint.drawing.svg import svg  # noqa: PLC0415
 
     pictures = {"graph.svg": svg(labelled)}
     for at, name in enumerate(labelled.transports):

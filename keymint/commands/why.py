@@ -13,10 +13,10 @@ from keymint.commands.common import Run, verb
 from keymint.commands.transport_option import transport_option
 from keymint.errors import Diagnostic, ExitCode, Origin, Severity, cited
 from keymint.graph import LABELLED, Edge
+from keymint.output.report import Report
 from keymint.plan.anchors import differences
 from keymint.plan.create import load_policy
 from keymint.plan.inputs import Inputs, LoadedProfile, Sources
-from keymint.report import Report
 from keymint.verify.choose import choose, models
 from keymint.verify.report import edge_document, place, remedy, transport_document
 from keymint.verify.why import Explanation, Place, explain, request, usual_domain

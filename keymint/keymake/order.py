@@ -10,9 +10,9 @@ from __future__ import annotations
 from collections.abc import Iterable
 from dataclasses import dataclass
 
-from keymint.keymake.algebra import TooComplexError, covers, disjoint, intersection, matcher, maximal
-from keymint.keymake.effort import spend
-from keymint.keymake.glob import Glob, literal
+from comarmor.patterns.effort import spend
+from comarmor.patterns.glob import Glob, literal
+from comarmor.patterns.relations import TooComplexError, covers, disjoint, intersection, matcher, maximal
 
 MAX_PIECES = 1000
 """Patterns that may be needed to say what must be said first; beyond, no handshake would carry the document."""

@@ -11,10 +11,10 @@ from dataclasses import dataclass, replace
 from itertools import groupby
 from operator import attrgetter
 
+from comarmor.patterns import glob
+from comarmor.patterns.relations import matcher
 from keymint.api import LoadedPolicy, NameMapping, PolicyDecision
 from keymint.graph import Edge
-from keymint.keymake import glob
-from keymint.keymake.algebra import matcher
 
 RAW = "topic"
 

@@ -6,7 +6,7 @@ from collections import defaultdict
 from collections.abc import Sequence
 from xml.etree import ElementTree as ET  # only writes
 
-from keymint.interchange.junit import legal, rendered
+from keymint.output.junit import legal, rendered
 from keymint.verify.model import Finding, Outcome
 from keymint.verify.words import in_words
 

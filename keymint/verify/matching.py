@@ -7,10 +7,10 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 
+from comarmor.patterns import glob
+from comarmor.patterns.relations import matcher
 from keymint.graph import Edge
 from keymint.ir import Effect, Rule
-from keymint.keymake import glob
-from keymint.keymake.algebra import matcher
 from keymint.keymake.composites import parts
 from keymint.verify.judge import RAW
 

@@ -12,11 +12,11 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from functools import lru_cache
 from itertools import islice
 
+from comarmor.patterns import glob
+from comarmor.patterns.glob import Charset, Star
 from keymint.graph import LABELLED, Edge, Object
 from keymint.ir import Rule, SubjectRules
-from keymint.keymake import glob
 from keymint.keymake.composites import PARTS
-from keymint.keymake.glob import Charset, Star
 from keymint.verify.judge import RAW
 
 MOST_OF_A_PATTERN = 48

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from typing import Any
 
-from keymint.interchange.sarif import location, log
+from keymint.output.sarif import location, log
 from keymint.verify.model import Error, Finding, Outcome
 from keymint.verify.words import in_words, request
 

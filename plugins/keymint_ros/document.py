@@ -16,8 +16,10 @@ from typing import Generic, TypeVar
 
 from lxml import etree
 
-from comarmor import errors, schema, source
+from comarmor import errors
 from comarmor.data import locate
+from comarmor.language import source
+from comarmor.xml import schema
 from keymint.errors import Diagnostic, KeymintError, Origin, Severity
 
 _T = TypeVar("_T")

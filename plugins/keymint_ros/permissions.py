@@ -19,8 +19,8 @@ from urllib.parse import unquote
 from lxml import etree
 
 from comarmor.errors import ComArmorError
-from comarmor.expression import parse as parse_expression
-from comarmor.template import strip
+from comarmor.language.template import strip
+from comarmor.patterns.expression import parse as parse_expression
 from keymint.errors import KeymintError, Origin
 from keymint.ir import Effect, Rule, SubjectRules
 from keymint_ros import document, placeholders, validity

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 import comarmor
-import comarmor.source
+import comarmor.language.source
 from keymint.api import AppliedProfile, Expectation, Learned, LoadedPolicy, PolicyDecision, PolicySource, Structure
 from keymint.errors import Diagnostic, KeymintError, Origin, Severity
 from keymint.graph import Edge, Graph
@@ -126,7 +126,7 @@ class ComArmorPolicyType:
 
     def fingerprint(self, path: Path) -> bytes:
         """Return what tells whether a path is still what it was when a policy was loaded."""
-        return comarmor.source.fingerprint(path)
+        return comarmor.language.source.fingerprint(path)
 
     def expectations(self, path: Path) -> Mapping[Path, Sequence[Expectation]]:
         """Return the expectations in the ``*.test.xml`` files beside a policy, or in one such file.
@@ -134,7 +134,7 @@ class ComArmorPolicyType:
         Raises:
             KeymintError: with ``file:line`` of each defect.
         """
-        from comarmor.tested import expectations  # noqa: PLC0415 - only one verb needs it
+        from comarmor.language.policy_tests import expectations  # noqa: PLC0415 - only one verb needs it
 
         try:
             found = expectations(path)

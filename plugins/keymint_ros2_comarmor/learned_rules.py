@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping
 
 from comarmor.errors import Location
-from comarmor.expression import escape
-from comarmor.model import PERMISSIONS, Effect, Expression, Rule
+from comarmor.language.syntax import PERMISSIONS, Effect, Expression, Rule
+from comarmor.patterns.expression import escape
 from keymint.graph import Edge
 
 Needs = dict[tuple[str, str], dict[str, set[str]]]

@@ -6,7 +6,7 @@ from collections.abc import Iterable, Iterator
 
 import comarmor
 from comarmor.errors import quoted
-from comarmor.expression import matches
+from comarmor.patterns.expression import matches
 from keymint.errors import Diagnostic, Origin, Severity, Spot
 from keymint.graph import Edge, Graph
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 
 import comarmor
-from comarmor.template import for_parts
+from comarmor.language.template import for_parts
 from keymint.api import AttachedProfile, Clause, Structure
 from keymint.errors import Origin
 from keymint.ir import Rule

@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING
 from lxml import etree
 
 import comarmor
-from comarmor.expression import escape
-from comarmor.model import Expression, Profile, Rule
+from comarmor.language.syntax import Expression, Profile, Rule
+from comarmor.patterns.expression import escape
 from keymint_ros2_comarmor.learned_rules import NOWHERE, Needs, fold, literal, literal_needs
 
 if TYPE_CHECKING:

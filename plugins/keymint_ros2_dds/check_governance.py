@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
+from comarmor.patterns.decision_lists import Budget, Universe
+from comarmor.patterns.glob import GlobError
 from keymint.api import Inspection
 from keymint.errors import Diagnostic, KeymintError, Origin, Severity
-from keymint.keymake.glob import GlobError
 from keymint.pki import smime
-from keymint.proof import Budget, Universe
 from keymint_ros2_dds import opened
 from keymint_ros2_dds.decision.access import Governed
 from keymint_ros2_dds.decision.semantics import STANDARD

@@ -8,9 +8,9 @@ from datetime import UTC, datetime
 
 from lxml import etree
 
-from comarmor import schema
 from comarmor.errors import ComArmorError, Location
-from comarmor.reader import parse
+from comarmor.xml import schema
+from comarmor.xml.reader import parse
 from keymint.api import DomainRange
 from keymint.errors import Diagnostic, KeymintError, Origin, Severity
 

@@ -9,12 +9,12 @@ from functools import lru_cache
 
 from lxml import etree
 
+from comarmor.patterns import glob
+from comarmor.patterns.glob import EVERYTHING, Glob
+from comarmor.patterns.relations import covers, union_covers
 from keymint.api import DomainRange, DomainRule, Governance, TopicProtection
 from keymint.errors import Diagnostic, KeymintError, Origin, Severity
-from keymint.keymake import glob
-from keymint.keymake.algebra import covers, union_covers
 from keymint.keymake.composites import PARTS
-from keymint.keymake.glob import EVERYTHING, Glob
 from keymint_ros2_dds import document
 from keymint_ros2_dds.compiling.spelling import InexpressibleError, faithful, spell
 from keymint_ros2_dds.mapping import ARDENT, IMAGES, images

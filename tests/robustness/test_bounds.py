@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from keymint.algebra import vain
+from keymint.analysis import vain
 from tests.bounds import COMPILE, Sweep
 from tests.effort import calls_of
 from tests.families import FAMILIES

@@ -18,7 +18,7 @@ from pathlib import Path
 
 import pytest
 
-from keymint.console import Console, Streams
+from keymint.output.console import Console, Streams
 from keymint.process import Output
 from tests.conftest import NOW, snapshot
 from tests.effort import FULL

@@ -6,12 +6,12 @@ from collections import Counter
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 
+from comarmor.patterns.effort import EffortError, limited
+from comarmor.patterns.glob import Glob
+from comarmor.patterns.relations import disjoint, sort_key
 from keymint.api import BuildOptions, Demand, Permissions
 from keymint.errors import Diagnostic, KeymintError, Severity
 from keymint.ir import Rule
-from keymint.keymake.algebra import disjoint, sort_key
-from keymint.keymake.effort import EffortError, limited
-from keymint.keymake.glob import Glob
 from keymint_ros2_dds.compiling import partitions
 from keymint_ros2_dds.compiling.criteria import Criteria
 from keymint_ros2_dds.compiling.gathering import GUARD, gathered
@@ -25,7 +25,7 @@ from keymint_ros2_dds.mapping import Action, check_distro, knows
 
 DIFFERING = "Cyclone DDS and Fast DDS"
 STEPS = 4_000_000
-"""Steps that putting the rules of a subject in order may take (:mod:`keymint.keymake.effort`)."""
+"""Steps that putting the rules of a subject in order may take (:mod:`comarmor.patterns.effort`)."""
 
 
 @dataclass(frozen=True, slots=True)

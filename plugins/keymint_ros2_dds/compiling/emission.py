@@ -11,9 +11,9 @@ from dataclasses import dataclass
 
 from lxml import etree
 
+from comarmor.patterns.effort import limited
 from keymint.api import BuildOptions, Claim, Package, Proof
 from keymint.errors import Diagnostic, KeymintError, Severity
-from keymint.keymake.effort import limited
 from keymint.pki import names
 from keymint_ros2_dds import document as documents
 from keymint_ros2_dds.compiling.compile import Compiled, compile_rules, remarks
@@ -28,7 +28,7 @@ from keymint_ros2_dds.proving import ASSUMPTIONS, Held, prove_content
 STATES = 50_000
 """States that a question may visit, so that a build never hangs."""
 STEPS = 8_000_000
-"""Steps that all questions about the forms of a document may take together (:mod:`keymint.keymake.effort`)."""
+"""Steps that all questions about the forms of a document may take together (:mod:`comarmor.patterns.effort`)."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -9,9 +9,9 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from itertools import product
 
+from comarmor.patterns import glob
+from comarmor.patterns.relations import matcher
 from keymint.ir import Effect
-from keymint.keymake import glob
-from keymint.keymake.algebra import matcher
 from keymint.keymake.gather import Pattern, gather
 from keymint_ros2_dds.compiling.criteria import Criteria, is_name
 from keymint_ros2_dds.compiling.lower import Partitions

@@ -10,12 +10,12 @@ import difflib
 from collections.abc import Mapping
 from dataclasses import dataclass
 
+from comarmor.patterns import glob
+from comarmor.patterns.glob import Glob
+from comarmor.patterns.ros_names import advice, is_possible
 from keymint.errors import Diagnostic, KeymintError, Severity
 from keymint.ir import Effect, Rule, SubjectRules
-from keymint.keymake import glob
 from keymint.keymake.composites import parts
-from keymint.keymake.glob import Glob
-from keymint.keymake.rosnames import advice, is_possible
 from keymint_ros2_dds.compiling.spelling import faithful
 from keymint_ros2_dds.mapping import IMAGES, Action, images, knows
 

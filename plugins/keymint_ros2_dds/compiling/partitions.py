@@ -15,9 +15,9 @@ from dataclasses import dataclass
 from functools import lru_cache
 from typing import Self
 
-from keymint.ir import Effect
-from keymint.keymake import glob as globs
-from keymint.keymake.algebra import (
+from comarmor.patterns import glob as globs
+from comarmor.patterns.glob import EVERYTHING, STAR, Glob, Star, literal
+from comarmor.patterns.relations import (
     TooComplexError,
     covers,
     disjoint,
@@ -26,7 +26,7 @@ from keymint.keymake.algebra import (
     sort_key,
     surely_covers,
 )
-from keymint.keymake.glob import EVERYTHING, STAR, Glob, Star, literal
+from keymint.ir import Effect
 from keymint_ros2_dds.compiling.lower import Partitions
 from keymint_ros2_dds.compiling.spelling import faithful
 

@@ -9,8 +9,8 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
-from keymint.keymake import glob
-from keymint.keymake.algebra import all_disjoint, matcher, matches
+from comarmor.patterns import glob
+from comarmor.patterns.relations import all_disjoint, matcher, matches
 from keymint_ros2_dds.compiling.criteria import Criteria, is_name
 from keymint_ros2_dds.compiling.gathering import GUARD
 from keymint_ros2_dds.mapping import Action

@@ -21,9 +21,9 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
+from comarmor.patterns.glob import Glob
+from comarmor.patterns.relations import TooComplexError, all_disjoint, intersection, union_covers
 from keymint.ir import Effect, Rule
-from keymint.keymake.algebra import TooComplexError, all_disjoint, intersection, union_covers
-from keymint.keymake.glob import Glob
 from keymint.keymake.order import Rescue, mentioned_first
 from keymint_ros2_dds.compiling.lower import Lowered, Partitions
 from keymint_ros2_dds.compiling.partitions import DEFAULT, EVERY, Entry

@@ -13,7 +13,7 @@ import re
 from functools import lru_cache
 from itertools import pairwise, product
 
-from keymint.keymake.glob import ANY, Charset, Glob, Star, literal
+from comarmor.patterns.glob import ANY, Charset, Glob, Star, literal
 
 MAX_ALTERNATIVES = 64
 """How many expressions one glob may become."""

@@ -13,9 +13,9 @@ from types import MappingProxyType
 
 from lxml import etree
 
-from comarmor import schema
 from comarmor.errors import ComArmorError
-from comarmor.reader import line, parse
+from comarmor.xml import schema
+from comarmor.xml.reader import line, parse
 from keymint.errors import Diagnostic, KeymintError, Origin, Severity
 from keymint_ros2_dds.decision import numbers, peculiar
 from keymint_ros2_dds.decision.peculiar import Peculiarity

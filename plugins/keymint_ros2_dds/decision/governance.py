@@ -17,9 +17,9 @@ from functools import lru_cache
 
 from lxml import etree
 
-from comarmor import schema
 from comarmor.errors import ComArmorError
-from comarmor.reader import line, parse
+from comarmor.xml import schema
+from comarmor.xml.reader import line, parse
 from keymint.errors import KeymintError, Origin
 from keymint_ros2_dds.decision import fnmatch
 from keymint_ros2_dds.decision.document import Domains

@@ -12,7 +12,7 @@ from collections.abc import Iterator
 from lxml import etree
 
 import comarmor
-from comarmor.reader import line, parse
+from comarmor.xml.reader import line, parse
 from keymint.errors import Diagnostic, KeymintError, Origin, Severity
 from keymint_ros2_dds.discovery.capture import Capture, Endpoint, Participant
 

@@ -8,9 +8,9 @@ from __future__ import annotations
 import difflib
 from collections.abc import Iterator
 
+from comarmor.patterns.glob import Glob
 from keymint.errors import KeymintError
 from keymint.ir import Effect
-from keymint.keymake.glob import Glob
 from keymint_ros2_dds.mapping import ardent
 from keymint_ros2_dds.mapping.entities import IMAGES, Action, Image
 from keymint_ros2_dds.mapping.modern import image

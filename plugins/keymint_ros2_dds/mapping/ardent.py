@@ -10,9 +10,9 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator
 from itertools import product
 
-from keymint.keymake import glob
-from keymint.keymake.algebra import covers
-from keymint.keymake.glob import STAR, Charset, Glob, Star, Token
+from comarmor.patterns import glob
+from comarmor.patterns.glob import STAR, Charset, Glob, Star, Token
+from comarmor.patterns.relations import covers
 from keymint_ros2_dds.mapping.entities import Image
 
 MAX_ALTERNATIVES = 64

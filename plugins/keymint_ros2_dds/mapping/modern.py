@@ -6,8 +6,8 @@ parameters are made of these.
 
 from __future__ import annotations
 
-from keymint.keymake import glob
-from keymint.keymake.glob import Glob
+from comarmor.patterns import glob
+from comarmor.patterns.glob import Glob
 from keymint_ros2_dds.mapping.entities import Image
 
 

@@ -1,8 +1,8 @@
 """Proofs about permissions documents: over all names, they permit exactly what the policy says.
 
-The document is read again from the signed bytes that are installed, and becomes decision lists, by the standard and by
-a model of each vendor; so does the policy. :mod:`keymint.proof` compares them. What it finds is judged once more: on
-the policy's side by going through its rules, on the document's side by the decision point.
+The signed document is read again as installed, and turned into decision lists: by the standard, and by a model of each
+vendor. So is the policy, and :mod:`comarmor.patterns.proofs` compares them. Each counterexample
+is checked once more: on the policy's side by evaluating its rules, on the document's side by the decision point.
 """
 
 from __future__ import annotations

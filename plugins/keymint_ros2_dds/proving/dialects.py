@@ -6,8 +6,8 @@ from collections.abc import Callable, Mapping
 from functools import lru_cache
 from types import MappingProxyType
 
-from keymint.keymake import glob
-from keymint.keymake.glob import ANY, STAR, Charset, Glob, Token, charset
+from comarmor.patterns import glob
+from comarmor.patterns.glob import ANY, STAR, Charset, Glob, Token, charset
 from keymint_ros2_dds.decision import fnmatch
 from keymint_ros2_dds.proving import octets
 

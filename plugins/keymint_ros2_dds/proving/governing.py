@@ -7,8 +7,8 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from itertools import pairwise
 
+from comarmor.patterns.glob import GlobError
 from keymint.api import DomainRange, Governance
-from keymint.keymake.glob import GlobError
 from keymint_ros2_dds import governance as sources
 from keymint_ros2_dds.decision import governance
 from keymint_ros2_dds.decision.governance import ACCESS, JOIN, UNAUTHENTICATED, DomainRule, GovernanceDocument

@@ -9,10 +9,10 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator, Sequence
 from itertools import chain
 
+from comarmor.patterns.decision_lists import Block, DecisionList
+from comarmor.patterns.glob import EVERYTHING, Glob, normalise, parse
+from comarmor.patterns.relations import matches
 from keymint.ir import Effect
-from keymint.keymake.algebra import matches
-from keymint.keymake.glob import EVERYTHING, Glob, normalise, parse
-from keymint.proof import Block, DecisionList
 from keymint_ros2_dds.compiling.lower import Lowered, Partitions
 from keymint_ros2_dds.decision.document import Criteria, Grant, Rule
 from keymint_ros2_dds.decision.refusals import covers

@@ -15,8 +15,8 @@ from __future__ import annotations
 import re
 from collections.abc import Iterable, Iterator
 
+from comarmor.patterns.glob import Glob, charset
 from keymint.ir import SubjectRules
-from keymint.keymake.glob import Glob, charset
 from keymint_ros2_dds.decision import fnmatch
 from keymint_ros2_dds.decision.document import Grant, PermissionsDocument
 from keymint_ros2_dds.decision.semantics import Semantics

@@ -11,8 +11,18 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 
-from keymint.keymake.glob import EVERYTHING, Charset, Glob, normalise
-from keymint.proof import Block, Budget, DecisionList, Equal, Outcome, Universe, Unknown, Witness, escapes
+from comarmor.patterns.decision_lists import (
+    Block,
+    Budget,
+    DecisionList,
+    Equal,
+    Outcome,
+    Universe,
+    Unknown,
+    Witness,
+)
+from comarmor.patterns.glob import EVERYTHING, Charset, Glob, normalise
+from comarmor.patterns.proofs import escapes
 from keymint_ros2_dds.decision.governance import DomainRule
 from keymint_ros2_dds.decision.semantics import Semantics
 from keymint_ros2_dds.proving.dialects import read

@@ -8,10 +8,10 @@ from __future__ import annotations
 import re
 from collections.abc import Iterator
 
+from comarmor.patterns import glob
+from comarmor.patterns.relations import matches
 from keymint.graph import Edge, Object
 from keymint.ir import Effect, Rule, SubjectRules
-from keymint.keymake import glob
-from keymint.keymake.algebra import matches
 from keymint.keymake.composites import parts
 from keymint_ros2_dds.decision import fnmatch
 from keymint_ros2_dds.endpoints import meanings

@@ -9,10 +9,11 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass
 
+from comarmor.patterns.decision_lists import Block, Budget, DecisionList, Universe, Unknown, Witness
+from comarmor.patterns.glob import EVERYTHING
+from comarmor.patterns.proofs import escapes
 from keymint.api import Claim, Counterexample, DomainRange, PolicyDecision, Proof, Verdict
 from keymint.graph import Edge, Object
-from keymint.keymake.glob import EVERYTHING
-from keymint.proof import Block, Budget, DecisionList, Universe, Unknown, Witness, escapes
 from keymint_ros2_dds.decision.access import Governed
 from keymint_ros2_dds.decision.governance import (
     ACCESS,

@@ -6,9 +6,9 @@ from pathlib import Path
 
 from keymint.api import PolicyDecision, Tier, Verdict
 from keymint.commands.verify_report import labelled_edges
+from keymint.drawing.model import Confusion, Said
 from keymint.errors import Origin
 from keymint.graph import Edge, Object
-from keymint.pictures.model import Confusion, Said
 from keymint.verify.model import Confusion as Counts
 from keymint.verify.model import Error, Finding, Outcome
 

@@ -7,9 +7,9 @@ import itertools
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from keymint.keymake.algebra import matches
+from comarmor.patterns.glob import parse
+from comarmor.patterns.relations import matches
 from keymint.keymake.composites import PARTS, parts
-from keymint.keymake.glob import parse
 from keymint.keymake.order import arrange, mentioned_first
 from tests.effort import calls_of
 

@@ -8,11 +8,11 @@ import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
+from comarmor.patterns import glob
+from comarmor.patterns.relations import matcher
 from keymint.errors import Origin
 from keymint.graph import Edge, Object
 from keymint.ir import Effect, Rule, SubjectRules
-from keymint.keymake import glob
-from keymint.keymake.algebra import matcher
 from keymint.verify import probes
 
 HERE = Origin("policy.xml", 1)

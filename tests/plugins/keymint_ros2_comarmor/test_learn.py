@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from keymint_ros2_comarmor import policy_type
 
 import comarmor
-from comarmor.model import PARTS
+from comarmor.language.syntax import PARTS
 from keymint.api import Learned, PolicySource
 from keymint.errors import Origin
 from keymint.graph import Edge, Graph, Object, complete

@@ -12,7 +12,7 @@ from functools import lru_cache
 
 from lxml import etree
 
-from comarmor import expression
+from comarmor.patterns import expression
 from keymint.ir import Effect, Rule, SubjectRules
 
 _IMAGES = {

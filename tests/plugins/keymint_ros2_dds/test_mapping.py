@@ -6,8 +6,8 @@ import pytest
 from keymint_ros2_dds.compiling.spelling import faithful
 from keymint_ros2_dds.mapping import DISTROS, IMAGES, Action, Image, check_distro, image
 
+from comarmor.patterns.glob import parse
 from keymint.errors import KeymintError
-from keymint.keymake.glob import parse
 
 TOPIC = IMAGES["ros_publish"][0]
 

@@ -10,14 +10,14 @@ from keymint_ros2_dds import build_type
 from keymint_ros2_dds.compiling import compile as compiling
 from keymint_ros2_dds.compiling import emission
 
-from keymint.algebra.portable import package_of
-from keymint.algebra.subjects import rules_of
+from comarmor.patterns.effort import limited
+from keymint.analysis.portable import package_of
+from keymint.analysis.subjects import rules_of
 from keymint.api import BuildOptions, LoadedPolicy
 from keymint.errors import KeymintError
-from keymint.keymake.effort import limited
 from tests.families import FAMILIES
 from tests.generated import pretty, tokens
-from tests.keymint.algebra.policies import loaded_text
+from tests.keymint.analysis.policies import loaded_text
 
 NOW = datetime(2026, 1, 1, tzinfo=UTC)
 MOST = 2 * compiling.STEPS + emission.STEPS

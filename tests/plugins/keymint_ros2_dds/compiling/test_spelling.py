@@ -11,8 +11,8 @@ from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 from keymint_ros2_dds.compiling.spelling import MAX_ALTERNATIVES, InexpressibleError, faithful, spell
 
-from keymint.keymake import glob
-from keymint.keymake.algebra import matches
+from comarmor.patterns import glob
+from comarmor.patterns.relations import matches
 from tests.plugins.keymint_ros2_dds.oracles import matches_any
 
 PIECES = st.sampled_from([*"ab]-^\\!.", "*", "?", "[ab]", "[!a]", "[!ab]", "[]a]", "[!]]", "[!-]", "[!\\\\]", "[a-c]"])

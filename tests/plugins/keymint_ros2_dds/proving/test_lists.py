@@ -14,10 +14,10 @@ from keymint_ros2_dds.decision import VARIATIONS, Judge, fnmatch
 from keymint_ros2_dds.proving import lists, policy
 from keymint_ros2_dds.proving.dialects import READERS
 
+from comarmor.patterns.evaluate import permits
+from comarmor.patterns.glob import GlobError
+from comarmor.patterns.relations import matches
 from keymint.ir import SubjectRules
-from keymint.keymake.algebra import matches
-from keymint.keymake.glob import GlobError
-from keymint.proof import permits
 from tests.plugins.keymint_ros2_dds.compiling.test_decisions import DENIED, PARTITIONS, rules
 from tests.plugins.keymint_ros2_dds.decision import documents as xml
 from tests.plugins.keymint_ros2_dds.oracles import policy as oracle

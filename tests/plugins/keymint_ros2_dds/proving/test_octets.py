@@ -7,9 +7,9 @@ from keymint_ros2_dds import build_type, proving
 from keymint_ros2_dds.decision import fnmatch
 from keymint_ros2_dds.proving import octets
 
+from comarmor.patterns import glob
 from keymint.api import BuildOptions, Proof
 from keymint.errors import KeymintError
-from keymint.keymake import glob
 from tests.plugins.keymint_ros2_dds.packages import package, rule
 from tests.plugins.keymint_ros2_dds.proving.byte_names import Case, has_cyclone, run
 

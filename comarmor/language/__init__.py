@@ -1,0 +1,1 @@
+"""The ComArmor policy language: from XML to profiles and rules, and what they decide."""

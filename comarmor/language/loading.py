@@ -1,0 +1,53 @@
+"""Paths to policy."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from pathlib import Path
+from types import MappingProxyType
+
+from comarmor.errors import ComArmorError, Diagnostic
+from comarmor.language.parse import parse
+from comarmor.language.policy import Policy
+from comarmor.language.source import load_tree
+
+
+def load(path: str | Path, *, library: str | Path | None = None) -> Policy:
+    """Load a policy.
+
+    Args:
+        path: a file, or a directory whose ``*.xml`` files are the policy's roots. Includes are confined to that
+            directory, or to the file's folder.
+        library: a folder in which includes are looked up that the policy itself does not have; what lies there can
+            only include what lies there as well.
+
+    Raises:
+        ComArmorError: the policy has defects; carries all that were found, with ``file:line``.
+    """
+    return parse(load_tree(Path(path), None if library is None else Path(library)))
+
+
+def load_all(paths: Iterable[str | Path], *, library: str | Path | None = None) -> Policy:
+    """Load several policies as one: the union of their profiles, each confined to its own folder.
+
+    Args:
+        paths: as for :func:`load`.
+        library: as for :func:`load`.
+
+    Raises:
+        ComArmorError: a policy has defects; carries those of all policies.
+    """
+    found: dict[Diagnostic, None] = {}
+    policies: list[Policy] = []
+    for path in paths:
+        try:
+            policies.append(load(path, library=library))
+        except ComArmorError as error:
+            found |= dict.fromkeys(error.diagnostics)
+    if found:
+        raise ComArmorError.of(found)
+    files = {file: digest for policy in policies for file, digest in policy.files.items()}
+    seen = {path: fingerprint for policy in policies for path, fingerprint in policy.seen.items()}
+    profiles = tuple(profile for policy in policies for profile in policy.profiles)
+    unused = tuple(tunable for policy in policies for tunable in policy.unused_tunables)
+    return Policy(profiles, MappingProxyType(files), MappingProxyType(seen), unused)

@@ -1,0 +1,279 @@
+"""Elements to policy: both dialects of attachments, tunables, includes put in their places."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+
+from lxml import etree
+
+from comarmor.errors import ComArmorError, Diagnostic, Location, quoted
+from comarmor.language import template
+from comarmor.language.policy import Policy
+from comarmor.language.scope import Budget, Scope
+from comarmor.language.source import INCLUDE, Document, Sources
+from comarmor.language.syntax import PERMISSIONS, Effect, Expression, Profile, Rule
+from comarmor.patterns.expression import literal
+from comarmor.xml import schema
+from comarmor.xml.reader import column, line
+
+SCHEMA = "comarmor/comarmor.xsd"
+
+_LEGAL_NAME = re.compile(r"(/[A-Za-z_][A-Za-z0-9_]*)+")
+_LONGEST_NAME = 1024
+_LONGEST_SEGMENT = 255
+_DEEPEST = 64
+_MOST_DIAGNOSTICS = 100
+
+
+@dataclass(frozen=True, slots=True)
+class _Item:
+    """An element, and the file it stands in, with the chain of includes that led there."""
+
+    element: etree._Element
+    document: Document
+    chain: tuple[Location, ...]
+
+    @property
+    def where(self) -> Location:
+        return _place(self.document, self.element, self.chain)
+
+
+@dataclass(slots=True)
+class _Parser:
+    """Goes through the documents of a policy once, in order, and gathers every defect."""
+
+    checked: set[Document] = field(default_factory=set)
+    budget: Budget = field(default_factory=Budget)
+    found: list[Diagnostic] = field(default_factory=list)
+
+    def note(self, error: ComArmorError, where: Location) -> None:
+        """Keep the defects of an error, those without a place at the given one, and go on."""
+        for item in error.diagnostics:
+            placed = item if item.where else Diagnostic(item.code, item.severity, item.message, where, item.help)
+            if placed not in self.found:
+                self.found.append(placed)
+        if len(self.found) >= _MOST_DIAGNOSTICS:
+            raise ComArmorError.of(self.found)
+
+    def refuse(self, message: str, where: Location, code: str, help_: str = "") -> None:
+        """Keep a defect, and go on."""
+        self.note(ComArmorError(message, where=where, help=help_, code=code), where)
+
+    def validate(self, document: Document, chain: tuple[Location, ...]) -> None:
+        """Hold a document and what it includes against the schema, each once, in the place where it is met first."""
+        if document in self.checked:
+            return
+        self.checked.add(document)
+        try:
+            schema.validate(document.root, SCHEMA, document.name, chain)
+        except ComArmorError as error:
+            self.note(error, Location(document.name))
+        for element, included in document.includes.items():
+            self.validate(included, (_place(document, element), *chain))
+
+    def root(self, document: Document) -> tuple[Profile, ...]:
+        """Return the profiles of a root file."""
+        scope = Scope(self.budget)
+        item = _Item(document.root, document, ())
+        if document.root.tag == "profiles":
+            return self.profiles(item, scope)
+        if document.root.tag == "profile":
+            return tuple(self.profile(item, scope, audit=False, depth=1))
+        self.refuse(
+            f"<{document.root.tag}> is not expected as the root of a policy, expected <profiles> or <profile>",
+            item.where,
+            "rule-outside",
+            "a fragment that is only included belongs into a sub-folder of the policy's folder",
+        )
+        return ()
+
+    def children(self, item: _Item) -> Iterator[_Item]:
+        """Yield the elements in an element, those of included files in the place of the include."""
+        for element in item.element:
+            if element.tag != INCLUDE:
+                yield _Item(element, item.document, item.chain)
+                continue
+            included = item.document.includes[element]
+            chain = (_place(item.document, element), *item.chain)
+            inner = _Item(included.root, included, chain)
+            if included.root.tag == "profiles":
+                yield from self.children(inner)
+            else:
+                yield inner
+
+    def profiles(self, item: _Item, scope: Scope) -> tuple[Profile, ...]:
+        """Return the profiles in a ``<profiles>`` element."""
+        found: list[Profile] = []
+        for child in self.children(item):
+            if child.element.tag == "tunable":
+                self.tunable(child, scope)
+            elif child.element.tag == "profile":
+                found += self.profile(child, scope, audit=False, depth=1)
+            else:
+                self.refuse(
+                    f"<{child.element.tag}> is included outside of a profile, where no rule may stand",
+                    child.where,
+                    "rule-outside",
+                    "move the xi:include into a <profile>",
+                )
+        return tuple(found)
+
+    def profile(self, item: _Item, around: Scope, *, audit: bool, depth: int) -> Iterator[Profile]:
+        """Yield the profile of a ``<profile>`` element, unless it is defective."""
+        if depth > _DEEPEST:
+            self.refuse(f"profiles are nested more than {_DEEPEST} deep", item.where, "xml-limit")
+            return
+        scope = around.inner()
+        audit = audit or item.element.get("modifier") == "AUDIT"
+        attachments: list[Expression] = []
+        inner: list[Profile] = []
+        rules: list[Rule] = []
+        for child in self.children(item):
+            tag = child.element.tag
+            if tag == "tunable":
+                self.tunable(child, scope)
+            elif tag in ("attachment", "attachments"):
+                attachments += self.subjects(child, scope)
+            elif tag == "profile":
+                inner += self.profile(child, scope, audit=audit, depth=depth + 1)
+            else:
+                rules.append(self.rule(child, scope, audit=audit))
+        name = item.element.get("name", "")
+        yield Profile(name, audit, _unique(attachments), tuple(inner), tuple(rules), item.where)
+
+    def tunable(self, item: _Item, scope: Scope) -> None:
+        """Declare a tunable."""
+        values = [template.strip(value.text or "") for value in item.element]
+        try:
+            scope.declare(item.element.get("name", ""), values, item.where)
+        except ComArmorError as error:
+            self.note(error, item.where)
+
+    def subjects(self, item: _Item, scope: Scope) -> Iterator[Expression]:
+        """Yield the attachments of a profile."""
+        for expression in self.attachments(item, scope):
+            if expression.value:
+                self.refuse(
+                    "{name} and {namespace} are the subject's, and can only stand in the attachment of a rule",
+                    expression.where,
+                    "brace",
+                    "use a tunable @{…}, or a wildcard",
+                )
+                continue
+            name = literal(expression.text)
+            if name is not None and not _is_legal(name):
+                self.refuse(
+                    f"{quoted(name)} is not a legal name of a subject",
+                    expression.where,
+                    "subject-name",
+                    _why_illegal(name),
+                )
+            yield expression
+
+    def attachments(self, item: _Item, scope: Scope) -> Iterator[Expression]:
+        """Yield the expressions of an ``<attachment>`` or ``<attachments>`` element."""
+        for element in item.element if item.element.tag == "attachments" else (item.element,):
+            where = _place(item.document, element, item.chain)
+            try:
+                values = scope.expand(element.text or "", where)
+            except ComArmorError as error:
+                self.note(error, where)
+                continue
+            for value in values:
+                if any(value):
+                    yield Expression.of(value, where)
+                else:
+                    self.refuse("the attachment is empty", where, "expression", "for any name write *")
+
+    def rule(self, item: _Item, scope: Scope, *, audit: bool) -> Rule:
+        """Return the rule of an element."""
+        attachments: list[Expression] = []
+        held: set[str] = set()
+        partitions: tuple[str, ...] = ()
+        for child in item.element:
+            if child.tag == "permissions":
+                held = {str(permission.tag) for permission in child}
+            elif child.tag == "partitions":
+                partitions = self.partitions(child, item)
+            else:
+                attachments += self.attachments(_Item(child, item.document, item.chain), scope)
+        kind = str(item.element.tag)
+        return Rule(
+            effect=Effect(item.element.get("qualifier", "")),
+            kind=kind,
+            permissions=tuple(permission for permission in PERMISSIONS[kind] if permission in held),
+            attachments=_unique(attachments),
+            partitions=partitions,
+            audit=audit or item.element.get("modifier") == "AUDIT",
+            where=item.where,
+        )
+
+    def partitions(self, element: etree._Element, item: _Item) -> tuple[str, ...]:
+        """Return the expressions of a ``<partitions>`` element; they take no tunables and no braces."""
+        found: dict[str, None] = {}
+        for child in element:
+            where = _place(item.document, child, item.chain)
+            try:
+                pieces = template.parse(template.strip(child.text or ""))
+            except ComArmorError as error:
+                self.note(error, where)
+                continue
+            if any(type(piece) is not str for piece in pieces):
+                self.refuse(
+                    "a partition takes no tunable, {name} or {namespace}",
+                    where,
+                    "brace",
+                    "for the character itself write \\{ or \\}",
+                )
+            found["".join(str(piece) for piece in pieces)] = None
+        return tuple(found)
+
+
+def parse(sources: Sources) -> Policy:
+    """Return the policy that documents hold.
+
+    Args:
+        sources: what was read.
+
+    Raises:
+        ComArmorError: with every defect that was found, each with ``file:line`` and its chain of includes.
+    """
+    parser = _Parser()
+    for document in sources.roots:
+        parser.validate(document, ())
+    if parser.found:
+        raise ComArmorError.of(parser.found)
+    profiles = tuple(profile for document in sources.roots for profile in parser.root(document))
+    if parser.found:
+        raise ComArmorError.of(parser.found)
+    unused = tuple(parser.budget.unused_tunables.values())
+    return Policy(profiles, sources.files, sources.seen, unused)
+
+
+def _place(document: Document, element: etree._Element, chain: tuple[Location, ...] = ()) -> Location:
+    return Location(document.name, line(element), chain, column(element))
+
+
+def _unique(expressions: list[Expression]) -> tuple[Expression, ...]:
+    """Return expressions without those whose text came before."""
+    first: dict[str, Expression] = {}
+    for expression in expressions:
+        first.setdefault(expression.text, expression)
+    return tuple(first.values())
+
+
+def _is_legal(name: str) -> bool:
+    """Tell whether a name may become the name of an enclave, and with it a path."""
+    return (
+        len(name) <= _LONGEST_NAME
+        and _LEGAL_NAME.fullmatch(name) is not None
+        and max(map(len, name.split("/"))) <= _LONGEST_SEGMENT
+    )
+
+
+def _why_illegal(name: str) -> str:
+    if len(name) > _LONGEST_NAME or max(map(len, name.split("/"))) > _LONGEST_SEGMENT:
+        return f"at most {_LONGEST_NAME} characters, and {_LONGEST_SEGMENT} between two '/'"
+    return "expected '/' and segments of letters, digits and '_' that do not begin with a digit, e.g. /robot1/talker"

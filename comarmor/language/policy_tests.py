@@ -1,0 +1,102 @@
+"""Unit tests of a policy: what its author expects it to allow and to deny."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+from comarmor.errors import ComArmorError, Diagnostic, Location
+from comarmor.language.source import TESTS
+from comarmor.patterns.expression import parse as parse_expression
+from comarmor.xml import schema
+from comarmor.xml.reader import LIMITS, line, parse
+
+SCHEMA = "comarmor/tests.xsd"
+
+
+@dataclass(frozen=True, slots=True)
+class Expectation:
+    """What a test expects.
+
+    Attributes:
+        test: name of the test.
+        allowed: every request that matches is allowed; else none is.
+        subject: expression of subjects.
+        permission: a permission.
+        object: expression of objects.
+        partition: DDS partition; empty for the default one.
+        where: where it is written.
+    """
+
+    test: str
+    allowed: bool
+    subject: str
+    permission: str
+    object: str
+    partition: str
+    where: Location
+
+
+def expectations(path: Path) -> Mapping[Path, tuple[Expectation, ...]]:
+    """Return the expectations in the test files of a policy, by file; none when there is no such file.
+
+    Args:
+        path: a policy file, whose tests are in ``NAME.test.xml`` beside it; a folder, of which all ``*.test.xml``
+            count; or a test file.
+
+    Raises:
+        ComArmorError: a file cannot be read or is not valid, with ``file:line`` of each defect.
+    """
+    found: dict[Path, tuple[Expectation, ...]] = {}
+    defects: list[Diagnostic] = []
+    for file in _files(path):
+        try:
+            found[file] = tuple(_read(file))
+        except ComArmorError as error:
+            defects += error.diagnostics
+    if defects:
+        raise ComArmorError.of(defects)
+    return found
+
+
+def _files(path: Path) -> list[Path]:
+    if path.is_dir():
+        return sorted(each for each in path.glob(f"*{TESTS}") if each.is_file() and not each.name.startswith("."))
+    beside = path if path.name.endswith(TESTS) else path.with_name(path.name.removesuffix(".xml") + TESTS)
+    return [beside] if beside.is_file() else []
+
+
+def _read(file: Path) -> Iterator[Expectation]:
+    name = str(file)
+    try:
+        with file.open("rb") as stream:
+            content = stream.read(LIMITS.file_bytes + 1)
+    except OSError as error:
+        raise ComArmorError(
+            f"the file cannot be read: {error.strerror}", where=Location(name), code="unreadable"
+        ) from None
+    root = parse(content, name)
+    schema.validate(root, SCHEMA, name)
+    defects: list[Diagnostic] = []
+    for test in root.iterchildren("test"):
+        for element in test.iterchildren("allow", "deny"):
+            where = Location(name, line(element))
+            subject, object_ = element.get("subject", ""), element.get("object", "")
+            partition = element.get("partition", "")
+            for expression in (subject, object_, partition):
+                try:
+                    parse_expression(expression)
+                except ComArmorError as error:
+                    defects += (replace(each, where=where) for each in error.diagnostics)
+            yield Expectation(
+                test=test.get("name", ""),
+                allowed=element.tag == "allow",
+                subject=subject,
+                permission=element.get("permission", ""),
+                object=object_,
+                partition=partition,
+                where=where,
+            )
+    if defects:
+        raise ComArmorError.of(defects)

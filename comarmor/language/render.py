@@ -1,0 +1,49 @@
+"""Policy to XML, in the canonical form: tunables expanded, includes in place, one dialect."""
+
+from __future__ import annotations
+
+from lxml import etree
+
+from comarmor.language.policy import Policy
+from comarmor.language.syntax import PERMISSIONS, Profile, Rule
+
+
+def render(policy: Policy) -> str:
+    """Return a policy as one XML document without includes and tunables.
+
+    It decides every request as the policy does, and rendering what it loads to gives the same text again.
+    """
+    root = etree.Element("profiles")
+    for profile in policy.profiles:
+        _profile(root, profile)
+    etree.indent(root)
+    text = etree.tostring(root, encoding="unicode")
+    return f'<?xml version="1.0" encoding="UTF-8"?>\n{text}\n'
+
+
+def _profile(parent: etree._Element, profile: Profile) -> None:
+    element = etree.SubElement(parent, "profile", name=profile.name)
+    if profile.audit:
+        element.set("modifier", "AUDIT")
+    for attachment in profile.attachments:
+        etree.SubElement(element, "attachment").text = attachment.text
+    for rule in profile.rules:
+        _rule(element, rule)
+    for inner in profile.profiles:
+        _profile(element, inner)
+
+
+def _rule(parent: etree._Element, rule: Rule) -> None:
+    element = etree.SubElement(parent, rule.kind, qualifier=rule.effect.value)
+    if rule.audit:
+        element.set("modifier", "AUDIT")
+    for attachment in rule.attachments:
+        etree.SubElement(element, "attachment").text = attachment.text
+    permissions = etree.SubElement(element, "permissions")
+    for permission in PERMISSIONS[rule.kind]:
+        if permission in rule.permissions:
+            etree.SubElement(permissions, permission)
+    if rule.partitions:
+        partitions = etree.SubElement(element, "partitions")
+        for partition in rule.partitions:
+            etree.SubElement(partitions, "partition").text = partition

@@ -1,0 +1,339 @@
+"""Reads policies: XML files and what they include, confined to the policy's own folder.
+
+``xi:include`` (XInclude 1.0, W3C 2006) is resolved here and not by a library, because the origin of every element must
+be known, because no file outside the policy may be reached, not even through a symbolic link, and because the
+size of the whole must be known before it is put together: every file is read once, however often it is included.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import posixpath
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from types import MappingProxyType
+from urllib.parse import unquote, urlsplit
+
+from lxml import etree
+
+from comarmor.errors import ComArmorError, Location, did_you_mean, quoted
+from comarmor.xml.reader import LIMITS, XINCLUDE, Limits, line, parse
+from comarmor.xml.sandboxed_paths import (
+    Folder,
+    confined,
+    exists,
+    nearest,
+    printable,
+    read_bounded,
+    unreadable,
+)
+
+__all__ = ["INCLUDE", "LIMITS", "TESTS", "XINCLUDE", "Document", "Limits", "Sources", "line", "load_tree", "parse"]
+
+INCLUDE = f"{{{XINCLUDE}}}include"
+TESTS = ".test.xml"
+"""How the names of files end that hold tests of a policy, which lie beside its roots."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Document:
+    """One file of a policy.
+
+    Attributes:
+        name: path as the user would type it.
+        root: the root element, with ``xi:include`` elements where they stand.
+        includes: the included document of each ``xi:include`` element.
+        nodes: elements, with those of included documents counted at each inclusion.
+        inclusions: inclusions, counted in the same way.
+    """
+
+    name: str
+    root: etree._Element
+    includes: Mapping[etree._Element, Document]
+    nodes: int
+    inclusions: int
+
+
+@dataclass(frozen=True, slots=True)
+class Sources:
+    """A policy as it was read.
+
+    Attributes:
+        roots: its root documents, in order.
+        files: the SHA-256 of every file by its resolved path.
+        seen: the :func:`fingerprint` of every path that was looked at, also of those that were not there.
+    """
+
+    roots: tuple[Document, ...]
+    files: Mapping[Path, bytes]
+    seen: Mapping[Path, bytes]
+
+
+def load_tree(path: Path, library: Path | None = None, *, limits: Limits = LIMITS) -> Sources:
+    """Read a policy: a file, or of a directory the ``*.xml`` files directly in it, in sorted order.
+
+    Args:
+        path: file or directory; includes are confined to the directory, or the file's own folder.
+        library: a folder in which an include is looked up that the policy itself does not have.
+        limits: bounds.
+
+    Raises:
+        ComArmorError: something is missing, outside, too large or not well-formed, with ``file:line``.
+    """
+    shown = printable(str(path))
+    try:
+        if path.is_dir():
+            folder = Folder(path.resolve(strict=True), str(path))
+            roots = _roots(path)
+        else:
+            real = path.resolve(strict=True)
+            folder = Folder(real.parent, str(real.parent if path.is_symlink() else path.parent))
+            roots = [real.name]
+    except (OSError, RuntimeError, ValueError) as error:
+        raise ComArmorError(unreadable(error, "the policy"), where=Location(shown), code="policy-missing") from None
+    if not roots:
+        raise ComArmorError(
+            "the policy directory has no *.xml file",
+            where=Location(shown),
+            help="put the policy's root files directly into it; files in sub-folders are only reached by includes",
+            code="policy-empty",
+        )
+    reader = _Reader(folder, _library(library), limits)
+    if path.is_dir():
+        reader.seen[Path(folder.shown)] = _names_fingerprint(roots)
+    documents = tuple(reader.root(name) for name in roots)
+    return Sources(documents, MappingProxyType(reader.files), MappingProxyType(reader.seen))
+
+
+def fingerprint(path: Path) -> bytes:
+    """Return what tells whether a path that a policy was read from is still what it was.
+
+    The SHA-256 of a file's bytes, or of the names of a directory's root files; empty for a path that is not there, or
+    that cannot be read.
+    """
+    try:
+        if path.is_dir():
+            return _names_fingerprint(_roots(path))
+        return hashlib.sha256(path.read_bytes()).digest()
+    except OSError:
+        return b""
+
+
+def _roots(folder: Path) -> list[str]:
+    """Return the names of the files that are a directory's roots, sorted: its tests are none."""
+    return sorted(
+        name
+        for name in (entry.name for entry in folder.iterdir())
+        if name.endswith(".xml")
+        and not name.endswith(TESTS)
+        and not name.startswith(".")
+        and not (folder / name).is_dir()
+    )
+
+
+def _names_fingerprint(names: Sequence[str]) -> bytes:
+    return hashlib.sha256("/".join(names).encode(errors="surrogateescape")).digest()
+
+
+def _library(library: Path | None) -> Folder | None:
+    if library is None or not library.is_dir():
+        return None
+    return Folder(library.resolve(), str(library))
+
+
+@dataclass(slots=True)
+class _Reader:
+    """Reads each file of a policy once.
+
+    Attributes:
+        folder: the policy's folder.
+        library: the library's folder.
+        limits: bounds.
+        files: digests of what was read.
+        seen: fingerprints of the paths that were looked at.
+        done: documents by resolved path, complete with everything they include.
+        included: documents by what an include asks for: a folder, a path in it, and the ``href`` as it is written.
+        open: resolved paths of the files that are being read, outermost first.
+        total: bytes read.
+    """
+
+    folder: Folder
+    library: Folder | None
+    limits: Limits
+    files: dict[Path, bytes] = field(default_factory=dict)
+    seen: dict[Path, bytes] = field(default_factory=dict)
+    done: dict[Path, Document] = field(default_factory=dict)
+    included: dict[tuple[Folder, str, str], Document] = field(default_factory=dict)
+    open: list[Path] = field(default_factory=list)
+    total: int = 0
+    nodes: int = 0
+    inclusions: int = 0
+
+    def root(self, relative: str) -> Document:
+        """Read a root file of the policy."""
+        where = Location(self.folder.name(relative))
+        document = self.document(self.folder, relative, where, ())
+        self.nodes += document.nodes
+        self.inclusions += document.inclusions
+        self.bound(self.nodes, self.inclusions, where)
+        return document
+
+    def document(self, folder: Folder, relative: str, where: Location, chain: tuple[Location, ...]) -> Document:
+        """Read a file and everything it includes.
+
+        Args:
+            folder: the folder the file is confined to.
+            relative: its path in there.
+            where: what to blame if it cannot be read.
+            chain: the places that include it, innermost first.
+        """
+        real = confined(folder, relative, where)
+        if real in self.files:
+            self.seen[Path(folder.shown, relative)] = self.files[real]
+        if real in self.open:
+            raise ComArmorError(
+                f"{quoted(folder.name(relative), 200)} includes itself",
+                where=where,
+                help="remove one of the includes of the loop",
+                code="include-loop",
+            )
+        if real in self.done:
+            return self.done[real]
+        name = folder.name(relative)
+        content = self.read(folder, real, where)
+        self.seen[Path(folder.shown, relative)] = self.files[real]
+        try:
+            root = parse(content, name, limits=self.limits)
+        except ComArmorError as error:
+            raise _with_chain(error, chain) from None
+        self.open.append(real)
+        includes: dict[etree._Element, Document] = {}
+        nodes, inclusions = 0, 0
+        for element in root.iter():
+            nodes += 1
+            if element.tag != INCLUDE:
+                continue
+            place = Location(name, line(element), chain)
+            if len(self.open) > self.limits.include_depth:
+                raise ComArmorError(
+                    f"includes are nested more than {self.limits.include_depth} deep", where=place, code="xml-limit"
+                )
+            included = self.include(element, folder, relative, place)
+            includes[element] = included
+            nodes += included.nodes
+            inclusions += 1 + included.inclusions
+            self.bound(nodes, inclusions, place)
+        self.open.pop()
+        document = Document(name, root, MappingProxyType(includes), nodes, inclusions)
+        self.done[real] = document
+        return document
+
+    def include(self, element: etree._Element, folder: Folder, relative: str, where: Location) -> Document:
+        """Read what an ``xi:include`` element of a file refers to."""
+        href = _href(element, where)
+        target = posixpath.normpath(posixpath.join(posixpath.dirname(relative), href))
+        asked = (folder, target, href)
+        known = self.included.get(asked)
+        if known is not None:  # many profiles include the same few files
+            return known
+        chain = (Location(where.file, where.line, (), where.column), *where.chain)
+        found = exists(folder, target, where)
+        if not found:
+            self.seen[Path(folder.shown, target)] = b""
+        if not found and self.library is not None:
+            from_root = posixpath.normpath(href)
+            if exists(self.library, from_root, where):
+                folder, target, found = self.library, from_root, True
+        if not found:
+            raise self.missing(folder, target, href, where)
+        document = self.included[asked] = self.document(folder, target, where, chain)
+        return document
+
+    def missing(self, folder: Folder, target: str, href: str, where: Location) -> ComArmorError:
+        """Return the error for an include that is nowhere: where it was looked for, and a similar name there."""
+        places, near = [folder.name(target)], nearest(folder, target, where.file)
+        if self.library is not None:
+            from_root = posixpath.normpath(href)
+            places.append(self.library.name(from_root))
+            near = near or nearest(self.library, from_root)
+        looked = f"looked for {' and '.join(quoted(each, 200) for each in dict.fromkeys(places))}"
+        return ComArmorError(
+            f"the included file {quoted(href, 200)} does not exist",
+            where=where,
+            help=f"{looked}; {near}" if near else looked,
+            code="include-missing",
+        )
+
+    def read(self, folder: Folder, real: Path, where: Location) -> bytes:
+        """Return the bytes of a file, and note their digest."""
+        try:
+            content = read_bounded(folder.real, real, self.limits.file_bytes + 1)
+        except (OSError, ValueError) as error:
+            raise ComArmorError(unreadable(error, "the file"), where=where, code="unreadable") from None
+        self.total += len(content)
+        if self.total > self.limits.total_bytes:
+            raise ComArmorError(
+                f"the policy has more than the {self.limits.total_bytes:,} bytes allowed", where=where, code="xml-limit"
+            )
+        self.files[real] = hashlib.sha256(content).digest()
+        return content
+
+    def bound(self, nodes: int, inclusions: int, where: Location) -> None:
+        """Refuse a policy that would grow too large when everything it includes is put in its place."""
+        if nodes > self.limits.nodes or inclusions > self.limits.inclusions:
+            raise ComArmorError(
+                f"with its includes the policy has more than the {self.limits.nodes:,} elements"
+                f" or {self.limits.inclusions:,} inclusions allowed",
+                where=where,
+                code="xml-limit",
+            )
+
+
+def _href(element: etree._Element, where: Location) -> str:
+    """Return the relative path that an ``xi:include`` element refers to.
+
+    Raises:
+        ComArmorError: it is not a plain include of an XML file by relative path.
+    """
+    for attribute in element.attrib:
+        if attribute not in ("href", "parse"):
+            raise ComArmorError(
+                f"xi:include has the attribute {quoted(str(attribute))}, expected only href and parse",
+                where=where,
+                help=did_you_mean(str(attribute), ("href", "parse")),
+                code="schema",
+            )
+    if element.get("parse", "xml") != "xml":
+        raise ComArmorError('xi:include can only have parse="xml"', where=where, code="include-parse")
+    if len(element):
+        raise ComArmorError(
+            "xi:include cannot hold anything, not even xi:fallback",
+            where=Location(where.file, line(element[0]), where.chain),
+            help="a missing include is an error, so that no rule is ever left out silently",
+            code="include-fallback",
+        )
+    href = element.get("href", "")
+    try:
+        parts = urlsplit(href)
+    except ValueError:
+        parts = None
+    path = unquote(href)
+    if not path or "\0" in path or parts is None or parts.scheme or parts.netloc or parts.query or parts.fragment:
+        raise ComArmorError(
+            f"the href {quoted(href)} of xi:include is not a relative path of a file", where=where, code="include-href"
+        )
+    if posixpath.isabs(path):
+        raise ComArmorError(
+            f"xi:include of the absolute path {quoted(path)}, expected one relative to the including file",
+            where=where,
+            code="include-outside",
+        )
+    return path
+
+
+def _with_chain(error: ComArmorError, chain: tuple[Location, ...]) -> ComArmorError:
+    """Return an error of one file with the places that included the file."""
+    (found,) = error.diagnostics
+    where = found.where and Location(found.where.file, found.where.line, chain)
+    return ComArmorError(found.message, where=where, help=found.help, code=found.code)

@@ -1,0 +1,185 @@
+r"""Attachments as a policy writes them: expressions with ``{name}``, ``{namespace}`` and ``@{TUNABLE}``.
+
+An attachment is cut into pieces once, when it is loaded. The text of a piece is an ``fnmatch`` expression in canonical
+notation that is complete in itself, so that pieces can be put together without one changing the meaning of the next.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import dataclass
+from enum import StrEnum
+from itertools import product
+from math import prod
+
+from comarmor.errors import ComArmorError, did_you_mean, quoted
+from comarmor.patterns.expression import Bracket, escape, next_token, unparse
+
+
+class Placeholder(StrEnum):
+    """What a rule's attachment takes from the name of the subject."""
+
+    NAME = "{name}"
+    NAMESPACE = "{namespace}"
+
+
+@dataclass(frozen=True, slots=True)
+class Reference:
+    """``@{NAME}``: each value of a tunable."""
+
+    name: str
+
+
+Piece = str | Placeholder
+Value = tuple[Piece, ...]
+
+MOST_VALUES = 10_000
+"""Most expressions that the tunables of one attachment may stand for."""
+
+MOST_CHARACTERS = 4096
+"""Longest expression."""
+
+_PLAIN = re.compile(r"[^*?\[\\{}@\s]+")
+_REFERENCE = re.compile(r"@\{([^{}]*)\}")
+_BRACES = re.compile(r"\{[^{}]*\}?|\}")
+_BARE_BRACE = re.compile(r"(?<!\\)(?:\\\\)*[{}]")
+_BLANKS = " \t\r\n"
+
+
+def strip(text: str) -> str:
+    r"""Return text without the white space around it; a last blank that is escaped (``\ ``) stays."""
+    bare = text.strip(_BLANKS)
+    backslashes = len(bare) - len(bare.rstrip("\\"))
+    tail = text.lstrip(_BLANKS)[len(bare) : len(bare) + 1]
+    return bare + tail if backslashes % 2 else bare
+
+
+def parse(text: str) -> tuple[Piece | Reference, ...]:
+    """Cut an attachment into its pieces.
+
+    Raises:
+        ComArmorError: the notation is wrong; without a place, which the caller knows.
+    """
+    if len(text) > MOST_CHARACTERS:
+        raise ComArmorError(f"the expression is longer than {MOST_CHARACTERS:,} characters", code="expression")
+    pieces: list[Piece | Reference] = []
+    at = 0
+    while at < len(text):
+        if plain := _PLAIN.match(text, at):
+            _add(pieces, plain[0])
+            at = plain.end()
+        elif reference := _REFERENCE.match(text, at):
+            pieces.append(Reference(reference[1]))
+            at = reference.end()
+        elif text[at] in "{}":
+            braces = _BRACES.match(text, at)
+            found = braces[0] if braces else text[at]
+            if found not in tuple(Placeholder):
+                raise ComArmorError(
+                    f"{quoted(found)} is not known, expected {{name}}, {{namespace}} or @{{TUNABLE}}",
+                    help=did_you_mean(found, tuple(Placeholder)) or "for the character itself write \\{ or \\}",
+                    code="brace",
+                )
+            pieces.append(Placeholder(found))
+            at += len(found)
+        else:
+            token, end = next_token(text, at)
+            if isinstance(token, Bracket) and _BARE_BRACE.search(text, at, end):
+                raise ComArmorError(
+                    f"a brace inside of the bracket expression {quoted(text[at:end])}",
+                    help="write \\{ or \\} for a brace, or \\[ if the '[' stands for itself",
+                    code="brace",
+                )
+            _add(pieces, unparse((token,)))
+            at = end
+    return tuple(pieces)
+
+
+def _add(pieces: list[Piece | Reference], text: str) -> None:
+    """Add text to pieces; text beside text is one piece."""
+    if pieces and type(pieces[-1]) is str:
+        pieces[-1] += text
+    else:
+        pieces.append(text)
+
+
+def expand(pieces: Iterable[Piece | Reference], values: Callable[[str], Sequence[Value]]) -> Iterator[Value]:
+    """Put the values of tunables into an attachment: every combination, as AppArmor does.
+
+    Args:
+        pieces: the attachment.
+        values: returns the values of a tunable, themselves expanded, or raises.
+
+    Raises:
+        ComArmorError: there are too many combinations, or one is too long.
+    """
+    choices = [
+        [(value, True) for value in values(piece.name)] if isinstance(piece, Reference) else [((piece,), False)]
+        for piece in pieces
+    ]
+    number = prod(len(choice) for choice in choices)
+    if number > MOST_VALUES:
+        raise ComArmorError(
+            f"the tunables stand for {number:,} combinations, more than the {MOST_VALUES:,} allowed", code="tunable"
+        )
+    for combination in product(*choices):
+        value = _join(_flat(combination))
+        if sum(map(len, value)) > MOST_CHARACTERS:
+            raise ComArmorError(f"the expression is longer than {MOST_CHARACTERS:,} characters", code="expression")
+        yield value
+
+
+def _flat(combination: Iterable[tuple[Value, bool]]) -> Iterator[tuple[Piece, bool]]:
+    """Yield the pieces of a combination, and whether each comes from an expansion; also an empty one is a piece."""
+    for value, expanded in combination:
+        yield from ((piece, expanded) for piece in value or ("",))
+
+
+def for_subject(value: Value, subject: str) -> str:
+    """Return the expression that an attachment is for a subject.
+
+    What ``{name}`` and ``{namespace}`` stand for is text, never a pattern: ``/foo/bar/talker`` gives ``talker`` and
+    ``/foo/bar/``.
+    """
+    head, slash, name = subject.rpartition("/")
+    return for_parts(value, escape(head + slash), escape(name))
+
+
+def for_parts(value: Value, namespace: str, name: str) -> str:
+    """Return the expression that an attachment is for expressions of a namespace and of a name.
+
+    Args:
+        value: the attachment.
+        namespace: expression that begins and ends with ``/``.
+        name: expression of the last segment.
+    """
+    text = {Placeholder.NAME: name, Placeholder.NAMESPACE: namespace}
+    (joined,) = _join((text[p], True) if isinstance(p, Placeholder) else (p, False) for p in value) or ("",)
+    return joined
+
+
+def _join(pieces: Iterable[tuple[Piece, bool]]) -> Value:
+    """Put pieces together; a doubled ``/`` that an expansion makes becomes one, one that was written stays.
+
+    Args:
+        pieces: pieces, and whether each comes from an expansion.
+    """
+    joined: list[Piece] = []
+    meets_expansion = False
+    for piece, expanded in pieces:
+        if isinstance(piece, Placeholder):
+            joined.append(piece)
+            meets_expansion = False
+            continue
+        meets_expansion = meets_expansion or expanded
+        if not piece:
+            continue
+        if joined and not isinstance(joined[-1], Placeholder):
+            before = joined.pop()
+            doubled = meets_expansion and before.endswith("/") and piece.startswith("/")
+            joined.append(before + (piece[1:] if doubled else piece))
+        else:
+            joined.append(piece)
+        meets_expansion = expanded
+    return tuple(joined)

@@ -1,0 +1,1 @@
+"""Patterns of names: how they are read and printed, what they match, and proofs about lists of them."""

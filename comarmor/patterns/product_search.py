@@ -1,0 +1,169 @@
+"""The second engine, built differently: lists are determinised together, letter by letter, as far as it is needed.
+
+A state is what is left of every list. Where the two sides are equal from there on, nothing is left to be searched.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Sequence
+
+from comarmor.patterns.decision_lists import DecisionList, Universe
+from comarmor.patterns.derivatives import Arena
+from comarmor.patterns.effort import spend
+from comarmor.patterns.evaluate import Evaluator, shortest
+from comarmor.patterns.glob import literal
+
+Residual = tuple[tuple[bool, frozenset[int]], ...]
+"""What is left of a list: its blocks, of which neighbours differ in effect; the last one allows."""
+_State = tuple[int | None, tuple[Residual, ...], Residual, frozenset[int]]
+
+
+class Product:
+    """Looks for the shortest word about which a conjunction of lists and another list differ.
+
+    Args:
+        together: the lists that permit what all of them permit.
+        other: the list that is held against them.
+        universe: the words in question.
+        arena: with an alphabet for all patterns of the lists.
+        meter: called for every state.
+    """
+
+    def __init__(
+        self,
+        together: Sequence[DecisionList],
+        other: DecisionList,
+        universe: Universe,
+        arena: Arena,
+        meter: Callable[[], None],
+    ) -> None:
+        self._together = together
+        self._other = other
+        self._universe = universe
+        self._arena = arena
+        self._meter = meter
+        self._after: dict[tuple[Residual, str], Residual] = {}
+
+    def shortest(self) -> str | None:
+        """Return the shortest word, or None when both sides are equal.
+
+        Raises:
+            SpentError: the budget is spent.
+        """
+        best, apart = self._among_literals()
+        start: _State = (
+            self._arena.universe,
+            tuple(self._residual(each) for each in self._together),
+            self._residual(self._other),
+            frozenset(self._arena.node((text,) if text else ()) for text in apart),
+        )
+        level: list[tuple[_State, str]] = [(start, "")]
+        seen = {start}
+        length = 0
+        while level and (best is None or length < len(best)):
+            for state, word in level:
+                if self._differs(state):
+                    return word
+            following: list[tuple[_State, str]] = []
+            for state, word in level:
+                nodes = _nodes(state)
+                for letter in self._arena.worth_trying(nodes):
+                    spend(1 + len(nodes) // 4)
+                    after = self._step(state, letter)
+                    if after is not None and after not in seen:
+                        self._meter()
+                        seen.add(after)
+                        following.append((after, word + letter))
+            level = following
+            length += 1
+        return best
+
+    def _among_literals(self) -> tuple[str | None, list[str]]:
+        """Decide the words that are named exactly.
+
+        Returns:
+            the shortest on which the sides differ; and those on which they would if nothing were named exactly, which
+            the search must not stop at.
+        """
+        lists = (*self._together, self._other)
+        full, wild = ([Evaluator(each, literals=flag) for each in lists] for flag in (True, False))
+        texts = {text for each in full for text in each.named if text in self._universe}
+
+        def differs(evaluators: list[Evaluator], text: str) -> bool:
+            return all(each.permits(text) for each in evaluators[:-1]) is not evaluators[-1].permits(text)
+
+        return shortest(t for t in texts if differs(full, t)), sorted(t for t in texts if differs(wild, t))
+
+    def _residual(self, decisions: DecisionList) -> Residual:
+        return _reduced(
+            (
+                (
+                    block.allows,
+                    frozenset(self._arena.node(pattern) for pattern in block.patterns if literal(pattern) is None),
+                )
+                for block in decisions
+            ),
+            self._arena.everything,
+        )
+
+    def _step(self, state: _State, letter: str) -> _State | None:
+        """Return the state after a letter; None where no word of the universe, or no difference, follows."""
+        place, together, other, apart = state
+        inside = self._arena.step(place, letter) if place is not None else ()
+        if not inside:
+            return None
+        left = tuple(self._stepped(each, letter) for each in together)
+        right = self._stepped(other, letter)
+        if all(each == right for each in left):
+            return None
+        return inside[0], left, right, self._arena.steps(apart, letter)
+
+    def _stepped(self, residual: Residual, letter: str) -> Residual:
+        key = (residual, letter)
+        found = self._after.get(key)
+        if found is None:
+            arena = self._arena
+            found = _reduced(((allows, arena.steps(nodes, letter)) for allows, nodes in residual), arena.everything)
+            self._after[key] = found
+        return found
+
+    def _differs(self, state: _State) -> bool:
+        place, together, other, apart = state
+        accepts = self._arena.accepts
+        if place is None or not accepts[place] or any(accepts[node] for node in apart):
+            return False
+        return all(self._permits(each) for each in together) is not self._permits(other)
+
+    def _permits(self, residual: Residual) -> bool:
+        accepts = self._arena.accepts
+        return next((allows for allows, nodes in residual if any(accepts[node] for node in nodes)), False)
+
+
+def _nodes(state: _State) -> list[int]:
+    place, together, other, apart = state
+    found = [] if place is None else [place]
+    for residual in (*together, other):
+        for _, nodes in residual:
+            found.extend(nodes)
+    return [*found, *apart]
+
+
+def _reduced(blocks: Iterable[tuple[bool, frozenset[int]]], everything: int) -> Residual:
+    """Leave out what changes nothing: what an earlier block has, what follows a block of all words, a last denial."""
+    found: list[tuple[bool, frozenset[int]]] = []
+    known: frozenset[int] = frozenset()
+    for allows, nodes in blocks:
+        new = frozenset((everything,)) if everything in nodes else nodes - known
+        if not new:
+            continue
+        known |= new
+        if found and found[-1][0] is allows:
+            found[-1] = (allows, found[-1][1] | new)
+        else:
+            found.append((allows, new))
+        if everything in new:
+            found[-1] = (allows, new)
+            break
+    while found and not found[-1][0]:
+        found.pop()
+    return tuple(found)

@@ -1,0 +1,203 @@
+"""The rules of a subject, compared by meaning: what it gains and loses, over all names there are."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+from comarmor.patterns.decision_lists import DecisionList, Equal, Outcome, Unknown, Witness
+from comarmor.patterns.glob import Glob, parse, surround
+from comarmor.patterns.proofs import difference
+from comarmor.patterns.relations import TooComplexError, covers, disjoint, intersection
+from keymint.analysis.lists import (
+    Key,
+    allowed,
+    conjunction,
+    flipped,
+    is_composite,
+    keys,
+    listed,
+    meet,
+    patterns,
+    shown,
+    universe,
+    word,
+)
+from keymint.analysis.purse import Purse
+from keymint.analysis.subjects import only
+from keymint.errors import Origin
+from keymint.ir import PERMISSIONS, Effect, Rule
+from keymint.keymake.composites import parts
+
+
+@dataclass(frozen=True, slots=True)
+class Change:
+    """Objects on which a subject gains, or loses, a permission.
+
+    Attributes:
+        gains: the newer policy allows what the older does not; else the other way round.
+        kind: kind of the objects.
+        permission: the permission.
+        pattern: expression of the objects, with the partition if it is not the default one.
+        whole: all that the pattern matches changes; else some of it was so before, or is denied.
+        word: the shortest name that changes, with the partition for kind ``topic``; empty if that was not decided.
+        where: the rule that allows it; None where that was not decided.
+        unknown: why it was not decided; empty if it was.
+    """
+
+    gains: bool
+    kind: str
+    permission: str
+    pattern: str
+    whole: bool
+    word: str
+    where: Origin | None
+    unknown: str = ""
+
+    @property
+    def example(self) -> str:
+        """The shortest name that changes, for a person."""
+        return word(self.kind, self.word)
+
+
+def changes_of(old: Sequence[Rule], new: Sequence[Rule], purse: Purse | None = None) -> Iterator[Change]:
+    """Yield what a subject gains and loses when its rules change, gains first.
+
+    Args:
+        old: its older rules.
+        new: its newer ones.
+        purse: pays for it.
+    """
+    purse = purse or Purse()
+    for is_gain, before, after in ((True, old, new), (False, new, old)):
+        for kind, permission, pattern, example, whole, where, unknown in _Comparison(before, after, purse).found():
+            yield Change(is_gain, kind, permission, shown(kind, pattern), whole, example, where, unknown)
+
+
+_Found = tuple[str, str, Glob, str, bool, Origin, str]
+"""Kind, permission, pattern, example, whether all of the pattern changes, the rule that allows it, and why unknown."""
+
+
+class _Comparison:
+    """What a subject may do by some rules, and not by other ones.
+
+    Args:
+        before: the rules that do not allow it.
+        after: the rules that do.
+        purse: pays for it.
+    """
+
+    def __init__(self, before: Sequence[Rule], after: Sequence[Rule], purse: Purse) -> None:
+        self._before = before
+        self._after = after
+        self._purse = purse
+
+    def found(self) -> Iterator[_Found]:
+        """Yield what the rules make a difference to: permissions without parts first."""
+        all_ = [(kind, permission) for kind, held in PERMISSIONS.items() for permission in held]
+        composite = [found for key in all_ if is_composite(*key) for found in self._composite(*key)]
+        explained: dict[Key, list[Glob]] = {}
+        for kind, permission, pattern, *_ in composite:
+            pieces = [((of, part), surround("", pattern, suffix)) for of, part, suffix in parts(kind, permission)]
+            if all(self._is_changed(key, piece) for key, piece in pieces):
+                for key, piece in pieces:
+                    explained.setdefault(key, []).append(piece)
+        for key in all_:
+            if not is_composite(*key):
+                for found in self._elementary(key):
+                    if not any(covers(outer, found[2]) for outer in explained.get(key, ())):
+                        yield found
+        yield from composite
+
+    def _is_changed(self, key: Key, piece: Glob) -> bool:
+        return self._is_whole(key[0], piece, listed(self._before, key), listed(self._after, key))
+
+    def _meet(self, kind: str, *lists: DecisionList) -> Outcome:
+        return meet(kind, *lists, budget=self._purse.question())
+
+    def _elementary(self, key: Key) -> list[_Found]:
+        """Return what rules allow of a kind and permission without parts that earlier ones do not."""
+        old, new = listed(self._before, key), listed(self._after, key)
+        if isinstance(difference(old, new, universe=universe(key[0]), budget=self._purse.question()), Equal):
+            return []
+        denied = tuple(dict.fromkeys(pattern for block in old if not block.allows for pattern in block.patterns))
+        found: list[_Found] = []
+        for rule in self._after:
+            if rule.effect is not Effect.ALLOW or key not in keys(rule):
+                continue
+            for expression in rule.expressions:
+                for pattern in patterns(rule, expression, key):
+                    found += self._of_pattern(pattern, old, new, denied, key, rule.origin)
+        return _largest(found)
+
+    def _of_pattern(
+        self, pattern: Glob, old: DecisionList, new: DecisionList, denied: tuple[Glob, ...], key: Key, where: Origin
+    ) -> Iterator[_Found]:
+        """Yield what of a pattern is allowed now and was not: what was denied, and what nothing allowed."""
+        kind, permission = key
+        mine = only(pattern, new)
+        unspoken: DecisionList = (*(block for block in old if not block.allows), *flipped(old)[1:])
+        outcome = self._meet(kind, mine, unspoken)
+        if not isinstance(outcome, Equal):
+            whole = not any(not disjoint(pattern, each) for each in denied) and self._is_whole(kind, pattern, old, new)
+            yield _found(key, pattern, outcome, whole, where)
+        for each in denied:
+            try:
+                pieces = intersection(pattern, each)
+            except TooComplexError:
+                pieces = (pattern,)
+            for piece in pieces:
+                outcome = self._meet(kind, allowed(piece), allowed(each), mine)
+                if not isinstance(outcome, Equal):
+                    yield _found((kind, permission), piece, outcome, self._is_whole(kind, piece, old, new), where)
+
+    def _composite(self, kind: str, permission: str) -> list[_Found]:
+        """Return what rules allow of a permission with parts, all of them, that earlier rules do not."""
+        candidates = {
+            pattern: rule.origin
+            for rule in reversed(self._after)
+            if rule.effect is Effect.ALLOW and rule.kind == kind and permission in rule.permissions
+            for expression in rule.expressions
+            for pattern in (parse(expression),)
+        }
+        if not candidates:
+            return []
+        old, new = conjunction(self._before, kind, permission), conjunction(self._after, kind, permission)
+        found: list[_Found] = []
+        for pattern, where in candidates.items():
+            outcomes = [self._meet(kind, allowed(pattern), *new, flipped(part)) for part in old]
+            outcome = _shortest(outcomes)
+            if outcome is not None:
+                had = not isinstance(self._meet(kind, allowed(pattern), *old), Equal)
+                lacks = any(not isinstance(self._meet(kind, allowed(pattern), flipped(part)), Equal) for part in new)
+                found.append(_found((kind, permission), pattern, outcome, not had and not lacks, where))
+        return _largest(found)
+
+    def _is_whole(self, kind: str, pattern: Glob, old: DecisionList, new: DecisionList) -> bool:
+        """Tell whether the older list refuses, and the newer one permits, all that a pattern matches."""
+        refused_before = self._meet(kind, allowed(pattern), old)
+        refused_now = self._meet(kind, allowed(pattern), flipped(new))
+        return isinstance(refused_before, Equal) and isinstance(refused_now, Equal)
+
+
+def _shortest(outcomes: Sequence[Equal | Witness | Unknown]) -> Witness | Unknown | None:
+    witnesses = [each for each in outcomes if isinstance(each, Witness)]
+    if witnesses:
+        return min(witnesses, key=lambda each: (len(each.word), each.word))
+    return next((each for each in outcomes if isinstance(each, Unknown)), None)
+
+
+def _found(key: Key, pattern: Glob, outcome: Witness | Unknown, whole: bool, where: Origin) -> _Found:
+    if isinstance(outcome, Unknown):
+        return (*key, pattern, "", False, where, outcome.reason)
+    return (*key, pattern, outcome.word, whole, where, "")
+
+
+def _largest(found: Sequence[_Found]) -> list[_Found]:
+    """Leave out what another pattern says as well."""
+    kept: list[_Found] = []
+    for at, one in enumerate(found):
+        others = (*kept, *found[at + 1 :])
+        if not any(covers(other[2], one[2]) and (other[4] or not one[4]) for other in others):
+            kept.append(one)
+    return kept

@@ -1,0 +1,200 @@
+"""How data can get from one subject to another: topics, and the requests and replies of services.
+
+A channel is a name that one subject may write to and another one may read from. Actions and parameters are made of
+topics and services. A channel is infrastructure if rules for every node allow it to both ends, e.g.
+``ros_discovery_info``: every pair of nodes has it, so that it is told apart from what a policy connects itself.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, field
+
+from comarmor.patterns.decision_lists import Block, DecisionList, Equal, Witness
+from comarmor.patterns.glob import EVERYTHING, Glob, literal, parse
+from comarmor.patterns.relations import TooComplexError, covers, intersection
+from keymint.analysis.lists import RAW, Key, allowed, asked, in_partition, keys, listed, meet, patterns, text
+from keymint.analysis.subjects import EVERY, at_most, can_be, inside, only, reached, rules_of, structure
+from keymint.analysis.templates import marks, symbolic
+from keymint.api import LoadedPolicy, Structure
+from keymint.errors import Origin
+from keymint.ir import Effect
+
+FLOWS: tuple[tuple[Key, Key], ...] = (
+    ((RAW, "publish"), (RAW, "subscribe")),
+    (("ros_topic", "ros_publish"), ("ros_topic", "ros_subscribe")),
+    (("ros_service", "ros_call"), ("ros_service", "ros_execute")),
+    (("ros_service", "ros_execute"), ("ros_service", "ros_call")),
+)
+"""By which permissions data gets from one subject to another: a client sends requests, a server sends replies."""
+
+
+@dataclass(frozen=True, slots=True)
+class Channel:
+    """A name by which data can get from a subject to another one.
+
+    Attributes:
+        writer: where data comes from.
+        reader: where it gets.
+        kind: kind of the object.
+        permissions: permission of the writer and of the reader.
+        word: the name, a shortest one; empty if it was not decided whether there is one.
+    """
+
+    writer: str
+    reader: str
+    kind: str
+    permissions: tuple[str, str]
+    word: str
+
+
+@dataclass(slots=True)
+class Channels:
+    """Looks for channels.
+
+    Attributes:
+        policy: the policy.
+        but: expressions of objects that do not count.
+        common: tells whether a rule is one for every node; where such rules allow a channel to both ends it does not
+            count, see :meth:`infrastructure`.
+    """
+
+    policy: LoadedPolicy
+    but: Sequence[str]
+    common: Callable[[Origin], bool] = field(default=lambda _: False)
+    _known: dict[tuple[str, Key], DecisionList] = field(default_factory=dict)
+    _known_common: dict[tuple[str, Key], tuple[Glob, ...]] = field(default_factory=dict)
+
+    def path(self, sources: Sequence[str], targets: Sequence[str]) -> list[Channel] | None:
+        """Return a shortest path from one of some subjects to one of others, or None.
+
+        What is between them are subjects that the policy names.
+        """
+        wanted = set(targets)
+        seen = set(sources)
+        queue: deque[tuple[str, list[Channel]]] = deque((source, []) for source in sources)
+        everybody = [*dict.fromkeys((*targets, *self.policy.subjects()))]
+        while queue:
+            subject, path = queue.popleft()
+            for other in everybody:
+                if other in seen:
+                    continue
+                channel = next(self.between(subject, other), None)
+                if channel is None:
+                    continue
+                if other in wanted:
+                    return [*path, channel]
+                seen.add(other)
+                queue.append((other, [*path, channel]))
+        return None
+
+    def between(self, writer: str, reader: str) -> Iterator[Channel]:
+        """Yield a channel from one subject to another for each of the rules' expressions that there is one by."""
+        for send, receive in FLOWS:
+            theirs = self._listed(reader, receive)
+            if not _allows(theirs):
+                continue
+            mine = self._listed(writer, send)
+            shared = _shared(self._common(writer, send), self._common(reader, receive))
+            said: set[str] = set()
+            for pattern in (pattern for block in mine if block.allows for pattern in block.patterns):
+                counts = self._counts(send[0], shared)
+                outcome = meet(send[0], only(pattern, mine), theirs, counts)
+                if isinstance(outcome, Equal):
+                    continue
+                word = outcome.word if isinstance(outcome, Witness) else ""
+                if word not in said:
+                    said.add(word)
+                    yield Channel(writer, reader, send[0], (send[1], receive[1]), word)
+
+    def infrastructure(self, writer: str, reader: str) -> Iterator[Channel]:
+        """Yield the channels from one subject to another that rules for every node allow to both."""
+        for send, receive in FLOWS:
+            for pattern in _shared(self._common(writer, send), self._common(reader, receive)):
+                mine, theirs = self._listed(writer, send), self._listed(reader, receive)
+                outcome = meet(send[0], allowed(pattern), mine, theirs, self._counts(send[0]))
+                if not isinstance(outcome, Equal):
+                    word = outcome.word if isinstance(outcome, Witness) else ""
+                    yield Channel(writer, reader, send[0], (send[1], receive[1]), word)
+
+    def possible(self, writers: Glob, readers: Glob) -> Iterator[Channel]:
+        """Yield channels that there may be between subjects that the policy does not name.
+
+        Where nothing is yielded there is none. Writer and reader are patterns of subjects.
+        """
+        written = structure(self.policy)
+        if written is None:
+            return
+        for send, receive in FLOWS:
+            try:
+                mine = [one for piece in intersection(writers, EVERY) for one in at_most(written, piece, send)]
+                theirs = [one for piece in intersection(readers, EVERY) for one in at_most(written, piece, receive)]
+            except TooComplexError:
+                yield Channel(text(writers), text(readers), send[0], (send[1], receive[1]), "")
+                continue
+            for subject, decided in mine:
+                for other, decided2 in theirs:
+                    if (literal(subject) is not None and literal(other) is not None) or not _allows(decided2):
+                        continue  # whom the policy names was asked already
+                    shared = _shared(self._surely(written, subject, send), self._surely(written, other, receive))
+                    outcome = meet(send[0], decided, decided2, self._counts(send[0], shared))
+                    if not isinstance(outcome, Equal) and can_be(subject) and can_be(other):
+                        word = outcome.word if isinstance(outcome, Witness) else ""
+                        yield Channel(text(subject), text(other), send[0], (send[1], receive[1]), word)
+
+    def named(self, expression: str) -> tuple[str, ...]:
+        """Return the subjects that an expression is about; see :func:`keymint.analysis.subjects.inside`."""
+        return inside(self.policy, parse(expression))
+
+    def _listed(self, subject: str, key: Key) -> DecisionList:
+        if (subject, key) not in self._known:
+            self._known[subject, key] = listed(rules_of(self.policy, subject), key)
+        return self._known[subject, key]
+
+    def _common(self, subject: str, key: Key) -> tuple[Glob, ...]:
+        """Return what rules for every node allow to a subject."""
+        if (subject, key) not in self._known_common:
+            rules = rules_of(self.policy, subject)
+            self._known_common[subject, key] = tuple(
+                dict.fromkeys(
+                    pattern
+                    for rule in rules
+                    if rule.effect is Effect.ALLOW and key in keys(rule) and self.common(rule.origin)
+                    for expression in rule.expressions
+                    for pattern in patterns(rule, expression, key)
+                )
+            )
+        return self._known_common[subject, key]
+
+    def _surely(self, written: Structure, subjects: Glob, key: Key) -> tuple[Glob, ...]:
+        """Return what rules for every node allow to each of some subjects, whatever its name."""
+        return tuple(
+            pattern
+            for clause in written.clauses
+            if clause.rule.effect is Effect.ALLOW and key in keys(clause.rule) and self.common(clause.rule.origin)
+            if any(covers(each, subjects) for each in reached(clause.profiles))
+            for pattern in symbolic(clause, key)
+            if not marks(pattern)
+        )
+
+    def _counts(self, kind: str, shared: Sequence[Glob] = ()) -> DecisionList:
+        """Return what permits the names that count."""
+        denied = (in_partition("*", parse(each)) if kind == RAW else asked(kind, each) for each in self.but)
+        return (Block(False, (*denied, *shared)), Block(True, (EVERYTHING,)))
+
+
+def _shared(one: Sequence[Glob], other: Sequence[Glob]) -> tuple[Glob, ...]:
+    """Return what patterns of both sides match; where that is too complex, less."""
+    found: dict[Glob, None] = {}
+    for mine in one:
+        for theirs in other:
+            try:
+                found |= dict.fromkeys(intersection(mine, theirs))
+            except TooComplexError:
+                continue
+    return tuple(found)
+
+
+def _allows(decided: DecisionList) -> bool:
+    return any(block.allows and block.patterns for block in decided)

@@ -1,0 +1,193 @@
+"""Who holds a permission: among all subjects there are, not only those that a policy names."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+from comarmor.patterns.decision_lists import Equal, Unknown, Witness
+from comarmor.patterns.glob import Glob, literal
+from comarmor.patterns.relations import TooComplexError, intersection, matches
+from keymint.analysis.lists import allowed, conjunction, keys, meet, patterns, text, without
+from keymint.analysis.purse import Purse
+from keymint.analysis.spoken import Book, Spoken
+from keymint.analysis.subjects import can_be, example, matching, rules_of, structure
+from keymint.analysis.symbolic import EVERYBODY, Condition, Entry, Found, Undecided, find
+from keymint.api import LoadedPolicy
+from keymint.errors import Origin
+from keymint.ir import Effect, Rule
+from keymint.keymake.composites import parts
+
+
+@dataclass(frozen=True, slots=True)
+class Held:
+    """A permission that a subject holds, or may hold.
+
+    Attributes:
+        subject: the subject; empty if none was found for certain.
+        like: a pattern of subjects that it is one of; empty for a subject that was asked for or that a policy names.
+        word: the shortest name that it holds it on; empty if none was found for certain.
+        where: the rule that allows it.
+        unknown: why it is not certain; empty if it is.
+    """
+
+    subject: str
+    like: str
+    word: str
+    where: Origin | None
+    unknown: str = ""
+
+
+def holders(
+    policy: LoadedPolicy, within: Glob, kind: str, permission: str, name: Glob, purse: Purse | None = None
+) -> Iterator[Held]:
+    """Yield who holds a permission: subjects that a policy names first, then one for each pattern of others.
+
+    Where nothing is yielded nobody does: for every subject there is, and every name. A policy whose type does not tell
+    how it is written is asked for the subjects that it names only.
+
+    Args:
+        policy: the policy.
+        within: pattern of the subjects in question.
+        kind: kind of the objects.
+        permission: a permission of that kind.
+        name: pattern of the objects in question; for kind ``topic`` with the partition.
+        purse: pays for it.
+    """
+    exact = literal(within)
+    written = structure(policy) if exact is None else None
+    book = Book(written) if written else None
+    singles = [subject for subject in book.singles if matches(within, subject) and can_be((subject,))] if book else []
+    named = (exact,) if exact is not None else tuple(dict.fromkeys((*matching(policy, within), *singles)))
+    for subject in named:
+        found = held(rules_of(policy, subject), kind, permission, name)
+        if found is not None:
+            yield _said(subject, "", found, policy, kind, permission)
+    if book is not None:
+        question = _Question(policy, book, kind, permission, name, frozenset(named), purse or Purse())
+        yield from question.others(within)
+
+
+def held(
+    rules: Sequence[Rule], kind: str, permission: str, name: Glob, purse: Purse | None = None
+) -> Witness | Unknown | None:
+    """Return the shortest of some names on which rules grant a permission, or None."""
+    lists = conjunction(rules, kind, permission)
+    outcome = meet(kind, allowed(name), *lists, budget=purse.question(len(lists)) if purse else None)
+    return None if isinstance(outcome, Equal) else outcome
+
+
+def granting(rules: Sequence[Rule], kind: str, permission: str, word: str) -> Rule | None:
+    """Return the first rule that allows a name, itself or its first part."""
+    part_kind, part, suffix = parts(kind, permission)[0]
+    for rule in rules:
+        if rule.effect is not Effect.ALLOW or (part_kind, part) not in keys(rule):
+            continue
+        for expression in rule.expressions:
+            if any(matches(one, word + suffix) for one in patterns(rule, expression, (part_kind, part))):
+                return rule
+    return None
+
+
+def _said(subject: str, like: str, found: Witness | Unknown, policy: LoadedPolicy, kind: str, permission: str) -> Held:
+    if isinstance(found, Unknown):
+        return Held(subject, like, "", None, found.reason)
+    rule = granting(rules_of(policy, subject), kind, permission, found.word)
+    return Held(subject, like, found.word, rule.origin if rule else None)
+
+
+class _Question:
+    """Who holds a permission, of the subjects that a policy does not name.
+
+    Args:
+        policy: the policy.
+        book: what its rules say.
+        kind: kind of the objects.
+        permission: the permission.
+        name: pattern of the objects in question.
+        named: subjects that were asked already.
+        purse: pays for it.
+    """
+
+    def __init__(
+        self,
+        policy: LoadedPolicy,
+        book: Book,
+        kind: str,
+        permission: str,
+        name: Glob,
+        named: frozenset[str],
+        purse: Purse,
+    ) -> None:
+        self._policy = policy
+        self._book = book
+        self._kind, self._permission, self._name = kind, permission, name
+        self._named = named
+        self._purse = purse
+
+    def others(self, within: Glob) -> Iterator[Held]:
+        """Yield one holder for each pattern of subjects, where there is one."""
+        (kind, part, suffix), *_ = parts(self._kind, self._permission)
+        told: set[Glob] = set()
+        doubts: dict[Glob, str] = {}
+        for spoken in self._book.all((kind, part), Effect.ALLOW).values():
+            for subjects in (piece for one in spoken.reach.subjects for piece in _both(one, within)):
+                if subjects in told:
+                    continue
+                for shape in _before(spoken.object, suffix):
+                    found = self._holder(subjects, shape, spoken)
+                    if isinstance(found, Undecided):
+                        doubts.setdefault(subjects, found.reason)
+                    elif found is not None:
+                        told.add(subjects)
+                        yield from self._said(found.subject, subjects)
+                        break
+        for subjects, reason in doubts.items():
+            if subjects not in told:
+                yield Held("", text(subjects), "", None, reason)
+
+    def _holder(self, subjects: Glob, shape: Glob, spoken: Spoken) -> Found | Undecided | None:
+        first = example(subjects)
+        tried = [] if first is None or first in self._named else [first]
+        for subject in tried:
+            if self._judge(subject) is True:
+                return Found(subject)
+        excluded = {subject for subject in self._named if matches(subjects, subject)}
+        conditions = (*spoken.reach.conditions, *self._conditions(subjects))
+        return find(self._kind, subjects, shape, conditions, self._judge, (*excluded, *tried), self._purse)
+
+    def _conditions(self, subjects: Glob) -> Iterator[Condition]:
+        """Yield what the rules require: of an action or parameter that each of its parts is allowed."""
+        yield Condition(some=(Entry((EVERYBODY,), self._name),))
+        for number, (kind, part, suffix) in enumerate(parts(self._kind, self._permission)):
+            key = (kind, part)
+            yield Condition(tuple(_without(self._book.surely(key, Effect.DENY, subjects), suffix)))
+            if number:
+                yield Condition(some=tuple(_without(self._book.perhaps(key, Effect.ALLOW, subjects), suffix)))
+
+    def _judge(self, subject: str) -> bool | Undecided:
+        found = held(rules_of(self._policy, subject), self._kind, self._permission, self._name, self._purse)
+        return Undecided(self._purse.reason(found.reason)) if isinstance(found, Unknown) else found is not None
+
+    def _said(self, subject: str, subjects: Glob) -> Iterator[Held]:
+        found = held(rules_of(self._policy, subject), self._kind, self._permission, self._name)
+        if found is not None:
+            yield _said(subject, text(subjects), found, self._policy, self._kind, self._permission)
+
+
+def _both(one: Glob, other: Glob) -> tuple[Glob, ...]:
+    """Return patterns that together match what two have in common; what one of them matches if that is too much."""
+    try:
+        return intersection(one, other)
+    except TooComplexError:
+        return (one,)
+
+
+def _before(pattern: Glob, suffix: str) -> tuple[Glob, ...]:
+    """Return patterns of the words that a pattern matches with a suffix."""
+    return without(allowed(pattern), suffix)[0].patterns
+
+
+def _without(entries: Sequence[Entry], suffix: str) -> Iterator[Entry]:
+    for entry in entries:
+        yield from (Entry(entry.subjects, pattern) for pattern in _before(entry.object, suffix))

@@ -1,0 +1,59 @@
+"""What can be seen of profiles and tunables as they are written: those that are never of use."""
+
+from __future__ import annotations
+
+import difflib
+from collections.abc import Iterator, Sequence
+
+from comarmor.patterns.glob import parse
+from comarmor.patterns.relations import TooComplexError
+from keymint.analysis.subjects import can_be, reached
+from keymint.api import Structure
+from keymint.errors import Diagnostic, Origin, Severity
+
+
+def unreachable(found: Structure) -> Iterator[Diagnostic]:
+    """Yield profiles that never apply, attachments that no subject matches, and tunables that nothing uses."""
+    for name, where in found.unused:
+        yield _said("tunable-unused", f"nothing uses the tunable @{{{name}}}", where, "remove it")
+    for profile in found.profiles:
+        possible = False
+        for expression, where in profile.attachments:
+            if not can_be(parse(expression)):
+                message = f"no subject can be named as the attachment {expression!r} of profile {profile.name!r} says"
+                yield _said("subject-never", message, where, "a subject is named like /robot1/talker")
+                continue
+            try:
+                inside = [one for one in reached((*profile.around, (expression,))) if can_be(one)]
+            except TooComplexError:
+                possible = True
+                continue
+            possible = possible or bool(inside)
+            if not inside and len(profile.attachments) > 1:
+                message = (
+                    f"profile {profile.name!r} never applies to {expression!r}: "
+                    f"the profiles around it apply to {quoted(profile.around[-1])} only"
+                )
+                yield _said("profile-never", message, where, _mend(expression, profile.around[-1]))
+        if not possible and profile.around and len(profile.attachments) == 1:
+            message = (
+                f"profile {profile.name!r} never applies: no subject matches both its attachment "
+                f"{profile.attachments[0][0]!r} and the profiles around it ({quoted(profile.around[-1])})"
+            )
+            mend = _mend(profile.attachments[0][0], profile.around[-1])
+            yield _said("profile-never", message, profile.attachments[0][1], mend)
+
+
+def _mend(attachment: str, around: Sequence[str]) -> str:
+    near = difflib.get_close_matches(attachment, around, n=1, cutoff=0.8)
+    return f"did you mean {near[0]!r}?" if near else "mend the attachment, or move the profile out"
+
+
+def quoted(expressions: Sequence[str]) -> str:
+    """Return expressions for a message, the first of many."""
+    shown = ", ".join(map(repr, expressions[:3]))
+    return shown + (", …" if len(expressions) > 3 else "")  # noqa: PLR2004 - as many as a line takes
+
+
+def _said(code: str, message: str, where: Origin, help_: str) -> Diagnostic:
+    return Diagnostic(code, Severity.WARNING, message, where, help_)

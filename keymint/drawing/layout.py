@@ -1,0 +1,312 @@
+"""Where everything stands: subjects and objects of a bipartite graph in columns, with few crossings.
+
+Every label stands inside its own box and every edge has a port of its own, so that no two labels overlap whatever
+the graph; boxes grow with their edges. The order of rows follows the barycentre heuristic of layered drawing
+(Sugiyama, Tagawa, Toda 1981), the places of subjects beside their objects are a least-squares fit with minimal
+distances (isotonic regression by pooling adjacent violators).
+"""
+
+from __future__ import annotations
+
+from bisect import bisect_right, insort
+from collections import defaultdict
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from types import MappingProxyType
+
+from keymint.drawing.model import LabelledEdge
+from keymint.drawing.text import INWARD, KINDS, OUTWARD, columns, object_name, printable, role, shorten
+from keymint.graph import Object
+
+CHARACTER = 7.3
+"""Width of a character of the labels, in pixels: a fixed-width font of 12 px has 7.2 at the most."""
+BOX_HEIGHT = 24.0
+PORT_DISTANCE = 9.0
+GAP = 10.0
+"""Between two boxes above one another."""
+_PADDING = 10.0
+_BULLET = 14.0
+_ROUNDS = 16
+_MARKED_HEIGHT = 40.0
+_NARROWEST, _WIDEST = 150.0, 460.0
+
+_SHARED_BY = 4
+"""The fewest subjects that make an object one of those which many share."""
+
+Domain = tuple[int, Object]
+Key = str | Domain
+_Side = tuple[Key, bool]
+"""The right (True) or left side of a box as its edges see it: towards their object lies to the right."""
+
+
+@dataclass(frozen=True, slots=True)
+class Box:
+    """A subject or an object.
+
+    Attributes:
+        key: a subject's name, or an object's domain and the object.
+        kind: ``subject``, or the object's kind.
+        label: text inside of it.
+        mark: a second line of text, or empty.
+        title: full text.
+        x: left edge, in pixels.
+        y: top edge.
+        width: in pixels.
+        height: in pixels.
+    """
+
+    key: Key
+    kind: str
+    label: str
+    title: str
+    x: float
+    y: float
+    width: float
+    height: float
+    mark: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class Line:
+    """An edge between its two ports; it leaves and meets both horizontally.
+
+    Attributes:
+        labelled: the edge.
+        x1: at the subject, in pixels.
+        y1: at the subject.
+        x2: at the object.
+        y2: at the object.
+        outward: it has an arrowhead at the object.
+        inward: it has an arrowhead at the subject.
+    """
+
+    labelled: LabelledEdge
+    x1: float
+    y1: float
+    x2: float
+    y2: float
+    outward: bool
+    inward: bool
+
+
+@dataclass(frozen=True, slots=True)
+class Panel:
+    """One graph, laid out from (0, 0)."""
+
+    heading: str
+    boxes: tuple[Box, ...]
+    lines: tuple[Line, ...]
+    width: float
+    height: float
+
+
+def lay_out(
+    heading: str,
+    edges: Sequence[LabelledEdge],
+    subjects: Sequence[str],
+    names: Mapping[Object, str] = MappingProxyType({}),
+    marks: Mapping[str, str] = MappingProxyType({}),
+) -> Panel:
+    """Return the layout of a graph.
+
+    Two subjects stand on both sides of their objects. More stand between the objects that many of them share, to
+    the left, and all others, to the right.
+
+    Args:
+        heading: of the panel; may be empty.
+        edges: its edges.
+        subjects: its subjects, also those without an edge.
+        names: labels of objects, in place of their names.
+        marks: a second line of text for some subjects.
+    """
+    objects = sorted({_object(one) for one in edges}, key=_rank)
+    stacks = _columns(list(subjects), objects, edges)
+    column_of = {key: at for at, stack in enumerate(stacks) for key in stack}
+    sides: dict[_Side, list[LabelledEdge]] = defaultdict(list)
+    for one in edges:
+        subject, found = one.edge.subject, _object(one)
+        rightward = column_of[subject] < column_of[found]
+        sides[subject, rightward].append(one)
+        sides[found, rightward].append(one)
+    seconds: dict[Key, str] = dict(marks.items())
+    heights = {
+        key: max(
+            _MARKED_HEIGHT if key in seconds else BOX_HEIGHT,
+            PORT_DISTANCE * (1 + max(len(sides[key, side]) for side in (False, True))),
+        )
+        for key in column_of
+    }
+    tops = _tops(stacks, heights, edges)
+
+    labels: dict[Key, str] = {subject: shorten(printable(subject)) for subject in subjects}
+    labels |= {key: shorten(names.get(key[1]) or object_name(key[1], key[0])) for key in objects}
+    gap = min(_WIDEST, max(_NARROWEST, 60.0 + 8.0 * len(edges) ** 0.75))
+    boxes: dict[Key, Box] = {}
+    x = 0.0
+    for stack in stacks:
+        longest = {key: max(columns(labels[key]), columns(seconds.get(key, ""))) for key in stack}
+        width = max((longest[key] * CHARACTER + 2 * _PADDING + _BULLET for key in stack), default=0.0)
+        for key in stack:
+            boxes[key] = Box(
+                key, _kind(key), labels[key], _title(key), x, tops[key], width, heights[key], seconds.get(key, "")
+            )
+        x += width + gap
+    height = max((box.y + box.height for box in boxes.values()), default=0.0)
+    return Panel(heading, tuple(boxes.values()), _lines(edges, boxes, sides), max(0.0, x - gap), height)
+
+
+def _object(one: LabelledEdge) -> Domain:
+    return one.edge.domain, one.edge.object
+
+
+def _kind(key: Key) -> str:
+    return "subject" if isinstance(key, str) else key[1].kind
+
+
+def _title(key: Key) -> str:
+    if isinstance(key, str):
+        return printable(key)
+    return f"{object_name(key[1], key[0])} ({KINDS.get(key[1].kind, key[1].kind)})"
+
+
+def _rank(key: Domain) -> tuple[int, Domain]:
+    kinds = list(KINDS)
+    return (kinds.index(key[1].kind) if key[1].kind in kinds else len(kinds), key)
+
+
+# -- order -----------------------------------------------------------------------------------------------------------
+
+
+def _columns(subjects: list[str], objects: list[Domain], edges: Sequence[LabelledEdge]) -> list[list[Key]]:
+    """Return the columns from left to right, each in order from above."""
+    beside: dict[Key, set[Key]] = defaultdict(set)
+    for one in edges:
+        beside[one.edge.subject].add(_object(one))
+        beside[_object(one)].add(one.edge.subject)
+    if len(subjects) == 2:  # noqa: PLR2004 - one on each side
+        both = sorted(objects, key=lambda key: (len(beside[key]) < 2, _rank(key)))  # noqa: PLR2004
+        return [[subjects[0]], list(both), [subjects[1]]]
+    most = max(_SHARED_BY, 0.4 * len(subjects))
+    hubs = [key for key in objects if len(beside[key]) >= most]
+    others = [key for key in objects if len(beside[key]) < most]
+    if not hubs or not others:
+        return list(_ordered(subjects, objects, beside))
+    return [list(hubs), *_ordered(subjects, others, beside)]
+
+
+def _ordered(subjects: list[str], objects: list[Domain], beside: Mapping[Key, set[Key]]) -> tuple[list[Key], list[Key]]:
+    """Return two columns in the order with the fewest crossings that some rounds of the heuristic meet."""
+    left: list[Key] = list(subjects)
+    right: list[Key] = list(objects)
+    best = (_crossings(left, right, beside), left, right)
+    for _ in range(_ROUNDS):
+        if best[0] == 0:
+            break
+        right = _by_mean(right, left, beside)
+        left = _by_mean(left, right, beside)
+        found = _crossings(left, right, beside)
+        if found >= best[0]:
+            break
+        best = (found, left, right)
+    return best[1], best[2]
+
+
+def _by_mean(column: Sequence[Key], other: Sequence[Key], beside: Mapping[Key, set[Key]]) -> list[Key]:
+    """Return a column in the order of the mean place of what each is joined to; equal ones stay as they are."""
+    places = {key: at for at, key in enumerate(other)}
+
+    def mean(key: Key) -> float:
+        found = [places[one] for one in beside.get(key, ()) if one in places]
+        return sum(found) / len(found) if found else len(other)
+
+    return sorted(column, key=mean)
+
+
+def _crossings(left: Sequence[Key], right: Sequence[Key], beside: Mapping[Key, set[Key]]) -> int:
+    """Count the pairs of edges that cross: the inversions of their ends."""
+    at = {key: place for place, key in enumerate(right)}
+    seen: list[int] = []
+    found = 0
+    for subject in left:
+        ends = sorted(at[key] for key in beside.get(subject, ()) if key in at)
+        found += sum(len(seen) - bisect_right(seen, end) for end in ends)
+        for end in ends:
+            insort(seen, end)
+    return found
+
+
+# -- places ----------------------------------------------------------------------------------------------------------
+
+
+def _tops(
+    stacks: Sequence[Sequence[Key]], heights: Mapping[Key, float], edges: Sequence[LabelledEdge]
+) -> dict[Key, float]:
+    """Return the upper edges of all boxes: the longest column is stacked, others come to stand beside it."""
+    beside: dict[Key, list[Key]] = defaultdict(list)
+    for one in edges:
+        beside[one.edge.subject].append(_object(one))
+        beside[_object(one)].append(one.edge.subject)
+    longest = max(range(len(stacks)), key=lambda at: sum(heights[key] + GAP for key in stacks[at]))
+    tops = _stacked(stacks[longest], heights)
+    for at in sorted(range(len(stacks)), key=lambda at: abs(at - longest)):
+        if at != longest:
+            tops |= _fitted(stacks[at], tops, heights, beside)
+    lowest = min(tops.values(), default=0.0)
+    return {key: top - lowest for key, top in tops.items()}
+
+
+def _stacked(column: Sequence[Key], heights: Mapping[Key, float]) -> dict[Key, float]:
+    tops: dict[Key, float] = {}
+    y = 0.0
+    for key in column:
+        tops[key] = y
+        y += heights[key] + GAP
+    return tops
+
+
+def _fitted(
+    column: Sequence[Key], tops: Mapping[Key, float], heights: Mapping[Key, float], beside: Mapping[Key, list[Key]]
+) -> dict[Key, float]:
+    """Return the tops next to the middle of what each is joined to (least squares) that keep the order and the gaps."""
+    shifts = _stacked(column, heights)
+    blocks: list[tuple[float, int]] = []
+    wanted = 0.0
+    for key in column:
+        ends = [tops[one] + heights[one] / 2 for one in beside[key] if one in tops]
+        wanted = sum(ends) / len(ends) - heights[key] / 2 if ends else wanted
+        mean, count = wanted - shifts[key], 1
+        while blocks and blocks[-1][0] > mean:
+            before, members = blocks.pop()
+            mean, count = (before * members + mean * count) / (members + count), members + count
+        blocks.append((mean, count))
+    offsets = [mean for mean, count in blocks for _ in range(count)]
+    return {key: shifts[key] + offset for key, offset in zip(column, offsets, strict=True)}
+
+
+def _lines(
+    edges: Sequence[LabelledEdge], boxes: Mapping[Key, Box], sides: Mapping[_Side, list[LabelledEdge]]
+) -> tuple[Line, ...]:
+    """Give every edge its ports: in the order of what is at the other end, so that they do not cross at a box."""
+    at: dict[tuple[Key, LabelledEdge], float] = {}
+    for (key, _), found in sides.items():
+
+        def place(one: LabelledEdge, key: Key = key) -> tuple[float, str]:
+            return boxes[_object(one) if key == one.edge.subject else one.edge.subject].y, one.edge.permission
+
+        middle = boxes[key].y + boxes[key].height / 2
+        for number, one in enumerate(sorted(found, key=place)):
+            at[key, one] = middle + (number - (len(found) - 1) / 2) * PORT_DISTANCE
+    return tuple(_line(one, boxes[one.edge.subject], boxes[_object(one)], at) for one in edges)
+
+
+def _line(one: LabelledEdge, subject: Box, found: Box, at: Mapping[tuple[Key, LabelledEdge], float]) -> Line:
+    rightward = subject.x < found.x
+    return Line(
+        one,
+        subject.x + subject.width if rightward else subject.x,
+        at[subject.key, one],
+        found.x if rightward else found.x + found.width,
+        at[found.key, one],
+        role(one.edge.permission) in OUTWARD,
+        role(one.edge.permission) in INWARD,
+    )

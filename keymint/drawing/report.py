@@ -1,0 +1,215 @@
+"""Writes the report on a labelled graph: one HTML file that needs nothing else, neither network nor scripts.
+
+A script adds search and filters. The content security policy of the page allows its own style sheet and script, by
+their digests, and nothing from anywhere else (Content Security Policy Level 3, 6.7.2.2); whatever a name contains, it
+is printed as text.
+"""
+
+from __future__ import annotations
+
+import base64
+import hashlib
+from collections import Counter, defaultdict
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import astuple, dataclass, replace
+from typing import Any
+
+from markupsafe import Markup
+
+from keymint.drawing.layout import Domain, Key
+from keymint.drawing.model import Labelled, LabelledEdge, Outcome, Said, select
+from keymint.drawing.options import Options
+from keymint.drawing.palette import Theme, style_sheet
+from keymint.drawing.simplify import EXPRESS, simplify, weight
+from keymint.drawing.svg import Embedding, draw, environment
+from keymint.drawing.text import KINDS, object_name, printable
+from keymint.drawing.words import counted
+from keymint.errors import Origin, cited
+
+MOST_ROWS = 10_000
+"""Edges that a report lists; it says how many it leaves out. False labels and express denials are all listed, then what
+is allowed."""
+_WORDS = {
+    Outcome.FALSE_ALLOW: "DANGER: allowed against the policy",
+    Outcome.FALSE_DENY: "denied against the policy",
+    Outcome.ALLOW: "allowed",
+    Outcome.DENY: "denied",
+    Outcome.UNLABELLED: "not labelled",
+}
+
+
+def html_report(labelled: Labelled, sources: Mapping[str, bytes], picture: Options | None = None) -> bytes:
+    """Return a report as an HTML document in UTF-8; the same for the same graph on every machine.
+
+    Args:
+        labelled: the graph.
+        sources: texts of the files that places in the graph are in, by the path that the places have.
+        picture: how its picture is drawn; the theme follows the reader's preference.
+    """
+    options = replace(picture or Options(), theme=Theme.AUTO)
+    page = _Page(labelled, tuple(sources), options)
+    style = _text("report.css") + style_sheet(Theme.AUTO)
+    script = _text("report.js")
+    rows = page.rows()
+    listed = [row for found in rows.values() for row in found]
+    counts = Counter(row["outcome"] for row in listed)
+    compared = [sum(astuple(found)) for found in labelled.confusions]
+    total = max(len(labelled.edges), *compared) if compared else len(labelled.edges)
+    context = {
+        "title": printable(labelled.title),
+        "style": Markup(style),  # noqa: S704 - ours
+        "script": Markup(script),  # noqa: S704 - ours
+        "policy": f"default-src 'none'; style-src {_digest(style)}; script-src {_digest(script)}; "
+        "base-uri 'none'; form-action 'none'",
+        "size": f"{counted(len(labelled.subjects), 'subject')}, {counted(len(page.objects), 'object')}, "
+        f"{counted(total, 'edge')}",
+        "verdicts": [
+            {"value": str(outcome), "words": words, "count": counts[str(outcome)]}
+            for outcome, words in _WORDS.items()
+            if counts[str(outcome)]
+        ],
+        "transports": [printable(name) for name in labelled.transports],
+        "has_policy": any(one.policy for one in labelled.edges),
+        "confusions": [(name, labelled.confusion(at)) for at, name in enumerate(page.transports)],
+        "differences": [row for row in listed if row["wrong"]],
+        "picture": Markup(draw(labelled, options, Embedding(page.number))) if labelled.edges else "",  # noqa: S704 - escaped
+        "groups": list(_groups(labelled, options, page)) if labelled.edges else [],
+        "subjects": [
+            {"name": printable(name), "number": page.number(name), "rows": rows[name]} for name in labelled.subjects
+        ],
+        "objects": page.object_rows(),
+        "unlisted": total - len(listed),
+        "sources": [
+            {"name": printable(name), "at": at, "lines": [*_lines(content)]}
+            for at, (name, content) in enumerate(sources.items())
+        ],
+    }
+    return environment().get_template("report.html.j2").render(context).encode()
+
+
+def _groups(labelled: Labelled, options: Options, page: _Page) -> Iterator[Mapping[str, Any]]:
+    """Yield the groups of the picture, each with a picture of its own subjects."""
+    for name, members in simplify(labelled, options).groups.items():
+        if len(members) > 1:
+            part = replace(select(labelled, subjects=set(members)), title=name)
+            drawn = draw(part, replace(options, group=False), Embedding(page.number))
+            yield {"name": printable(name), "number": page.number(name), "picture": Markup(drawn)}  # noqa: S704 - escaped
+
+
+def _text(name: str) -> str:
+    loader = environment().loader
+    assert loader is not None  # noqa: S101 - the environment is ours
+    return loader.get_source(environment(), name)[0]
+
+
+def _digest(text: str) -> str:
+    return f"'sha256-{base64.b64encode(hashlib.sha256(text.encode()).digest()).decode()}'"
+
+
+def _lines(content: bytes) -> Iterator[str]:
+    for line in content.decode("utf-8", "replace").split("\n"):
+        yield "\t".join(printable(part) for part in line.removesuffix("\r").split("\t"))
+
+
+@dataclass(frozen=True, slots=True)
+class _Link:
+    """A place in a file; ``target`` is empty when the report does not have the file."""
+
+    text: str
+    target: str
+
+
+class _Page:
+    """What the parts of a report refer to one another by."""
+
+    def __init__(self, labelled: Labelled, sources: Sequence[str], options: Options) -> None:
+        self._labelled = labelled
+        self._sources = {name: at for at, name in enumerate(sources)}
+        self.transports = [printable(name) for name in labelled.transports]
+        self.objects: list[Domain] = sorted({(one.edge.domain, one.edge.object) for one in labelled.edges})
+        self._numbers: dict[Key, int] = {}
+        groups = simplify(labelled, options).groups
+        keys: list[Key] = [*labelled.subjects, *self.objects, *groups]
+        for key in keys:
+            self._numbers.setdefault(key, len(self._numbers))
+
+    def number(self, key: Key) -> int:
+        """Return the number of a subject or object."""
+        return self._numbers[key]
+
+    def rows(self) -> Mapping[str, Sequence[Mapping[str, Any]]]:
+        """Return the edges that are listed, by subject: those that matter most first."""
+        edges = self._labelled.edges
+        weights = sorted(((weight(one), at) for at, one in enumerate(edges)))
+        needed = sum(found <= EXPRESS for found, _ in weights)
+        ordered = [edges[at] for _, at in weights[: max(MOST_ROWS, needed)]]
+        found: dict[str, list[Mapping[str, Any]]] = defaultdict(list)
+        for one in ordered:
+            found[one.edge.subject].append(self._row(one))
+        return found
+
+    def _row(self, one: LabelledEdge) -> Mapping[str, Any]:
+        edge, outcome = one.edge, one.outcome()
+        return {
+            "outcome": str(outcome),
+            "words": _WORDS[outcome],
+            "wrong": outcome.false,
+            "subject": printable(edge.subject),
+            "subject_number": self.number(edge.subject),
+            "permission": printable(edge.permission),
+            "object": object_name(edge.object, edge.domain),
+            "object_number": self.number((edge.domain, edge.object)),
+            "kind": KINDS.get(edge.object.kind, edge.object.kind),
+            "kind_class": edge.object.kind if edge.object.kind in KINDS else "neutral",
+            "pattern": edge.object in self._labelled.patterns,
+            "audit": one.audit,
+            "policy": self._said(one.policy),
+            "transports": [
+                self._said(
+                    said, wrong=said is not None and one.policy is not None and said.allowed != one.policy.allowed
+                )
+                for said in one.transports
+            ],
+        }
+
+    def _said(self, said: Said | None, *, wrong: bool = False) -> Mapping[str, Any] | None:
+        if said is None:
+            return None
+        return {
+            "allowed": said.allowed,
+            "wrong": wrong,
+            "reason": printable(said.reason),
+            "links": list(self._links(said.where)) if said.where else [],
+        }
+
+    def _links(self, where: Origin) -> Iterator[_Link]:
+        for place in (where, *where.chain):
+            text = cited(place.file, place.line)
+            at = self._sources.get(place.file)
+            target = "" if at is None else f"f{at}-{place.line}" if place.line else f"f{at}"
+            yield _Link(printable(text), target)
+
+    def object_rows(self) -> list[Mapping[str, Any]]:
+        """Return every object with who may do what on it."""
+        allowed: dict[Domain, list[tuple[int, str, str]]] = defaultdict(list)
+        counts: dict[Domain, Counter[str]] = defaultdict(Counter)
+        for one in self._labelled.edges:
+            key = (one.edge.domain, one.edge.object)
+            outcome = one.outcome()
+            counts[key]["wrong" if outcome.false else "denied" if outcome is Outcome.DENY else "other"] += 1
+            if outcome is not Outcome.DENY and outcome is not Outcome.FALSE_DENY:
+                subject = one.edge.subject
+                allowed[key].append((self.number(subject), printable(subject), printable(one.edge.permission)))
+        return [
+            {
+                "number": self.number(key),
+                "name": object_name(key[1], key[0]),
+                "kind": KINDS.get(key[1].kind, key[1].kind),
+                "kind_class": key[1].kind if key[1].kind in KINDS else "neutral",
+                "pattern": key[1] in self._labelled.patterns,
+                "allowed": allowed[key],
+                "denied": counts[key]["denied"],
+                "wrong": counts[key]["wrong"],
+            }
+            for key in self.objects
+        ]

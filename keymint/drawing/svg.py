@@ -1,0 +1,275 @@
+"""Draws labelled graphs as SVG, as the paper does: subjects green, topics blue, services purple, edges by role."""
+
+from __future__ import annotations
+
+import math
+import re
+import textwrap
+from collections import defaultdict
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from functools import cache
+from typing import TYPE_CHECKING
+
+from keymint.drawing.fold import folded_name
+from keymint.drawing.layout import CHARACTER, Box, Key, Line, Panel, lay_out
+from keymint.drawing.legend import LINE, edge_classes, flowed, legend
+from keymint.drawing.model import Labelled, LabelledEdge, Outcome, namespace
+from keymint.drawing.options import Options, Split
+from keymint.drawing.palette import style_sheet
+from keymint.drawing.simplify import Simplified, simplify, weight
+from keymint.drawing.text import columns, object_name, printable, shorten
+from keymint.drawing.words import counted, sentence
+
+if TYPE_CHECKING:
+    from jinja2 import Environment
+    from markupsafe import Markup
+
+MARGIN = 24.0
+_PANEL_GAP = 48.0
+_SHEET = 1500.0
+"""Panels stand beside one another up to that width, in pixels."""
+_LEAST_WIDTH = 760.0
+_HEAD = 8.0
+
+
+@dataclass(frozen=True, slots=True)
+class Embedding:
+    """How a picture becomes part of a page, which has the style sheet.
+
+    Attributes:
+        number: returns the number of a subject, group or object in the page, which tells more at ``#n<number>``.
+    """
+
+    number: Callable[[Key], int]
+
+
+@cache
+def environment() -> Environment:
+    """Return the templates; everything that they print is escaped."""
+    from jinja2 import Environment, PackageLoader, StrictUndefined  # noqa: PLC0415 - slow, only for pictures
+
+    found = Environment(
+        loader=PackageLoader("keymint.drawing"),
+        autoescape=True,
+        undefined=StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+        keep_trailing_newline=True,
+    )
+    found.filters["breakable"] = _breakable
+    return found
+
+
+def _breakable(name: str) -> Markup:
+    """Return a name for a page in which a line can break behind ``/`` and ``_``, and not within a word."""
+    from markupsafe import Markup  # noqa: PLC0415 - slow, only for pages
+
+    return Markup("<wbr>").join(re.split("(?<=[^/_][/_])(?=[^/_])", name, flags=re.DOTALL))
+
+
+def svg(labelled: Labelled, options: Options | None = None) -> bytes:
+    """Return a picture as an SVG 1.1 document in UTF-8; the same for the same graph on every machine.
+
+    Args:
+        labelled: the graph.
+        options: how it is drawn.
+    """
+    return draw(labelled, options or Options(), None).encode()
+
+
+def draw(labelled: Labelled, options: Options, embedding: Embedding | None) -> str:
+    """Return a picture as a document, or as an element to embed."""
+    drawn = simplify(labelled, options)
+    names = {key[1]: folded_name(found) for key, found in drawn.members.items() if len(found) > 1}
+    marks = {name: f"+{len(found)} common" for name, found in drawn.marks.items()}
+    panels = [lay_out(*part, names, marks) for part in _parts(drawn, options.split)]
+    samples = list(legend(labelled, drawn, panels, options.transport))
+    width = max(_LEAST_WIDTH, *(panel.width for panel in panels)) if panels else _LEAST_WIDTH
+    placed, sheet_width, sheet_height = _placed(panels, max(width, _SHEET) if len(panels) > 1 else width)
+    width = max(sheet_width, _LEAST_WIDTH)
+    samples, legend_height = flowed(samples, width)
+    subtitle = _subtitle(labelled, options, drawn)
+    subtitles = textwrap.wrap(subtitle, int(width / CHARACTER), break_long_words=False, break_on_hyphens=False)
+    top = MARGIN + (1 + len(subtitles)) * LINE
+    legend_top = top + 4
+    panel_top = legend_top + legend_height + 18
+    left = MARGIN + (max(0.0, width - sheet_width) / 2)
+    return (
+        environment()
+        .get_template("picture.svg.j2")
+        .render(
+            title=printable(labelled.title),
+            heading=shorten(printable(labelled.title), int(width / (CHARACTER * 15 / 12))),
+            subtitle=subtitle,
+            subtitles=[(text, MARGIN + 34 + at * LINE) for at, text in enumerate(subtitles)],
+            style=None if embedding else style_sheet(options.theme),
+            standalone=embedding is None,
+            width=_number(width + 2 * MARGIN),
+            height=_number(panel_top + sheet_height + MARGIN),
+            margin=MARGIN,
+            legend=samples,
+            legend_top=legend_top,
+            rule_y=_number(panel_top - 12),
+            panels=[
+                {
+                    "heading": panel.heading,
+                    "x": _number(left + x),
+                    "y": _number(panel_top + y),
+                    "lines": [
+                        _line(line, labelled, options, drawn, embedding) for line in _by_weight(panel.lines, options)
+                    ],
+                    "boxes": [_box(box, labelled, drawn, embedding) for box in panel.boxes],
+                }
+                for panel, x, y in placed
+            ],
+        )
+    )
+
+
+def _by_weight(lines: Sequence[Line], options: Options) -> list[Line]:
+    """Return lines so that those that matter are drawn over the others."""
+    return sorted(lines, key=lambda line: -weight(line.labelled, options.transport))
+
+
+def _parts(drawn: Simplified, split: Split) -> Iterator[tuple[str, tuple[LabelledEdge, ...], tuple[str, ...]]]:
+    if split is Split.NONE:
+        yield "", drawn.edges, tuple(drawn.groups)
+        return
+    members: dict[str, list[str]] = defaultdict(list)
+    for subject in drawn.groups:
+        members[subject if split is Split.SUBJECT else namespace(subject)].append(subject)
+    part_of = {subject: part for part, subjects in members.items() for subject in subjects}
+    found: dict[str, list[LabelledEdge]] = defaultdict(list)
+    for one in drawn.edges:
+        found[part_of[one.edge.subject]].append(one)
+    for part, subjects in members.items():
+        yield printable(part), tuple(found[part]), tuple(subjects)
+
+
+def _placed(panels: Sequence[Panel], most: float) -> tuple[list[tuple[Panel, float, float]], float, float]:
+    """Place panels in rows; return them with their places, and the size of all."""
+    placed = []
+    x = y = tallest = widest = 0.0
+    for panel in panels:
+        width = max(panel.width, columns(panel.heading) * CHARACTER * 13 / 12)
+        if x and x + width > most:
+            x, y, tallest = 0.0, y + tallest + _PANEL_GAP, 0.0
+        heading = LINE if panel.heading else 0.0
+        placed.append((panel, x, y + heading))
+        widest = max(widest, x + width)
+        tallest = max(tallest, panel.height + heading)
+        x += width + _PANEL_GAP
+    return placed, widest, y + tallest
+
+
+# -- words -----------------------------------------------------------------------------------------------------------
+
+
+def _subtitle(labelled: Labelled, options: Options, drawn: Simplified) -> str:
+    objects = {(one.edge.domain, one.edge.object) for one in labelled.edges}
+    sizes = ((labelled.subjects, "subject"), (objects, "object"), (labelled.edges, "edge"))
+    said = [", ".join(counted(len(found), noun) for found, noun in sizes)]
+    if labelled.transports:
+        which = "all transports" if options.transport is None else labelled.transports[options.transport]
+        if options.transport is None and len(labelled.transports) == 1:
+            which = labelled.transports[0]
+        false = sum(one.outcome(options.transport).false for one in labelled.edges)
+        said.append(f"{printable(which)} against the policy: {false or 'no'} false label{'s' if false != 1 else ''}")
+    if marks := sum(map(len, drawn.marks.values())):
+        said.append(f"{counted(marks, 'common edge')} as marks")
+    if any(len(found) > 1 for found in drawn.groups.values()):
+        said.append("subjects are grouped by namespace")
+    if any(len(found) > 1 for found in drawn.members.values()):
+        said.append("objects that are alike are drawn as one")
+    if drawn.left_out:
+        total = drawn.left_out + len(drawn.edges)
+        said.append(f"{drawn.left_out} of {total} lines left out, first what no rule allows")
+    return "; ".join(said)
+
+
+# -- shapes ----------------------------------------------------------------------------------------------------------
+
+
+def _box(box: Box, labelled: Labelled, drawn: Simplified, embedding: Embedding | None) -> dict[str, object]:
+    key = box.key
+    stands_for: Sequence[Key] = drawn.groups[key] if isinstance(key, str) else drawn.members[key]
+    title = box.title
+    if len(stands_for) > 1:
+        title = "\n".join(printable(one) if isinstance(one, str) else object_name(one[1], one[0]) for one in stands_for)
+    pattern = not isinstance(key, str) and key[1] in labelled.patterns
+    group = isinstance(key, str) and len(stands_for) > 1
+    common = [sentence(one, labelled.transports) for one in drawn.marks.get(key, ())] if isinstance(key, str) else []
+    return {
+        "classes": f"box {box.kind}" + (" pattern" if pattern else "") + (" group" if group else ""),
+        "title": title + (", an expression of the policy" if pattern else ""),
+        "label": box.label,
+        "x": _number(box.x),
+        "y": _number(box.y),
+        "width": _number(box.width),
+        "height": _number(box.height),
+        "bullet": box.kind != "subject",
+        "text_x": _number(box.x + (10 if box.kind == "subject" else 22)),
+        "text_y": _number(box.y + box.height / 2 + 4.2 - (8 if box.mark else 0)),
+        "group": group,
+        "mark": box.mark,
+        "mark_y": _number(box.y + box.height / 2 + 12.2),
+        "mark_title": "\n".join(common),
+        "middle": _number(box.y + box.height / 2),
+        "number": embedding.number(box.key) if embedding else None,
+        "numbers": _numbers(stands_for, embedding),
+    }
+
+
+def _line(
+    line: Line, labelled: Labelled, options: Options, drawn: Simplified, embedding: Embedding | None
+) -> dict[str, object]:
+    outcome = line.labelled.outcome(options.transport)
+    size = _HEAD * (1.25 if outcome.false else 1.0)
+    forward = math.copysign(1.0, line.x2 - line.x1)
+    start = line.x1 + (size * forward if line.inward else 0.0)
+    end = line.x2 - (size * forward if line.outward else 0.0)
+    bend = 0.45 * (end - start)
+    curve = f"M{_number(start)} {_number(line.y1)}C{_number(start + bend)} {_number(line.y1)} "
+    curve += f"{_number(end - bend)} {_number(line.y2)} {_number(end)} {_number(line.y2)}"
+    barred = outcome is not Outcome.UNLABELLED and not outcome.allowed
+    heads = []
+    if line.outward:
+        heads.append(_head(line.x2, line.y2, forward * size, barred=barred))
+    if line.inward:
+        heads.append(_head(line.x1, line.y1, -forward * size, barred=barred))
+    edge = line.labelled.edge
+    at = 0.11
+    return {
+        "outcome": str(outcome),
+        "classes": f"edge {edge_classes(outcome, labels=bool(labelled.transports))}",
+        "title": sentence(line.labelled, labelled.transports),
+        "curve": curve,
+        "heads": "".join(heads),
+        "audit": line.labelled.audit,
+        "dot_x": _number(start + (end - start) * (at**3 + 3 * at**2 * (1 - at) * 0.55 + 3 * at * (1 - at) ** 2 * 0.45)),
+        "dot_y": _number(line.y1 + (line.y2 - line.y1) * (at**3 + 3 * at**2 * (1 - at))),
+        "danger": outcome is Outcome.FALSE_ALLOW,
+        "middle_x": _number((start + end) / 2),
+        "middle_y": _number((line.y1 + line.y2) / 2),
+        "subject": _numbers(drawn.groups[edge.subject], embedding),
+        "object": _numbers(drawn.members[edge.domain, edge.object], embedding),
+    }
+
+
+def _numbers(keys: Sequence[Key], embedding: Embedding | None) -> str | None:
+    """Return the numbers in the page of what a box stands for."""
+    return " ".join(str(embedding.number(key)) for key in keys) if embedding else None
+
+
+def _head(x: float, y: float, size: float, *, barred: bool) -> str:
+    """Return an arrowhead with its tip at (x, y); ``size`` is its length, negative when it points to the left."""
+    half = abs(size) * 0.45
+    head = f"M{_number(x)} {_number(y)}l{_number(-size)} {_number(-half)}v{_number(2 * half)}z"
+    if barred:
+        head += f"M{_number(x - 1.45 * size)} {_number(y - half)}v{_number(2 * half)}"
+    return head
+
+
+def _number(value: float) -> str:
+    return f"{value:.1f}".removesuffix(".0")

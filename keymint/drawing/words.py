@@ -1,0 +1,27 @@
+"""What pictures and reports say of graphs, in words."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from keymint.drawing.model import LabelledEdge, Said
+from keymint.drawing.text import object_name, printable
+
+
+def counted(number: int, noun: str) -> str:
+    """Return a number with its noun: ``1 edge``, ``2 edges``."""
+    return f"{number} {noun}" + ("" if number == 1 else "s")
+
+
+def sentence(labelled: LabelledEdge, transports: Sequence[str]) -> str:
+    """Return an edge and all that is said about it on one line."""
+    edge = labelled.edge
+    layers = [("policy", labelled.policy), *zip(transports, labelled.transports, strict=True)]
+    said = "; ".join(f"{name}: {_said(one)}" for name, one in layers if one is not None)
+    text = f"{edge.subject} {edge.permission} {object_name(edge.object, edge.domain)}"
+    return printable(text + (f" - {said}" if said else "") + (" (AUDIT)" if labelled.audit else ""))
+
+
+def _said(said: Said) -> str:
+    because = ": ".join(filter(None, (str(said.where) if said.where else "", said.reason)))
+    return ("allowed" if said.allowed else "denied") + (f" ({because})" if because else "")

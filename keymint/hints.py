@@ -1,0 +1,118 @@
+"""What subjects ask for, and how often: hints for the order of rules, from a file of counts or from a graph.
+
+A file of counts is CSV (RFC 4180) with a header line that names the columns::
+
+    subject,permission,object,count
+    /amr1/nav,ros_publish,/amr1/cmd_vel,36000
+
+A column ``partition`` may be there as well. In a graph every edge counts once.
+"""
+
+from __future__ import annotations
+
+import csv
+import difflib
+from collections.abc import Iterator, Mapping, Sequence
+
+from keymint import graph_json
+from keymint.api import Demand
+from keymint.errors import Diagnostic, KeymintError, Origin, Severity
+from keymint.graph import Edge, Object
+from keymint.graph_json import KIND_OF, legal_subject, legal_text
+
+COLUMNS = ("subject", "permission", "object", "count")
+OPTIONAL = ("partition",)
+MAX_COUNT = 2**63
+
+
+def load_hints(content: bytes, name: str) -> tuple[Demand, ...]:
+    """Return what a file says is asked for, sorted.
+
+    Args:
+        content: a graph in JSON, or counts in CSV; UTF-8.
+        name: the file as the user would type it, for messages.
+
+    Raises:
+        KeymintError: it is neither; every line that is wrong, with what was expected.
+    """
+    if graph_json.recognises(content):
+        return tuple(Demand(edge, 1) for edge in graph_json.load(content, name).edges)
+    if len(content) > graph_json.MAX_BYTES:
+        raise _error(name, 0, f"the file has more than the {graph_json.MAX_BYTES:,} bytes allowed")
+    try:
+        lines = content.decode("utf-8-sig").splitlines()
+    except UnicodeDecodeError as error:
+        raise _error(name, content[: error.start].count(b"\n") + 1, "the text is not UTF-8") from None
+    rows = csv.reader(lines, strict=True)
+    found: dict[Edge, int] = {}
+    problems: list[Diagnostic] = []
+    try:
+        columns = _columns(next(rows, []), name)
+        for row in rows:
+            if row:
+                try:
+                    edge, times = _counted(
+                        dict(zip(columns, row, strict=False)), len(columns), row, name, rows.line_num
+                    )
+                except KeymintError as error:
+                    problems += error.diagnostics
+                else:
+                    found[edge] = found.get(edge, 0) + times
+    except csv.Error as error:
+        raise _error(name, rows.line_num, f"not CSV: {error}") from None
+    if problems:
+        raise KeymintError.of(problems)
+    return tuple(Demand(edge, times) for edge, times in sorted(found.items()))
+
+
+def unknown_subjects(demand: Sequence[Demand], known: Sequence[str], name: str) -> Iterator[Diagnostic]:
+    """Yield a warning for each subject of the hints that a workspace does not have.
+
+    Args:
+        demand: the hints.
+        known: the subjects that there are.
+        name: the file of the hints, for messages.
+    """
+    for subject in sorted({each.edge.subject for each in demand} - set(known)):
+        close = difflib.get_close_matches(subject, known, n=1)
+        yield Diagnostic(
+            "hints-subject",
+            Severity.WARNING,
+            f"the hints are about {subject}, which is no subject of this workspace",
+            Origin(name),
+            f"did you mean {close[0]!r}?" if close else "",
+        )
+
+
+def _columns(header: Sequence[str], name: str) -> list[str]:
+    columns = [each.strip() for each in header]
+    if len(set(columns)) != len(columns) or not set(COLUMNS) <= set(columns) <= {*COLUMNS, *OPTIONAL}:
+        message = f"the first line is {','.join(columns)!r}, which does not name the columns"
+        raise _error(name, 1, message, f"write {','.join(COLUMNS)!r}, or give a graph of 'keymint discover'")
+    return columns
+
+
+def _counted(row: Mapping[str, str], width: int, cells: Sequence[str], name: str, line: int) -> tuple[Edge, int]:
+    if len(cells) != width:
+        raise _error(name, line, f"has {len(cells)} field{'' if len(cells) == 1 else 's'} instead of {width}")
+    subject, permission, text = (row[column].strip() for column in ("subject", "permission", "object"))
+    if not legal_subject(subject):
+        raise _error(name, line, f"{subject!r} is no name of a subject", "write it in full, as '/robot/arm'")
+    kind = KIND_OF.get(permission)
+    if kind is None:
+        close = difflib.get_close_matches(permission, KIND_OF, n=1)
+        help_ = f"did you mean {close[0]!r}?" if close else f"one of {', '.join(KIND_OF)}"
+        raise _error(name, line, f"there is no permission {permission!r}", help_)
+    partition = row.get("partition", "").strip()
+    if not text or not legal_text(text) or not legal_text(partition):
+        raise _error(name, line, "the object, or its partition, is empty, too long or has control characters")
+    count = row["count"].strip()
+    if not (count.isascii() and count.isdigit() and len(count) < len(str(MAX_COUNT))):
+        raise _error(name, line, f"{count!r} is no count", "write a whole number, from 0")
+    if partition and kind != "topic":
+        raise _error(name, line, f"a {kind} has no partition", "leave it empty")
+    return Edge(subject, permission, Object(kind, text, (partition,) if partition else ())), int(count)
+
+
+def _error(name: str, line: int, message: str, help_: str = "") -> KeymintError:
+    return KeymintError(message, where=Origin(name, line), help=help_, code="hints-invalid")

@@ -1,0 +1,232 @@
+"""Renders reports and progress for people (and reports for machines)."""
+
+from __future__ import annotations
+
+import json
+from collections import Counter
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from typing import IO, TYPE_CHECKING, Any
+
+from comarmor.text import encodable, printable, printable_lines
+from keymint.errors import Diagnostic, Severity
+from keymint.output.report import Report, as_document
+from keymint.plan.model import Action, Size, Step
+from keymint.process import Output
+
+if TYPE_CHECKING:
+    from rich.console import Console as RichConsole
+
+_COLOURS: Mapping[Severity, str] = {
+    Severity.ERROR: "31",
+    Severity.WARNING: "33",
+    Severity.NOTE: "36",
+}
+_STAGE_NOUNS: Mapping[str, str] = {
+    "init": "workspace",
+    "authorities": "authority",
+    "create": "source package",
+    "build": "package",
+    "install": "enclave",
+}
+_PROGRESS_AFTER = 1.0
+"""Seconds of work before a progress bar appears."""
+
+
+@dataclass(frozen=True, slots=True)
+class Streams:
+    """Where a run writes to, and how.
+
+    Attributes:
+        out: results.
+        err: diagnostics and progress.
+        colour_out: ``out`` may have colours.
+        colour_err: ``err`` may have colours.
+        progress: ``err`` is a terminal that a progress bar may be drawn on.
+    """
+
+    out: IO[str]
+    err: IO[str]
+    colour_out: bool = False
+    colour_err: bool = False
+    progress: bool = False
+
+
+class Console:
+    """Says what a run does.
+
+    Args:
+        streams: where to.
+        verbosity: -1 quiet, 0 usual, 1 and more: every step and file.
+        as_json: one JSON document on ``out`` in place of words.
+    """
+
+    def __init__(self, streams: Streams, *, verbosity: int = 0, as_json: bool = False) -> None:
+        self._streams = streams
+        self._verbosity = verbosity
+        self._json = as_json
+
+    # -- while it runs -------------------------------------------------------------------------------------------
+
+    def waiting(self) -> None:
+        """Say that another run holds the workspace."""
+        self._say_err("another keymint works in this workspace; waiting for it to end")
+
+    @contextmanager
+    def progress(self, total: int, clock: Any) -> Iterator[Any]:
+        """Yield a function to call with every step that is done; draws a bar when work takes long.
+
+        Args:
+            total: number of steps.
+            clock: returns seconds, monotonic.
+        """
+        if not self._streams.progress or self._json or self._verbosity < 0:
+            yield lambda _step: None
+            return
+        bar = _Bar(self._streams.err, total, clock)
+        try:
+            yield bar.advance
+        finally:
+            bar.close()
+
+    # -- when it is done -----------------------------------------------------------------------------------------
+
+    def show(self, report: Report) -> None:
+        """Show a report: the whole of it as JSON, or its steps and diagnostics in words."""
+        if self._json:
+            document = json.dumps(encodable(as_document(report)), indent=2, ensure_ascii=True)
+            self._streams.out.write(f"{document}\n")
+            return
+        for diagnostic in report.diagnostics:
+            self.diagnostic(diagnostic)
+        if self._verbosity >= 0:
+            self._steps(report)
+
+    def diagnostic(self, diagnostic: Diagnostic) -> None:
+        """Say one diagnostic: ``place: severity: message (help)``; notes only when asked for more."""
+        if diagnostic.severity is Severity.NOTE and self._verbosity < 1:
+            return
+        if diagnostic.severity is Severity.WARNING and self._verbosity < 0:
+            return
+        place = f"{diagnostic.where}: " if diagnostic.where else ""
+        label = _paint(f"{diagnostic.severity}:", _COLOURS[diagnostic.severity], colour=self._streams.colour_err)
+        about = f" [{diagnostic.code}]" if self._verbosity > 0 else ""
+        hint = f" ({diagnostic.help})" if diagnostic.help else ""
+        self._say_err(f"{printable(place)}{label} {printable(diagnostic.message + hint + about)}")
+
+    def line(self, text: str = "") -> None:
+        """Say a line of a result, unless quiet or JSON; what is not printable in it is escaped."""
+        self._line(printable(text))
+
+    def document(self, content: bytes) -> None:
+        """Write a document of several lines that is itself the result, unless quiet or JSON.
+
+        Byte for byte, so that it can go into a file; on a terminal what is not printable is escaped.
+
+        Args:
+            content: UTF-8; a newline is added where it does not end in one.
+        """
+        if self._json or self._verbosity < 0:
+            return
+        content = content.rstrip(b"\n") + b"\n"
+        if self._streams.out.isatty():
+            self._streams.out.write(printable_lines(content.decode("utf-8", "backslashreplace")))
+        elif isinstance(self._streams.out, Output):
+            self._streams.out.put(content)
+        else:
+            self._streams.out.write(content.decode())
+
+    def _line(self, text: str, colour: str = "") -> None:
+        """Say a line that is printable."""
+        if not self._json and self._verbosity >= 0:
+            self._streams.out.write(_paint(text, colour, colour=bool(colour) and self._streams.colour_out) + "\n")
+
+    def table(self, columns: list[str], rows: list[list[str]]) -> None:
+        """Show a table as aligned text: one line a row, so that it can be piped through grep."""
+        if self._json or self._verbosity < 0:
+            return
+        columns, rows = [printable(cell) for cell in columns], [[printable(cell) for cell in row] for row in rows]
+        widths = [max(len(row[at]) for row in [columns, *rows]) for at in range(len(columns))]
+        for index, row in enumerate([columns, *rows]):
+            text = "  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip()
+            self._line(text, "1" if index == 0 else "")
+
+    def _steps(self, report: Report) -> None:
+        would = "would be " if report.dry_run else ""
+        for step in report.steps:
+            if step.action is Action.UNCHANGED and self._verbosity < 1:
+                continue
+            name = step.package or step.detail
+            detail = f"  ({step.detail})" if step.detail and step.package else ""
+            label = _paint(f"{step.action:9}", "32", colour=self._streams.colour_out)
+            self._line(f"{label} {printable(f'{step.stage:11} {name}{detail}')}")
+            if self._verbosity > 0 and report.workspace:
+                for change in step.changes:
+                    for file in change.files:
+                        self.line(f"            {report.workspace.shown(change.folder / file)}")
+                    for file in change.removed:
+                        self.line(f"            {report.workspace.shown(change.folder / file)} (removed)")
+        if report.steps:
+            if not any(step.writes() for step in report.steps):
+                self.line(f"nothing to do: {_counted(report.steps)} up to date")
+            else:
+                counts = Counter(str(step.action) for step in report.steps)
+                self.line(f"{would}" + ", ".join(f"{counts[a]} {a}" for a in map(str, Action) if counts[a]))
+            built = [step for step in report.steps if step.action is not Action.UNCHANGED]
+            if line := _gain([size for step in built for size in step.sizes]):
+                self.line(line)
+
+    def _say_err(self, text: str) -> None:
+        self._streams.err.write(f"{text}\n")
+        self._streams.err.flush()
+
+
+def _counted(steps: Any) -> str:
+    packages = {step.package for step in steps if step.package and step.stage != "authorities"}
+    return f"{len(packages)} package{'s' if len(packages) != 1 else ''}" if packages else "everything"
+
+
+def _gain(sizes: Sequence[Size]) -> str:
+    """Return how much smaller the documents became that were built in this run, or nothing."""
+    now, plain = sum(size.bytes for size in sizes), sum(size.plain_bytes for size in sizes)
+    if now == plain:
+        return ""
+    files = ", ".join(sorted({size.file for size in sizes}))
+    of = f"of {len(sizes)} package{'' if len(sizes) == 1 else 's'}"
+    return f"{files} {of}: {now:,} bytes, {plain:,} in plain form ({(now - plain) / plain:+.0%})"
+
+
+def _paint(text: str, code: str, *, colour: bool) -> str:
+    return f"\033[{code}m{text}\033[0m" if colour else text
+
+
+class _Bar:
+    """A progress bar that appears when work has gone on for a while."""
+
+    def __init__(self, stream: IO[str], total: int, clock: Any) -> None:
+        self._stream = stream
+        self._total = total
+        self._clock = clock
+        self._start = clock()
+        self._done = 0
+        self._progress: Any = None
+        self._task: Any = None
+
+    def advance(self, step: Step) -> None:
+        self._done += 1
+        if self._progress is None:
+            if self._clock() - self._start < _PROGRESS_AFTER:
+                return
+            from rich.console import Console as RichConsole  # noqa: PLC0415 - slow, and only for long work
+            from rich.progress import Progress  # noqa: PLC0415
+
+            console: RichConsole = RichConsole(file=self._stream, force_terminal=True)
+            self._progress = Progress(console=console, transient=True)
+            self._progress.start()
+            self._task = self._progress.add_task(step.stage, total=self._total)
+        self._progress.update(self._task, completed=self._done, description=step.stage)
+
+    def close(self) -> None:
+        if self._progress is not None:
+            self._progress.stop()

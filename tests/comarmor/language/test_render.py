@@ -1,0 +1,142 @@
+"""The canonical form: it decides as the policy does, and is its own canonical form."""
+
+from __future__ import annotations
+
+import tempfile
+from pathlib import Path
+
+import xmlschema
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+import comarmor
+from comarmor import PERMISSIONS, Effect, Expression, Location, Policy, Profile, Rule, data
+from comarmor.language import template
+from comarmor.patterns import expression
+
+HERE = Location("generated.xml", 1)
+PIECES = (
+    "/",
+    "a",
+    "b",
+    "*",
+    "?",
+    "[ab]",
+    "[!a]",
+    "[\\{-\\}]",
+    "{name}",
+    "{namespace}",
+    "\\*",
+    "\\{",
+    "\\ ",
+    "&amp;",
+    "<é>",
+)
+RULE_TEXTS = st.lists(st.sampled_from(PIECES), min_size=1, max_size=4).map("".join)
+PROFILE_TEXTS = st.sampled_from(["/a", "/a/b", "/b", "*", "/a*", "*/b", "/?", "/[ab]"])
+NAMES = ("/a", "/a/b", "/b", "/c", "a", "", "/a*", "/{", "/ ", "/a/get_parameters", "/a/_action/status")
+
+
+def expressions(texts: st.SearchStrategy[str]) -> st.SearchStrategy[tuple[Expression, ...]]:
+    def read(text: str) -> Expression:
+        return Expression.of(next(template.expand(template.parse(text), lambda _: ())), HERE)
+
+    return st.lists(texts.map(read), min_size=1, max_size=3, unique_by=lambda item: item.text).map(tuple)
+
+
+@st.composite
+def rules(draw: st.DrawFn) -> Rule:
+    kind = draw(st.sampled_from(list(PERMISSIONS)))
+    held = draw(st.sets(st.sampled_from(PERMISSIONS[kind]), min_size=1))
+    partitions = (
+        draw(st.lists(st.sampled_from(["", "p*", "q", "\\ "]), max_size=2, unique=True)) if kind == "topic" else []
+    )
+    return Rule(
+        draw(st.sampled_from(Effect)),
+        kind,
+        tuple(permission for permission in PERMISSIONS[kind] if permission in held),
+        draw(expressions(RULE_TEXTS)),
+        tuple(partitions),
+        draw(st.booleans()),
+        HERE,
+    )
+
+
+def profiles(depth: int) -> st.SearchStrategy[Profile]:
+    inner = st.lists(profiles(depth - 1), max_size=2).map(tuple) if depth else st.just(())
+    return st.builds(
+        Profile,
+        name=st.sampled_from(["", "p", '"<\n>']),
+        audit=st.booleans(),
+        attachments=expressions(PROFILE_TEXTS),
+        profiles=inner,
+        rules=st.lists(rules(), max_size=3).map(tuple),
+        where=st.just(HERE),
+    )
+
+
+def reload(text: str) -> Policy:
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "policy.xml"
+        path.write_bytes(text.encode())
+        return comarmor.load(path)
+
+
+SCHEMA = xmlschema.XMLSchema(data.locate("schemas") / "comarmor" / "comarmor.xsd")
+
+
+def watched(profiles_: tuple[Profile, ...]) -> bool:
+    return any(profile.audit or watched(profile.profiles) for profile in profiles_)
+
+
+@settings(max_examples=40, deadline=None)
+@given(st.lists(profiles(2), max_size=3).map(tuple).map(Policy))
+def test_round_trip(policy: Policy) -> None:
+    text = comarmor.render(policy)
+    SCHEMA.validate(text)
+    loaded = reload(text)
+    again = comarmor.render(loaded)
+    assert comarmor.render(reload(again)) == again
+    if not watched(policy.profiles):  # in the canonical form the rules of a watched profile are marked themselves
+        assert again == text
+    assert loaded.subjects() == policy.subjects()
+    for subject in ("/a", "/a/b", "/c"):
+        for kind, permissions in PERMISSIONS.items():
+            for permission in permissions:
+                for name in NAMES:
+                    for partitions in ((), ("p1", "q")):
+                        one = policy.decide(subject, kind, permission, name, partitions)
+                        two = loaded.decide(subject, kind, permission, name, partitions)
+                        assert one.effect is two.effect
+                        assert bool(one.rules) == bool(two.rules)
+
+
+def test_canonical_form(load) -> None:
+    policy = load(
+        """<profile name="p" modifier="AUDIT"><tunable name="T"><value>x</value><value>[^]]</value></tunable>
+        <attachments><attachment>/s</attachment></attachments>
+        <topic qualifier="ALLOW"><permissions><subscribe/><publish/></permissions>
+        <partitions><partition/></partitions><attachment>@{T}\\y{name}</attachment></topic></profile>"""
+    )
+    assert comarmor.render(policy) == (
+        '<?xml version="1.0" encoding="UTF-8"?>\n'
+        "<profiles>\n"
+        '  <profile name="p" modifier="AUDIT">\n'
+        "    <attachment>/s</attachment>\n"
+        '    <topic qualifier="ALLOW" modifier="AUDIT">\n'
+        "      <attachment>xy{name}</attachment>\n"
+        "      <attachment>[!\\]]y{name}</attachment>\n"
+        "      <permissions>\n        <publish/>\n        <subscribe/>\n      </permissions>\n"
+        "      <partitions>\n        <partition></partition>\n      </partitions>\n"
+        "    </topic>\n"
+        "  </profile>\n"
+        "</profiles>\n"
+    )
+
+
+@given(st.text(alphabet=" \t\n\\a*[]{}", max_size=6))
+def test_text_of_a_name_survives_the_notation(text: str) -> None:
+    written = expression.escape(text)
+    assert template.strip(f"\n {written}\t ") == written
+    (value,) = template.expand(template.parse(written), lambda _: ())
+    assert expression.literal("".join(value)) == text

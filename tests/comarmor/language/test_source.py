@@ -1,0 +1,238 @@
+"""Reading is bounded and confined: what an attacker who may edit a policy could try."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+import pytest
+
+import comarmor
+from comarmor.errors import ComArmorError
+from comarmor.language import source
+from tests.effort import calls_of
+
+XI = 'xmlns:xi="http://www.w3.org/2001/XInclude"'
+
+
+def including(*hrefs: str) -> str:
+    includes = "".join(f'<xi:include href="{href}"/>' for href in hrefs)
+    return f"<profiles {XI}>{includes}</profiles>"
+
+
+PROFILE = '<profile name="p"><attachment>/s</attachment></profile>'
+
+
+def quickly_refused(path: Path) -> comarmor.Diagnostic:
+    def refused() -> comarmor.Diagnostic:
+        with pytest.raises(ComArmorError) as caught:
+            comarmor.load(path)
+        return caught.value.diagnostics[0]
+
+    found, calls = calls_of(refused)
+    assert calls < 100_000
+    return found
+
+
+ENTITIES = "".join(f'<!ENTITY a{i} "{10 * "&a%d;"}">' % ((i - 1,) * 10) for i in range(1, 20))
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        f'<!DOCTYPE a [<!ENTITY a0 "ha">{ENTITIES}]><profiles>&a19;</profiles>',
+        '<!DOCTYPE a [<!ENTITY x SYSTEM "file:///etc/passwd">]><profiles>&x;</profiles>',
+        '<!DOCTYPE a [<!ENTITY % x SYSTEM "http://127.0.0.1:9/x"> %x;]><profiles/>',
+        '<!DOCTYPE profiles SYSTEM "http://127.0.0.1:9/x.dtd"><profiles/>',
+        "<!DOCTYPE profiles><profiles/>",
+    ],
+)
+@pytest.mark.parametrize("encoding", ["utf-8", "utf-16"])
+def test_doctype_is_refused_before_it_is_read(write, text, encoding) -> None:
+    found = quickly_refused(write({"p.xml": text.encode(encoding)}))
+    assert (found.code, found.where.line) == ("xml-doctype", 1)
+
+
+@pytest.mark.parametrize(
+    ("content", "code"),
+    [
+        (b"", "xml-syntax"),
+        (b"<profiles>", "xml-syntax"),
+        (b"<profiles></profile>", "xml-syntax"),
+        (b"<profiles>&x;</profiles>", "xml-syntax"),
+        (b"<profiles>\x00</profiles>", "xml-syntax"),
+        (b"<profiles>\xff</profiles>", "xml-syntax"),
+        (b"\x7fELF", "xml-syntax"),
+        (b"<?xml version='1.0' encoding='utf-7'?><profiles/>", "xml-encoding"),
+        (b"<?xml version='1.0' encoding='no-such'?><profiles/>", "xml-encoding"),
+        (b"<a>" * 100_000, "xml-limit"),
+        (b"<profiles " + b" ".join(b"a%d=''" % i for i in range(5)) + b"/>", "schema"),
+    ],
+)
+def test_not_plain_xml(write, content, code) -> None:
+    assert quickly_refused(write({"p.xml": content})).code == code
+
+
+def test_end_tag_says_what_it_should_close(write) -> None:
+    found = quickly_refused(write({"p.xml": "<profiles>\n<profile>\n</profiles>"}))
+    assert "expected the end of <profile>, which begins on line 2" in found.message
+    assert found.where.line == 3
+
+
+def test_limits() -> None:
+    small = source.Limits(file_bytes=100, nodes=3)
+    with pytest.raises(ComArmorError, match="100 bytes"):
+        source.parse(b"<a>" + b" " * 100 + b"</a>", "x", limits=small)
+    with pytest.raises(ComArmorError, match="3 elements"):
+        source.parse(b"<a><b/><b/><b/></a>", "x", limits=small)
+    assert source.parse(b"<a><b/><b/></a>", "x", limits=small).tag == "a"
+
+
+def test_total_limits(write) -> None:
+    root = write({"a.xml": including("s/b.xml"), "s/b.xml": "<profiles/>"})
+    with pytest.raises(ComArmorError, match="bytes allowed"):
+        source.load_tree(root, limits=source.Limits(total_bytes=100))
+    with pytest.raises(ComArmorError, match="elements"):
+        source.load_tree(root, limits=source.Limits(nodes=2))
+
+
+@pytest.mark.parametrize(
+    ("href", "code"),
+    [
+        ("/etc/passwd", "include-outside"),
+        ("file:///etc/passwd", "include-href"),
+        ("http://127.0.0.1:9/x.xml", "include-href"),
+        ("//127.0.0.1/x.xml", "include-href"),
+        ("../outside.xml", "include-outside"),
+        ("sub/../../outside.xml", "include-outside"),
+        ("%2e%2e/outside.xml", "include-outside"),
+        ("../policy-next/p.xml", "include-outside"),
+        ("%00", "include-href"),
+        ("", "include-href"),
+        ("#x", "include-href"),
+        ("sub/ok.xml#x", "include-href"),
+        ("sub/ok.xml?x", "include-href"),
+        ("http://[", "include-href"),
+        (".", "unreadable"),
+        ("sub", "unreadable"),
+        ("sub/ok.xml/x", "include-missing"),
+        ("sub/okay.xml", "include-missing"),
+        ("x" * 5000, "unreadable"),
+        ("p.xml", "include-loop"),
+    ],
+)
+def test_includes_stay_inside(write, tmp_path, href, code) -> None:
+    root = write({"p.xml": f"\n{including(href)}", "sub/ok.xml": PROFILE})
+    (tmp_path / "outside.xml").write_text(PROFILE)
+    (tmp_path / "policy-next").mkdir()
+    (tmp_path / "policy-next" / "p.xml").write_text(PROFILE)
+    found = quickly_refused(root / "p.xml")
+    assert found.code == code
+    assert str(found.where) == f"{root}/p.xml:2"
+
+
+def test_a_missing_include_says_where_it_was_looked_for(write, tmp_path) -> None:
+    root = write({"p.xml": including("s/nod.xml"), "s/node.xml": PROFILE})
+    found = quickly_refused(root / "p.xml")
+    assert "'s/nod.xml' does not exist" in found.message
+    assert found.help == f"looked for '{root}/s/nod.xml'; did you mean node.xml?"
+
+
+def test_a_missing_include_is_not_advised_to_be_the_including_file(write) -> None:
+    root = write({"p.xml": including("o.xml")})
+    found = quickly_refused(root / "p.xml")
+    assert found.help == f"looked for '{root}/o.xml'"
+
+
+def test_and_in_the_library_as_well(write, tmp_path) -> None:
+    root = write({"p.xml": including("s/nod.xml")})
+    library = tmp_path / "library"
+    (library / "s").mkdir(parents=True)
+    (library / "s/node.xml").write_text(PROFILE)
+    with pytest.raises(comarmor.ComArmorError) as caught:
+        comarmor.load(root / "p.xml", library=library)
+    help_ = caught.value.diagnostics[0].help
+    assert help_ == f"looked for '{root}/s/nod.xml' and '{library}/s/nod.xml'; did you mean node.xml?"
+
+
+@pytest.mark.parametrize("target", ["/etc/passwd", "../outside.xml", "missing", "sub", "link.xml", "/dev/zero"])
+@pytest.mark.parametrize("link", ["link.xml", "sub/link.xml"])
+def test_symbolic_links_do_not_lead_outside(write, tmp_path, target, link) -> None:
+    root = write({"p.xml": including(link), "sub/ok.xml": PROFILE})
+    (tmp_path / "outside.xml").write_text(PROFILE)
+    (root / link).symlink_to(target)
+    assert quickly_refused(root / "p.xml").code in {"include-outside", "include-missing", "unreadable"}
+    if link == "link.xml":
+        assert quickly_refused(root).code in {"include-outside", "include-missing", "unreadable"} or target == "sub"
+
+
+def test_linked_folder_does_not_lead_outside(write, tmp_path) -> None:
+    root = write({"p.xml": including("dir/x.xml")})
+    (tmp_path / "other").mkdir()
+    (tmp_path / "other" / "x.xml").write_text(PROFILE)
+    (root / "dir").symlink_to(tmp_path / "other")
+    assert quickly_refused(root).code == "include-outside"
+
+
+def test_links_inside_are_followed(write) -> None:
+    root = write({"p.xml": including("sub/link.xml"), "sub/ok.xml": PROFILE})
+    (root / "sub" / "link.xml").symlink_to("ok.xml")
+    assert comarmor.load(root).subjects() == ("/s",)
+
+
+def test_linked_policy_has_its_includes_beside_the_real_file(write, tmp_path) -> None:
+    root = write({"p.xml": including("sub/ok.xml"), "sub/ok.xml": PROFILE})
+    (tmp_path / "link.xml").symlink_to(root / "p.xml")
+    assert comarmor.load(tmp_path / "link.xml").subjects() == ("/s",)
+
+
+def test_named_pipe_does_not_hold_the_tool_up(write) -> None:
+    root = write({"p.xml": including("sub/pipe"), "sub/ok.xml": PROFILE})
+    os.mkfifo(root / "sub" / "pipe")
+    assert "not a regular file" in quickly_refused(root).message
+
+
+def test_loops(write) -> None:
+    root = write({"p.xml": including("s/a.xml"), "s/a.xml": including("b.xml"), "s/b.xml": f"\n{including('a.xml')}"})
+    found = quickly_refused(root)
+    assert found.code == "include-loop"
+    assert [place.line for place in (found.where, *found.where.chain)] == [2, 1, 1]
+
+
+@pytest.mark.parametrize("width", [2, 10])
+@pytest.mark.parametrize("depth", [15, 16, 60])
+def test_doublings(write, width, depth) -> None:
+    files = {f"s/{i}.xml": including(*[f"{i + 1}.xml"] * width) for i in range(depth)}
+    root = write({"p.xml": including("s/0.xml"), **files, f"s/{depth}.xml": PROFILE})
+    assert quickly_refused(root).code == "xml-limit"
+
+
+def test_file_that_is_included_often_is_read_once(write) -> None:
+    root = write({"p.xml": including(*["s/a.xml"] * 300), "s/a.xml": PROFILE})
+    policy = comarmor.load(root)
+    assert len(policy.profiles) == 300
+    assert len(policy.files) == 2
+
+
+@pytest.mark.parametrize(
+    ("element", "code"),
+    [
+        ('<xi:include href="s/a.xml" parse="text"/>', "include-parse"),
+        ('<xi:include href="s/a.xml" xpointer="x"/>', "schema"),
+        ('<xi:include href="s/a.xml"><xi:fallback/></xi:include>', "include-fallback"),
+        ('<xi:include href="no.xml"><xi:fallback/></xi:include>', "include-fallback"),
+        ("<xi:include/>", "include-href"),
+        ('<xi:includ href="s/a.xml"/>', "schema"),
+        ('<include href="s/a.xml"/>', "schema"),
+        ('<x:include xmlns:x="http://www.w3.org/2003/XInclude" href="s/a.xml"/>', "schema"),
+    ],
+)
+def test_only_plain_includes(write, element, code) -> None:
+    assert quickly_refused(write({"p.xml": f"<profiles {XI}>{element}</profiles>", "s/a.xml": PROFILE})).code == code
+
+
+def test_file_name_that_is_not_text(tmp_path) -> None:
+    (tmp_path / os.fsdecode(b"p\xff.xml")).write_text("<x/>")
+    with pytest.raises(ComArmorError) as caught:
+        comarmor.load(tmp_path)
+    str(caught.value).encode()

@@ -1,0 +1,86 @@
+"""Effort is counted in steps, the same whatever was asked before."""
+
+from __future__ import annotations
+
+import pytest
+
+from comarmor.patterns.decision_lists import Block, Budget, Equal, Unknown
+from comarmor.patterns.effort import EffortError, limited, remembered, spend
+from comarmor.patterns.glob import parse
+from comarmor.patterns.proofs import difference, implies
+from comarmor.patterns.relations import covers, disjoint, intersection
+from tests.effort import calls_of
+
+
+def test_steps_are_counted_and_end() -> None:
+    with limited(10) as effort:
+        spend(4)
+        with limited(5):
+            spend(3)
+        assert (effort.spent, effort.left) == (7, 3)
+        with pytest.raises(EffortError, match="within 10 steps"), limited(50):
+            spend(4)
+        with pytest.raises(EffortError):
+            spend()
+    spend(1_000)
+
+
+def test_an_answer_that_is_remembered_costs_the_same() -> None:
+    @remembered(8)
+    def asked(number: int) -> int:
+        spend(number)
+        return number
+
+    costs = []
+    for _ in range(2):
+        with limited(None) as effort:
+            assert asked(5) == 5
+        costs.append(effort.spent)
+    assert costs == [6, 6]
+    with limited(3), pytest.raises(EffortError):
+        asked(5)
+    with limited(3), pytest.raises(EffortError):
+        asked(4)
+    assert asked(4) == 4
+
+
+@pytest.mark.parametrize(
+    "ask",
+    [
+        lambda: disjoint(parse("*one[ab]*a*b"), parse("[!x]*?one*b*")),
+        lambda: covers(parse("*one*a*b*"), parse("[!x]*?onea*b*")),
+        lambda: len(intersection(parse("*one*a*b*"), parse("*two*c*"))),
+    ],
+)
+def test_the_count_does_not_depend_on_the_past(ask) -> None:
+    costs = []
+    for _ in range(2):
+        with limited(None) as effort:
+            ask()
+        costs.append(effort.spent)
+    assert costs[0] == costs[1] > 10
+
+
+def test_a_step_stands_for_a_bounded_amount_of_work() -> None:
+    one, other = parse("*ab*cd*ef*"), parse("*mn*op*qr*")
+
+    def ask() -> int:
+        with limited(None) as effort:
+            assert len(intersection(one, other, 100)) > 0
+        return effort.spent
+
+    steps, calls = calls_of(ask)
+    assert calls < 60 * steps
+    assert steps < 250_000
+
+
+def test_a_question_that_takes_too_long_is_unknown() -> None:
+    hard = tuple(parse(f"*a{'?' * each}b*{each}*") for each in range(12))
+    a = (Block(True, hard), Block(False, (parse("*q"),)))
+    b = (Block(True, hard[:-1]),)
+    for question in (difference, implies):
+        with limited(200) as effort:
+            assert isinstance(question(a, b), Unknown)
+        assert effort.spent < 20_000
+        assert isinstance(question(a, b, budget=Budget(states=50)), Unknown)
+        assert question(b, b) == Equal()

@@ -1,0 +1,208 @@
+"""The questions, held against their definition on all small words."""
+
+from __future__ import annotations
+
+import itertools
+from dataclasses import replace
+
+import pytest
+from hypothesis import given, settings
+
+from comarmor.patterns.decision_lists import (
+    EVERY_WORD,
+    PRINTABLE,
+    Block,
+    Budget,
+    Equal,
+    SpentError,
+    Universe,
+    Unknown,
+    Witness,
+)
+from comarmor.patterns.derivatives import Arena
+from comarmor.patterns.evaluate import permits
+from comarmor.patterns.glob import parse
+from comarmor.patterns.product_search import Product
+from comarmor.patterns.proofs import difference, implies, intersects, shadowed
+
+from .small import UNIVERSE, WORDS, allow, deny, first_difference, lists, patterns_of
+
+
+def agrees(found: object, first: str | None) -> bool:
+    """Tell whether an outcome is right, given the first small word that is a witness."""
+    if isinstance(found, Equal):
+        return first is None
+    assert isinstance(found, Witness)
+    return len(found.word) > len(WORDS[-1]) if first is None else len(found.word) == len(first)
+
+
+@settings(max_examples=600, deadline=None)
+@given(lists, lists)
+def test_difference_is_found_with_a_shortest_word(a, b):
+    found = difference(a, b, universe=UNIVERSE)
+    assert agrees(found, first_difference(a, b))
+    if isinstance(found, Witness):
+        assert permits(a, found.word) is found.left
+        assert permits(b, found.word) is not found.left
+
+
+@settings(max_examples=300, deadline=None)
+@given(lists, lists, lists)
+def test_a_list_is_held_against_several_that_permit_together(a, b, c):
+    assert agrees(difference(a, b, c, universe=UNIVERSE), first_difference(a, b, c))
+
+
+@settings(max_examples=300, deadline=None)
+@given(lists, lists, lists)
+def test_the_engines_agree(a, b, c):
+    found = difference(a, b, c, universe=UNIVERSE)
+    arena = Arena(patterns_of(a, b, c), UNIVERSE)
+    other = Product((b, c), a, UNIVERSE, arena, Budget().meter()).shortest()
+    assert (other is None) == isinstance(found, Equal)
+    if isinstance(found, Witness):
+        assert other is not None
+        assert len(other) == len(found.word)
+
+
+@settings(max_examples=300, deadline=None)
+@given(lists, lists)
+def test_implication_and_intersection(a, b):
+    escaping = next((word for word in WORDS if permits(a, word) and not permits(b, word)), None)
+    assert agrees(implies(a, b, UNIVERSE), escaping)
+    common = next((word for word in WORDS if permits(a, word) and permits(b, word)), None)
+    assert agrees(intersects(a, b, UNIVERSE), common)
+
+
+@settings(max_examples=200, deadline=None)
+@given(lists)
+def test_shadowed_patterns(decisions):
+    before: list = []
+    for at, number, found in shadowed(decisions, UNIVERSE):
+        pattern = decisions[at].patterns[number]
+        own = (Block(True, (pattern,)),)
+        earlier = (Block(True, tuple(before)),)
+        alone = next((word for word in WORDS if permits(own, word) and not permits(earlier, word)), None)
+        assert agrees(found, alone)
+        before.append(pattern)
+
+
+def test_a_list_equals_itself_said_otherwise():
+    assert difference((allow("rt/*"),), (allow("rt/", "rt/?*"),)) == Equal()
+    assert difference((deny("a*b"), allow("a*")), (deny("ab", "a?*b"), allow("a", "a?*"))) == Equal()
+    assert difference((), (deny("*"), allow("x"))) == Equal()
+
+
+def test_the_first_step_that_matches_decides():
+    found = difference((deny("secret"), allow("s*")), (allow("s*"), deny("secret")))
+    assert found == Witness("secret", left=False)
+
+
+def test_what_a_sloppy_image_lets_in_shows_itself():
+    found = difference((allow("rt/scan", "rt/*/scan"),), (allow("rt*/scan"),), universe=PRINTABLE)
+    assert isinstance(found, Witness)
+    assert found.left is False
+    assert len(found.word) == len("rtx/scan")
+
+
+@pytest.mark.parametrize(("outer", "inner"), [("[a-c]", "[!d-z]"), ("a[!x]", "a?"), ("[é]", "?")])
+def test_sets_of_characters(outer, inner):
+    assert isinstance(difference((allow(outer),), (allow(inner),)), Witness)
+    assert implies((allow(outer),), (allow("*"),)) == Equal()
+
+
+def test_the_universe_bounds_the_question():
+    a, b = (allow("[a-z]"),), (allow("?"),)
+    small = Universe(parse("[a-z]")[0])
+    assert difference(a, b, universe=small) == Equal()
+    assert isinstance(difference(a, b, universe=EVERY_WORD), Witness)
+
+
+def test_words_of_two_fields_cannot_run_into_each_other():
+    pairs = Universe(PRINTABLE.alphabet, fields=2)
+    a = (allow("p*\0x", "q\0*"),)
+    assert difference(a, (allow("p\0x", "p?*\0x", "q\0", "q\0?*"),), universe=pairs) == Equal()
+    merged = difference((allow("a\0x", "b\0y"),), (allow("a\0x", "b\0y", "a\0y", "b\0x"),), universe=pairs)
+    assert isinstance(merged, Witness)
+    assert merged.word in {"a\0y", "b\0x"}
+    assert not merged.left
+
+
+def test_a_character_that_only_a_dropped_pattern_names_is_still_told_apart():
+    # A last denial changes nothing, but the alphabet is made of all patterns.
+    assert difference((allow("a*"), deny("*q*")), (allow("a*"),)) == Equal()
+
+
+@pytest.mark.parametrize("states", [0, 5, 50])
+def test_a_spent_budget_is_unknown(states):
+    inner = ["".join(pair) for pair in itertools.product("ab", repeat=5)]
+    a = (allow(*(f"*{text}*{text[::-1]}*a" for text in inner)),)
+    b = (allow(*(f"*{text}*{text[::-1]}*" for text in inner)),)
+    found = difference(a, b, universe=UNIVERSE, budget=Budget(states))
+    assert isinstance(found, Unknown)
+    assert str(states) in found.reason
+
+
+def test_a_deadline_is_kept():
+    found = difference((allow(*(f"*{n}*" for n in range(400))),), (allow("*1*"),), budget=Budget(go_on=lambda: False))
+    assert found == Unknown("not decided in time")
+
+
+def test_the_second_engine_decides_what_the_first_gives_up(monkeypatch):
+    def give_up(*_arguments: object) -> None:
+        raise SpentError("too hard")
+
+    monkeypatch.setattr("comarmor.patterns.proofs._by_cubes", give_up)
+    assert difference((allow("a*"),), (allow("a", "a?*"),)) == Equal()
+    assert difference((allow("a*"),), (allow("a", "ab*"),), universe=UNIVERSE) == Witness("aa", left=True)
+
+
+HARD = {
+    "overlapping infixes": lambda texts: ([f"*{t}*" for t in texts], [p for t in texts for p in (f"*{t}", f"*{t}?*")]),
+    "two infixes": lambda texts: (
+        [f"*{t}*{t}x*" for t in texts],
+        [p for t in texts for p in (f"*{t}{t}x*", f"*{t}?*{t}x*")],
+    ),
+    "far from the end": lambda texts: (
+        [f"*{t}{'?' * 24}" for t in texts],
+        [p for t in texts for p in (f"*{t}{'?' * 23}[!b]", f"*{t}{'?' * 23}b")],
+    ),
+    "pigeonholes": lambda texts: (
+        [f"{t}{'?' * 16}" for t in texts],
+        [f"{t}{'?' * n}[!a]{'?' * (15 - n)}" for t in texts for n in range(16)] + [t + "a" * 16 for t in texts],
+    ),
+}
+
+
+@pytest.mark.parametrize("family", HARD)
+def test_hard_families_are_decided_or_unknown_and_never_wrong(family):
+    texts = ["".join(pair) for pair in itertools.product("abcdefghij", "klmnopqrst")][:30]
+    a, b = HARD[family](texts)
+    budget = Budget(200_000)
+    equal = difference((allow(*a),), (allow(*b),), universe=PRINTABLE, budget=budget)
+    assert isinstance(equal, Equal | Unknown)
+    broken = difference((allow(*a),), (allow(*b[1:]),), universe=PRINTABLE, budget=budget)
+    assert isinstance(broken, Witness | Unknown)
+
+
+@settings(max_examples=300, deadline=None)
+@given(lists, lists)
+def test_a_last_field_that_is_never_empty(a, b):
+    universe = replace(UNIVERSE, last_nonempty=True)
+    shortest = next((word for word in WORDS if word and permits(a, word) != permits(b, word)), None)
+    found = difference(a, b, universe=universe)
+    assert agrees(found, shortest)
+    other = Product((b,), a, universe, Arena(patterns_of(a, b), universe), Budget().meter()).shortest()
+    assert (other is None) == isinstance(found, Equal)
+
+
+def test_only_the_last_field_is_never_empty():
+    pairs = Universe(PRINTABLE.alphabet, fields=2, last_nonempty=True)
+    assert "\0x" in pairs
+    assert "x\0" not in pairs
+    assert difference((), (allow("*\0"),), universe=pairs) == Equal()
+    assert difference((), (allow("\0*"),), universe=pairs) == Witness("\0a", left=False)
+
+
+def test_of_the_shortest_words_one_of_letters_is_preferred():
+    found = difference((), (allow("a/[!b-z]", "/[!b-z]/"),), universe=PRINTABLE)
+    assert found == Witness("a/a", left=False)

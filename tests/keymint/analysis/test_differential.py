@@ -1,0 +1,35 @@
+"""``diff`` agrees with brute force; a sample of what ``python benchmarks/diff.py`` does in full."""
+
+from __future__ import annotations
+
+import pytest
+
+from tests.keymint.analysis.differential import asked, compared, pair
+from tests.keymint.analysis.policies import profile, rule
+
+SAMPLE = 60
+CHUNK = 10
+PUB = ("ros_topic", "ros_publish")
+
+
+@pytest.mark.parametrize("first", range(0, SAMPLE, CHUNK))
+def test_a_sample(first: int) -> None:
+    for seed in range(first, first + CHUNK):
+        name, old, new = pair(seed)
+        verdict = compared(old, new)
+        assert not verdict.wrong, f"seed {seed}, {name}: {verdict.wrong}"
+
+
+def test_the_oracle_sees_what_is_missed() -> None:
+    """A test that cannot fail is none: brute force finds a difference where there is one."""
+    old, new = (f"<profiles>{profile(name, rule(*PUB, '/a'))}</profiles>" for name in ("/a*", "/[ab]*"))
+    verdict = compared(old, new)
+    assert verdict.differs
+    assert not verdict.wrong
+
+
+@pytest.mark.parametrize("first", range(0, SAMPLE, CHUNK))
+def test_who_holds_a_permission(first: int) -> None:
+    for seed in range(first, first + CHUNK):
+        answer = asked(seed)
+        assert (answer.wrong, answer.perhaps) == ("", False), f"seed {seed}"

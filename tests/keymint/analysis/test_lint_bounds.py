@@ -1,0 +1,124 @@
+"""What linting may cost: steps, linear in the policy; what is given up is reported as a note."""
+
+from __future__ import annotations
+
+from functools import partial
+from pathlib import Path
+from random import Random
+
+import pytest
+
+from comarmor.patterns.edit_distance import Names
+from comarmor.patterns.effort import limited
+from comarmor.patterns.glob import parse
+from comarmor.patterns.pattern_index import Near
+from comarmor.patterns.relations import disjoint
+from keymint.analysis import portable, similar, subjects, vain
+from keymint.analysis.lint import lint
+from tests.effort import calls_of
+from tests.families import FAMILIES
+from tests.keymint.analysis.policies import loaded_text
+
+Found = list[str]
+
+
+def linted(folder: Path, text: str) -> tuple[int, Found]:
+    policy = loaded_text(folder, text)
+    with limited(None) as effort:
+        found = lint(policy)
+    return effort.spent, [each.code for each in found]
+
+
+@pytest.mark.parametrize("family", ["flat", "wild", "nested", "exact", "bracketed"])
+def test_steps_grow_with_the_policy(tmp_path: Path, family: str) -> None:
+    few, many = (linted(tmp_path, FAMILIES[family](size))[0] for size in (100, 400))
+    assert many < 5 * few
+
+
+def test_many_profiles(tmp_path: Path) -> None:
+    steps, codes = linted(tmp_path, FAMILIES["flat"](1_000))
+    assert codes == []
+    assert steps < 20 * 1_000
+
+
+def test_calls_grow_with_the_policy(tmp_path: Path) -> None:
+    policies = [loaded_text(tmp_path, FAMILIES["wild"](size)) for size in (50, 200)]
+    few, many = (calls_of(partial(lint, policy))[1] for policy in policies)
+    assert many < 5 * few
+
+
+def test_names_that_are_all_alike_end_with_a_note(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(similar, "_STEPS", 200)
+    steps, codes = linted(tmp_path, FAMILIES["misspelt"](60))
+    assert "lint-unknown" in codes
+    assert steps < 2 * 60 * 300
+
+
+def test_questions_that_are_too_hard_end_with_a_note(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    text = FAMILIES["infixes"](40)
+    monkeypatch.setattr(vain, "UNIT", 100)
+    assert linted(tmp_path, text)[1] == ["lint-unknown"]
+    monkeypatch.setattr(vain, "UNIT", 100_000)
+    monkeypatch.setattr(vain, "TOGETHER", 1_000)
+    monkeypatch.setattr(vain, "EACH", 0)
+    steps, codes = linted(tmp_path, text)
+    assert codes == ["lint-unknown"]
+    assert steps < 60_000
+
+
+def test_too_many_pairs_end_with_a_note(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(vain, "MOST_PAIRS", 20)
+    assert "lint-unknown" in linted(tmp_path, FAMILIES["flat"](30))[1]
+
+
+def test_patterns_of_subjects_that_overlap_too_often_end_with_a_note(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    text = "".join(
+        f'<profile name="{at}"><attachment>/*{at}*</attachment></profile>' for at in ("a", "b", "c", "d", "e", "f")
+    )
+    monkeypatch.setattr(subjects, "_MOST_EXAMPLES", 3)
+    assert "lint-unknown" in linted(tmp_path, f"<profiles>{text}</profiles>")[1]
+
+
+def test_the_compiler_ends_with_a_note(keymint, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / "p.xml").write_text(FAMILIES["bracketed"](4) + " ")
+    (tmp_path / "q.xml").write_text(FAMILIES["flat"](30))
+    monkeypatch.setattr(portable, "STEPS", 10)
+    outcome = keymint("lint", "q.xml", "--json")
+    assert outcome.codes() == ["lint-unknown"]
+    assert outcome.code == 0
+
+
+def test_an_index_finds_what_meets() -> None:
+    rng = Random(7)
+    pieces = ("a", "b", "ab", "*", "?", "[ab]", "/")
+    for _ in range(150):
+        globs = [parse("".join(rng.choice(pieces) for _ in range(rng.randint(1, 4)))) for _ in range(20)]
+        near = Near((glob, at) for at, glob in enumerate(globs))
+        wanted = parse("".join(rng.choice(pieces) for _ in range(rng.randint(1, 4))))
+        assert sorted(at for _, at in near.meeting(wanted)) == [
+            at for at, glob in enumerate(globs) if not disjoint(glob, wanted)
+        ]
+
+
+def test_a_tree_of_names_finds_slips() -> None:
+    rng = Random(8)
+
+    def name() -> str:
+        return "".join(rng.choice("ab/") for _ in range(rng.randint(0, 6)))
+
+    for _ in range(150):
+        names, wanted = [name() for _ in range(20)], name()
+        for most in (1, 2):
+            assert set(Names(names).near(wanted, most)) == {each for each in names if _edits(each, wanted) <= most}
+
+
+def _edits(one: str, other: str) -> int:
+    row = list(range(len(other) + 1))
+    for at, char in enumerate(one, 1):
+        after = [at]
+        for number, char2 in enumerate(other, 1):
+            after.append(min(after[-1] + 1, row[number] + 1, row[number - 1] + (char != char2)))
+        row = after
+    return row[-1]
