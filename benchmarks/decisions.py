@@ -16,8 +16,8 @@ from datetime import UTC, datetime
 from itertools import cycle, islice
 from pathlib import Path
 
+from comarmor.errors import Origin
 from keymint.api import Enclave, PolicySource, Surroundings, Tier
-from keymint.errors import Origin
 from keymint.graph import Edge, Graph, Object, complete
 from keymint.plugins import Plugins
 

@@ -35,9 +35,10 @@ from keymint_ros2_dds.vendors import probes
 from keymint_ros2_dds.vendors.cyclone_access_control import AccessControl
 from keymint_ros2_dds.vendors.participants import FastDDS, ProbeError, RefusedError, System
 
+from comarmor.errors import Origin
+from comarmor.rules import Effect
 from keymint.api import Claim, DomainRange, Proof
-from keymint.errors import Origin
-from keymint.ir import Effect, Rule, SubjectRules
+from keymint.ir import Rule, SubjectRules
 
 MODELS = ("omg", "cyclonedds-0.10", "fastdds-2.9")
 ACTIONS = ("publish", "subscribe")

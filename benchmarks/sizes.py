@@ -27,6 +27,7 @@ from keymint_ros2_dds.compiling import compile, gathering  # noqa: A004 - the mo
 from keymint_ros2_dds.limits import BROKEN, signed_size
 from proof import WORDS
 
+from comarmor.errors import Origin
 from keymint.api import (
     BuildOptions,
     CertificateSpec,
@@ -39,7 +40,6 @@ from keymint.api import (
     PolicySource,
     Validity,
 )
-from keymint.errors import Origin
 from keymint.ir import SubjectRules
 
 FLEET = Path(__file__).parent.parent / "examples" / "fleet"

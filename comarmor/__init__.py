@@ -17,11 +17,12 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from comarmor.errors import ComArmorError, Diagnostic, Location, Severity
+    from comarmor.errors import ComArmorError, Diagnostic, Origin, Severity
     from comarmor.language.loading import load, load_all
     from comarmor.language.policy import Policy
     from comarmor.language.render import render
-    from comarmor.language.syntax import PARTS, PERMISSIONS, Decision, Effect, Expression, Profile, Rule
+    from comarmor.language.syntax import Decision, Expression, Profile, Rule
+    from comarmor.rules import PARTS, PERMISSIONS, Effect
 
 __all__ = [
     "PARTS",
@@ -31,7 +32,7 @@ __all__ = [
     "Diagnostic",
     "Effect",
     "Expression",
-    "Location",
+    "Origin",
     "Policy",
     "Profile",
     "Rule",
@@ -42,11 +43,12 @@ __all__ = [
 ]
 
 _MODULES = {
-    "comarmor.errors": ("ComArmorError", "Diagnostic", "Location", "Severity"),
+    "comarmor.errors": ("ComArmorError", "Diagnostic", "Origin", "Severity"),
     "comarmor.language.loading": ("load", "load_all"),
     "comarmor.language.policy": ("Policy",),
     "comarmor.language.render": ("render",),
-    "comarmor.language.syntax": ("PARTS", "PERMISSIONS", "Decision", "Effect", "Expression", "Profile", "Rule"),
+    "comarmor.language.syntax": ("Decision", "Expression", "Profile", "Rule"),
+    "comarmor.rules": ("PARTS", "PERMISSIONS", "Effect"),
 }
 _MODULE_OF = {name: module for module, names in _MODULES.items() for name in names}
 

@@ -1,59 +1,95 @@
-"""What can be wrong with a policy, as data: diagnostics, and the one exception that carries them."""
+"""Defects as data: diagnostics with a severity and an origin, and the exception that carries them."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+import re
+from collections.abc import Iterable
 from dataclasses import dataclass
-from difflib import get_close_matches
 from enum import StrEnum
+
+Spot = tuple[str, int, int]
+"""File, line and column of a place. The line alone is no key: a minified policy has all its rules on one."""
 
 
 class Severity(StrEnum):
-    """How much a diagnostic matters: an error stops the work, a warning does not."""
+    """How much a diagnostic matters: an error stops the work, a warning and a note do not."""
 
     ERROR = "error"
     WARNING = "warning"
+    NOTE = "note"
+
+
+_LIBRARY = re.compile(r"(?:.*/)?templates/keymint_ros/comarmor\.d/[a-z]+/(common/.+)", re.DOTALL)
+"""Files of the library that ships with Keymint: in a checkout, and in an installed distribution."""
+
+
+def library_name(file: str) -> str | None:
+    """Return the name of a file of the shipped library, as policies include it; None of any other file."""
+    found = _LIBRARY.fullmatch(file)
+    return found[1] if found else None
+
+
+def cited(file: str, line: int = 0) -> str:
+    """Return a place as a person reads it: ``file:line``, of the shipped library ``common/node.xml:3 (library)``.
+
+    Args:
+        file: path.
+        line: line number from 1, or 0 for the file as a whole.
+    """
+    name = library_name(file)
+    place = f"{name or file}:{line}" if line else name or file
+    return f"{place} (library)" if name else place
 
 
 @dataclass(frozen=True, slots=True, order=True)
-class Location:
+class Origin:
     """A place in a file that a person wrote.
 
     Attributes:
         file: path as the user would type it; never empty.
         line: line number from 1, or 0 for the file as a whole.
-        chain: the places that included the file, innermost first; these have no chain of their own.
+        chain: the places that included the file, innermost first.
         column: column from 1, or 0 if it is not known. It tells apart what stands on one line.
     """
 
     file: str
     line: int = 0
-    chain: tuple[Location, ...] = ()
+    chain: tuple[Origin, ...] = ()
     column: int = 0
+
+    @property
+    def spot(self) -> Spot:
+        """File, line and column: equal for what is written in one place, however often it is included."""
+        return self.file, self.line, self.column
+
+    def alone(self) -> Origin:
+        """Return the place without the chain of includes."""
+        return Origin(self.file, self.line, (), self.column)
 
     def __str__(self) -> str:
         """Return ``file:line``, followed by the chain of includes."""
-        place = f"{self.file}:{self.line}" if self.line else self.file
-        return "".join([place, *(f", included from {outer}" for outer in self.chain)])
+        return "".join([cited(self.file, self.line), *(f", included from {outer}" for outer in self.chain)])
 
 
 @dataclass(frozen=True, slots=True)
 class Diagnostic:
-    """One defect of a policy.
+    """One finding, warning or error.
 
     Attributes:
-        code: stable identifier in kebab-case, e.g. ``include-outside``.
-        severity: error or warning.
+        code: stable identifier in kebab-case, e.g. ``portability-deny``.
+        severity: error, warning or note.
         message: one line: what is wrong and what was expected.
         where: the place it is about, if there is one.
         help: one line: how to mend it; may be empty.
+        subject: the subject (enclave) it is about, or empty.
     """
 
     code: str
     severity: Severity
     message: str
-    where: Location | None = None
+    where: Origin | None = None
     help: str = ""
+    subject: str = ""
 
     def __str__(self) -> str:
         """Return the diagnostic on one line: ``place: message (help)``."""
@@ -75,7 +111,7 @@ class ComArmorError(Exception):
         self,
         message: str,
         *,
-        where: Location | None = None,
+        where: Origin | None = None,
         help: str = "",  # noqa: A002 - the field's name for the last part of a message
         code: str = "policy",
     ) -> None:
@@ -90,15 +126,3 @@ class ComArmorError(Exception):
         error = cls(first.message, where=first.where, help=first.help, code=first.code)
         error.diagnostics = listed
         return error
-
-
-def did_you_mean(word: str, known: Sequence[str]) -> str:
-    """Return ``did you mean …?`` with the nearest known word, or an empty string when none is near."""
-    near = get_close_matches(word[:64], known, n=1)
-    return f"did you mean {near[0]}?" if near else ""
-
-
-def quoted(text: str, limit: int = 60) -> str:
-    """Return text on one line, in quotes, cut to a length at which a message can still be read."""
-    shown = "".join(c if c.isprintable() else c.encode("unicode_escape").decode() for c in text[: limit + 1])
-    return f"'{shown[:limit]}…'" if len(shown) > limit else f"'{shown}'"

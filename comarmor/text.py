@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from difflib import get_close_matches
 from typing import Any
 
 
@@ -38,6 +39,18 @@ def encodable(value: Any) -> Any:
     if isinstance(value, Sequence) and not isinstance(value, bytes | bytearray):
         return [encodable(item) for item in value]
     return value
+
+
+def did_you_mean(word: str, known: Sequence[str]) -> str:
+    """Return ``did you mean …?`` with the nearest known word, or an empty string when none is near."""
+    near = get_close_matches(word[:64], known, n=1)
+    return f"did you mean {near[0]}?" if near else ""
+
+
+def quoted(text: str, limit: int = 60) -> str:
+    """Return text on one line, in quotes, cut to a length at which a message can still be read."""
+    shown = "".join(c if c.isprintable() else c.encode("unicode_escape").decode() for c in text[: limit + 1])
+    return f"'{shown[:limit]}…'" if len(shown) > limit else f"'{shown}'"
 
 
 def _escaped(char: str) -> str:

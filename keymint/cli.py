@@ -202,7 +202,7 @@ def _fail(arguments: Sequence[str], code: str, message: str, exit_code: ExitCode
     if not as_json or getattr(sys.stdout, "began", False):
         sys.stderr.write(f"{in_words}\n")
         return int(exit_code)
-    from keymint.errors import Diagnostic, Severity  # noqa: PLC0415
+    from comarmor.errors import Diagnostic, Severity  # noqa: PLC0415
     from keymint.output.console import Console, Streams  # noqa: PLC0415 - not needed for --help
     from keymint.output.report import Report  # noqa: PLC0415
 

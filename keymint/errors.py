@@ -2,13 +2,10 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Iterable
-from dataclasses import dataclass
-from enum import IntEnum, StrEnum
+from enum import IntEnum
 
-Spot = tuple[str, int, int]
-"""File, line and column of a place. The line alone is no key: a minified policy has all its rules on one."""
+from comarmor.errors import Diagnostic, Origin, Severity
 
 
 class ExitCode(IntEnum):
@@ -20,92 +17,6 @@ class ExitCode(IntEnum):
     FINDINGS = 3
     INTERRUPTED = 130
     TERMINATED = 143
-
-
-class Severity(StrEnum):
-    """How much a diagnostic matters: an error stops the work, a warning and a note do not."""
-
-    ERROR = "error"
-    WARNING = "warning"
-    NOTE = "note"
-
-
-_LIBRARY = re.compile(r"(?:.*/)?templates/keymint_ros/comarmor\.d/[a-z]+/(common/.+)", re.DOTALL)
-"""Files of the library that ships with Keymint: in a checkout, and in an installed distribution."""
-
-
-def library_name(file: str) -> str | None:
-    """Return the name of a file of the shipped library, as policies include it; None of any other file."""
-    found = _LIBRARY.fullmatch(file)
-    return found[1] if found else None
-
-
-def cited(file: str, line: int = 0) -> str:
-    """Return a place as a person reads it: ``file:line``, of the shipped library ``common/node.xml:3 (library)``.
-
-    Args:
-        file: path.
-        line: line number from 1, or 0 for the file as a whole.
-    """
-    name = library_name(file)
-    place = f"{name or file}:{line}" if line else name or file
-    return f"{place} (library)" if name else place
-
-
-@dataclass(frozen=True, slots=True, order=True)
-class Origin:
-    """A place in a file that a person wrote.
-
-    Attributes:
-        file: path as the user would type it; never empty.
-        line: line number from 1, or 0 for the file as a whole.
-        chain: the places that included the file, innermost first.
-        column: column from 1, or 0 if it is not known. It tells apart what stands on one line.
-    """
-
-    file: str
-    line: int = 0
-    chain: tuple[Origin, ...] = ()
-    column: int = 0
-
-    @property
-    def spot(self) -> Spot:
-        """File, line and column: equal for what is written in one place, however often it is included."""
-        return self.file, self.line, self.column
-
-    def alone(self) -> Origin:
-        """Return the place without the chain of includes."""
-        return Origin(self.file, self.line, (), self.column)
-
-    def __str__(self) -> str:
-        """Return ``file:line``, followed by the chain of includes."""
-        return "".join([cited(self.file, self.line), *(f", included from {outer}" for outer in self.chain)])
-
-
-@dataclass(frozen=True, slots=True)
-class Diagnostic:
-    """One finding, warning or error.
-
-    Attributes:
-        code: stable identifier in kebab-case, e.g. ``portability-deny``.
-        severity: error, warning or note.
-        message: one line: what is wrong and what was expected.
-        where: the place it is about, if there is one.
-        help: one line: how to mend it; may be empty.
-        subject: the subject (enclave) it is about, or empty.
-    """
-
-    code: str
-    severity: Severity
-    message: str
-    where: Origin | None = None
-    help: str = ""
-    subject: str = ""
-
-    def __str__(self) -> str:
-        """Return the diagnostic on one line: ``place: message (help)``."""
-        place = f"{self.where}: " if self.where else ""
-        return f"{place}{self.message}" + (f" ({self.help})" if self.help else "")
 
 
 class KeymintError(Exception):

@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 
-from keymint.ir import PERMISSIONS
+from comarmor.rules import PERMISSIONS
 
 
 @dataclass(frozen=True, slots=True, order=True)
@@ -17,7 +17,7 @@ class Object:
     """What permissions are about.
 
     Attributes:
-        kind: a key of :data:`keymint.ir.PERMISSIONS`.
+        kind: a key of :data:`comarmor.rules.PERMISSIONS`.
         name: its name; for kind ``topic`` the DDS topic's.
         partitions: DDS partitions, sorted; only for kind ``topic``. Empty is the default partition.
     """

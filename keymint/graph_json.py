@@ -8,9 +8,10 @@ import re
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any, NoReturn
 
-from keymint.errors import KeymintError, Origin
+from comarmor.errors import Origin
+from comarmor.rules import PERMISSIONS
+from keymint.errors import KeymintError
 from keymint.graph import Edge, Graph, Object
-from keymint.ir import PERMISSIONS
 
 FORMAT = "keymint-graph"
 VERSION = 1

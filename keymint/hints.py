@@ -14,9 +14,10 @@ import csv
 import difflib
 from collections.abc import Iterator, Mapping, Sequence
 
+from comarmor.errors import Diagnostic, Origin, Severity
 from keymint import graph_json
 from keymint.api import Demand
-from keymint.errors import Diagnostic, KeymintError, Origin, Severity
+from keymint.errors import KeymintError
 from keymint.graph import Edge, Object
 from keymint.graph_json import KIND_OF, legal_subject, legal_text
 

@@ -7,31 +7,10 @@ and an object, deny if any DENY rule matches, else allow if any ALLOW rule does,
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass
-from enum import StrEnum
-from types import MappingProxyType
 
-from keymint.errors import Origin
-
-
-class Effect(StrEnum):
-    """What a rule does with what it matches."""
-
-    ALLOW = "ALLOW"
-    DENY = "DENY"
-
-
-PERMISSIONS: Mapping[str, tuple[str, ...]] = MappingProxyType(
-    {
-        "topic": ("publish", "subscribe", "relay"),
-        "ros_topic": ("ros_publish", "ros_subscribe", "ros_relay"),
-        "ros_service": ("ros_call", "ros_execute"),
-        "ros_action": ("ros_request", "ros_operate"),
-        "ros_parameter": ("ros_read", "ros_write"),
-    }
-)
-"""The kinds of rules and the permissions that each may hold (ComArmor language, "Rules")."""
+from comarmor.errors import Origin
+from comarmor.rules import Effect
 
 
 @dataclass(frozen=True, slots=True)

@@ -18,6 +18,7 @@ from importlib.metadata import Distribution, EntryPoint, distributions
 from pathlib import Path
 from typing import Any, cast
 
+from comarmor.errors import Origin
 from keymint.api import (
     API_VERSION,
     BuildType,
@@ -29,7 +30,7 @@ from keymint.api import (
     Transport,
     TransportType,
 )
-from keymint.errors import ExitCode, KeymintError, Origin
+from keymint.errors import ExitCode, KeymintError
 
 _OURS = "keymint-tools"
 GROUPS: Mapping[str, str] = {

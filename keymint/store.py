@@ -21,7 +21,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Protocol
 
-from keymint.errors import KeymintError, Origin
+from comarmor.errors import Origin
+from keymint.errors import KeymintError
 from keymint.exchange import finish, is_waiting, take_place
 from keymint.staging import Content, add, clear, mount_of, refuse_mount, stage
 from keymint.writing import (

@@ -12,7 +12,8 @@ from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import TypeVar
 
-from keymint.errors import KeymintError, Origin
+from comarmor.errors import Origin
+from keymint.errors import KeymintError
 
 MAX_FILE = 16 * 1024 * 1024
 """Bytes of a file that is read; no document, certificate or key comes near."""

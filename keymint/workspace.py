@@ -8,7 +8,8 @@ from dataclasses import dataclass, replace
 from functools import lru_cache
 from pathlib import Path
 
-from keymint.errors import ExitCode, KeymintError, Origin
+from comarmor.errors import Origin
+from keymint.errors import ExitCode, KeymintError
 from keymint.names import RESERVED, package_name
 from keymint.tree import Tree
 

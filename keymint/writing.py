@@ -14,7 +14,8 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import NoReturn, Protocol
 
-from keymint.errors import KeymintError, Origin
+from comarmor.errors import Origin
+from keymint.errors import KeymintError
 
 PREFIX, SUFFIX = ".keymint-", ".tmp"
 """Around the names of temporary files and folders."""

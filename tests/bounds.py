@@ -7,13 +7,14 @@ from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from pathlib import Path
 
+from comarmor.errors import Origin
 from comarmor.patterns.effort import limited
 from keymint.analysis.diff import diff
 from keymint.analysis.lint import lint
 from keymint.analysis.portable import package_of
 from keymint.analysis.subjects import rules_of
 from keymint.api import BuildOptions, LoadedPolicy, PolicySource
-from keymint.errors import KeymintError, Origin
+from keymint.errors import KeymintError
 from keymint.plugins import Plugins
 
 COMPILE = 17_000_000

@@ -9,7 +9,7 @@ from collections.abc import Sequence
 from random import Random
 from xml.sax.saxutils import escape
 
-from keymint.ir import PERMISSIONS
+from comarmor.rules import PERMISSIONS
 
 Tokens = list[str]
 

@@ -4,9 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from comarmor.errors import ComArmorError, did_you_mean, quoted
-from comarmor.language.syntax import PARTS, PERMISSIONS, Decision, Effect, Rule
+from comarmor.errors import ComArmorError
+from comarmor.language.syntax import Decision, Rule
 from comarmor.patterns.expression import matches
+from comarmor.rules import PARTS, PERMISSIONS, Effect
+from comarmor.text import did_you_mean, quoted
 
 
 def decide(rules: Sequence[Rule], kind: str, permission: str, name: str, partitions: Sequence[str] = ()) -> Decision:

@@ -8,13 +8,15 @@ from dataclasses import dataclass, field
 
 from lxml import etree
 
-from comarmor.errors import ComArmorError, Diagnostic, Location, quoted
+from comarmor.errors import ComArmorError, Diagnostic, Origin
 from comarmor.language import template
 from comarmor.language.policy import Policy
 from comarmor.language.scope import Budget, Scope
 from comarmor.language.source import INCLUDE, Document, Sources
-from comarmor.language.syntax import PERMISSIONS, Effect, Expression, Profile, Rule
+from comarmor.language.syntax import Expression, Profile, Rule
 from comarmor.patterns.expression import literal
+from comarmor.rules import PERMISSIONS, Effect
+from comarmor.text import quoted
 from comarmor.xml import schema
 from comarmor.xml.reader import column, line
 
@@ -33,10 +35,10 @@ class _Item:
 
     element: etree._Element
     document: Document
-    chain: tuple[Location, ...]
+    chain: tuple[Origin, ...]
 
     @property
-    def where(self) -> Location:
+    def where(self) -> Origin:
         return _place(self.document, self.element, self.chain)
 
 
@@ -48,7 +50,7 @@ class _Parser:
     budget: Budget = field(default_factory=Budget)
     found: list[Diagnostic] = field(default_factory=list)
 
-    def note(self, error: ComArmorError, where: Location) -> None:
+    def note(self, error: ComArmorError, where: Origin) -> None:
         """Keep the defects of an error, those without a place at the given one, and go on."""
         for item in error.diagnostics:
             placed = item if item.where else Diagnostic(item.code, item.severity, item.message, where, item.help)
@@ -57,11 +59,11 @@ class _Parser:
         if len(self.found) >= _MOST_DIAGNOSTICS:
             raise ComArmorError.of(self.found)
 
-    def refuse(self, message: str, where: Location, code: str, help_: str = "") -> None:
+    def refuse(self, message: str, where: Origin, code: str, help_: str = "") -> None:
         """Keep a defect, and go on."""
         self.note(ComArmorError(message, where=where, help=help_, code=code), where)
 
-    def validate(self, document: Document, chain: tuple[Location, ...]) -> None:
+    def validate(self, document: Document, chain: tuple[Origin, ...]) -> None:
         """Hold a document and what it includes against the schema, each once, in the place where it is met first."""
         if document in self.checked:
             return
@@ -69,7 +71,7 @@ class _Parser:
         try:
             schema.validate(document.root, SCHEMA, document.name, chain)
         except ComArmorError as error:
-            self.note(error, Location(document.name))
+            self.note(error, Origin(document.name))
         for element, included in document.includes.items():
             self.validate(included, (_place(document, element), *chain))
 
@@ -252,8 +254,8 @@ def parse(sources: Sources) -> Policy:
     return Policy(profiles, sources.files, sources.seen, unused)
 
 
-def _place(document: Document, element: etree._Element, chain: tuple[Location, ...] = ()) -> Location:
-    return Location(document.name, line(element), chain, column(element))
+def _place(document: Document, element: etree._Element, chain: tuple[Origin, ...] = ()) -> Origin:
+    return Origin(document.name, line(element), chain, column(element))
 
 
 def _unique(expressions: list[Expression]) -> tuple[Expression, ...]:

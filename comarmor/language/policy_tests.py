@@ -6,7 +6,7 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from comarmor.errors import ComArmorError, Diagnostic, Location
+from comarmor.errors import ComArmorError, Diagnostic, Origin
 from comarmor.language.source import TESTS
 from comarmor.patterns.expression import parse as parse_expression
 from comarmor.xml import schema
@@ -35,7 +35,7 @@ class Expectation:
     permission: str
     object: str
     partition: str
-    where: Location
+    where: Origin
 
 
 def expectations(path: Path) -> Mapping[Path, tuple[Expectation, ...]]:
@@ -74,14 +74,14 @@ def _read(file: Path) -> Iterator[Expectation]:
             content = stream.read(LIMITS.file_bytes + 1)
     except OSError as error:
         raise ComArmorError(
-            f"the file cannot be read: {error.strerror}", where=Location(name), code="unreadable"
+            f"the file cannot be read: {error.strerror}", where=Origin(name), code="unreadable"
         ) from None
     root = parse(content, name)
     schema.validate(root, SCHEMA, name)
     defects: list[Diagnostic] = []
     for test in root.iterchildren("test"):
         for element in test.iterchildren("allow", "deny"):
-            where = Location(name, line(element))
+            where = Origin(name, line(element))
             subject, object_ = element.get("subject", ""), element.get("object", "")
             partition = element.get("partition", "")
             for expression in (subject, object_, partition):

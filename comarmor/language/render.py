@@ -5,7 +5,8 @@ from __future__ import annotations
 from lxml import etree
 
 from comarmor.language.policy import Policy
-from comarmor.language.syntax import PERMISSIONS, Profile, Rule
+from comarmor.language.syntax import Profile, Rule
+from comarmor.rules import PERMISSIONS
 
 
 def render(policy: Policy) -> str:

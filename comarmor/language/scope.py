@@ -6,10 +6,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import partial
 
-from comarmor.errors import ComArmorError, Location, did_you_mean
+from comarmor.errors import ComArmorError, Origin
 from comarmor.language import template
 from comarmor.language.syntax import Tunable
 from comarmor.language.template import Value
+from comarmor.text import did_you_mean
 
 MOST_CHARACTERS = 32 * 2**20
 """Most characters that all expressions of a policy together may have once its tunables are expanded."""
@@ -59,13 +60,13 @@ class Scope:
     budget: Budget
     outer: Scope | None = None
     own: dict[str, Tunable] = field(default_factory=dict)
-    passed: dict[str, Location] = field(default_factory=dict)
+    passed: dict[str, Origin] = field(default_factory=dict)
 
     def inner(self) -> Scope:
         """Return a new scope inside of this one."""
         return Scope(self.budget, self)
 
-    def declare(self, name: str, values: Sequence[str], where: Location) -> None:
+    def declare(self, name: str, values: Sequence[str], where: Origin) -> None:
         """Add a tunable to this scope; from here on it hides one of the same name in the scopes around.
 
         Raises:
@@ -111,7 +112,7 @@ class Scope:
             raise LookupError(name)
         return scope.own[name]
 
-    def values(self, name: str, where: Location) -> tuple[Value, ...]:
+    def values(self, name: str, where: Origin) -> tuple[Value, ...]:
         """Return the values of a tunable that is used in a place.
 
         Raises:
@@ -132,14 +133,14 @@ class Scope:
             code="tunable",
         )
 
-    def _note_passed(self, name: str, found: Scope, where: Location) -> None:
+    def _note_passed(self, name: str, found: Scope, where: Origin) -> None:
         """Note the use of a tunable in this scope and all around it up to the one that declares it."""
         scope: Scope | None = self
         while scope is not None and scope is not found:
             scope.passed.setdefault(name, where)
             scope = scope.outer
 
-    def expand(self, text: str, where: Location) -> tuple[Value, ...]:
+    def expand(self, text: str, where: Origin) -> tuple[Value, ...]:
         """Return what an attachment in a place stands for once its tunables are expanded.
 
         Raises:

@@ -17,7 +17,8 @@ from urllib.parse import unquote, urlsplit
 
 from lxml import etree
 
-from comarmor.errors import ComArmorError, Location, did_you_mean, quoted
+from comarmor.errors import ComArmorError, Origin
+from comarmor.text import did_you_mean, quoted
 from comarmor.xml.reader import LIMITS, XINCLUDE, Limits, line, parse
 from comarmor.xml.sandboxed_paths import (
     Folder,
@@ -91,11 +92,11 @@ def load_tree(path: Path, library: Path | None = None, *, limits: Limits = LIMIT
             folder = Folder(real.parent, str(real.parent if path.is_symlink() else path.parent))
             roots = [real.name]
     except (OSError, RuntimeError, ValueError) as error:
-        raise ComArmorError(unreadable(error, "the policy"), where=Location(shown), code="policy-missing") from None
+        raise ComArmorError(unreadable(error, "the policy"), where=Origin(shown), code="policy-missing") from None
     if not roots:
         raise ComArmorError(
             "the policy directory has no *.xml file",
-            where=Location(shown),
+            where=Origin(shown),
             help="put the policy's root files directly into it; files in sub-folders are only reached by includes",
             code="policy-empty",
         )
@@ -172,14 +173,14 @@ class _Reader:
 
     def root(self, relative: str) -> Document:
         """Read a root file of the policy."""
-        where = Location(self.folder.name(relative))
+        where = Origin(self.folder.name(relative))
         document = self.document(self.folder, relative, where, ())
         self.nodes += document.nodes
         self.inclusions += document.inclusions
         self.bound(self.nodes, self.inclusions, where)
         return document
 
-    def document(self, folder: Folder, relative: str, where: Location, chain: tuple[Location, ...]) -> Document:
+    def document(self, folder: Folder, relative: str, where: Origin, chain: tuple[Origin, ...]) -> Document:
         """Read a file and everything it includes.
 
         Args:
@@ -214,7 +215,7 @@ class _Reader:
             nodes += 1
             if element.tag != INCLUDE:
                 continue
-            place = Location(name, line(element), chain)
+            place = Origin(name, line(element), chain)
             if len(self.open) > self.limits.include_depth:
                 raise ComArmorError(
                     f"includes are nested more than {self.limits.include_depth} deep", where=place, code="xml-limit"
@@ -229,7 +230,7 @@ class _Reader:
         self.done[real] = document
         return document
 
-    def include(self, element: etree._Element, folder: Folder, relative: str, where: Location) -> Document:
+    def include(self, element: etree._Element, folder: Folder, relative: str, where: Origin) -> Document:
         """Read what an ``xi:include`` element of a file refers to."""
         href = _href(element, where)
         target = posixpath.normpath(posixpath.join(posixpath.dirname(relative), href))
@@ -237,7 +238,7 @@ class _Reader:
         known = self.included.get(asked)
         if known is not None:  # many profiles include the same few files
             return known
-        chain = (Location(where.file, where.line, (), where.column), *where.chain)
+        chain = (Origin(where.file, where.line, (), where.column), *where.chain)
         found = exists(folder, target, where)
         if not found:
             self.seen[Path(folder.shown, target)] = b""
@@ -250,7 +251,7 @@ class _Reader:
         document = self.included[asked] = self.document(folder, target, where, chain)
         return document
 
-    def missing(self, folder: Folder, target: str, href: str, where: Location) -> ComArmorError:
+    def missing(self, folder: Folder, target: str, href: str, where: Origin) -> ComArmorError:
         """Return the error for an include that is nowhere: where it was looked for, and a similar name there."""
         places, near = [folder.name(target)], nearest(folder, target, where.file)
         if self.library is not None:
@@ -265,7 +266,7 @@ class _Reader:
             code="include-missing",
         )
 
-    def read(self, folder: Folder, real: Path, where: Location) -> bytes:
+    def read(self, folder: Folder, real: Path, where: Origin) -> bytes:
         """Return the bytes of a file, and note their digest."""
         try:
             content = read_bounded(folder.real, real, self.limits.file_bytes + 1)
@@ -279,7 +280,7 @@ class _Reader:
         self.files[real] = hashlib.sha256(content).digest()
         return content
 
-    def bound(self, nodes: int, inclusions: int, where: Location) -> None:
+    def bound(self, nodes: int, inclusions: int, where: Origin) -> None:
         """Refuse a policy that would grow too large when everything it includes is put in its place."""
         if nodes > self.limits.nodes or inclusions > self.limits.inclusions:
             raise ComArmorError(
@@ -290,7 +291,7 @@ class _Reader:
             )
 
 
-def _href(element: etree._Element, where: Location) -> str:
+def _href(element: etree._Element, where: Origin) -> str:
     """Return the relative path that an ``xi:include`` element refers to.
 
     Raises:
@@ -309,7 +310,7 @@ def _href(element: etree._Element, where: Location) -> str:
     if len(element):
         raise ComArmorError(
             "xi:include cannot hold anything, not even xi:fallback",
-            where=Location(where.file, line(element[0]), where.chain),
+            where=Origin(where.file, line(element[0]), where.chain),
             help="a missing include is an error, so that no rule is ever left out silently",
             code="include-fallback",
         )
@@ -332,8 +333,8 @@ def _href(element: etree._Element, where: Location) -> str:
     return path
 
 
-def _with_chain(error: ComArmorError, chain: tuple[Location, ...]) -> ComArmorError:
+def _with_chain(error: ComArmorError, chain: tuple[Origin, ...]) -> ComArmorError:
     """Return an error of one file with the places that included the file."""
     (found,) = error.diagnostics
-    where = found.where and Location(found.where.file, found.where.line, chain)
+    where = found.where and Origin(found.where.file, found.where.line, chain)
     return ComArmorError(found.message, where=where, help=found.help, code=found.code)

@@ -2,65 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass
-from enum import StrEnum
-from types import MappingProxyType
 
-from comarmor.errors import Location
+from comarmor.errors import Origin
 from comarmor.language.template import Placeholder, Value, for_subject
-
-__all__ = ["PARTS", "PERMISSIONS", "Decision", "Effect", "Expression", "Location", "Profile", "Rule", "Tunable"]
-
-
-class Effect(StrEnum):
-    """What a rule does with what it matches."""
-
-    ALLOW = "ALLOW"
-    DENY = "DENY"
-
-
-PERMISSIONS: Mapping[str, tuple[str, ...]] = MappingProxyType(
-    {
-        "topic": ("publish", "subscribe", "relay"),
-        "ros_topic": ("ros_publish", "ros_subscribe", "ros_relay"),
-        "ros_service": ("ros_call", "ros_execute"),
-        "ros_action": ("ros_request", "ros_operate"),
-        "ros_parameter": ("ros_read", "ros_write"),
-    }
-)
-"""The kinds of rules, and the permissions that each may hold."""
-
-_GOAL_SERVICES = ("/_action/send_goal", "/_action/cancel_goal", "/_action/get_result")
-_GOAL_TOPICS = ("/_action/feedback", "/_action/status")
-_READ_SERVICES = ("/describe_parameters", "/get_parameters", "/get_parameter_types", "/list_parameters")
-_WRITE_SERVICES = ("/set_parameters", "/set_parameters_atomically")
-
-
-def _services(permission: str, suffixes: tuple[str, ...]) -> tuple[tuple[str, str, str], ...]:
-    return tuple(("ros_service", permission, suffix) for suffix in suffixes)
-
-
-def _topics(permission: str, suffixes: tuple[str, ...]) -> tuple[tuple[str, str, str], ...]:
-    return tuple(("ros_topic", permission, suffix) for suffix in suffixes)
-
-
-PARTS: Mapping[tuple[str, str], tuple[tuple[str, str, str], ...]] = MappingProxyType(
-    {
-        ("ros_action", "ros_request"): (
-            *_services("ros_call", _GOAL_SERVICES),
-            *_topics("ros_subscribe", _GOAL_TOPICS),
-        ),
-        ("ros_action", "ros_operate"): (
-            *_services("ros_execute", _GOAL_SERVICES),
-            *_topics("ros_publish", _GOAL_TOPICS),
-        ),
-        ("ros_parameter", "ros_read"): _services("ros_call", _READ_SERVICES),
-        ("ros_parameter", "ros_write"): _services("ros_call", _WRITE_SERVICES),
-    }
-)
-"""What a composite kind and permission stands for: kind, permission and suffix of each part (ROS 2 designs "Actions"
-and "Parameters": the names of the topics and services that they are made of)."""
+from comarmor.rules import Effect
 
 
 @dataclass(frozen=True, slots=True)
@@ -74,11 +20,11 @@ class Expression:
     """
 
     text: str
-    where: Location
+    where: Origin
     value: Value = ()
 
     @classmethod
-    def of(cls, value: Value, where: Location) -> Expression:
+    def of(cls, value: Value, where: Origin) -> Expression:
         """Return the expression that consists of these pieces."""
         return cls("".join(value), where, value if any(isinstance(p, Placeholder) for p in value) else ())
 
@@ -93,7 +39,7 @@ class Tunable:
 
     name: str
     values: tuple[Value, ...]
-    where: Location
+    where: Origin
 
 
 @dataclass(frozen=True, slots=True)
@@ -116,7 +62,7 @@ class Rule:
     attachments: tuple[Expression, ...]
     partitions: tuple[str, ...]
     audit: bool
-    where: Location
+    where: Origin
 
 
 @dataclass(frozen=True, slots=True)
@@ -137,7 +83,7 @@ class Profile:
     attachments: tuple[Expression, ...]
     profiles: tuple[Profile, ...]
     rules: tuple[Rule, ...]
-    where: Location
+    where: Origin
 
 
 @dataclass(frozen=True, slots=True)
@@ -175,7 +121,7 @@ class Decision:
         return self.rules[0] if self.rules else None
 
     @property
-    def where(self) -> Location | None:
+    def where(self) -> Origin | None:
         """Where the first rule that decided is written."""
         return self.rules[0].where if self.rules else None
 

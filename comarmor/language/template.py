@@ -13,8 +13,9 @@ from enum import StrEnum
 from itertools import product
 from math import prod
 
-from comarmor.errors import ComArmorError, did_you_mean, quoted
+from comarmor.errors import ComArmorError
 from comarmor.patterns.expression import Bracket, escape, next_token, unparse
+from comarmor.text import did_you_mean, quoted
 
 
 class Placeholder(StrEnum):

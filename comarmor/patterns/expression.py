@@ -15,7 +15,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 
-from comarmor.errors import ComArmorError, did_you_mean
+from comarmor.errors import ComArmorError
+from comarmor.text import did_you_mean
 
 CLASSES = {
     "alnum": "0-9A-Za-z",

@@ -13,7 +13,8 @@ from xml.parsers import expat  # nosec - refuses every DOCTYPE, so that there ar
 
 from lxml import etree
 
-from comarmor.errors import ComArmorError, Location, quoted
+from comarmor.errors import ComArmorError, Origin
+from comarmor.text import quoted
 
 XINCLUDE = "http://www.w3.org/2001/XInclude"
 XSI = "http://www.w3.org/2001/XMLSchema-instance"
@@ -79,7 +80,7 @@ def parse(content: bytes, name: str, *, limits: Limits = LIMITS) -> etree._Eleme
     """
     if len(content) > limits.file_bytes:
         raise ComArmorError(
-            f"the file has more than the {limits.file_bytes:,} bytes allowed", where=Location(name), code="xml-limit"
+            f"the file has more than the {limits.file_bytes:,} bytes allowed", where=Origin(name), code="xml-limit"
         )
     places = _Scanner(name, limits).scan(content)
     parser = etree.XMLParser(
@@ -90,13 +91,13 @@ def parse(content: bytes, name: str, *, limits: Limits = LIMITS) -> etree._Eleme
         root = etree.fromstring(content, parser)
     except etree.XMLSyntaxError as error:
         raise ComArmorError(
-            f"not well-formed XML: {error.msg}", where=Location(name, error.lineno or 0), code="xml-syntax"
+            f"not well-formed XML: {error.msg}", where=Origin(name, error.lineno or 0), code="xml-syntax"
         ) from None
     elements = list(root.iter())
     docinfo: Any = root.getroottree().docinfo
     if docinfo.doctype or len(elements) != len(places):
         # Two parsers that read different documents: a file made to be read differently by different tools.
-        raise ComArmorError("the file is not plain XML", where=Location(name), code="xml-syntax")
+        raise ComArmorError("the file is not plain XML", where=Origin(name), code="xml-syntax")
     for element, place in zip(elements, places, strict=True):
         element.__dict__["at"] = place
     root.__dict__["elements"] = elements  # keeps the Python objects, which know their places, alive
@@ -145,14 +146,14 @@ class _Scanner:
         except expat.ExpatError as error:
             raise ComArmorError(
                 f"not well-formed XML: {self.explain(error)}",
-                where=Location(self.name, error.lineno),
+                where=Origin(self.name, error.lineno),
                 help=self.mend(error, content),
                 code="xml-syntax",
             ) from None
         except (LookupError, UnicodeError, ValueError) as error:
             raise ComArmorError(
                 f"the encoding of the file is not usable: {quoted(str(error))}",
-                where=Location(self.name, 1),
+                where=Origin(self.name, 1),
                 help="save it as UTF-8",
                 code="xml-encoding",
             ) from None
@@ -178,7 +179,7 @@ class _Scanner:
 
     def refuse(self, message: str, code: str, help_: str = "") -> NoReturn:
         """Stop at the current line."""
-        raise ComArmorError(message, where=Location(self.name, self.parser.CurrentLineNumber), help=help_, code=code)
+        raise ComArmorError(message, where=Origin(self.name, self.parser.CurrentLineNumber), help=help_, code=code)
 
     def start(self, tag: str, attributes: dict[str, str]) -> None:
         """Note an element; expat calls this at each start tag."""

@@ -9,7 +9,8 @@ import stat
 from dataclasses import dataclass
 from pathlib import Path
 
-from comarmor.errors import ComArmorError, Location, did_you_mean, quoted
+from comarmor.errors import ComArmorError, Origin
+from comarmor.text import did_you_mean, quoted
 
 
 @dataclass(frozen=True, slots=True)
@@ -24,7 +25,7 @@ class Folder:
         return printable(relative if self.shown == "." else posixpath.join(self.shown, relative))
 
 
-def resolve(folder: Folder, relative: str, where: Location) -> Path:
+def resolve(folder: Folder, relative: str, where: Origin) -> Path:
     """Return the resolved path of a file in a folder, whether or not it exists.
 
     Raises:
@@ -45,7 +46,7 @@ def resolve(folder: Folder, relative: str, where: Location) -> Path:
     return real
 
 
-def exists(folder: Folder, relative: str, where: Location) -> bool:
+def exists(folder: Folder, relative: str, where: Origin) -> bool:
     """Tell whether there is something at a path in a folder.
 
     Raises:
@@ -60,7 +61,7 @@ def exists(folder: Folder, relative: str, where: Location) -> bool:
     return True
 
 
-def confined(folder: Folder, relative: str, where: Location) -> Path:
+def confined(folder: Folder, relative: str, where: Origin) -> Path:
     """Return the resolved path of a file that must exist in a folder."""
     if not exists(folder, relative, where):
         raise ComArmorError("the file does not exist", where=where, code="unreadable")

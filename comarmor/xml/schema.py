@@ -10,7 +10,8 @@ from typing import Any
 from lxml import etree
 
 from comarmor.data import locate
-from comarmor.errors import ComArmorError, Diagnostic, Location, Severity, did_you_mean, quoted
+from comarmor.errors import ComArmorError, Diagnostic, Origin, Severity
+from comarmor.text import did_you_mean, quoted
 from comarmor.xml.reader import XINCLUDE, line, parse
 from comarmor.xml.xsd import Vocabulary
 
@@ -26,7 +27,7 @@ def _load(name: str) -> tuple[etree.XMLSchema, Vocabulary]:
     return etree.XMLSchema(file=str(path)), Vocabulary.of(parse(path.read_bytes(), str(path)))
 
 
-def validate(root: etree._Element, schema: str, file: str, chain: tuple[Location, ...] = ()) -> None:
+def validate(root: etree._Element, schema: str, file: str, chain: tuple[Origin, ...] = ()) -> None:
     """Hold a document against a schema.
 
     Args:
@@ -45,7 +46,7 @@ def validate(root: etree._Element, schema: str, file: str, chain: tuple[Location
     log: Any = compiled.error_log
     for entry in log:
         element = _element(root, entry.path)
-        where = Location(file, entry.line if element is None else line(element), chain)
+        where = Origin(file, entry.line if element is None else line(element), chain)
         message, hint = _explain(entry.message, vocabulary, element)
         found[Diagnostic("schema", Severity.ERROR, message, where, hint)] = None
         if len(found) == _MOST:

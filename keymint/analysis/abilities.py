@@ -5,13 +5,13 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
+from comarmor.errors import Origin
 from comarmor.patterns.decision_lists import Equal
 from comarmor.patterns.glob import parse
 from comarmor.patterns.relations import disjoint
+from comarmor.rules import Effect, parts
 from keymint.analysis.lists import RAW, allowed, conjunction, in_partition, meet, patterns
-from keymint.errors import Origin
-from keymint.ir import Effect, Rule
-from keymint.keymake.composites import parts
+from keymint.ir import Rule
 
 
 @dataclass(frozen=True, slots=True)

@@ -6,9 +6,9 @@ from collections import Counter
 from collections.abc import Mapping
 from dataclasses import dataclass
 
+from comarmor.errors import Origin, Spot
 from keymint.analysis.lists import text
 from keymint.api import Clause, Structure
-from keymint.errors import Origin, Spot
 from keymint.ir import Rule
 
 

@@ -5,10 +5,12 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
+from comarmor.errors import Origin
 from comarmor.patterns.decision_lists import DecisionList, Equal, Outcome, Unknown, Witness
 from comarmor.patterns.glob import Glob, parse, surround
 from comarmor.patterns.proofs import difference
 from comarmor.patterns.relations import TooComplexError, covers, disjoint, intersection
+from comarmor.rules import PERMISSIONS, Effect, parts
 from keymint.analysis.lists import (
     Key,
     allowed,
@@ -25,9 +27,7 @@ from keymint.analysis.lists import (
 )
 from keymint.analysis.purse import Purse
 from keymint.analysis.subjects import only
-from keymint.errors import Origin
-from keymint.ir import PERMISSIONS, Effect, Rule
-from keymint.keymake.composites import parts
+from keymint.ir import Rule
 
 
 @dataclass(frozen=True, slots=True)

@@ -11,15 +11,15 @@ from collections import deque
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 
+from comarmor.errors import Origin
 from comarmor.patterns.decision_lists import Block, DecisionList, Equal, Witness
 from comarmor.patterns.glob import EVERYTHING, Glob, literal, parse
 from comarmor.patterns.relations import TooComplexError, covers, intersection
+from comarmor.rules import Effect
 from keymint.analysis.lists import RAW, Key, allowed, asked, in_partition, keys, listed, meet, patterns, text
 from keymint.analysis.subjects import EVERY, at_most, can_be, inside, only, reached, rules_of, structure
 from keymint.analysis.templates import marks, symbolic
 from keymint.api import LoadedPolicy, Structure
-from keymint.errors import Origin
-from keymint.ir import Effect
 
 FLOWS: tuple[tuple[Key, Key], ...] = (
     ((RAW, "publish"), (RAW, "subscribe")),

@@ -11,10 +11,10 @@ from collections.abc import Iterator
 from comarmor.patterns.decision_lists import Equal, Unknown
 from comarmor.patterns.glob import Glob, literal
 from comarmor.patterns.relations import TooComplexError, disjoint
+from comarmor.rules import Effect
 from keymint.analysis.lists import Key, allowed, keys, meet, patterns, text
 from keymint.analysis.subjects import reached, splits
 from keymint.api import Clause, Structure
-from keymint.ir import Effect
 
 
 def may_matter(written: Structure, clause: Clause, at: int) -> bool:

@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Sequence
 from typing import Any
 
+from comarmor.errors import Origin, Spot
 from keymint.analysis.changes import Change
 from keymint.analysis.diff import Changed
-from keymint.errors import Origin, Spot
 
 Typed = Callable[[Origin | None], str]
 

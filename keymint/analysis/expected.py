@@ -5,17 +5,18 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
+from comarmor.errors import Diagnostic, Origin, Severity, Spot
 from comarmor.patterns.decision_lists import Block, Equal, Witness
 from comarmor.patterns.glob import EVERYTHING, Glob, literal, parse, surround
 from comarmor.patterns.relations import disjoint, matches
+from comarmor.rules import Effect, parts
 from keymint.analysis.holders import holders
 from keymint.analysis.lists import allowed, asked, conjunction, keys, meet, patterns, word
 from keymint.analysis.question import permitted
 from keymint.analysis.subjects import can_be, doubt, matching, rules_of, stand_ins
 from keymint.api import Expectation, LoadedPolicy
-from keymint.errors import Diagnostic, KeymintError, Origin, Severity, Spot
-from keymint.ir import Effect, Rule
-from keymint.keymake.composites import parts
+from keymint.errors import KeymintError
+from keymint.ir import Rule
 
 Place = Spot
 

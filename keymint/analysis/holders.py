@@ -5,18 +5,18 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
+from comarmor.errors import Origin
 from comarmor.patterns.decision_lists import Equal, Unknown, Witness
 from comarmor.patterns.glob import Glob, literal
 from comarmor.patterns.relations import TooComplexError, intersection, matches
+from comarmor.rules import Effect, parts
 from keymint.analysis.lists import allowed, conjunction, keys, meet, patterns, text, without
 from keymint.analysis.purse import Purse
 from keymint.analysis.spoken import Book, Spoken
 from keymint.analysis.subjects import can_be, example, matching, rules_of, structure
 from keymint.analysis.symbolic import EVERYBODY, Condition, Entry, Found, Undecided, find
 from keymint.api import LoadedPolicy
-from keymint.errors import Origin
-from keymint.ir import Effect, Rule
-from keymint.keymake.composites import parts
+from keymint.ir import Rule
 
 
 @dataclass(frozen=True, slots=True)

@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator, Mapping
 from functools import partial
 
+from comarmor.errors import Diagnostic, Origin, Severity, Spot
 from comarmor.patterns.ros_names import advice
 from keymint.analysis.attachments import Attachments
 from keymint.analysis.profiles import unreachable
@@ -18,7 +19,6 @@ from keymint.analysis.slips import slips
 from keymint.analysis.subjects import rules_of, stand_ins, structure
 from keymint.analysis.vain import MOST_PAIRS, Vain, bounded, is_name, warning
 from keymint.api import LoadedPolicy
-from keymint.errors import Diagnostic, Origin, Severity, Spot
 from keymint.ir import Rule
 
 CODES: Mapping[str, str] = {

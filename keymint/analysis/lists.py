@@ -28,8 +28,8 @@ from comarmor.patterns.glob import (
     units,
 )
 from comarmor.patterns.proofs import difference
-from keymint.ir import Effect, Rule
-from keymint.keymake.composites import PARTS, parts
+from comarmor.rules import PARTS, Effect, parts
+from keymint.ir import Rule
 
 RAW = "topic"
 SEPARATOR = "\0"

@@ -6,6 +6,7 @@ from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
 from datetime import datetime, timedelta
 
+from comarmor.errors import Diagnostic, Origin, Severity
 from comarmor.patterns.effort import limited
 from keymint.api import (
     BuildOptions,
@@ -19,7 +20,7 @@ from keymint.api import (
     Permissions,
     Validity,
 )
-from keymint.errors import Diagnostic, KeymintError, Origin, Severity
+from keymint.errors import KeymintError
 from keymint.ir import Rule, SubjectRules
 
 _RELAYS = ("relay", "ros_relay")

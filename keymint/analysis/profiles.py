@@ -5,11 +5,11 @@ from __future__ import annotations
 import difflib
 from collections.abc import Iterator, Sequence
 
+from comarmor.errors import Diagnostic, Origin, Severity
 from comarmor.patterns.glob import parse
 from comarmor.patterns.relations import TooComplexError
 from keymint.analysis.subjects import can_be, reached
 from keymint.api import Structure
-from keymint.errors import Diagnostic, Origin, Severity
 
 
 def unreachable(found: Structure) -> Iterator[Diagnostic]:

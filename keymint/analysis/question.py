@@ -7,8 +7,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from comarmor.patterns.glob import GlobError, parse
+from comarmor.rules import PERMISSIONS
 from keymint.errors import ExitCode, KeymintError
-from keymint.ir import PERMISSIONS
 
 FORMS = (
     "who can PERMISSION OBJECT",

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
-from keymint.errors import Diagnostic, Severity
+from comarmor.errors import Diagnostic, Severity
 from keymint.output.sarif import location, log
 
 _LEVELS = {Severity.ERROR: "error", Severity.WARNING: "warning", Severity.NOTE: "note"}

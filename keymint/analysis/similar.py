@@ -7,15 +7,16 @@ import re
 from collections import defaultdict
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 
+from comarmor.errors import Diagnostic, Origin, Severity
 from comarmor.patterns.edit_distance import Names
 from comarmor.patterns.effort import EffortError, limited, spend
 from comarmor.patterns.glob import Glob, literal, parse
 from comarmor.patterns.pattern_index import Near
+from comarmor.rules import Effect
 from keymint.analysis.attachments import Attachments
 from keymint.analysis.lists import RAW
 from keymint.api import Structure
-from keymint.errors import Diagnostic, Origin, Severity
-from keymint.ir import Effect, Rule
+from keymint.ir import Rule
 
 _SIDES = {
     "publish": (RAW, "subscribe"),

@@ -10,12 +10,12 @@ from collections import defaultdict
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
+from comarmor.errors import Diagnostic, Severity
 from comarmor.patterns.effort import EffortError, limited
 from comarmor.patterns.glob import Glob, Star, literal, parse
 from comarmor.patterns.pattern_index import Near
+from comarmor.rules import Effect
 from keymint.api import AttachedProfile, Clause, Structure
-from keymint.errors import Diagnostic, Severity
-from keymint.ir import Effect
 
 STEPS = 2_000_000
 """Steps that the search for subjects that a wildcard matches may take."""

@@ -6,15 +6,15 @@ from collections import defaultdict
 from collections.abc import Iterator
 from dataclasses import dataclass
 
+from comarmor.errors import Origin
 from comarmor.patterns.glob import STAR, Glob, literal, parse
 from comarmor.patterns.relations import TooComplexError, disjoint
+from comarmor.rules import Effect
 from keymint.analysis.lists import Key, keys
 from keymint.analysis.subjects import EVERY, reached
 from keymint.analysis.symbolic import Condition, Entry, pairs
 from keymint.analysis.templates import symbolic
 from keymint.api import Structure
-from keymint.errors import Origin
-from keymint.ir import Effect
 
 _Profiles = tuple[tuple[str, ...], ...]
 _MOST_PIECES = 8

@@ -18,9 +18,10 @@ from comarmor.patterns.glob import Charset, Glob, Star, literal, normalise, pars
 from comarmor.patterns.pattern_index import Near
 from comarmor.patterns.proofs import difference
 from comarmor.patterns.relations import TooComplexError, covers, intersection, matches
+from comarmor.rules import Effect
 from keymint.analysis.lists import Key, allowed, decisions, keys, names, patterns, text, universe
 from keymint.api import Clause, LoadedPolicy, Structure
-from keymint.ir import Effect, Rule
+from keymint.ir import Rule
 
 EVERY = parse("/*")
 """What every subject matches."""

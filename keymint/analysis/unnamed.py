@@ -10,9 +10,11 @@ from collections import defaultdict
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 
+from comarmor.errors import Origin
 from comarmor.patterns.decision_lists import Block, Equal, Unknown
 from comarmor.patterns.glob import Glob
 from comarmor.patterns.relations import disjoint, matches
+from comarmor.rules import PERMISSIONS, Effect
 from keymint.analysis.lists import Key, flipped, is_composite, listed, meet
 from keymint.analysis.purse import Purse
 from keymint.analysis.spoken import Book, Spoken
@@ -20,8 +22,6 @@ from keymint.analysis.subjects import EVERY, example, rules_of
 from keymint.analysis.symbolic import EVERYBODY, Condition, Found, Undecided, find
 from keymint.analysis.templates import filled, fitted, marks
 from keymint.api import LoadedPolicy
-from keymint.errors import Origin
-from keymint.ir import PERMISSIONS, Effect
 
 KEYS: tuple[Key, ...] = tuple(
     (kind, permission)

@@ -10,19 +10,20 @@ from collections import Counter, defaultdict
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 
+from comarmor.errors import Diagnostic, Origin, Severity, Spot
 from comarmor.patterns.decision_lists import Block, Equal, Outcome, Unknown
 from comarmor.patterns.effort import EffortError, limited
 from comarmor.patterns.glob import Glob
 from comarmor.patterns.pattern_index import Near
 from comarmor.patterns.proofs import implies
 from comarmor.patterns.relations import TooComplexError
+from comarmor.rules import Effect
 from keymint.analysis.attachments import Attachment, Attachments
 from keymint.analysis.denials import may_matter
 from keymint.analysis.lists import Key, allowed, keys, meet, names, patterns, universe
 from keymint.analysis.profiles import quoted
 from keymint.api import Structure
-from keymint.errors import Diagnostic, Origin, Severity, Spot
-from keymint.ir import Effect, Rule
+from keymint.ir import Rule
 
 UNIT = 300_000
 """Steps that the questions about one expression may take."""

@@ -7,9 +7,9 @@ from dataclasses import dataclass, field
 from datetime import datetime
 from typing import Protocol
 
+from comarmor.errors import Diagnostic
 from keymint.api.packages import Package
 from keymint.api.transports import Enclave
-from keymint.errors import Diagnostic
 from keymint.graph import Edge
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from datetime import datetime
 
-from keymint.errors import Origin
+from comarmor.errors import Origin
 
 
 @dataclass(frozen=True, slots=True)

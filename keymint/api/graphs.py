@@ -6,9 +6,9 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Protocol
 
+from comarmor.errors import Diagnostic
 from keymint.api.policies import LoadedPolicy
 from keymint.api.transports import Usable
-from keymint.errors import Diagnostic
 from keymint.graph import Edge, Graph
 
 

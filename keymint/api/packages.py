@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from comarmor.errors import Diagnostic, Origin
 from keymint.api.certificates import Authority, CertificateSpec, Validity
-from keymint.errors import Diagnostic, Origin
 from keymint.ir import SubjectRules
 
 

@@ -7,8 +7,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Protocol
 
+from comarmor.errors import Origin
 from keymint.api.profiles import PolicySource
-from keymint.errors import Origin
 from keymint.graph import Edge
 from keymint.ir import Rule, SubjectRules
 

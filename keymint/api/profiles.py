@@ -8,9 +8,9 @@ from datetime import datetime
 from pathlib import Path
 from typing import Protocol, runtime_checkable
 
+from comarmor.errors import Origin
 from keymint.api.certificates import Authority
 from keymint.api.packages import Package
-from keymint.errors import Origin
 from keymint.ir import SubjectRules
 
 

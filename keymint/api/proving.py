@@ -8,10 +8,10 @@ from datetime import datetime
 from enum import StrEnum
 from typing import Protocol
 
+from comarmor.errors import Diagnostic, Origin
 from keymint.api.packages import DomainRange, Governance
 from keymint.api.policies import PolicyDecision
 from keymint.api.transports import Verdict
-from keymint.errors import Diagnostic, Origin
 from keymint.graph import Edge
 from keymint.ir import SubjectRules
 

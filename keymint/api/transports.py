@@ -9,7 +9,7 @@ from enum import StrEnum
 from pathlib import Path
 from typing import Protocol
 
-from keymint.errors import Origin
+from comarmor.errors import Origin
 from keymint.graph import Edge
 
 

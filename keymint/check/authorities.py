@@ -9,7 +9,8 @@ from datetime import timedelta
 
 from cryptography import x509
 
-from keymint.errors import Diagnostic, KeymintError, Origin, Severity
+from comarmor.errors import Diagnostic, Origin, Severity
+from keymint.errors import KeymintError
 from keymint.pki import certificates, keys
 from keymint.plan import authority_places
 from keymint.plan.authorities import in_order, satisfies

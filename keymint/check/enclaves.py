@@ -6,9 +6,10 @@ from collections.abc import Iterator, Mapping
 from dataclasses import replace
 from datetime import timedelta
 
+from comarmor.errors import Diagnostic, Origin, Severity
 from keymint.api import BuildOptions, Inspection, Package
 from keymint.check.places import linked_twice, modes
-from keymint.errors import Diagnostic, KeymintError, Origin, Severity
+from keymint.errors import KeymintError
 from keymint.pki import keys
 from keymint.plan import identity_keys, install
 from keymint.plan.authorities import trusted_chains

@@ -6,7 +6,8 @@ import os
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 
-from keymint.errors import Diagnostic, KeymintError, Origin, Severity
+from comarmor.errors import Diagnostic, Origin, Severity
+from keymint.errors import KeymintError
 from keymint.git import GIT_MISSING, run_git
 from keymint.plan import ignored
 from keymint.plan.inputs import Inputs

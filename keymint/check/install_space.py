@@ -5,9 +5,10 @@ from __future__ import annotations
 from collections.abc import Iterator
 from pathlib import Path
 
+from comarmor.errors import Diagnostic, Origin, Severity
 from keymint.api import Artifact
 from keymint.check.places import modes
-from keymint.errors import Diagnostic, KeymintError, Origin, Severity
+from keymint.errors import KeymintError
 from keymint.plan import ignored
 from keymint.plan.enclaves import enclave_files, installed
 from keymint.plan.inputs import Inputs, LoadedProfile

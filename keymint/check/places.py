@@ -15,7 +15,8 @@ from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
 
-from keymint.errors import Diagnostic, KeymintError, Origin, Severity
+from comarmor.errors import Diagnostic, Origin, Severity
+from keymint.errors import KeymintError
 from keymint.plan.inputs import Inputs
 
 _GROUP, _OTHERS = stat.S_IWGRP, stat.S_IWOTH

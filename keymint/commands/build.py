@@ -6,11 +6,11 @@ from pathlib import Path
 
 import click
 
+from comarmor.errors import Diagnostic, Severity
 from keymint.commands.build_options import BUILD_OPTIONS, build_options
 from keymint.commands.common import Run, complete_package, verb
 from keymint.commands.policy_slips import policy_slips
 from keymint.commands.profile_options import add_options
-from keymint.errors import Diagnostic, Severity
 from keymint.output.report import Report
 from keymint.plan.build import plan_build
 from keymint.plan.create import policy_changed

@@ -9,10 +9,10 @@ from typing import Any
 
 import click
 
+from comarmor.errors import Diagnostic
 from keymint.api import BuildOptions
 from keymint.commands.common import Run
 from keymint.commands.files import read_input
-from keymint.errors import Diagnostic
 from keymint.hints import load_hints, unknown_subjects
 
 BUILD_OPTIONS: Sequence[Callable[[Any], Any]] = (

@@ -8,9 +8,10 @@ from datetime import timedelta
 
 import click
 
+from comarmor.errors import Diagnostic, Severity
 from keymint.check import check as find
 from keymint.commands.common import Run, complete_package, verb
-from keymint.errors import Diagnostic, KeymintError, Severity
+from keymint.errors import KeymintError
 from keymint.output.report import Report, findings_exit, folded
 from keymint.plan.create import recall_policy
 from keymint.plan.inputs import Inputs, LoadedProfile, Sources

@@ -11,9 +11,10 @@ from typing import Any
 
 import click
 
+from comarmor.errors import Diagnostic, Severity
 from keymint.api import Surroundings
 from keymint.commands.plugin_options import require_known
-from keymint.errors import Diagnostic, ExitCode, KeymintError, Severity
+from keymint.errors import ExitCode, KeymintError
 from keymint.execute import RECORD, execute, open_store
 from keymint.locks import LOCK, shared
 from keymint.names import package_name

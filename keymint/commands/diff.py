@@ -10,6 +10,7 @@ from typing import Any
 
 import click
 
+from comarmor.errors import Diagnostic, Origin, Severity, library_name
 from keymint.analysis.diff import diff as compare
 from keymint.analysis.diff import gains
 from keymint.analysis.differences import as_data, as_markdown, as_text, summary
@@ -17,7 +18,7 @@ from keymint.analysis.purse import STATES, Purse
 from keymint.api import LoadedPolicy
 from keymint.commands.common import Run, verb
 from keymint.commands.policies import Policies, place, policy_options, typed
-from keymint.errors import Diagnostic, ExitCode, KeymintError, Origin, Severity, library_name
+from keymint.errors import ExitCode, KeymintError
 from keymint.git import at_revision, is_revision
 from keymint.output.console import Console
 from keymint.output.report import Report

@@ -11,13 +11,14 @@ from typing import Any
 
 import click
 
+from comarmor.errors import Diagnostic, Origin, Severity
 from keymint import graph_json
 from keymint.api import Discovered, GraphSource
 from keymint.commands.common import Run, verb
 from keymint.commands.files import exists, read_input, write_outputs
 from keymint.commands.numbers import Number
 from keymint.commands.signals import ended_by_signals
-from keymint.errors import Diagnostic, ExitCode, KeymintError, Origin, Severity
+from keymint.errors import ExitCode, KeymintError
 from keymint.graph import Graph
 from keymint.output.report import Report
 

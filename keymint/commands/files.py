@@ -5,8 +5,9 @@ from __future__ import annotations
 from collections.abc import Mapping
 from pathlib import Path
 
+from comarmor.errors import Origin
 from keymint.commands.common import Run
-from keymint.errors import KeymintError, Origin
+from keymint.errors import KeymintError
 from keymint.plan.model import File
 from keymint.store import Store
 from keymint.tree import read_file

@@ -9,6 +9,7 @@ from typing import Any
 
 import click
 
+from comarmor.errors import Diagnostic, Origin
 from keymint import graph_json
 from keymint.api import LoadedPolicy, PolicySource
 from keymint.commands.common import Run, verb
@@ -20,7 +21,7 @@ from keymint.drawing.model import Labelled, Outcome, choose, select
 from keymint.drawing.of_policy import of_graph, of_policy
 from keymint.drawing.options import Options, Split
 from keymint.drawing.palette import Theme
-from keymint.errors import Diagnostic, ExitCode, KeymintError, Origin
+from keymint.errors import ExitCode, KeymintError
 from keymint.graph import Graph
 from keymint.output.report import Report
 from keymint.plan.create import load_policy

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import click
 
+from comarmor.errors import Origin
 from keymint.api import Bootstrap
 from keymint.commands.common import Run, verb
 from keymint.commands.profile_options import (
@@ -14,7 +15,7 @@ from keymint.commands.profile_options import (
     add_options,
     refuse_contradiction,
 )
-from keymint.errors import KeymintError, Origin
+from keymint.errors import KeymintError
 from keymint.output.report import Report
 from keymint.plan.authorities import plan_authorities
 from keymint.plan.bootstrap import plan_init, policy_path

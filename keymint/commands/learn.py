@@ -9,11 +9,12 @@ from typing import Any, cast
 
 import click
 
+from comarmor.errors import Diagnostic, Origin, Severity
 from keymint import graph_json
 from keymint.api import Learned, LoadedPolicy, PolicyLearner, PolicySource
 from keymint.commands.common import Run, verb
 from keymint.commands.files import read_input, write_outputs
-from keymint.errors import Diagnostic, ExitCode, KeymintError, Origin, Severity
+from keymint.errors import ExitCode, KeymintError
 from keymint.graph import Edge
 from keymint.output.report import Report, as_typed
 

@@ -6,7 +6,7 @@ from collections.abc import Callable
 from functools import cache
 from pathlib import Path
 
-from keymint.errors import Origin
+from comarmor.errors import Origin
 
 
 def library_rules(cwd: Path, shipped: Path, copy: Path | None = None) -> Callable[[Origin], bool]:

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 from dataclasses import asdict
 
+from comarmor.errors import Diagnostic
 from keymint.commands.common import Run, verb
-from keymint.errors import Diagnostic, ExitCode, KeymintError
+from keymint.errors import ExitCode, KeymintError
 from keymint.output.report import Report
 
 

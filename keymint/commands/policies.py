@@ -9,9 +9,9 @@ from typing import Any, TypeVar
 
 import click
 
+from comarmor.errors import Origin, cited, library_name
 from keymint.api import LoadedPolicy, PolicySource
 from keymint.commands.common import Run
-from keymint.errors import Origin, cited, library_name
 from keymint.plan.create import load_policy
 from keymint.workspace import Workspace, shown
 

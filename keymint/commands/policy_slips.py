@@ -4,9 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 
+from comarmor.errors import Diagnostic
 from keymint.analysis.slips import slips
 from keymint.analysis.subjects import structure
-from keymint.errors import Diagnostic, KeymintError
+from keymint.errors import KeymintError
 from keymint.plan.create import load_policy
 from keymint.plan.inputs import Inputs, LoadedProfile
 from keymint.plan.model import Action, Step

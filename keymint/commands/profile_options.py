@@ -7,9 +7,10 @@ from typing import Any
 
 import click
 
+from comarmor.errors import Origin
 from keymint.api import ProfileSettings
 from keymint.commands.common import Run
-from keymint.errors import KeymintError, Origin
+from keymint.errors import KeymintError
 from keymint.workspace import PROFILE_MARKER, Workspace
 
 DEFAULT_PROFILE_TYPE = "keymint_ros"

@@ -8,12 +8,13 @@ from typing import Any
 
 import click
 
+from comarmor.errors import Diagnostic, Origin, Severity
 from keymint.api import Claim, Counterexample, Proof
 from keymint.commands.common import Run, complete_package, verb
 from keymint.commands.numbers import Number
 from keymint.commands.proving import standard_only_option
 from keymint.commands.refusals import alike
-from keymint.errors import Diagnostic, ExitCode, Origin, Severity
+from keymint.errors import ExitCode
 from keymint.graph import Edge
 from keymint.output.report import Report, as_typed, findings_exit
 from keymint.plan import terms

@@ -8,10 +8,11 @@ from typing import Any
 
 import click
 
+from comarmor.errors import Diagnostic, Origin, Severity
 from keymint.api import LoadedPolicy, Proof
 from keymint.commands import refusals
 from keymint.commands.common import Run
-from keymint.errors import Diagnostic, ExitCode, KeymintError, Origin, Severity
+from keymint.errors import ExitCode, KeymintError
 from keymint.plan.inputs import Inputs, LoadedProfile, Sources
 from keymint.plan.install import HAND_EDITED
 from keymint.plan.model import Plan

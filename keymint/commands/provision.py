@@ -7,6 +7,7 @@ from pathlib import Path
 
 import click
 
+from comarmor.errors import Origin
 from keymint.commands.build_options import BUILD_OPTIONS, build_options
 from keymint.commands.common import Run, verb
 from keymint.commands.init import bootstrap_request
@@ -19,7 +20,7 @@ from keymint.commands.profile_options import (
     refuse_contradiction,
 )
 from keymint.commands.proving import PROVING_OPTIONS, proven
-from keymint.errors import KeymintError, Origin
+from keymint.errors import KeymintError
 from keymint.output.report import Report
 from keymint.plan.authorities import plan_authorities
 from keymint.plan.bootstrap import plan_init, plan_policy, policy_path

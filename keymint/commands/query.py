@@ -9,6 +9,7 @@ from typing import Any
 
 import click
 
+from comarmor.errors import Diagnostic, Severity
 from comarmor.patterns.decision_lists import Equal
 from comarmor.patterns.glob import literal, parse
 from keymint.analysis.abilities import abilities
@@ -20,7 +21,7 @@ from keymint.analysis.subjects import doubt, rules_of
 from keymint.api import LoadedPolicy
 from keymint.commands.common import Run, verb
 from keymint.commands.policies import Policies, place, policy_options
-from keymint.errors import Diagnostic, ExitCode, KeymintError, Severity
+from keymint.errors import ExitCode, KeymintError
 from keymint.output.report import Report
 
 _MOST = 20

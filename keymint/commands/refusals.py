@@ -6,7 +6,7 @@ import re
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import replace
 
-from keymint.errors import Diagnostic
+from comarmor.errors import Diagnostic
 from keymint.plan.inputs import Inputs, LoadedProfile
 
 _FIRST = b"<?xml"

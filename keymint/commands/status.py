@@ -5,8 +5,9 @@ from __future__ import annotations
 from datetime import datetime
 from typing import Any
 
+from comarmor.errors import Diagnostic
 from keymint.commands.common import Run, verb
-from keymint.errors import Diagnostic, KeymintError
+from keymint.errors import KeymintError
 from keymint.output.report import Report
 from keymint.plan.create import everything, load_policy
 from keymint.plan.inputs import Sources

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import click
 
+from comarmor.errors import Diagnostic, Origin, Severity
 from keymint.analysis.expected import Checked, Checks, Place, diagnostics
 from keymint.analysis.junit import junit as as_junit
 from keymint.api import Expectation
@@ -14,7 +15,7 @@ from keymint.commands.common import Run, verb
 from keymint.commands.files import write_outputs
 from keymint.commands.numbers import Number
 from keymint.commands.policies import Policies, policy_options, typed
-from keymint.errors import Diagnostic, ExitCode, KeymintError, Origin, Severity
+from keymint.errors import ExitCode, KeymintError
 from keymint.ir import Rule
 from keymint.output.report import Report
 

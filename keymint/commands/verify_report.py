@@ -7,13 +7,13 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 
+from comarmor.errors import Origin
 from keymint.api import PolicyDecision
 from keymint.commands.common import Run
 from keymint.commands.files import exists, read_input, write_outputs
 from keymint.drawing.model import DIFFERENCES, Confusion, Labelled, LabelledEdge, Said, select
 from keymint.drawing.of_policy import nowhere
 from keymint.drawing.options import Options
-from keymint.errors import Origin
 from keymint.graph import Edge
 from keymint.verify.model import Finding, Outcome
 

@@ -8,10 +8,11 @@ from typing import Any
 
 import click
 
+from comarmor.errors import Diagnostic, Origin, Severity, cited
 from keymint.api import AppliedProfile, Tier
 from keymint.commands.common import Run, verb
 from keymint.commands.transport_option import transport_option
-from keymint.errors import Diagnostic, ExitCode, Origin, Severity, cited
+from keymint.errors import ExitCode
 from keymint.graph import LABELLED, Edge
 from keymint.output.report import Report
 from keymint.plan.anchors import differences

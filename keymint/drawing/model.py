@@ -13,7 +13,8 @@ from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from enum import StrEnum
 
-from keymint.errors import ExitCode, KeymintError, Origin
+from comarmor.errors import Origin
+from keymint.errors import ExitCode, KeymintError
 from keymint.graph import Edge, Graph, Object
 
 

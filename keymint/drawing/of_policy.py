@@ -8,12 +8,14 @@ import itertools
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import replace
 
+from comarmor.errors import Origin
 from comarmor.patterns import glob
+from comarmor.rules import PERMISSIONS
 from keymint.api import LoadedPolicy, PolicyDecision
 from keymint.drawing.model import Labelled, LabelledEdge, Said
-from keymint.errors import KeymintError, Origin
+from keymint.errors import KeymintError
 from keymint.graph import LABELLED, Edge, Graph, Object, complete
-from keymint.ir import PERMISSIONS, Rule
+from keymint.ir import Rule
 
 MOST_EDGES = 250_000
 """Edges that are kept to be drawn: about 250 MB."""

@@ -16,6 +16,7 @@ from typing import Any
 
 from markupsafe import Markup
 
+from comarmor.errors import Origin, cited
 from keymint.drawing.layout import Domain, Key
 from keymint.drawing.model import Labelled, LabelledEdge, Outcome, Said, select
 from keymint.drawing.options import Options
@@ -24,7 +25,6 @@ from keymint.drawing.simplify import EXPRESS, simplify, weight
 from keymint.drawing.svg import Embedding, draw, environment
 from keymint.drawing.text import KINDS, object_name, printable
 from keymint.drawing.words import counted
-from keymint.errors import Origin, cited
 
 MOST_ROWS = 10_000
 """Edges that a report lists; it says how many it leaves out. False labels and express denials are all listed, then what

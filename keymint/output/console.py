@@ -9,8 +9,8 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import IO, TYPE_CHECKING, Any
 
+from comarmor.errors import Diagnostic, Severity
 from comarmor.text import encodable, printable, printable_lines
-from keymint.errors import Diagnostic, Severity
 from keymint.output.report import Report, as_document
 from keymint.plan.model import Action, Size, Step
 from keymint.process import Output

@@ -8,7 +8,8 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
-from keymint.errors import Diagnostic, ExitCode, Origin, Severity
+from comarmor.errors import Diagnostic, Origin, Severity
+from keymint.errors import ExitCode
 from keymint.plan.model import Step
 from keymint.workspace import Workspace, shown
 

@@ -10,8 +10,9 @@ from cryptography.exceptions import InvalidSignature, UnsupportedAlgorithm
 from cryptography.hazmat.primitives import serialization
 from cryptography.x509.oid import ExtendedKeyUsageOID
 
+from comarmor.errors import Diagnostic, Origin, Severity
 from keymint.api import CertificateSpec
-from keymint.errors import Diagnostic, KeymintError, Origin, Severity
+from keymint.errors import KeymintError
 from keymint.pki import der, extensions, forms, keys, names
 
 _UNREADABLE = (

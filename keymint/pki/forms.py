@@ -12,8 +12,9 @@ from cryptography import x509
 from cryptography.hazmat.primitives import hashes
 from cryptography.x509.oid import ExtendedKeyUsageOID, ExtensionOID
 
+from comarmor.errors import Diagnostic, Origin, Severity
 from keymint.api import CertificateSpec, Validity
-from keymint.errors import Diagnostic, KeymintError, Origin, Severity
+from keymint.errors import KeymintError
 from keymint.pki import extensions, keys, names
 
 HASHES: Mapping[str, Callable[[], hashes.SHA256 | hashes.SHA384 | hashes.SHA512]] = MappingProxyType(

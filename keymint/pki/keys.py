@@ -17,8 +17,9 @@ from cryptography.exceptions import UnsupportedAlgorithm
 from cryptography.hazmat.primitives import serialization
 from cryptography.hazmat.primitives.asymmetric import ec, rsa
 
+from comarmor.errors import Origin
 from keymint.api import KeySpec
-from keymint.errors import KeymintError, Origin
+from keymint.errors import KeymintError
 from keymint.pki.suggest import did_you_mean
 
 PrivateKey = ec.EllipticCurvePrivateKey | rsa.RSAPrivateKey

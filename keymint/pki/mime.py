@@ -38,7 +38,8 @@ import re
 from dataclasses import dataclass, field
 from typing import NoReturn
 
-from keymint.errors import KeymintError, Origin
+from comarmor.errors import Origin
+from keymint.errors import KeymintError
 
 UNREAD = "smime-form"
 """Code of the error for a file whose form is not read here: what vendors make of it is not known."""

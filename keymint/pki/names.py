@@ -14,7 +14,8 @@ from functools import lru_cache
 from cryptography import x509
 from cryptography.x509.oid import NameOID
 
-from keymint.errors import KeymintError, Origin
+from comarmor.errors import Origin
+from keymint.errors import KeymintError
 from keymint.pki.suggest import did_you_mean
 
 MAX_COMMON_NAME = 64

@@ -13,8 +13,9 @@ from datetime import datetime
 from cryptography import x509
 from cryptography.hazmat.primitives import serialization
 
+from comarmor.errors import Origin
 from keymint import api
-from keymint.errors import KeymintError, Origin
+from keymint.errors import KeymintError
 from keymint.pki import certificates, cms, keys, mime
 from keymint.pki.mime import SignedDocument
 

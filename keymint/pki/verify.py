@@ -12,7 +12,8 @@ from datetime import datetime
 from cryptography import x509
 from cryptography.exceptions import InvalidSignature
 
-from keymint.errors import Diagnostic, KeymintError, Origin, Severity
+from comarmor.errors import Diagnostic, Origin, Severity
+from keymint.errors import KeymintError
 from keymint.pki import certificates, extensions, names
 
 _UNDERSTOOD = (

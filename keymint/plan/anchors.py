@@ -6,8 +6,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import cast
 
+from comarmor.errors import Diagnostic
 from keymint.api import Anchor, Anchors, Package, Prover
-from keymint.errors import Diagnostic
 from keymint.plan import vouching
 from keymint.plan.authorities import trusted_chains
 from keymint.plan.enclaves import TAKEN, enclave_files

@@ -10,8 +10,9 @@ from itertools import chain
 
 from cryptography import x509
 
+from comarmor.errors import Diagnostic, Origin, Severity
 from keymint.api import Authority, CertificateSpec, Signer
-from keymint.errors import Diagnostic, ExitCode, KeymintError, Origin, Severity
+from keymint.errors import ExitCode, KeymintError
 from keymint.pki import certificates, keys
 from keymint.plan import authority_places, known_keys
 from keymint.plan.authority_places import Place

@@ -10,8 +10,9 @@ from dataclasses import dataclass, field, replace
 
 from cryptography import x509
 
+from comarmor.errors import Origin
 from keymint.api import Authority
-from keymint.errors import KeymintError, Origin
+from keymint.errors import KeymintError
 from keymint.pki import certificates, keys, names
 from keymint.plan import known_keys
 from keymint.plan.enclaves import INSTALLED

@@ -6,8 +6,9 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
+from comarmor.errors import Diagnostic, Origin
 from keymint.api import BuildOptions, Built
-from keymint.errors import Diagnostic, KeymintError, Origin
+from keymint.errors import KeymintError
 from keymint.plan import identity_keys, known_keys, lifetimes
 from keymint.plan.inputs import Inputs, LoadedProfile, Sources, changed
 from keymint.plan.lifetimes import Lifetime

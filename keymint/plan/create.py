@@ -7,8 +7,9 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
+from comarmor.errors import Diagnostic, Origin, Severity
 from keymint.api import AppliedProfile, LoadedPolicy, PolicyDecision, Structure
-from keymint.errors import Diagnostic, KeymintError, Origin, Severity
+from keymint.errors import KeymintError
 from keymint.graph import Edge
 from keymint.ir import SubjectRules
 from keymint.names import package_name, refuse_case_collisions, refuse_reserved

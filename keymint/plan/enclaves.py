@@ -8,7 +8,8 @@ from pathlib import Path
 
 from cryptography import x509
 
-from keymint.errors import Diagnostic, KeymintError, Origin, Severity
+from comarmor.errors import Diagnostic, Origin, Severity
+from keymint.errors import KeymintError
 from keymint.pki import certificates
 from keymint.plan.inputs import Inputs, LoadedProfile
 from keymint.workspace import hidden_by, packages

@@ -9,8 +9,9 @@ import functools
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
+from comarmor.errors import Origin
 from keymint.api import Package
-from keymint.errors import KeymintError, Origin
+from keymint.errors import KeymintError
 from keymint.pki import certificates, keys
 from keymint.plan import known_keys
 from keymint.plan.enclaves import INSTALLED, KEY, installed, installed_certificate

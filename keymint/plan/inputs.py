@@ -7,9 +7,10 @@ from dataclasses import dataclass, field, replace
 from datetime import datetime
 from pathlib import Path
 
+from comarmor.errors import Diagnostic, Origin
 from keymint import __version__
 from keymint.api import Package, Profile
-from keymint.errors import Diagnostic, KeymintError, Origin
+from keymint.errors import KeymintError
 from keymint.plan.model import File, FolderChange, Plan
 from keymint.plugins import Plugins
 from keymint.state import State, digest, digest_files

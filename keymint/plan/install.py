@@ -7,8 +7,9 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
+from comarmor.errors import Diagnostic, Origin, Severity
 from keymint.api import Artifact, Credentials, Package
-from keymint.errors import Diagnostic, KeymintError, Origin, Severity
+from keymint.errors import KeymintError
 from keymint.pki import certificates, keys
 from keymint.plan import build, identity_keys, known_keys, lifetimes
 from keymint.plan.authorities import MintedAuthority

@@ -12,8 +12,8 @@ from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from datetime import datetime
 
+from comarmor.errors import Diagnostic, Origin, Severity
 from keymint.api import Authority, Package, Validity
-from keymint.errors import Diagnostic, Origin, Severity
 from keymint.plan.inputs import Inputs, LoadedProfile, Sources
 from keymint.plan.terms import shown
 from keymint.state import Stamp

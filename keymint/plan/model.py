@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from enum import StrEnum
 from pathlib import Path
 
-from keymint.errors import Diagnostic
+from comarmor.errors import Diagnostic
 from keymint.state import State
 
 

@@ -11,9 +11,10 @@ from datetime import datetime
 from pathlib import Path
 from typing import cast
 
+from comarmor.errors import Diagnostic, Origin, Severity
 from keymint import __version__
 from keymint.api import Claim, DomainRange, LoadedPolicy, Obligation, Package, Proof, Prover, Term
-from keymint.errors import Diagnostic, KeymintError, Origin, Severity
+from keymint.errors import KeymintError
 from keymint.ir import SubjectRules
 from keymint.plan import terms, vouching
 from keymint.plan.anchors import anchors_of

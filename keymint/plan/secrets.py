@@ -6,8 +6,9 @@ import os
 from collections.abc import Mapping
 from dataclasses import replace
 
+from comarmor.errors import Diagnostic, Origin
 from keymint.api import KeySpec
-from keymint.errors import Diagnostic, KeymintError, Origin
+from keymint.errors import KeymintError
 from keymint.pki import keys
 
 MAX_PASSWORD = 1023

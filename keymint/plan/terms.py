@@ -7,8 +7,8 @@ from collections.abc import Collection, Iterable, Iterator, Sequence
 from dataclasses import replace
 from datetime import UTC, datetime
 
+from comarmor.errors import Diagnostic, Origin, Severity
 from keymint.api import Term
-from keymint.errors import Diagnostic, Origin, Severity
 
 _HELP = "extend its validity in the sources, then run 'keymint build' and 'keymint install'"
 _HELP_BY_CODE = {"revocation-list": "write a current one, or remove it"}

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+from comarmor.errors import Diagnostic, Origin, Severity
 from keymint.api import LoadedPolicy
-from keymint.errors import Diagnostic, Origin, Severity
 from keymint.plan.create import package_of
 from keymint.plan.inputs import Inputs
 from keymint.workspace import hidden_by

@@ -11,8 +11,9 @@ from collections.abc import Iterator, Mapping
 
 from cryptography import x509
 
+from comarmor.errors import Diagnostic, Origin
 from keymint.api import Package
-from keymint.errors import Diagnostic, KeymintError, Origin
+from keymint.errors import KeymintError
 from keymint.pki import certificates, keys
 from keymint.plan import authority_places, known_keys
 from keymint.plan.authorities import in_order

@@ -12,8 +12,9 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
+from comarmor.errors import Diagnostic
 from keymint.api import Enclave, Tier, Transport, Usable, Verdict
-from keymint.errors import Diagnostic, KeymintError
+from keymint.errors import KeymintError
 from keymint.graph import Edge
 from keymint.tree import Tree
 from keymint.verify.choose import names_rules

@@ -6,8 +6,9 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from functools import cached_property
 
+from comarmor.errors import Origin
 from keymint.api import Enclave, Tier, Transport, Verdict
-from keymint.errors import KeymintError, Origin
+from keymint.errors import KeymintError
 from keymint.graph import Edge
 from keymint.tree import Tree
 from keymint.verify.choose import names_rules

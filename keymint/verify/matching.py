@@ -9,9 +9,9 @@ from functools import lru_cache
 
 from comarmor.patterns import glob
 from comarmor.patterns.relations import matcher
+from comarmor.rules import Effect, parts
 from keymint.graph import Edge
-from keymint.ir import Effect, Rule
-from keymint.keymake.composites import parts
+from keymint.ir import Rule
 from keymint.verify.judge import RAW
 
 

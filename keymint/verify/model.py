@@ -6,8 +6,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from enum import StrEnum
 
+from comarmor.errors import Origin
 from keymint.api import PolicyDecision, Tier, Verdict
-from keymint.errors import Origin
 from keymint.graph import Edge
 
 

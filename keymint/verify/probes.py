@@ -14,9 +14,9 @@ from itertools import islice
 
 from comarmor.patterns import glob
 from comarmor.patterns.glob import Charset, Star
+from comarmor.rules import PARTS
 from keymint.graph import LABELLED, Edge, Object
 from keymint.ir import Rule, SubjectRules
-from keymint.keymake.composites import PARTS
 from keymint.verify.judge import RAW
 
 MOST_OF_A_PATTERN = 48

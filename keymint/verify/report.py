@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Any
 
+from comarmor.errors import Diagnostic, Origin, Severity
 from keymint.api import Verdict
-from keymint.errors import Diagnostic, Origin, Severity
 from keymint.graph import Edge
 from keymint.verify.model import Confusion, Error, Finding, Outcome
 from keymint.verify.words import in_words, request

@@ -7,8 +7,9 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import cast
 
+from comarmor.errors import Origin
 from keymint.api import AppliedProfile, Enclave, LoadedPolicy, PolicyDecision, RulePlaces, Tier, Transport
-from keymint.errors import ExitCode, KeymintError, Origin
+from keymint.errors import ExitCode, KeymintError
 from keymint.graph import LABELLED, Edge, Object
 from keymint.ir import Rule
 from keymint.plan.enclaves import installed

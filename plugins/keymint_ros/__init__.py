@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
+from comarmor.errors import Origin
 from keymint.api import API_VERSION, Bootstrap, Package, Profile
-from keymint.errors import Origin
 from keymint.ir import SubjectRules
 from keymint_ros import bootstrap, create, distros, package, profile, settings
 from keymint_ros.manifest import MARKER

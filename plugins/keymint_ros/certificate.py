@@ -6,8 +6,9 @@ from collections.abc import Collection, Mapping
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
+from comarmor.errors import Origin
 from keymint.api import CertificateSpec, Extension, KeySpec, Validity
-from keymint.errors import KeymintError, Origin
+from keymint.errors import KeymintError
 from keymint_ros import placeholders, validity
 from keymint_ros.document import line, place, text
 

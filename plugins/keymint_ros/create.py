@@ -4,8 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
+from comarmor.errors import Origin
 from keymint.api import Profile
-from keymint.errors import KeymintError, Origin
+from keymint.errors import KeymintError
 from keymint.ir import SubjectRules
 from keymint_ros import bootstrap, manifest, permissions, render
 from keymint_ros.document import confined

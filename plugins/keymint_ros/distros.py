@@ -5,7 +5,8 @@ from __future__ import annotations
 from pathlib import Path
 
 from comarmor.data import locate
-from keymint.errors import ExitCode, KeymintError, Origin
+from comarmor.errors import Origin
+from keymint.errors import ExitCode, KeymintError
 from keymint_ros.document import did_you_mean
 
 _FAMILIES = {

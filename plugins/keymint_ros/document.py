@@ -18,9 +18,10 @@ from lxml import etree
 
 from comarmor import errors
 from comarmor.data import locate
+from comarmor.errors import Diagnostic, Origin, Severity
 from comarmor.language import source
 from comarmor.xml import schema
-from keymint.errors import Diagnostic, KeymintError, Origin, Severity
+from keymint.errors import KeymintError
 
 _T = TypeVar("_T")
 

@@ -6,8 +6,9 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, TypeVar
 
+from comarmor.errors import Origin
 from keymint.api import DomainRange, DomainRule, TopicProtection
-from keymint.errors import KeymintError, Origin
+from keymint.errors import KeymintError
 from keymint_ros.document import Reader, line, place, text, truth
 
 if TYPE_CHECKING:

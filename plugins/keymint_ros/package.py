@@ -6,8 +6,9 @@ from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, TypeVar
 
+from comarmor.errors import Diagnostic, Origin
 from keymint.api import Authority, CertificateSpec, Governance, Package, Permissions, Profile
-from keymint.errors import Diagnostic, KeymintError, Origin
+from keymint.errors import KeymintError
 from keymint_ros import certificate, governance, manifest, permissions, placeholders, validity
 from keymint_ros.document import Reader, confined, did_you_mean, file_in, line, place, text
 from keymint_ros.manifest import MARKER, Manifest, Part

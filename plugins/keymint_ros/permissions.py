@@ -18,11 +18,12 @@ from urllib.parse import unquote
 
 from lxml import etree
 
-from comarmor.errors import ComArmorError
+from comarmor.errors import ComArmorError, Origin
 from comarmor.language.template import strip
 from comarmor.patterns.expression import parse as parse_expression
-from keymint.errors import KeymintError, Origin
-from keymint.ir import Effect, Rule, SubjectRules
+from comarmor.rules import Effect
+from keymint.errors import KeymintError
+from keymint.ir import Rule, SubjectRules
 from keymint_ros import document, placeholders, validity
 from keymint_ros.document import Reader, line, place, text
 from keymint_ros.governance import domains

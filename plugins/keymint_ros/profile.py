@@ -8,8 +8,9 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from comarmor.errors import Origin
 from keymint.api import Authority, PolicySource, Profile
-from keymint.errors import KeymintError, Origin
+from keymint.errors import KeymintError
 from keymint_ros import bootstrap, certificate, distros, placeholders
 from keymint_ros.document import Reader, did_you_mean, file_in, line, place, text
 from keymint_ros.manifest import BUILD_TYPE

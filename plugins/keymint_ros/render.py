@@ -9,7 +9,7 @@ from functools import lru_cache
 from urllib.parse import quote
 from xml.sax.saxutils import escape
 
-from keymint.errors import Origin
+from comarmor.errors import Origin
 from keymint.ir import Rule, SubjectRules
 from keymint_ros.permissions import digest
 

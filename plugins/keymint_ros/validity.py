@@ -6,8 +6,9 @@ from dataclasses import replace
 from datetime import UTC, datetime
 from typing import TYPE_CHECKING
 
+from comarmor.errors import Origin
 from keymint.api import Validity
-from keymint.errors import KeymintError, Origin
+from keymint.errors import KeymintError
 from keymint_ros.document import place, text
 
 if TYPE_CHECKING:

@@ -8,15 +8,17 @@ from pathlib import Path
 
 import comarmor
 import comarmor.language.source
+from comarmor.errors import Diagnostic, Origin, Severity
+from comarmor.rules import Effect
 from keymint.api import AppliedProfile, Expectation, Learned, LoadedPolicy, PolicyDecision, PolicySource, Structure
-from keymint.errors import Diagnostic, KeymintError, Origin, Severity
+from keymint.errors import KeymintError
 from keymint.graph import Edge, Graph
-from keymint.ir import Effect, Rule, SubjectRules
+from keymint.ir import Rule, SubjectRules
 
 __all__ = ["ComArmorPolicyType", "policy_type"]
 
 
-def _origin(where: comarmor.Location) -> Origin:
+def _origin(where: comarmor.Origin) -> Origin:
     return Origin(where.file, where.line, tuple(_origin(outer) for outer in where.chain), where.column)
 
 

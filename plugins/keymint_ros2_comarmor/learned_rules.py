@@ -4,9 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 
-from comarmor.errors import Location
-from comarmor.language.syntax import PERMISSIONS, Effect, Expression, Rule
+from comarmor.errors import Origin
+from comarmor.language.syntax import Expression, Rule
 from comarmor.patterns.expression import escape
+from comarmor.rules import PERMISSIONS, Effect
 from keymint.graph import Edge
 
 Needs = dict[tuple[str, str], dict[str, set[str]]]
@@ -14,7 +15,7 @@ Needs = dict[tuple[str, str], dict[str, set[str]]]
 Need = tuple[str, str, str, tuple[str, ...]]
 """Kind, attachment, permission, and partitions: nothing for the default one."""
 
-NOWHERE = Location("learned")
+NOWHERE = Origin("learned")
 """Rules that are learned are written nowhere yet."""
 _KINDS = tuple(PERMISSIONS)
 

@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator
 
 import comarmor
-from comarmor.errors import quoted
+from comarmor.errors import Diagnostic, Origin, Severity, Spot
 from comarmor.patterns.expression import matches
-from keymint.errors import Diagnostic, Origin, Severity, Spot
+from comarmor.text import quoted
 from keymint.graph import Edge, Graph
 
 _Need = tuple[str, str, str, tuple[str, ...]]
@@ -102,5 +102,5 @@ def _note(code: str, place: _Place, message: str) -> Diagnostic:
     return Diagnostic(code, Severity.NOTE, message, where, "remove it if it is not for something rare")
 
 
-def _place(where: comarmor.Location) -> _Place:
+def _place(where: comarmor.Origin) -> _Place:
     return where.file, where.line, where.column

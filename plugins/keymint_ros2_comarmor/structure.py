@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 
 import comarmor
+from comarmor.errors import Origin
 from comarmor.language.template import for_parts
 from keymint.api import AttachedProfile, Clause, Structure
-from keymint.errors import Origin
 from keymint.ir import Rule
 
 _Around = tuple[tuple[str, ...], ...]
@@ -15,7 +15,7 @@ _Around = tuple[tuple[str, ...], ...]
 
 def structure(
     policy: comarmor.Policy,
-    origin: Callable[[comarmor.Location], Origin],
+    origin: Callable[[comarmor.Origin], Origin],
     to_rule: Callable[[comarmor.Rule], Rule],
 ) -> Structure:
     """Return a policy as it is written.

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 
+from comarmor.errors import Diagnostic
 from keymint.api import (
     API_VERSION,
     Anchors,
@@ -18,7 +19,6 @@ from keymint.api import (
     Package,
     Term,
 )
-from keymint.errors import Diagnostic
 from keymint.graph import Edge
 
 __all__ = ["DdsSecurity", "build_type"]

@@ -5,8 +5,9 @@ from __future__ import annotations
 from collections.abc import Iterator
 from functools import lru_cache
 
+from comarmor.errors import Diagnostic, Origin, Severity
 from keymint.api import BuildOptions, Built, Package
-from keymint.errors import Diagnostic, KeymintError, Origin, Severity
+from keymint.errors import KeymintError
 from keymint.pki import names
 from keymint_ros2_dds import governance, limits, opened
 from keymint_ros2_dds.compiling.emission import emit

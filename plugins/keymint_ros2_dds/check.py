@@ -8,8 +8,9 @@ from datetime import UTC, datetime, timedelta
 from cryptography import x509
 from lxml import etree
 
+from comarmor.errors import Diagnostic, Origin, Severity
 from keymint.api import DomainRange, Inspection
-from keymint.errors import Diagnostic, KeymintError, Origin, Severity
+from keymint.errors import KeymintError
 from keymint.pki import certificates, keys, names, smime, verify
 from keymint_ros2_dds import check_governance, document, limits, revocation
 from keymint_ros2_dds.compiling.emission import means_the_same

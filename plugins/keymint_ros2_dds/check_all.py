@@ -6,8 +6,9 @@ import re
 from collections import defaultdict
 from collections.abc import Iterator, Sequence
 
+from comarmor.errors import Diagnostic, Origin, Severity
 from keymint.api import Inspection
-from keymint.errors import Diagnostic, KeymintError, Origin, Severity
+from keymint.errors import KeymintError
 from keymint.pki import certificates, names
 from keymint_ros2_dds.install import CERTIFICATE
 

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
+from comarmor.errors import Diagnostic, Origin, Severity
 from comarmor.patterns.decision_lists import Budget, Universe
 from comarmor.patterns.glob import GlobError
 from keymint.api import Inspection
-from keymint.errors import Diagnostic, KeymintError, Origin, Severity
+from keymint.errors import KeymintError
 from keymint.pki import smime
 from keymint_ros2_dds import opened
 from keymint_ros2_dds.decision.access import Governed

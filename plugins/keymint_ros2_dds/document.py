@@ -8,11 +8,11 @@ from datetime import UTC, datetime
 
 from lxml import etree
 
-from comarmor.errors import ComArmorError, Location
+from comarmor.errors import ComArmorError, Diagnostic, Origin, Severity
 from comarmor.xml import schema
 from comarmor.xml.reader import parse
 from keymint.api import DomainRange
-from keymint.errors import Diagnostic, KeymintError, Origin, Severity
+from keymint.errors import KeymintError
 
 PERMISSIONS = "permissions"
 GOVERNANCE = "governance"
@@ -179,5 +179,5 @@ def _converted(error: ComArmorError) -> KeymintError:
     )
 
 
-def _origin(where: Location | None) -> Origin | None:
+def _origin(where: Origin | None) -> Origin | None:
     return Origin(where.file, where.line) if where else None

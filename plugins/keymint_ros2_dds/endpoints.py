@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from functools import lru_cache
 
+from comarmor.rules import parts
 from keymint.errors import KeymintError
 from keymint.graph import Edge, Object
-from keymint.keymake.composites import parts
 from keymint_ros2_dds.mapping import ARDENT, IMAGES, check_distro, knows
 
 _KINDS = {

@@ -9,12 +9,13 @@ from functools import lru_cache
 
 from lxml import etree
 
+from comarmor.errors import Diagnostic, Origin, Severity
 from comarmor.patterns import glob
 from comarmor.patterns.glob import EVERYTHING, Glob
 from comarmor.patterns.relations import covers, union_covers
+from comarmor.rules import PARTS
 from keymint.api import DomainRange, DomainRule, Governance, TopicProtection
-from keymint.errors import Diagnostic, KeymintError, Origin, Severity
-from keymint.keymake.composites import PARTS
+from keymint.errors import KeymintError
 from keymint_ros2_dds import document
 from keymint_ros2_dds.compiling.spelling import InexpressibleError, faithful, spell
 from keymint_ros2_dds.mapping import ARDENT, IMAGES, images

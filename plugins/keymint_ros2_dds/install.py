@@ -5,9 +5,10 @@ from __future__ import annotations
 from collections.abc import Mapping
 from functools import lru_cache
 
+from comarmor.errors import Origin
 from keymint import api
 from keymint.api import Artifact, Credentials, Package
-from keymint.errors import KeymintError, Origin
+from keymint.errors import KeymintError
 from keymint.pki import smime
 from keymint_ros2_dds import document
 from keymint_ros2_dds.document import GOVERNANCE, GOVERNANCE_XML, PERMISSIONS, PERMISSIONS_XML

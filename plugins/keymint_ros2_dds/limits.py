@@ -5,9 +5,10 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Iterator
 
+from comarmor.errors import Diagnostic, Severity
+from comarmor.rules import Effect
 from keymint.api import KeySpec, Package
-from keymint.errors import Diagnostic, KeymintError, Severity
-from keymint.ir import Effect
+from keymint.errors import KeymintError
 from keymint.pki import keys
 from keymint_ros2_dds.compiling.lower import Lowered
 

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from comarmor.errors import Origin
 from keymint.api import Enclave
-from keymint.errors import KeymintError, Origin
+from keymint.errors import KeymintError
 from keymint.pki import smime
 from keymint_ros2_dds import decision
 from keymint_ros2_dds.install import PERMISSIONS_P7S

@@ -9,12 +9,12 @@ from __future__ import annotations
 from collections.abc import Iterator
 from itertools import pairwise
 
+from comarmor.errors import Diagnostic, Origin, Severity
 from comarmor.patterns.decision_lists import Block, Budget, DecisionList, Equal, Universe
 from comarmor.patterns.glob import EVERYTHING, Glob, normalise
 from comarmor.patterns.proofs import escapes
 from comarmor.patterns.relations import union_covers
 from keymint.api import DomainRange, DomainRule, Package, TopicProtection
-from keymint.errors import Diagnostic, Origin, Severity
 from keymint_ros2_dds import document, governance
 from keymint_ros2_dds.compiling.lower import Lowered, lower
 from keymint_ros2_dds.decision.governance import ACCESS, JOIN, UNAUTHENTICATED

@@ -8,9 +8,10 @@ from xml.sax.saxutils import escape
 
 from lxml import etree
 
+from comarmor.errors import Diagnostic, Severity
+from comarmor.rules import Effect
 from keymint.api import Permissions
-from keymint.errors import Diagnostic, KeymintError, Severity
-from keymint.ir import Effect
+from keymint.errors import KeymintError
 from keymint.pki import names
 from keymint_ros2_dds import document
 from keymint_ros2_dds.compiling.criteria import Criteria

@@ -9,8 +9,9 @@ from types import ModuleType
 
 import pytest
 
+from comarmor.errors import Origin
 from keymint.api import API_VERSION
-from keymint.errors import KeymintError, Origin
+from keymint.errors import KeymintError
 from keymint.plugins import GROUPS, Plugins
 
 GROUP = "keymint.build_types"

@@ -15,6 +15,7 @@ from keymint_ros2_dds import build_type
 from keymint_ros2_dds.vendors.cyclone_access_control import AccessControl
 from keymint_ros2_dds.vendors.participants import RefusedError, System
 
+from comarmor.errors import Origin
 from keymint.api import (
     BuildOptions,
     CertificateSpec,
@@ -28,7 +29,6 @@ from keymint.api import (
     TopicProtection,
     Validity,
 )
-from keymint.errors import Origin
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence

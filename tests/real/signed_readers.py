@@ -17,7 +17,8 @@ from pathlib import Path
 
 from keymint_ros2_dds.vendors.cyclone_access_control import AccessControl
 
-from keymint.errors import KeymintError, Origin
+from comarmor.errors import Origin
+from keymint.errors import KeymintError
 from keymint.pki import smime
 from tests.robustness.signed_mutation import Random, mutated
 from tests.signers import SIGNERS, by_openssl

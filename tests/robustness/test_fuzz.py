@@ -19,8 +19,9 @@ from typing import Any
 import pytest
 
 import comarmor
+from comarmor.errors import Diagnostic
 from keymint.api import BuildOptions
-from keymint.errors import Diagnostic, KeymintError
+from keymint.errors import KeymintError
 from keymint.plan.authorities import plan_authorities
 from keymint.plan.build import plan_build
 from keymint.plan.create import everything, load_policy, plan_create

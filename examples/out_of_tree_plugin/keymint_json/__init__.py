@@ -13,8 +13,9 @@ import json
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
+from comarmor.errors import Diagnostic, Origin, Severity
 from keymint.api import Artifact, BuildOptions, Built, Credentials, Inspection, Package
-from keymint.errors import Diagnostic, KeymintError, Origin, Severity
+from keymint.errors import KeymintError
 from keymint.pki import certificates, keys, smime
 from keymint.pki.verify import verify_chain
 

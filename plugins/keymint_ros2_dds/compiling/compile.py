@@ -6,11 +6,12 @@ from collections import Counter
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 
+from comarmor.errors import Diagnostic, Severity
 from comarmor.patterns.effort import EffortError, limited
 from comarmor.patterns.glob import Glob
 from comarmor.patterns.relations import disjoint, sort_key
 from keymint.api import BuildOptions, Demand, Permissions
-from keymint.errors import Diagnostic, KeymintError, Severity
+from keymint.errors import KeymintError
 from keymint.ir import Rule
 from keymint_ros2_dds.compiling import partitions
 from keymint_ros2_dds.compiling.criteria import Criteria

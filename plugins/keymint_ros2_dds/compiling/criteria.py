@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-from keymint.ir import Effect
+from comarmor.rules import Effect
 from keymint_ros2_dds.compiling.lower import Partitions
 from keymint_ros2_dds.mapping import Action
 

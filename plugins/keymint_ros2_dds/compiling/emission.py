@@ -11,9 +11,10 @@ from dataclasses import dataclass
 
 from lxml import etree
 
+from comarmor.errors import Diagnostic, Severity
 from comarmor.patterns.effort import limited
 from keymint.api import BuildOptions, Claim, Package, Proof
-from keymint.errors import Diagnostic, KeymintError, Severity
+from keymint.errors import KeymintError
 from keymint.pki import names
 from keymint_ros2_dds import document as documents
 from keymint_ros2_dds.compiling.compile import Compiled, compile_rules, remarks

@@ -11,7 +11,7 @@ from itertools import product
 
 from comarmor.patterns import glob
 from comarmor.patterns.relations import matcher
-from keymint.ir import Effect
+from comarmor.rules import Effect
 from keymint.keymake.gather import Pattern, gather
 from keymint_ros2_dds.compiling.criteria import Criteria, is_name
 from keymint_ros2_dds.compiling.lower import Partitions

@@ -10,12 +10,13 @@ import difflib
 from collections.abc import Mapping
 from dataclasses import dataclass
 
+from comarmor.errors import Diagnostic, Severity
 from comarmor.patterns import glob
 from comarmor.patterns.glob import Glob
 from comarmor.patterns.ros_names import advice, is_possible
-from keymint.errors import Diagnostic, KeymintError, Severity
-from keymint.ir import Effect, Rule, SubjectRules
-from keymint.keymake.composites import parts
+from comarmor.rules import Effect, parts
+from keymint.errors import KeymintError
+from keymint.ir import Rule, SubjectRules
 from keymint_ros2_dds.compiling.spelling import faithful
 from keymint_ros2_dds.mapping import IMAGES, Action, images, knows
 

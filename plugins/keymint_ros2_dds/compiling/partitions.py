@@ -26,7 +26,7 @@ from comarmor.patterns.relations import (
     sort_key,
     surely_covers,
 )
-from keymint.ir import Effect
+from comarmor.rules import Effect
 from keymint_ros2_dds.compiling.lower import Partitions
 from keymint_ros2_dds.compiling.spelling import faithful
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 from comarmor.patterns.glob import Glob, literal
 from comarmor.patterns.relations import disjoint, sort_key
-from keymint.ir import Effect
+from comarmor.rules import Effect
 from keymint.keymake.order import Order, arrange
 from keymint_ros2_dds.compiling.lower import Partitions
 from keymint_ros2_dds.compiling.partitions import DEFAULT, EVERY, Entry, decision_list, touches, uniform

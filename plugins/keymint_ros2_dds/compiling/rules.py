@@ -23,7 +23,8 @@ from dataclasses import dataclass
 
 from comarmor.patterns.glob import Glob
 from comarmor.patterns.relations import TooComplexError, all_disjoint, intersection, union_covers
-from keymint.ir import Effect, Rule
+from comarmor.rules import Effect
+from keymint.ir import Rule
 from keymint.keymake.order import Rescue, mentioned_first
 from keymint_ros2_dds.compiling.lower import Lowered, Partitions
 from keymint_ros2_dds.compiling.partitions import DEFAULT, EVERY, Entry

@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from keymint.errors import Origin
+from comarmor.errors import Origin
 from keymint_ros2_dds.decision.governance import ACCESS, DomainRule, GovernanceDocument
 from keymint_ros2_dds.decision.judge import Decision, Judge, Outcome
 from keymint_ros2_dds.decision.semantics import Semantics

@@ -13,10 +13,10 @@ from types import MappingProxyType
 
 from lxml import etree
 
-from comarmor.errors import ComArmorError
+from comarmor.errors import ComArmorError, Diagnostic, Origin, Severity
 from comarmor.xml import schema
 from comarmor.xml.reader import line, parse
-from keymint.errors import Diagnostic, KeymintError, Origin, Severity
+from keymint.errors import KeymintError
 from keymint_ros2_dds.decision import numbers, peculiar
 from keymint_ros2_dds.decision.peculiar import Peculiarity
 

@@ -17,10 +17,10 @@ from functools import lru_cache
 
 from lxml import etree
 
-from comarmor.errors import ComArmorError
+from comarmor.errors import ComArmorError, Origin
 from comarmor.xml import schema
 from comarmor.xml.reader import line, parse
-from keymint.errors import KeymintError, Origin
+from keymint.errors import KeymintError
 from keymint_ros2_dds.decision import fnmatch
 from keymint_ros2_dds.decision.document import Domains
 from keymint_ros2_dds.decision.peculiar import FINE, REFUSES, UNTOLD, Effect, Peculiarity, decorations

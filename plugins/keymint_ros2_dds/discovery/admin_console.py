@@ -12,8 +12,9 @@ from collections.abc import Iterator
 from lxml import etree
 
 import comarmor
+from comarmor.errors import Diagnostic, Origin, Severity
 from comarmor.xml.reader import line, parse
-from keymint.errors import Diagnostic, KeymintError, Origin, Severity
+from keymint.errors import KeymintError
 from keymint_ros2_dds.discovery.capture import Capture, Endpoint, Participant
 
 MAX_DOMAIN = 232

@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 
+from comarmor.errors import Diagnostic, Severity
 from keymint.api import Discovered
-from keymint.errors import Diagnostic, Severity
 from keymint.graph import Edge, Graph, Object
 from keymint.graph_json import legal_text, partitions
 from keymint_ros2_dds.discovery.subjects import name_participants

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
 
+from comarmor.rules import PARTS, parts
 from keymint.graph import Edge, Graph, Object
-from keymint.keymake.composites import PARTS, parts
 from keymint_ros2_dds.discovery.ros_names import ros_name, ros_type
 
 _TOPIC = {"publish": "ros_publish", "subscribe": "ros_subscribe"}

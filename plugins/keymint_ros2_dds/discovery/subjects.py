@@ -20,7 +20,8 @@ import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING
 
-from keymint.errors import Diagnostic, ExitCode, KeymintError, Severity
+from comarmor.errors import Diagnostic, Severity
+from keymint.errors import ExitCode, KeymintError
 from keymint.graph_json import legal_subject
 from keymint_ros2_dds.discovery.ros_names import ros_name
 

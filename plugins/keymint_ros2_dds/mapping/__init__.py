@@ -9,8 +9,8 @@ import difflib
 from collections.abc import Iterator
 
 from comarmor.patterns.glob import Glob
+from comarmor.rules import Effect
 from keymint.errors import KeymintError
-from keymint.ir import Effect
 from keymint_ros2_dds.mapping import ardent
 from keymint_ros2_dds.mapping.entities import IMAGES, Action, Image
 from keymint_ros2_dds.mapping.modern import image

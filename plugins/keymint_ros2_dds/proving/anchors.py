@@ -13,8 +13,9 @@ from functools import lru_cache
 
 from cryptography import x509
 
+from comarmor.errors import Diagnostic, Origin, Severity
 from keymint.api import Anchor, Anchors
-from keymint.errors import Diagnostic, KeymintError, Origin, Severity
+from keymint.errors import KeymintError
 from keymint.pki import certificates, keys, names, smime, verify
 from keymint_ros2_dds import revocation
 from keymint_ros2_dds.install import (

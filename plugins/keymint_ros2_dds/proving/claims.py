@@ -8,13 +8,14 @@ from functools import cache
 from itertools import pairwise
 from types import MappingProxyType
 
+from comarmor.errors import Origin
 from comarmor.patterns.decision_lists import Budget, DecisionList, Outcome, Universe, Unknown, Witness
 from comarmor.patterns.glob import GlobError
 from comarmor.patterns.proofs import difference
+from comarmor.rules import Effect
 from keymint.api import Claim, Counterexample, DomainRange, PolicyDecision, Proof, Verdict
-from keymint.errors import Origin
 from keymint.graph import Edge
-from keymint.ir import Effect, SubjectRules
+from keymint.ir import SubjectRules
 from keymint_ros2_dds import decision
 from keymint_ros2_dds.compiling.lower import Lowered
 from keymint_ros2_dds.decision import OMG, VARIATIONS, Decision, Judge, Variation

@@ -12,7 +12,7 @@ from itertools import chain
 from comarmor.patterns.decision_lists import Block, DecisionList
 from comarmor.patterns.glob import EVERYTHING, Glob, normalise, parse
 from comarmor.patterns.relations import matches
-from keymint.ir import Effect
+from comarmor.rules import Effect
 from keymint_ros2_dds.compiling.lower import Lowered, Partitions
 from keymint_ros2_dds.decision.document import Criteria, Grant, Rule
 from keymint_ros2_dds.decision.refusals import covers

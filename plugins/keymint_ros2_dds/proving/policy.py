@@ -10,9 +10,9 @@ from collections.abc import Iterator
 
 from comarmor.patterns import glob
 from comarmor.patterns.relations import matches
+from comarmor.rules import Effect, parts
 from keymint.graph import Edge, Object
-from keymint.ir import Effect, Rule, SubjectRules
-from keymint.keymake.composites import parts
+from keymint.ir import Rule, SubjectRules
 from keymint_ros2_dds.decision import fnmatch
 from keymint_ros2_dds.endpoints import meanings
 from keymint_ros2_dds.mapping import ARDENT

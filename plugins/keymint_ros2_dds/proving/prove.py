@@ -4,8 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 
+from comarmor.errors import Origin
 from keymint.api import Anchors, Claim, Obligation, Term
-from keymint.errors import KeymintError, Origin
+from keymint.errors import KeymintError
 from keymint.pki import smime
 from keymint_ros2_dds import decision
 from keymint_ros2_dds.document import PERMISSIONS_XML

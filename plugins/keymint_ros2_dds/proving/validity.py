@@ -7,8 +7,9 @@ from dataclasses import replace
 from datetime import UTC, datetime, timedelta
 from functools import cache, lru_cache
 
+from comarmor.errors import Origin
 from keymint.api import Term
-from keymint.errors import KeymintError, Origin
+from keymint.errors import KeymintError
 from keymint.pki import certificates, names
 from keymint_ros2_dds import revocation
 from keymint_ros2_dds.decision import VARIATIONS, PermissionsDocument

@@ -7,8 +7,9 @@ from contextlib import ExitStack
 from pathlib import Path
 from typing import cast
 
+from comarmor.errors import Origin
 from keymint.api import Tier, Usable, Verdict
-from keymint.errors import KeymintError, Origin
+from keymint.errors import KeymintError
 from keymint.graph import Edge
 from keymint.pki import smime
 from keymint_ros2_dds import decision

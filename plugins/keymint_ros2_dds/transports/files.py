@@ -8,8 +8,9 @@ from pathlib import Path
 
 from cryptography import x509
 
+from comarmor.errors import Origin
 from keymint.api import Enclave
-from keymint.errors import KeymintError, Origin
+from keymint.errors import KeymintError
 from keymint.pki import certificates, mime, names
 from keymint_ros2_dds.install import CA, IDENTITY_CA, KEY, PERMISSIONS_CA
 

@@ -8,8 +8,9 @@ from datetime import datetime
 from functools import cached_property
 from pathlib import Path
 
+from comarmor.errors import Origin
 from keymint.api import Enclave, Surroundings, Tier, Usable, Verdict
-from keymint.errors import KeymintError, Origin
+from keymint.errors import KeymintError
 from keymint.graph import Edge
 from keymint.pki import smime
 from keymint_ros2_dds import decision

@@ -10,11 +10,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import comarmor
-from comarmor import PERMISSIONS, Effect, Expression, Location, Policy, Profile, Rule, data
+from comarmor import PERMISSIONS, Effect, Expression, Origin, Policy, Profile, Rule, data
 from comarmor.language import template
 from comarmor.patterns import expression
 
-HERE = Location("generated.xml", 1)
+HERE = Origin("generated.xml", 1)
 PIECES = (
     "/",
     "a",

@@ -12,13 +12,13 @@ from pathlib import Path
 import keymint_ros2_comarmor
 
 import comarmor
+from comarmor.errors import Origin
 from comarmor.language.decide import decide
 from comarmor.patterns.expression import matches
 from comarmor.patterns.glob import parse
 from keymint.analysis.diff import Changed, diff, gains
 from keymint.analysis.holders import Held, holders
 from keymint.api import PolicySource
-from keymint.errors import Origin
 from tests.keymint.analysis.edits import OBJECTS, SEGMENTS, edited, random_policy
 
 DEEPEST = 3

@@ -7,8 +7,8 @@ from pathlib import Path
 
 import keymint_ros2_comarmor
 
+from comarmor.errors import Origin
 from keymint.api import LoadedPolicy, PolicySource
-from keymint.errors import Origin
 
 Written = Callable[[str], LoadedPolicy]
 

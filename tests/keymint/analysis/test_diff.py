@@ -9,14 +9,15 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from comarmor.errors import Origin
 from comarmor.patterns.glob import parse
 from comarmor.patterns.relations import matches
+from comarmor.rules import Effect
 from keymint.analysis.changes import changes_of
 from keymint.analysis.diff import diff, gains
 from keymint.analysis.differences import summary
 from keymint.analysis.purse import STATES, Purse
-from keymint.errors import Origin
-from keymint.ir import Effect, Rule
+from keymint.ir import Rule
 from tests.keymint.analysis.policies import deny, loaded, profile, rule
 
 PUB = ("ros_topic", "ros_publish")

@@ -8,10 +8,10 @@ from pathlib import Path
 
 import pytest
 
+from comarmor.errors import Origin
 from keymint.analysis.expected import Checks
 from keymint.analysis.lint import lint
 from keymint.api import Expectation
-from keymint.errors import Origin
 from tests.conftest import Outcome
 from tests.generated import Tokens, line_in_pretty, minified, pretty, tokens
 from tests.keymint.analysis.policies import loaded_text, rule

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from keymint.errors import Origin, cited
+from comarmor.errors import Origin, cited
 from tests.conftest import CHECKOUT
 
 NAME = "common/node/logging.xml:3 (library)"

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from comarmor.errors import Origin
 from keymint.api import PolicyDecision, Tier, Verdict
 from keymint.commands.verify_report import labelled_edges
 from keymint.drawing.model import Confusion, Said
-from keymint.errors import Origin
 from keymint.graph import Edge, Object
 from keymint.verify.model import Confusion as Counts
 from keymint.verify.model import Error, Finding, Outcome

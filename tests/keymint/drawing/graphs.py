@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from hypothesis import strategies as st
 
+from comarmor.errors import Origin
 from keymint.drawing.model import Labelled, LabelledEdge, Said
-from keymint.errors import Origin
 from keymint.graph import LABELLED, Edge, Object
 
 HOSTILE = "</script></style><img src=x onerror=alert(1)>\"'&\u202e\x01]]>"

@@ -8,11 +8,12 @@ from pathlib import Path
 import pytest
 from keymint_ros2_comarmor import policy_type
 
+from comarmor.errors import Origin
 from keymint.api import LoadedPolicy, PolicySource
 from keymint.drawing import of_policy as room
 from keymint.drawing.model import Labelled, Outcome
 from keymint.drawing.of_policy import of_graph, of_policy
-from keymint.errors import KeymintError, Origin
+from keymint.errors import KeymintError
 from keymint.graph import Edge, Graph, Object, complete
 
 RULE = """<{kind} qualifier="{effect}"{more}><attachment>{name}</attachment><permissions><{permission}/></permissions>

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from comarmor.patterns.glob import parse
 from comarmor.patterns.relations import matches
-from keymint.keymake.composites import PARTS, parts
+from comarmor.rules import PARTS, parts
 from keymint.keymake.order import arrange, mentioned_first
 from tests.effort import calls_of
 

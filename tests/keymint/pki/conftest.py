@@ -11,8 +11,8 @@ from pathlib import Path
 
 import pytest
 
+from comarmor.errors import Origin
 from keymint.api import CertificateSpec, Extension, KeySpec, Validity
-from keymint.errors import Origin
 from keymint.pki import certificates, keys
 
 P256 = KeySpec("ec", "SECP256R1")

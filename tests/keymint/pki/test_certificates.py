@@ -6,8 +6,9 @@ from datetime import UTC, datetime, timedelta
 import pytest
 from cryptography import x509
 
+from comarmor.errors import Origin, Severity
 from keymint.api import CertificateSpec, Extension, KeySpec, Validity
-from keymint.errors import KeymintError, Origin, Severity
+from keymint.errors import KeymintError
 from keymint.pki import certificates, keys
 
 KEYS = [KeySpec("ec", "SECP256R1"), KeySpec("ec", "SECP384R1"), KeySpec("rsa", size=2048)]

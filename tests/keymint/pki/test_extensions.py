@@ -4,8 +4,9 @@ from dataclasses import replace
 
 import pytest
 
+from comarmor.errors import Origin
 from keymint.api import Extension
-from keymint.errors import KeymintError, Origin
+from keymint.errors import KeymintError
 from keymint.pki import certificates, extensions, keys
 
 HERE = Origin("authorities.xml", 12)

@@ -2,8 +2,9 @@ from __future__ import annotations
 
 import pytest
 
+from comarmor.errors import Origin
 from keymint.api import KeySpec
-from keymint.errors import KeymintError, Origin
+from keymint.errors import KeymintError
 from keymint.pki import certificates, keys
 
 HERE = Origin("private/ca.key.pem")

@@ -4,7 +4,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from keymint.errors import KeymintError, Origin
+from comarmor.errors import Origin
+from keymint.errors import KeymintError
 from keymint.pki import certificates, keys, names
 
 HERE = Origin("identities.xml", 3)

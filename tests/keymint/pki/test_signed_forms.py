@@ -7,8 +7,9 @@ from collections.abc import Callable
 
 import pytest
 
+from comarmor.errors import Origin
 from keymint.api import KeySpec
-from keymint.errors import KeymintError, Origin
+from keymint.errors import KeymintError
 from keymint.pki import certificates, keys, smime
 from tests.signers import HAVE_OPENSSL, SIGNERS, by_openssl, by_sros2
 

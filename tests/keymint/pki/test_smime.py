@@ -10,9 +10,10 @@ from cryptography.hazmat.primitives.serialization import pkcs7
 from hypothesis import HealthCheck, example, given, settings
 from hypothesis import strategies as st
 
+from comarmor.errors import Origin
 from keymint import api
 from keymint.api import KeySpec
-from keymint.errors import KeymintError, Origin
+from keymint.errors import KeymintError
 from keymint.pki import certificates, keys, mime, smime
 
 CONTENT = b'<?xml version="1.0"?>\n<dds>\n  <topic>rt/chatter</topic>\n\n  trailing  \n</dds>\n'

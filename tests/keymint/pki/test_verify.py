@@ -7,8 +7,8 @@ import pytest
 from cryptography import x509
 from cryptography.hazmat.primitives import hashes, serialization
 
+from comarmor.errors import Origin
 from keymint.api import CertificateSpec, KeySpec
-from keymint.errors import Origin
 from keymint.pki import certificates, keys
 from keymint.pki.verify import verify_chain
 

@@ -11,8 +11,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from comarmor.errors import Origin
 from keymint.api import Enclave, PolicyDecision, Tier, Usable, Verdict
-from keymint.errors import KeymintError, Origin
+from keymint.errors import KeymintError
 from keymint.graph import Edge, Graph, Object, complete
 from keymint.verify.compare import ENCLAVE_REFUSED, compare, error_of, label_enclave
 from keymint.verify.model import Confusion, Finding

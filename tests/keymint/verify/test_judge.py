@@ -8,8 +8,8 @@ import pytest
 from keymint_ros2_comarmor import policy_type
 from keymint_ros2_dds import build_type
 
+from comarmor.errors import Origin
 from keymint.api import LoadedPolicy, PolicySource
-from keymint.errors import Origin
 from keymint.graph import LABELLED, Edge, Object
 from keymint.verify.judge import Judge, Naming, label
 

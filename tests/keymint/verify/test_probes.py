@@ -8,11 +8,12 @@ import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
+from comarmor.errors import Origin
 from comarmor.patterns import glob
 from comarmor.patterns.relations import matcher
-from keymint.errors import Origin
+from comarmor.rules import Effect
 from keymint.graph import Edge, Object
-from keymint.ir import Effect, Rule, SubjectRules
+from keymint.ir import Rule, SubjectRules
 from keymint.verify import probes
 
 HERE = Origin("policy.xml", 1)

@@ -9,8 +9,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 from keymint_ros import package_type
 
-from keymint.errors import KeymintError, Origin
-from keymint.ir import PERMISSIONS, Effect, Rule, SubjectRules
+from comarmor.errors import Origin
+from comarmor.rules import PERMISSIONS, Effect
+from keymint.errors import KeymintError
+from keymint.ir import Rule, SubjectRules
 
 from .workspaces import RULES, Workspace, rules
 

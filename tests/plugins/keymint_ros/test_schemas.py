@@ -11,7 +11,8 @@ import xmlschema
 from lxml import etree
 
 from comarmor.data import locate
-from keymint.errors import Diagnostic, KeymintError
+from comarmor.errors import Diagnostic
+from keymint.errors import KeymintError
 
 from .workspaces import RULES, Workspace
 

@@ -9,9 +9,10 @@ from pathlib import Path
 
 from keymint_ros import package_type, profile_type
 
+from comarmor.errors import Origin
+from comarmor.rules import Effect
 from keymint.api import Bootstrap, Package, Profile
-from keymint.errors import Origin
-from keymint.ir import Effect, Rule, SubjectRules
+from keymint.ir import Rule, SubjectRules
 
 NOW = datetime(2026, 11, 21, 15, 30, tzinfo=UTC)
 ROOT = Path("/ws/profile")

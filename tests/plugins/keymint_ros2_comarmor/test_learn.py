@@ -12,9 +12,9 @@ from hypothesis import strategies as st
 from keymint_ros2_comarmor import policy_type
 
 import comarmor
-from comarmor.language.syntax import PARTS
+from comarmor.errors import Origin
+from comarmor.rules import PARTS
 from keymint.api import Learned, PolicySource
-from keymint.errors import Origin
 from keymint.graph import Edge, Graph, Object, complete
 from keymint.graph_json import KIND_OF
 

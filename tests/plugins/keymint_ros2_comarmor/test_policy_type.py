@@ -10,9 +10,10 @@ import pytest
 from keymint_ros2_comarmor import policy_type
 
 import comarmor
+from comarmor.errors import Origin
+from comarmor.rules import PERMISSIONS, Effect
 from keymint.api import PolicySource
-from keymint.errors import KeymintError, Origin
-from keymint.ir import PERMISSIONS, Effect
+from keymint.errors import KeymintError
 
 POLICY = """<profiles xmlns:xi="http://www.w3.org/2001/XInclude">
   <profile name="talker" modifier="AUDIT">

@@ -13,7 +13,8 @@ from functools import lru_cache
 from lxml import etree
 
 from comarmor.patterns import expression
-from keymint.ir import Effect, Rule, SubjectRules
+from comarmor.rules import Effect
+from keymint.ir import Rule, SubjectRules
 
 _IMAGES = {
     ("ros_publish", "publish"): ("rt", ""),

@@ -5,6 +5,8 @@ from __future__ import annotations
 from dataclasses import replace
 from datetime import UTC, datetime
 
+from comarmor.errors import Origin
+from comarmor.rules import Effect
 from keymint.api import (
     CertificateSpec,
     DomainRange,
@@ -16,8 +18,7 @@ from keymint.api import (
     TopicProtection,
     Validity,
 )
-from keymint.errors import Origin
-from keymint.ir import Effect, Rule, SubjectRules
+from keymint.ir import Rule, SubjectRules
 
 ORIGIN = Origin("policy.xml", 7)
 VALIDITY = Validity(datetime(2026, 11, 20, tzinfo=UTC), datetime(2027, 11, 20, tzinfo=UTC))

@@ -14,12 +14,13 @@ from keymint_ros2_dds.endpoints import endpoints, meanings
 from keymint_ros2_dds.mapping import IMAGES, ardent
 from lxml import etree
 
+from comarmor.errors import Severity
 from comarmor.patterns import expression
 from comarmor.patterns.glob import parse
+from comarmor.rules import Effect
 from keymint.api import BuildOptions
-from keymint.errors import KeymintError, Severity
+from keymint.errors import KeymintError
 from keymint.graph import Edge, Object
-from keymint.ir import Effect
 
 from .compiling.test_decisions import built_or_refused
 from .oracles import cyclone, fastdds, omg

@@ -16,8 +16,9 @@ from keymint_ros2_dds import build_type
 from lxml import etree
 
 from comarmor.data import locate
+from comarmor.errors import Severity
 from keymint.api import BuildOptions, DomainRange, KeySpec, Validity
-from keymint.errors import KeymintError, Severity
+from keymint.errors import KeymintError
 from tests.effort import tries
 
 from .packages import VALIDITY, domain_rule, package, rule

@@ -11,8 +11,8 @@ from hypothesis import strategies as st
 from keymint_ros2_dds import build_type
 from keymint_ros2_dds.check_all import cyclone_takes_for
 
+from comarmor.errors import Severity
 from keymint.api import KeySpec
-from keymint.errors import Severity
 from keymint.pki import certificates, smime
 
 from .enclaves import NOW, authority, inspection, installed, revoking

@@ -8,8 +8,9 @@ import pytest
 from keymint_ros2_dds import build_type
 from lxml import etree
 
+from comarmor.errors import Origin
 from keymint.api import BuildOptions, DomainRange
-from keymint.errors import KeymintError, Origin
+from keymint.errors import KeymintError
 
 from .packages import domain_rule, package, protection, rule
 

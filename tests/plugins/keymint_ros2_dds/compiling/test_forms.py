@@ -15,8 +15,9 @@ from keymint_ros2_dds import build_type
 from keymint_ros2_dds.compiling import compile, emission, gathering  # noqa: A004 - the module's name
 from lxml import etree
 
+from comarmor.errors import Severity
 from keymint.api import BuildOptions, Claim, Demand, DomainRange, Governance, Proof
-from keymint.errors import KeymintError, Severity
+from keymint.errors import KeymintError
 from keymint.graph import Edge, Object
 from tests.plugins.keymint_ros2_dds.packages import domain_rule, package, rule
 

@@ -8,8 +8,8 @@ from hypothesis import strategies as st
 from keymint_ros2_dds.discovery.interpret import interpret
 from keymint_ros2_dds.discovery.ros_names import RosName, ros_name, ros_type
 
+from comarmor.rules import PARTS
 from keymint.graph import Edge, Graph, Object
-from keymint.keymake.composites import PARTS
 
 
 def topic(name: str, *partitions: str) -> Object:

@@ -5,7 +5,8 @@ from __future__ import annotations
 import pytest
 from keymint_ros2_dds.discovery.capture import Capture, Endpoint, Participant, discovered
 
-from keymint.errors import KeymintError, Severity
+from comarmor.errors import Severity
+from keymint.errors import KeymintError
 
 GUID = "0110a5a5deadbeef00000001000001c1"
 OTHER = "0110a5a5deadbeef00000002000001c1"

@@ -12,8 +12,9 @@ from keymint_ros2_dds import build_type, decision, proving
 from keymint_ros2_dds.compiling.lower import lower
 from keymint_ros2_dds.transports.files import subject_name
 
+from comarmor.errors import Origin
 from keymint.api import BuildOptions, DomainRange, Obligation, Proof
-from keymint.errors import KeymintError, Origin
+from keymint.errors import KeymintError
 from keymint.pki import certificates, keys, smime
 from tests.plugins.keymint_ros2_dds.compiling.test_decisions import DENIED, PARTITIONS, rules
 from tests.plugins.keymint_ros2_dds.enclaves import anchors, authority, installed
