@@ -16,7 +16,7 @@ from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 
-from keymint.analysis import vain
+from keymint.analysis import redundant_rules
 from tests.bounds import COMPILE, Sweep, changed
 from tests.families import FAMILIES
 from tests.generated import minified, tokens
@@ -49,7 +49,7 @@ def main() -> int:
     print(f"refused: {len(tally.refused)} policies {tally.refused}")
     print(f"not read alike by all vendors: {tally.unportable} subjects")
     print(f"not proven: {len(tally.unproven)} subjects {tally.unproven}; lint unknown: {len(tally.unknown)} policies")
-    within = tally.most["compile"][0] <= COMPILE and tally.most["lint"][0] <= 2 * vain.TOGETHER
+    within = tally.most["compile"][0] <= COMPILE and tally.most["lint"][0] <= 2 * redundant_rules.TOGETHER
     return 0 if within and len(tally.refused) * 50 <= asked.policies else 1
 
 

@@ -9,10 +9,10 @@ from pathlib import Path
 
 from comarmor.errors import Origin
 from comarmor.patterns.effort import limited
-from keymint.analysis.diff import diff
 from keymint.analysis.lint import lint
-from keymint.analysis.portable import package_of
-from keymint.analysis.subjects import rules_of
+from keymint.analysis.policy_diff import diff_policies
+from keymint.analysis.portability import package_of
+from keymint.analysis.subject_patterns import rules_of
 from keymint.api import BuildOptions, LoadedPolicy, PolicySource
 from keymint.errors import KeymintError
 from keymint.plugins import Plugins
@@ -68,7 +68,7 @@ class Sweep:
         self._asked("lint", name, lambda: self._linted(name, policy))
         if other:
             changed = self.load(other)
-            self._asked("diff", name, lambda: diff(policy, changed))
+            self._asked("diff", name, lambda: diff_policies(policy, changed))
         for subject in policy.subjects():
             self.tally.subjects += 1
             self._asked("compile", name, lambda subject=subject: self._compiled(name, policy, subject))

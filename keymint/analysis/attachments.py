@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 from comarmor.errors import Origin, Spot
-from keymint.analysis.lists import text
+from keymint.analysis.rule_lists import text
 from keymint.api import Clause, Structure
 from keymint.ir import Rule
 
@@ -25,7 +25,7 @@ class Attachment:
     number: int
 
 
-class Attachments:
+class AttachmentIndex:
     """Finds the attachments of rules.
 
     Args:

@@ -16,12 +16,32 @@ from comarmor.patterns.decision_lists import Block, DecisionList, Equal, Witness
 from comarmor.patterns.glob import EVERYTHING, Glob, literal, parse
 from comarmor.patterns.relations import TooComplexError, covers, intersection
 from comarmor.rules import Effect
-from keymint.analysis.lists import RAW, Key, allowed, asked, in_partition, keys, listed, meet, patterns, text
-from keymint.analysis.subjects import EVERY, at_most, can_be, inside, only, reached, rules_of, structure
-from keymint.analysis.templates import marks, symbolic
+from keymint.analysis.rule_lists import (
+    RAW,
+    PermissionKey,
+    allowed,
+    asked,
+    in_partition,
+    keys,
+    listed,
+    meet,
+    patterns,
+    text,
+)
+from keymint.analysis.subject_patterns import (
+    EVERY,
+    at_most,
+    can_exist,
+    only,
+    profile_subjects,
+    representatives,
+    rules_of,
+    structure,
+)
+from keymint.analysis.subject_templates import marks, symbolic_patterns
 from keymint.api import LoadedPolicy, Structure
 
-FLOWS: tuple[tuple[Key, Key], ...] = (
+FLOWS: tuple[tuple[PermissionKey, PermissionKey], ...] = (
     ((RAW, "publish"), (RAW, "subscribe")),
     (("ros_topic", "ros_publish"), ("ros_topic", "ros_subscribe")),
     (("ros_service", "ros_call"), ("ros_service", "ros_execute")),
@@ -50,7 +70,7 @@ class Channel:
 
 
 @dataclass(slots=True)
-class Channels:
+class ChannelSearch:
     """Looks for channels.
 
     Attributes:
@@ -63,8 +83,8 @@ class Channels:
     policy: LoadedPolicy
     but: Sequence[str]
     common: Callable[[Origin], bool] = field(default=lambda _: False)
-    _known: dict[tuple[str, Key], DecisionList] = field(default_factory=dict)
-    _known_common: dict[tuple[str, Key], tuple[Glob, ...]] = field(default_factory=dict)
+    _known: dict[tuple[str, PermissionKey], DecisionList] = field(default_factory=dict)
+    _known_common: dict[tuple[str, PermissionKey], tuple[Glob, ...]] = field(default_factory=dict)
 
     def path(self, sources: Sequence[str], targets: Sequence[str]) -> list[Channel] | None:
         """Return a shortest path from one of some subjects to one of others, or None.
@@ -139,20 +159,20 @@ class Channels:
                         continue  # whom the policy names was asked already
                     shared = _shared(self._surely(written, subject, send), self._surely(written, other, receive))
                     outcome = meet(send[0], decided, decided2, self._counts(send[0], shared))
-                    if not isinstance(outcome, Equal) and can_be(subject) and can_be(other):
+                    if not isinstance(outcome, Equal) and can_exist(subject) and can_exist(other):
                         word = outcome.word if isinstance(outcome, Witness) else ""
                         yield Channel(text(subject), text(other), send[0], (send[1], receive[1]), word)
 
     def named(self, expression: str) -> tuple[str, ...]:
-        """Return the subjects that an expression is about; see :func:`keymint.analysis.subjects.inside`."""
-        return inside(self.policy, parse(expression))
+        """Return the subjects of an expression; see :func:`~keymint.analysis.subject_patterns.representatives`."""
+        return representatives(self.policy, parse(expression))
 
-    def _listed(self, subject: str, key: Key) -> DecisionList:
+    def _listed(self, subject: str, key: PermissionKey) -> DecisionList:
         if (subject, key) not in self._known:
             self._known[subject, key] = listed(rules_of(self.policy, subject), key)
         return self._known[subject, key]
 
-    def _common(self, subject: str, key: Key) -> tuple[Glob, ...]:
+    def _common(self, subject: str, key: PermissionKey) -> tuple[Glob, ...]:
         """Return what rules for every node allow to a subject."""
         if (subject, key) not in self._known_common:
             rules = rules_of(self.policy, subject)
@@ -167,14 +187,14 @@ class Channels:
             )
         return self._known_common[subject, key]
 
-    def _surely(self, written: Structure, subjects: Glob, key: Key) -> tuple[Glob, ...]:
+    def _surely(self, written: Structure, subjects: Glob, key: PermissionKey) -> tuple[Glob, ...]:
         """Return what rules for every node allow to each of some subjects, whatever its name."""
         return tuple(
             pattern
             for clause in written.clauses
             if clause.rule.effect is Effect.ALLOW and key in keys(clause.rule) and self.common(clause.rule.origin)
-            if any(covers(each, subjects) for each in reached(clause.profiles))
-            for pattern in symbolic(clause, key)
+            if any(covers(each, subjects) for each in profile_subjects(clause.profiles))
+            for pattern in symbolic_patterns(clause, key)
             if not marks(pattern)
         )
 

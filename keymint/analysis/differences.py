@@ -6,13 +6,13 @@ from collections.abc import Callable, Iterator, Sequence
 from typing import Any
 
 from comarmor.errors import Origin, Spot
-from keymint.analysis.changes import Change
-from keymint.analysis.diff import Changed
+from keymint.analysis.policy_diff import SubjectChanges
+from keymint.analysis.rule_diff import PermissionChange
 
 Typed = Callable[[Origin | None], str]
 
 
-def as_text(found: Sequence[Changed], place: Typed) -> Iterator[str]:
+def as_text(found: Sequence[SubjectChanges], place: Typed) -> Iterator[str]:
     """Yield the lines that tell what changed; a gain begins with ``+``, a loss with ``-``.
 
     Args:
@@ -28,7 +28,7 @@ def as_text(found: Sequence[Changed], place: Typed) -> Iterator[str]:
 
 
 def as_markdown(
-    found: Sequence[Changed], place: Typed, library: Callable[[str], str | None], titles: tuple[str, str]
+    found: Sequence[SubjectChanges], place: Typed, library: Callable[[str], str | None], titles: tuple[str, str]
 ) -> Iterator[str]:
     """Yield the lines of a comment on a code review.
 
@@ -66,7 +66,9 @@ def as_markdown(
             yield f"… and {rules} of {_code(name)} (library)"
 
 
-def as_data(found: Sequence[Changed], place: Callable[[Origin | None], dict[str, Any] | None]) -> list[dict[str, Any]]:
+def as_data(
+    found: Sequence[SubjectChanges], place: Callable[[Origin | None], dict[str, Any] | None]
+) -> list[dict[str, Any]]:
     """Return what changed as what JSON can hold."""
     return [
         {
@@ -91,7 +93,7 @@ def as_data(found: Sequence[Changed], place: Callable[[Origin | None], dict[str,
     ]
 
 
-def summary(found: Sequence[Changed]) -> str:
+def summary(found: Sequence[SubjectChanges]) -> str:
     """Return on one line how many subjects gain, and how many lose."""
     if not found:
         return "equivalent: no subject gains or loses anything"
@@ -106,7 +108,7 @@ def _several(gaining: int) -> str:
     return f"{gaining or 'no'} subject{'s gain' if gaining > 1 else ' gains'}"
 
 
-def _subject(each: Changed, code: Callable[[str], str] = str) -> str:
+def _subject(each: SubjectChanges, code: Callable[[str], str] = str) -> str:
     subject = code(each.subject)
     like = f"subjects like {code(each.like)}"
     name = (f"{like} (e.g. {subject})" if each.subject else like) if each.like else subject
@@ -116,11 +118,13 @@ def _subject(each: Changed, code: Callable[[str], str] = str) -> str:
     return f"{name} ({which}):" if each.changes else f"{name} ({which}), without any permission"
 
 
-def _folded(each: Changed, library: Callable[[str], str | None]) -> tuple[list[Change], dict[str, int]]:
+def _folded(
+    each: SubjectChanges, library: Callable[[str], str | None]
+) -> tuple[list[PermissionChange], dict[str, int]]:
     """Return the changes to list, and how many rules of which file of the library the others are by."""
     if each.before and each.after:
         return [*each.changes], {}
-    own: list[Change] = []
+    own: list[PermissionChange] = []
     rules: dict[str, set[Spot]] = {}
     for change in each.changes:
         where = change.where
@@ -132,16 +136,16 @@ def _folded(each: Changed, library: Callable[[str], str | None]) -> tuple[list[C
     return own, {name: len(spots) for name, spots in rules.items()}
 
 
-def _verb(change: Change) -> str:
+def _verb(change: PermissionChange) -> str:
     verb = "gains" if change.gains else "loses"
     return f"perhaps {verb}" if change.unknown else verb
 
 
-def _held(change: Change, code: Callable[[str], str]) -> str:
+def _held(change: PermissionChange, code: Callable[[str], str]) -> str:
     return f"{code(change.permission)} " if change.permission else ""
 
 
-def _objects(change: Change, code: Callable[[str], str]) -> str:
+def _objects(change: PermissionChange, code: Callable[[str], str]) -> str:
     pattern = code(change.pattern)
     if change.unknown:
         what = "gains" if change.gains else "loses"

@@ -5,11 +5,11 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from xml.etree import ElementTree as ET  # only writes
 
-from keymint.analysis.expected import Checked
+from keymint.analysis.policy_tests import ExpectationResult
 from keymint.output.junit import legal, rendered
 
 
-def junit(found: Mapping[str, Sequence[Checked]]) -> bytes:
+def junit(found: Mapping[str, Sequence[ExpectationResult]]) -> bytes:
     """Return a test suite for each file, with a test case for each test.
 
     Args:
@@ -17,7 +17,7 @@ def junit(found: Mapping[str, Sequence[Checked]]) -> bytes:
     """
     root = ET.Element("testsuites", name="keymint test")
     for file, checked in found.items():
-        cases: dict[str, list[Checked]] = {}
+        cases: dict[str, list[ExpectationResult]] = {}
         for each in checked:
             cases.setdefault(each.expectation.test, []).append(each)
         failed = sum(any(each.failure for each in case) for case in cases.values())

@@ -11,13 +11,19 @@ from functools import partial
 
 from comarmor.errors import Diagnostic, Origin, Severity, Spot
 from comarmor.patterns.ros_names import advice
-from keymint.analysis.attachments import Attachments
-from keymint.analysis.profiles import unreachable
-from keymint.analysis.similar import similar_names, similar_subjects
-from keymint.analysis.slips import CODES as SLIPS
-from keymint.analysis.slips import slips
-from keymint.analysis.subjects import rules_of, stand_ins, structure
-from keymint.analysis.vain import MOST_PAIRS, Vain, bounded, is_name, warning
+from keymint.analysis.attachment_mistakes import CODES as SLIPS
+from keymint.analysis.attachment_mistakes import attachment_mistakes
+from keymint.analysis.attachments import AttachmentIndex
+from keymint.analysis.name_similarity import similar_names, similar_subjects
+from keymint.analysis.redundant_rules import (
+    MOST_PAIRS,
+    RedundantRules,
+    can_name_exist,
+    warning,
+    within_bounds,
+)
+from keymint.analysis.subject_patterns import pattern_examples, rules_of, structure
+from keymint.analysis.unreachable_profiles import unreachable_profiles
 from keymint.api import LoadedPolicy
 from keymint.ir import Rule
 
@@ -46,18 +52,18 @@ def lint(policy: LoadedPolicy) -> list[Diagnostic]:
     written = structure(policy)
     named = policy.subjects()
     given_up: list[str] = []
-    subjects, left_out = bounded((*named, *stand_ins(policy, given_up)), partial(rules_of, policy))
-    attachments = Attachments(written)
-    found = [*_names(subjects, attachments), *(unreachable(written) if written else ())]
+    subjects, left_out = within_bounds((*named, *pattern_examples(policy, given_up)), partial(rules_of, policy))
+    attachments = AttachmentIndex(written)
+    found = [*_names(subjects, attachments), *(unreachable_profiles(written) if written else ())]
     if left_out:
         given_up.append(f"there are more than {MOST_PAIRS:,} pairs of a subject and a rule")
         found += map(_unknown, given_up)
     else:
-        found += Vain(subjects, attachments, written).findings()
+        found += RedundantRules(subjects, attachments, written).findings()
         found += map(_unknown, given_up)
     found += similar_names({subject: subjects[subject] for subject in named if subject in subjects}, attachments)
-    found += (*similar_subjects(written), *slips(written)) if written else ()
-    return in_order(found)
+    found += (*similar_subjects(written), *attachment_mistakes(written)) if written else ()
+    return sorted_diagnostics(found)
 
 
 def _unknown(reason: str) -> Diagnostic:
@@ -70,7 +76,7 @@ def _unknown(reason: str) -> Diagnostic:
     )
 
 
-def in_order(found: Iterable[Diagnostic]) -> list[Diagnostic]:
+def sorted_diagnostics(found: Iterable[Diagnostic]) -> list[Diagnostic]:
     """Return diagnostics by place, without doubles."""
     nowhere = Origin("")
     return sorted(
@@ -79,7 +85,7 @@ def in_order(found: Iterable[Diagnostic]) -> list[Diagnostic]:
     )
 
 
-def _names(subjects: Mapping[str, tuple[Rule, ...]], attachments: Attachments) -> Iterator[Diagnostic]:
+def _names(subjects: Mapping[str, tuple[Rule, ...]], attachments: AttachmentIndex) -> Iterator[Diagnostic]:
     """Yield expressions that no object can match, whatever the subject."""
     verdicts: dict[tuple[Spot, str], tuple[bool, Rule, str]] = {}
     for subject, rules in subjects.items():
@@ -87,7 +93,7 @@ def _names(subjects: Mapping[str, tuple[Rule, ...]], attachments: Attachments) -
             for expression in rule.expressions:
                 key = (rule.origin.spot, expression)
                 if key not in verdicts:
-                    verdicts[key] = (is_name(rule, expression), rule, subject)
+                    verdicts[key] = (can_name_exist(rule, expression), rule, subject)
     for (_, expression), (fine, rule, subject) in verdicts.items():
         if not fine:
             help_ = "remove it" if rule.kind == "topic" else advice(expression)

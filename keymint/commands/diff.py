@@ -11,10 +11,10 @@ from typing import Any
 import click
 
 from comarmor.errors import Diagnostic, Origin, Severity, library_name
-from keymint.analysis.diff import diff as compare
-from keymint.analysis.diff import gains
 from keymint.analysis.differences import as_data, as_markdown, as_text, summary
-from keymint.analysis.purse import STATES, Purse
+from keymint.analysis.policy_diff import diff_policies as compare
+from keymint.analysis.policy_diff import has_gains
+from keymint.analysis.query_budget import STATES, QueryBudget
 from keymint.api import LoadedPolicy
 from keymint.commands.common import Run, verb
 from keymint.commands.policies import Policies, place, policy_options, typed
@@ -61,7 +61,7 @@ def diff(
     with ExitStack() as stack:
         trees: dict[str, str] = {}
         one, other = (_loaded(run, policies, text, stack, trees) for text in (old, new))
-        found = compare(one, other, Purse(budget))
+        found = compare(one, other, QueryBudget(budget))
         library = _libraries(policies, [each for each in (old, new) if not is_revision(each, run.setting.cwd)])
 
     def said(where: Origin | None) -> str:
@@ -84,7 +84,7 @@ def diff(
 
     result = {"equivalent": not found, "subjects": as_data(found, placed)}
     doubts = [_UNKNOWN] if any(change.unknown for each in found for change in each.changes) else []
-    return Report(run.verb, None, (), doubts, result, ExitCode.FINDINGS if gains(found) else ExitCode.DONE)
+    return Report(run.verb, None, (), doubts, result, ExitCode.FINDINGS if has_gains(found) else ExitCode.DONE)
 
 
 def _libraries(policies: Policies, paths: Sequence[str]) -> Callable[[str], str | None]:

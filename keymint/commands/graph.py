@@ -17,10 +17,10 @@ from keymint.commands.files import read_input, write_outputs
 from keymint.commands.library import library_rules
 from keymint.commands.numbers import Number
 from keymint.commands.verify_report import sources
-from keymint.drawing.model import Labelled, Outcome, choose, select
-from keymint.drawing.of_policy import of_graph, of_policy
-from keymint.drawing.options import Options, Split
+from keymint.drawing.labelled_graph import EdgeOutcome, LabelledGraph, choose_subjects, select_edges
+from keymint.drawing.options import DrawingOptions, Split
 from keymint.drawing.palette import Theme
+from keymint.drawing.policy_graph import label_graph, policy_graph
 from keymint.errors import ExitCode, KeymintError
 from keymint.graph import Graph
 from keymint.output.report import Report
@@ -123,18 +123,18 @@ def graph(
             )
         drawn = policy_at(source) if source else _policy_of_workspace(run)
         loaded = drawn.loaded
-        named = tuple(sorted({*subjects, *(choose(loaded.subjects(), (), namespaces) if namespaces else ())}))
-        labelled = of_policy(
+        named = tuple(sorted({*subjects, *(choose_subjects(loaded.subjects(), (), namespaces) if namespaces else ())}))
+        labelled = policy_graph(
             title or drawn.name, loaded, named, everything=everything, typed=_typed(run), common=drawn.common
         )
     else:
         labelling = policy_at(policy) if policy is not None else None
-        labelled = _labelled(run, found, choose(found.subjects, subjects, namespaces), labelling, everything)
+        labelled = _labelled(run, found, choose_subjects(found.subjects, subjects, namespaces), labelling, everything)
         name = Path(source or "").stem + (f", labelled by {labelling.name}" if labelling else "")
         labelled = replace(labelled, title=title or name)
     if only:
-        labelled = select(labelled, only={Outcome.ALLOW if only == "allowed" else Outcome.DENY})
-    options = Options(Theme(theme), Split(by), None, limit, fold, group, common)
+        labelled = select_edges(labelled, only={EdgeOutcome.ALLOW if only == "allowed" else EdgeOutcome.DENY})
+    options = DrawingOptions(Theme(theme), Split(by), None, limit, fold, group, common)
     content = _drawn(run, labelled, chosen_format, options, scale)
     return _report(run, labelled, chosen_format, output, content, said)
 
@@ -185,9 +185,11 @@ def _policy_of_workspace(run: Run) -> _Policy:
     return _Policy(load_policy(inputs, loaded), profile.name, common)
 
 
-def _labelled(run: Run, found: Graph, subjects: tuple[str, ...], policy: _Policy | None, everything: bool) -> Labelled:
+def _labelled(
+    run: Run, found: Graph, subjects: tuple[str, ...], policy: _Policy | None, everything: bool
+) -> LabelledGraph:
     if policy is not None:
-        return of_graph(
+        return label_graph(
             "", policy.loaded, found, subjects, everything=everything, typed=_typed(run), common=policy.common
         )
     if everything:
@@ -197,28 +199,28 @@ def _labelled(run: Run, found: Graph, subjects: tuple[str, ...], policy: _Policy
             code="usage",
             exit_code=ExitCode.USAGE,
         )
-    return select(Labelled.of_graph("", found), subjects=subjects)
+    return select_edges(LabelledGraph.of_graph("", found), subjects=subjects)
 
 
 def _typed(run: Run) -> Callable[[str], str]:
     return lambda file: shown(Path(file), run.setting.cwd) if file.startswith("/") else file
 
 
-def _drawn(run: Run, labelled: Labelled, kind: str, options: Options, scale: float) -> bytes:
+def _drawn(run: Run, labelled: LabelledGraph, kind: str, options: DrawingOptions, scale: float) -> bytes:
     # Templates are slow to import, and no other verb needs them.
-    from keymint.drawing import dot, raster, report, svg  # noqa: PLC0415
+    from keymint.drawing import dot, html_report, raster, svg  # noqa: PLC0415
 
     if kind == "dot":
         return dot.dot(labelled, options)
     if kind == "html":
-        return report.html_report(labelled, sources(run, labelled), options)
+        return html_report.html_report(labelled, sources(run, labelled), options)
     if kind == "png":
         return raster.png(svg.svg(labelled, options), scale)
     return svg.svg(labelled, options)
 
 
 def _report(
-    run: Run, labelled: Labelled, kind: str, output: Path | None, content: bytes, said: tuple[Diagnostic, ...]
+    run: Run, labelled: LabelledGraph, kind: str, output: Path | None, content: bytes, said: tuple[Diagnostic, ...]
 ) -> Report:
     written = write_outputs(run, output, content) if output else []
     if output is None:
@@ -233,7 +235,7 @@ def _report(
         "format": kind,
         "subjects": list(labelled.subjects),
         "objects": len({(one.edge.domain, one.edge.object) for one in labelled.edges}),
-        "edges": {str(outcome): labelled.counts[outcome] for outcome in Outcome if labelled.counts[outcome]},
+        "edges": {str(outcome): labelled.counts[outcome] for outcome in EdgeOutcome if labelled.counts[outcome]},
         "content": None if output else content.decode(),
     }
     return Report(run.verb, None, (), said, result, dry_run=run.dry_run)

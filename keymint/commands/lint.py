@@ -6,11 +6,11 @@ from pathlib import Path
 
 import click
 
-from keymint.analysis.lint import CODES, in_order
+from keymint.analysis.lint import CODES, sorted_diagnostics
 from keymint.analysis.lint import lint as look
-from keymint.analysis.portable import portability
+from keymint.analysis.portability import portability
 from keymint.analysis.sarif import sarif as as_sarif
-from keymint.analysis.subjects import rules_of, stand_ins
+from keymint.analysis.subject_patterns import pattern_examples, rules_of
 from keymint.commands.common import Run, verb
 from keymint.commands.files import write_outputs
 from keymint.commands.policies import Policies, policy_options, typed
@@ -47,7 +47,7 @@ def lint(
     policies = Policies(run, distro, profile_type, policy_type)
     loaded = policies.load(policy)
     named = loaded.subjects()
-    others = {like: subject for subject, like in stand_ins(loaded).items()}
+    others = {like: subject for subject, like in pattern_examples(loaded).items()}
     subjects = [(subject, rules_of(loaded, subject)) for subject in (*named, *others.values())]
     compiler = run.plugins.build_type(build_type)
     found = [
@@ -59,7 +59,7 @@ def lint(
             if each.code != "never-matches"
         ),
     ]
-    found = in_order(found)
+    found = sorted_diagnostics(found)
     if sarif is not None:
         write_outputs(run, sarif, as_sarif("keymint lint", CODES, found, typed(run)))
     number = len(found)

@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterable
 
 from comarmor.errors import Diagnostic
-from keymint.analysis.slips import slips
-from keymint.analysis.subjects import structure
+from keymint.analysis.attachment_mistakes import attachment_mistakes
+from keymint.analysis.subject_patterns import structure
 from keymint.errors import KeymintError
 from keymint.plan.create import load_policy
 from keymint.plan.inputs import Inputs, LoadedProfile
@@ -27,4 +27,4 @@ def policy_slips(inputs: Inputs, loaded: LoadedProfile, steps: Iterable[Step]) -
         written = structure(load_policy(inputs, loaded))
     except KeymintError:
         return ()  # 'create' reads the policy, and says what is wrong with it; a build takes what was created
-    return tuple(slips(written)) if written else ()
+    return tuple(attachment_mistakes(written)) if written else ()

@@ -12,12 +12,12 @@ import click
 from comarmor.errors import Diagnostic, Severity
 from comarmor.patterns.decision_lists import Equal
 from comarmor.patterns.glob import literal, parse
-from keymint.analysis.abilities import abilities
-from keymint.analysis.channels import Channel, Channels
-from keymint.analysis.holders import Held, holders
-from keymint.analysis.lists import RAW, allowed, asked, meet, word
-from keymint.analysis.question import FORMS, HEADS, Question, read
-from keymint.analysis.subjects import doubt, rules_of
+from keymint.analysis.channels import Channel, ChannelSearch
+from keymint.analysis.effective_permissions import effective_permissions
+from keymint.analysis.query import FORMS, HEADS, PolicyQuery, parse_query
+from keymint.analysis.rule_lists import RAW, allowed, asked, meet, word
+from keymint.analysis.subject_patterns import rules_of, unknown_subject
+from keymint.analysis.who_can import PermissionHolder, who_can
 from keymint.api import LoadedPolicy
 from keymint.commands.common import Run, verb
 from keymint.commands.policies import Policies, place, policy_options
@@ -71,11 +71,11 @@ def query(
             exit_code=ExitCode.USAGE,
         )
     for expression in but:
-        read(["who", "can", "publish", expression])  # an expression like any other
+        parse_query(["who", "can", "publish", expression])  # an expression like any other
     policies = Policies(run, distro, profile_type, policy_type)
     policy = policies.load(path)
     common = policies.common(path) if question.head in ("flows", "isolated") and not infrastructure else None
-    channels = Channels(policy, but, common) if common else Channels(policy, but)
+    channels = ChannelSearch(policy, but, common) if common else ChannelSearch(policy, but)
     answer: Callable[[], _Answer] = {
         "who": lambda: _who(run, policy, question, partition),
         "can": lambda: _can(run, policy, question, partition),
@@ -92,10 +92,10 @@ def query(
     return Report(run.verb, None, (), said, result, ExitCode.FINDINGS if bad else ExitCode.DONE)
 
 
-def _doubts(policy: LoadedPolicy, question: Question, partition: str, verdict: str) -> Iterator[Diagnostic]:
+def _doubts(policy: LoadedPolicy, question: PolicyQuery, partition: str, verdict: str) -> Iterator[Diagnostic]:
     """Yield why a question may not be the one that was meant."""
     for subject in question.subjects if question.head != "what" else ():
-        if found := doubt(policy, parse(subject)):
+        if found := unknown_subject(policy, parse(subject)):
             yield Diagnostic("query-subject", Severity.WARNING, found)
     name, kind = question.object, question.kind
     if not name:
@@ -108,7 +108,7 @@ def _doubts(policy: LoadedPolicy, question: Question, partition: str, verdict: s
         yield Diagnostic("query-object", Severity.WARNING, f"{name!r} is taken for a raw DDS topic", help=help_)
 
 
-def _read(words: Sequence[str], folder: Path) -> tuple[Path | None, Question]:
+def _read(words: Sequence[str], folder: Path) -> tuple[Path | None, PolicyQuery]:
     """Return the policy that is named, and the question; a question in one argument is taken apart."""
     path: Path | None = None
     rest = list(words)
@@ -118,12 +118,12 @@ def _read(words: Sequence[str], folder: Path) -> tuple[Path | None, Question]:
         raise KeymintError(
             "there is no question", help=f"ask one of: {'; '.join(FORMS)}", code="usage", exit_code=ExitCode.USAGE
         )
-    return path, read([each for one in rest for each in one.split()])
+    return path, parse_query([each for one in rest for each in one.split()])
 
 
-def _who(run: Run, policy: LoadedPolicy, question: Question, partition: str) -> _Answer:
+def _who(run: Run, policy: LoadedPolicy, question: PolicyQuery, partition: str) -> _Answer:
     name = asked(question.kind, question.object, partition)
-    found = list(holders(policy, parse("*"), question.kind, question.permission, name))
+    found = list(who_can(policy, parse("*"), question.kind, question.permission, name))
     for each in found:
         run.console.line(_holder(run, each, question))
     if not found:
@@ -131,10 +131,10 @@ def _who(run: Run, policy: LoadedPolicy, question: Question, partition: str) -> 
     return _verdict(found), {"holders": [_as_data(each, question) for each in found]}
 
 
-def _can(run: Run, policy: LoadedPolicy, question: Question, partition: str) -> _Answer:
+def _can(run: Run, policy: LoadedPolicy, question: PolicyQuery, partition: str) -> _Answer:
     name = asked(question.kind, question.object, partition)
     (subject,) = question.subjects
-    found = list(holders(policy, parse(subject), question.kind, question.permission, name))
+    found = list(who_can(policy, parse(subject), question.kind, question.permission, name))
     certain = next((each for each in found if not each.unknown), None)
     shown = certain or (found[0] if found else None)
     if certain:
@@ -146,13 +146,13 @@ def _can(run: Run, policy: LoadedPolicy, question: Question, partition: str) -> 
     return _verdict(found), {"witness": _as_data(shown, question) if shown else None}
 
 
-def _verdict(found: Sequence[Held]) -> str:
+def _verdict(found: Sequence[PermissionHolder]) -> str:
     if any(not each.unknown for each in found):
         return "yes"
     return "unknown" if found else "no"
 
 
-def _holder(run: Run, each: Held, question: Question) -> str:
+def _holder(run: Run, each: PermissionHolder, question: PolicyQuery) -> str:
     """Return who holds a permission, on which name, and by which rule."""
     like = f" (like {each.like})" if each.like and each.like != each.subject else ""
     if each.unknown:
@@ -161,7 +161,7 @@ def _holder(run: Run, each: Held, question: Question) -> str:
     return f"{each.subject}{like} {question.permission} {name} ({place(run, each.where)})"
 
 
-def _as_data(each: Held, question: Question) -> dict[str, Any]:
+def _as_data(each: PermissionHolder, question: PolicyQuery) -> dict[str, Any]:
     return {
         "subject": each.subject or None,
         "like": each.like or None,
@@ -172,14 +172,14 @@ def _as_data(each: Held, question: Question) -> dict[str, Any]:
     }
 
 
-def _what(run: Run, policy: LoadedPolicy, question: Question) -> _Answer:
-    channels = Channels(policy, ())
+def _what(run: Run, policy: LoadedPolicy, question: PolicyQuery) -> _Answer:
+    channels = ChannelSearch(policy, ())
     (expression,) = question.subjects
     told: list[dict[str, Any]] = []
     rows: list[list[str]] = []
     subjects = channels.named(expression)
     for subject in subjects:
-        for each in abilities(rules_of(policy, subject)):
+        for each in effective_permissions(rules_of(policy, subject)):
             audit = "  AUDIT" if each.audit else ""
             partitions = "".join(f" in partition {one!r}" for one in each.partitions)
             but = f" but {', '.join(each.but)}" if each.but else ""
@@ -207,7 +207,7 @@ def _what(run: Run, policy: LoadedPolicy, question: Question) -> _Answer:
     return "yes" if rows else "no", {"subjects": list(subjects), "abilities": told}
 
 
-def _flows(run: Run, channels: Channels, question: Question) -> _Answer:
+def _flows(run: Run, channels: ChannelSearch, question: PolicyQuery) -> _Answer:
     one, other = question.subjects
     sources, targets = channels.named(one), channels.named(other)
     for expression, found in ((one, sources), (other, targets)):
@@ -225,7 +225,7 @@ def _flows(run: Run, channels: Channels, question: Question) -> _Answer:
     return verdict, {"path": [_channel(step) for step in path], "infrastructure": []}
 
 
-def _isolated(run: Run, channels: Channels, question: Question) -> _Answer:
+def _isolated(run: Run, channels: ChannelSearch, question: PolicyQuery) -> _Answer:
     one, other = question.subjects
     certain: list[Channel] = []
     perhaps: list[Channel] = []
@@ -268,7 +268,7 @@ def _isolated(run: Run, channels: Channels, question: Question) -> _Answer:
     }
 
 
-def _infrastructure(channels: Channels, pairs: Sequence[tuple[Sequence[str], Sequence[str]]]) -> Iterator[Channel]:
+def _infrastructure(channels: ChannelSearch, pairs: Sequence[tuple[Sequence[str], Sequence[str]]]) -> Iterator[Channel]:
     """Yield the channels between subjects that rules for every node allow, one for each name and direction."""
     seen: set[tuple[str, tuple[str, str], str]] = set()
     for writers, readers in pairs:
@@ -280,7 +280,7 @@ def _infrastructure(channels: Channels, pairs: Sequence[tuple[Sequence[str], Seq
                     yield channel
 
 
-def _but_for(channels: Channels, infrastructure: Sequence[Channel]) -> str:
+def _but_for(channels: ChannelSearch, infrastructure: Sequence[Channel]) -> str:
     """Return what an answer leaves out of account."""
     left = [*channels.but]
     if infrastructure:
@@ -292,7 +292,7 @@ def _names(infrastructure: Sequence[Channel]) -> str:
     return ", ".join(dict.fromkeys(word(each.kind, each.word) for each in infrastructure))
 
 
-def _unnamed(channels: Channels, first: str, second: str) -> list[Channel]:
+def _unnamed(channels: ChannelSearch, first: str, second: str) -> list[Channel]:
     """Return what there may be between subjects that the policy does not name, each channel once."""
     writers, readers = parse(first), parse(second)
     if literal(writers) is not None and literal(readers) is not None:

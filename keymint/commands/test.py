@@ -8,8 +8,8 @@ from pathlib import Path
 import click
 
 from comarmor.errors import Diagnostic, Origin, Severity
-from keymint.analysis.expected import Checked, Checks, Place, diagnostics
 from keymint.analysis.junit import junit as as_junit
+from keymint.analysis.policy_tests import ExpectationChecker, ExpectationResult, Place, diagnostics
 from keymint.api import Expectation
 from keymint.commands.common import Run, verb
 from keymint.commands.files import write_outputs
@@ -75,7 +75,7 @@ def test(
         shown = typed(run)(str(folders[0]))
         beside = f"{shown}/*.test.xml" if folders[0].is_dir() else f"{shown.removesuffix('.xml')}.test.xml"
         raise KeymintError("the policy has no tests", where=Origin(shown), help=f"write {beside}", code="tests-none")
-    checks = Checks(policies.load(policy))
+    checks = ExpectationChecker(policies.load(policy))
     found = {typed(run)(str(file)): _checked(checks, expected) for file, expected in files.items()}
     every = [each for checked in found.values() for each in checked]
     rules = _own(checks.rules(), folders, library)
@@ -107,9 +107,9 @@ def test(
     return Report(run.verb, None, (), said, result, ExitCode.FINDINGS if bad else ExitCode.DONE)
 
 
-def _checked(checks: Checks, expected: Sequence[Expectation]) -> list[Checked]:
+def _checked(checks: ExpectationChecker, expected: Sequence[Expectation]) -> list[ExpectationResult]:
     """Check the expectations of a file; all that make no sense are said together."""
-    found: list[Checked] = []
+    found: list[ExpectationResult] = []
     defects: list[Diagnostic] = []
     for each in expected:
         try:

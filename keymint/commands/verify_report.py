@@ -11,9 +11,16 @@ from comarmor.errors import Origin
 from keymint.api import PolicyDecision
 from keymint.commands.common import Run
 from keymint.commands.files import exists, read_input, write_outputs
-from keymint.drawing.model import DIFFERENCES, Confusion, Labelled, LabelledEdge, Said, select
-from keymint.drawing.of_policy import nowhere
-from keymint.drawing.options import Options
+from keymint.drawing.labelled_graph import (
+    MISMATCHES,
+    Confusion,
+    Label,
+    LabelledEdge,
+    LabelledGraph,
+    select_edges,
+)
+from keymint.drawing.options import DrawingOptions
+from keymint.drawing.policy_graph import nowhere
 from keymint.graph import Edge
 from keymint.verify.model import Finding, Outcome
 
@@ -34,7 +41,7 @@ def labelled_edges(
     decide: Callable[[Edge], PolicyDecision],
     typed: Callable[[str], str],
     common: Callable[[Origin], bool] = nowhere,
-) -> Labelled:
+) -> LabelledGraph:
     """Return the graph that transports were held against, with their labels.
 
     Nothing is asked again: an edge on which a transport has no finding is labelled as the policy labels it. Where
@@ -63,7 +70,7 @@ def labelled_edges(
                 room[bool(may)] -= not any(found) and not express
                 policy = _of_policy(decision, typed)
                 said = tuple(
-                    _of_finding(one, typed) if one else Said(policy.allowed) if known[at] else None
+                    _of_finding(one, typed) if one else Label(policy.allowed) if known[at] else None
                     for at, one in enumerate(found)
                 )
                 shared = decision.allowed and decision.where is not None and common(decision.where)
@@ -81,7 +88,7 @@ def labelled_edges(
         for outcome in outcomes
     ]
     names = [outcome.transport for outcome in outcomes]
-    return Labelled.of(title, labels(), transports=names, confusions=confusions)
+    return LabelledGraph.of(title, labels(), transports=names, confusions=confusions)
 
 
 def _with_endpoints(
@@ -95,24 +102,24 @@ def _with_endpoints(
     yield from ((edge, 0) for edge in left)
 
 
-def _of_policy(decision: PolicyDecision, typed: Callable[[str], str]) -> Said:
+def _of_policy(decision: PolicyDecision, typed: Callable[[str], str]) -> Label:
     if decision.where is None:
-        return Said(decision.allowed, decision.reason)
+        return Label(decision.allowed, decision.reason)
     reason = decision.reason.replace(f" at {decision.where}", "")
-    return Said(decision.allowed, reason, _place(decision.where, typed))
+    return Label(decision.allowed, reason, _place(decision.where, typed))
 
 
-def _of_finding(finding: Finding, typed: Callable[[str], str]) -> Said:
+def _of_finding(finding: Finding, typed: Callable[[str], str]) -> Label:
     verdict = finding.verdict
     reason = "; ".join(filter(None, (finding.reason, verdict.deviation)))
-    return Said(verdict.allowed, reason, _place(finding.document, typed))
+    return Label(verdict.allowed, reason, _place(finding.document, typed))
 
 
 def _place(origin: Origin, typed: Callable[[str], str]) -> Origin:
     return replace(origin, file=typed(origin.file), chain=tuple(_place(outer, typed) for outer in origin.chain))
 
 
-def write_report(run: Run, folder: Path, labelled: Labelled) -> list[str]:
+def write_report(run: Run, folder: Path, labelled: LabelledGraph) -> list[str]:
     """Write the page and the pictures of a labelled graph into a folder.
 
     Returns:
@@ -122,18 +129,18 @@ def write_report(run: Run, folder: Path, labelled: Labelled) -> list[str]:
         KeymintError: something stands in the way, or the system refuses.
     """
     # Templates are slow to import, and a run without a report needs none.
-    from keymint.drawing.report import html_report  # noqa: PLC0415
+    from keymint.drawing.html_report import html_report  # noqa: PLC0415
     from keymint.drawing.svg import svg  # noqa: PLC0415
 
     pictures = {"graph.svg": svg(labelled)}
     for at, name in enumerate(labelled.transports):
-        pictures[f"graph-{_UNSAFE.sub('_', name)}.svg"] = svg(labelled, Options(transport=at))
+        pictures[f"graph-{_UNSAFE.sub('_', name)}.svg"] = svg(labelled, DrawingOptions(transport=at))
     # Also when there is none, so that no picture of an earlier run is taken for one of this.
-    pictures["differences.svg"] = svg(select(labelled, only=DIFFERENCES))
+    pictures["differences.svg"] = svg(select_edges(labelled, only=MISMATCHES))
     return write_outputs(run, folder / PAGE, html_report(labelled, sources(run, labelled)), pictures)
 
 
-def sources(run: Run, labelled: Labelled) -> Mapping[str, bytes]:
+def sources(run: Run, labelled: LabelledGraph) -> Mapping[str, bytes]:
     """Return the files that places in a graph are in, by the names that they have there."""
     places = {
         said.where

@@ -5,24 +5,24 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import replace
 
+from keymint.drawing.display_text import INWARD, OUTWARD, object_name, printable, role
+from keymint.drawing.labelled_graph import EdgeOutcome, LabelledEdge, LabelledGraph
 from keymint.drawing.legend import edge_classes
-from keymint.drawing.model import Labelled, LabelledEdge, Outcome
-from keymint.drawing.options import Options
+from keymint.drawing.options import DrawingOptions
 from keymint.drawing.palette import LIGHT
-from keymint.drawing.simplify import Simplified, simplify
-from keymint.drawing.text import INWARD, OUTWARD, object_name, printable, role
+from keymint.drawing.simplify import SimplifiedGraph, simplify
 from keymint.drawing.words import sentence
 from keymint.graph import Object
 
 
-def dot(labelled: Labelled, options: Options | None = None) -> bytes:
+def dot(labelled: LabelledGraph, options: DrawingOptions | None = None) -> bytes:
     """Return a graph as a DOT document in UTF-8; ``dot -Tsvg`` draws it.
 
     Args:
         labelled: the graph.
         options: which transport, and how many edges; the rest is Graphviz' business.
     """
-    options = options or Options()
+    options = options or DrawingOptions()
     drawn = simplify(labelled, replace(options, fold=False))
     edges = drawn.edges
     objects = {key: f"o{at}" for at, key in enumerate(sorted({(one.edge.domain, one.edge.object) for one in edges}))}
@@ -46,7 +46,7 @@ def dot(labelled: Labelled, options: Options | None = None) -> bytes:
     return ("\n".join(lines) + "\n").encode()
 
 
-def _subject(name: str, drawn: Simplified) -> str:
+def _subject(name: str, drawn: SimplifiedGraph) -> str:
     common = drawn.marks.get(name)
     return printable(name) + (f" (+{len(common)} common)" if common else "")
 
@@ -62,11 +62,11 @@ def _node(kind: str, label: str) -> str:
     return f"label={_quoted(label)}, shape={shape}, {colours}"
 
 
-def _expression(found: Object, labelled: Labelled) -> str:
+def _expression(found: Object, labelled: LabelledGraph) -> str:
     return ', style="filled,dashed"' if found in labelled.patterns else ""
 
 
-def _attributes(one: LabelledEdge, labelled: Labelled, options: Options) -> str:
+def _attributes(one: LabelledEdge, labelled: LabelledGraph, options: DrawingOptions) -> str:
     outcome = one.outcome(options.transport)
     out, into = role(one.edge.permission) in OUTWARD, role(one.edge.permission) in INWARD
     verdict = edge_classes(outcome, labels=False).partition(" ")[0]
@@ -74,10 +74,10 @@ def _attributes(one: LabelledEdge, labelled: Labelled, options: Options) -> str:
         "dir": "both" if out and into else "forward" if out else "back",
         "color": LIGHT[verdict],
         "style": "solid" if outcome.false or not labelled.transports else "dashed",
-        "penwidth": "4" if outcome is Outcome.FALSE_ALLOW else "3" if outcome.false else "1",
+        "penwidth": "4" if outcome is EdgeOutcome.FALSE_ALLOW else "3" if outcome.false else "1",
         "arrowhead": "normal" if verdict != "deny" else "teeempty",
         "arrowtail": "normal" if verdict != "deny" else "teeempty",
-        "label": " ".join(["DANGER"] * (outcome is Outcome.FALSE_ALLOW) + ["AUDIT"] * one.audit),
+        "label": " ".join(["DANGER"] * (outcome is EdgeOutcome.FALSE_ALLOW) + ["AUDIT"] * one.audit),
         "tooltip": sentence(one, labelled.transports),
     }
     return ", ".join(f"{name}={_quoted(value)}" for name, value in wanted.items() if value)

@@ -5,15 +5,17 @@ from __future__ import annotations
 from collections import defaultdict
 from collections.abc import Sequence
 
-from keymint.drawing.layout import Domain
-from keymint.drawing.model import LabelledEdge, namespace
-from keymint.drawing.text import KINDS, printable
+from keymint.drawing.display_text import KINDS, printable
+from keymint.drawing.labelled_graph import LabelledEdge, namespace
+from keymint.drawing.layout import DomainObject
 from keymint.graph import Object
 
 Signature = tuple[object, ...]
 
 
-def fold(edges: Sequence[LabelledEdge]) -> tuple[tuple[LabelledEdge, ...], dict[Domain, tuple[Domain, ...]]]:
+def fold(
+    edges: Sequence[LabelledEdge],
+) -> tuple[tuple[LabelledEdge, ...], dict[DomainObject, tuple[DomainObject, ...]]]:
     """Fold objects of one kind and namespace whose edges have the same subjects, permissions and labels.
 
     Args:
@@ -22,11 +24,11 @@ def fold(edges: Sequence[LabelledEdge]) -> tuple[tuple[LabelledEdge, ...], dict[
     Returns:
         The edges of one object for each of them, the first by name, and the objects that each of these stands for.
     """
-    signatures: dict[Domain, list[Signature]] = defaultdict(list)
+    signatures: dict[DomainObject, list[Signature]] = defaultdict(list)
     for one in edges:
         said = tuple(said and said.allowed for said in (one.policy, *one.transports))
         signatures[one.edge.domain, one.edge.object].append((one.edge.subject, one.edge.permission, one.audit, *said))
-    alike: dict[Signature, list[Domain]] = defaultdict(list)
+    alike: dict[Signature, list[DomainObject]] = defaultdict(list)
     for (domain, found), signature in signatures.items():
         place = (domain, found.kind, namespace(found.name), found.partitions)
         alike[(*place, frozenset(signature))].append((domain, found))
@@ -34,7 +36,7 @@ def fold(edges: Sequence[LabelledEdge]) -> tuple[tuple[LabelledEdge, ...], dict[
     return tuple(one for one in edges if (one.edge.domain, one.edge.object) in members), members
 
 
-def folded_name(members: Sequence[Domain]) -> str:
+def folded_name(members: Sequence[DomainObject]) -> str:
     """Return the label of several objects in one: ``/talker/… (6 services)``."""
     first: Object = members[0][1]
     noun = KINDS.get(first.kind, first.kind)

@@ -6,7 +6,7 @@ from collections import defaultdict
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
-from keymint.drawing.model import LabelledEdge, namespace
+from keymint.drawing.labelled_graph import LabelledEdge, namespace
 from keymint.drawing.words import counted
 
 GROUP_FROM = 30

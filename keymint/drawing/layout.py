@@ -14,8 +14,17 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from types import MappingProxyType
 
-from keymint.drawing.model import LabelledEdge
-from keymint.drawing.text import INWARD, KINDS, OUTWARD, columns, object_name, printable, role, shorten
+from keymint.drawing.display_text import (
+    INWARD,
+    KINDS,
+    OUTWARD,
+    columns,
+    object_name,
+    printable,
+    role,
+    shorten,
+)
+from keymint.drawing.labelled_graph import LabelledEdge
 from keymint.graph import Object
 
 CHARACTER = 7.3
@@ -33,14 +42,14 @@ _NARROWEST, _WIDEST = 150.0, 460.0
 _SHARED_BY = 4
 """The fewest subjects that make an object one of those which many share."""
 
-Domain = tuple[int, Object]
-Key = str | Domain
-_Side = tuple[Key, bool]
+DomainObject = tuple[int, Object]
+NodeKey = str | DomainObject
+_Side = tuple[NodeKey, bool]
 """The right (True) or left side of a box as its edges see it: towards their object lies to the right."""
 
 
 @dataclass(frozen=True, slots=True)
-class Box:
+class NodeBox:
     """A subject or an object.
 
     Attributes:
@@ -55,7 +64,7 @@ class Box:
         height: in pixels.
     """
 
-    key: Key
+    key: NodeKey
     kind: str
     label: str
     title: str
@@ -67,7 +76,7 @@ class Box:
 
 
 @dataclass(frozen=True, slots=True)
-class Line:
+class EdgeLine:
     """An edge between its two ports; it leaves and meets both horizontally.
 
     Attributes:
@@ -94,8 +103,8 @@ class Panel:
     """One graph, laid out from (0, 0)."""
 
     heading: str
-    boxes: tuple[Box, ...]
-    lines: tuple[Line, ...]
+    boxes: tuple[NodeBox, ...]
+    lines: tuple[EdgeLine, ...]
     width: float
     height: float
 
@@ -128,7 +137,7 @@ def lay_out(
         rightward = column_of[subject] < column_of[found]
         sides[subject, rightward].append(one)
         sides[found, rightward].append(one)
-    seconds: dict[Key, str] = dict(marks.items())
+    seconds: dict[NodeKey, str] = dict(marks.items())
     heights = {
         key: max(
             _MARKED_HEIGHT if key in seconds else BOX_HEIGHT,
@@ -138,16 +147,16 @@ def lay_out(
     }
     tops = _tops(stacks, heights, edges)
 
-    labels: dict[Key, str] = {subject: shorten(printable(subject)) for subject in subjects}
+    labels: dict[NodeKey, str] = {subject: shorten(printable(subject)) for subject in subjects}
     labels |= {key: shorten(names.get(key[1]) or object_name(key[1], key[0])) for key in objects}
     gap = min(_WIDEST, max(_NARROWEST, 60.0 + 8.0 * len(edges) ** 0.75))
-    boxes: dict[Key, Box] = {}
+    boxes: dict[NodeKey, NodeBox] = {}
     x = 0.0
     for stack in stacks:
         longest = {key: max(columns(labels[key]), columns(seconds.get(key, ""))) for key in stack}
         width = max((longest[key] * CHARACTER + 2 * _PADDING + _BULLET for key in stack), default=0.0)
         for key in stack:
-            boxes[key] = Box(
+            boxes[key] = NodeBox(
                 key, _kind(key), labels[key], _title(key), x, tops[key], width, heights[key], seconds.get(key, "")
             )
         x += width + gap
@@ -155,21 +164,21 @@ def lay_out(
     return Panel(heading, tuple(boxes.values()), _lines(edges, boxes, sides), max(0.0, x - gap), height)
 
 
-def _object(one: LabelledEdge) -> Domain:
+def _object(one: LabelledEdge) -> DomainObject:
     return one.edge.domain, one.edge.object
 
 
-def _kind(key: Key) -> str:
+def _kind(key: NodeKey) -> str:
     return "subject" if isinstance(key, str) else key[1].kind
 
 
-def _title(key: Key) -> str:
+def _title(key: NodeKey) -> str:
     if isinstance(key, str):
         return printable(key)
     return f"{object_name(key[1], key[0])} ({KINDS.get(key[1].kind, key[1].kind)})"
 
 
-def _rank(key: Domain) -> tuple[int, Domain]:
+def _rank(key: DomainObject) -> tuple[int, DomainObject]:
     kinds = list(KINDS)
     return (kinds.index(key[1].kind) if key[1].kind in kinds else len(kinds), key)
 
@@ -177,9 +186,9 @@ def _rank(key: Domain) -> tuple[int, Domain]:
 # -- order -----------------------------------------------------------------------------------------------------------
 
 
-def _columns(subjects: list[str], objects: list[Domain], edges: Sequence[LabelledEdge]) -> list[list[Key]]:
+def _columns(subjects: list[str], objects: list[DomainObject], edges: Sequence[LabelledEdge]) -> list[list[NodeKey]]:
     """Return the columns from left to right, each in order from above."""
-    beside: dict[Key, set[Key]] = defaultdict(set)
+    beside: dict[NodeKey, set[NodeKey]] = defaultdict(set)
     for one in edges:
         beside[one.edge.subject].add(_object(one))
         beside[_object(one)].add(one.edge.subject)
@@ -194,10 +203,12 @@ def _columns(subjects: list[str], objects: list[Domain], edges: Sequence[Labelle
     return [list(hubs), *_ordered(subjects, others, beside)]
 
 
-def _ordered(subjects: list[str], objects: list[Domain], beside: Mapping[Key, set[Key]]) -> tuple[list[Key], list[Key]]:
+def _ordered(
+    subjects: list[str], objects: list[DomainObject], beside: Mapping[NodeKey, set[NodeKey]]
+) -> tuple[list[NodeKey], list[NodeKey]]:
     """Return two columns in the order with the fewest crossings that some rounds of the heuristic meet."""
-    left: list[Key] = list(subjects)
-    right: list[Key] = list(objects)
+    left: list[NodeKey] = list(subjects)
+    right: list[NodeKey] = list(objects)
     best = (_crossings(left, right, beside), left, right)
     for _ in range(_ROUNDS):
         if best[0] == 0:
@@ -211,18 +222,20 @@ def _ordered(subjects: list[str], objects: list[Domain], beside: Mapping[Key, se
     return best[1], best[2]
 
 
-def _by_mean(column: Sequence[Key], other: Sequence[Key], beside: Mapping[Key, set[Key]]) -> list[Key]:
+def _by_mean(
+    column: Sequence[NodeKey], other: Sequence[NodeKey], beside: Mapping[NodeKey, set[NodeKey]]
+) -> list[NodeKey]:
     """Return a column in the order of the mean place of what each is joined to; equal ones stay as they are."""
     places = {key: at for at, key in enumerate(other)}
 
-    def mean(key: Key) -> float:
+    def mean(key: NodeKey) -> float:
         found = [places[one] for one in beside.get(key, ()) if one in places]
         return sum(found) / len(found) if found else len(other)
 
     return sorted(column, key=mean)
 
 
-def _crossings(left: Sequence[Key], right: Sequence[Key], beside: Mapping[Key, set[Key]]) -> int:
+def _crossings(left: Sequence[NodeKey], right: Sequence[NodeKey], beside: Mapping[NodeKey, set[NodeKey]]) -> int:
     """Count the pairs of edges that cross: the inversions of their ends."""
     at = {key: place for place, key in enumerate(right)}
     seen: list[int] = []
@@ -239,10 +252,10 @@ def _crossings(left: Sequence[Key], right: Sequence[Key], beside: Mapping[Key, s
 
 
 def _tops(
-    stacks: Sequence[Sequence[Key]], heights: Mapping[Key, float], edges: Sequence[LabelledEdge]
-) -> dict[Key, float]:
+    stacks: Sequence[Sequence[NodeKey]], heights: Mapping[NodeKey, float], edges: Sequence[LabelledEdge]
+) -> dict[NodeKey, float]:
     """Return the upper edges of all boxes: the longest column is stacked, others come to stand beside it."""
-    beside: dict[Key, list[Key]] = defaultdict(list)
+    beside: dict[NodeKey, list[NodeKey]] = defaultdict(list)
     for one in edges:
         beside[one.edge.subject].append(_object(one))
         beside[_object(one)].append(one.edge.subject)
@@ -255,8 +268,8 @@ def _tops(
     return {key: top - lowest for key, top in tops.items()}
 
 
-def _stacked(column: Sequence[Key], heights: Mapping[Key, float]) -> dict[Key, float]:
-    tops: dict[Key, float] = {}
+def _stacked(column: Sequence[NodeKey], heights: Mapping[NodeKey, float]) -> dict[NodeKey, float]:
+    tops: dict[NodeKey, float] = {}
     y = 0.0
     for key in column:
         tops[key] = y
@@ -265,8 +278,11 @@ def _stacked(column: Sequence[Key], heights: Mapping[Key, float]) -> dict[Key, f
 
 
 def _fitted(
-    column: Sequence[Key], tops: Mapping[Key, float], heights: Mapping[Key, float], beside: Mapping[Key, list[Key]]
-) -> dict[Key, float]:
+    column: Sequence[NodeKey],
+    tops: Mapping[NodeKey, float],
+    heights: Mapping[NodeKey, float],
+    beside: Mapping[NodeKey, list[NodeKey]],
+) -> dict[NodeKey, float]:
     """Return the tops next to the middle of what each is joined to (least squares) that keep the order and the gaps."""
     shifts = _stacked(column, heights)
     blocks: list[tuple[float, int]] = []
@@ -284,13 +300,13 @@ def _fitted(
 
 
 def _lines(
-    edges: Sequence[LabelledEdge], boxes: Mapping[Key, Box], sides: Mapping[_Side, list[LabelledEdge]]
-) -> tuple[Line, ...]:
+    edges: Sequence[LabelledEdge], boxes: Mapping[NodeKey, NodeBox], sides: Mapping[_Side, list[LabelledEdge]]
+) -> tuple[EdgeLine, ...]:
     """Give every edge its ports: in the order of what is at the other end, so that they do not cross at a box."""
-    at: dict[tuple[Key, LabelledEdge], float] = {}
+    at: dict[tuple[NodeKey, LabelledEdge], float] = {}
     for (key, _), found in sides.items():
 
-        def place(one: LabelledEdge, key: Key = key) -> tuple[float, str]:
+        def place(one: LabelledEdge, key: NodeKey = key) -> tuple[float, str]:
             return boxes[_object(one) if key == one.edge.subject else one.edge.subject].y, one.edge.permission
 
         middle = boxes[key].y + boxes[key].height / 2
@@ -299,9 +315,11 @@ def _lines(
     return tuple(_line(one, boxes[one.edge.subject], boxes[_object(one)], at) for one in edges)
 
 
-def _line(one: LabelledEdge, subject: Box, found: Box, at: Mapping[tuple[Key, LabelledEdge], float]) -> Line:
+def _line(
+    one: LabelledEdge, subject: NodeBox, found: NodeBox, at: Mapping[tuple[NodeKey, LabelledEdge], float]
+) -> EdgeLine:
     rightward = subject.x < found.x
-    return Line(
+    return EdgeLine(
         one,
         subject.x + subject.width if rightward else subject.x,
         at[subject.key, one],

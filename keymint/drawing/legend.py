@@ -5,17 +5,17 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
+from keymint.drawing.display_text import INWARD, KINDS, OUTWARD, columns, role
+from keymint.drawing.labelled_graph import EdgeOutcome, LabelledGraph
 from keymint.drawing.layout import CHARACTER, Panel
-from keymint.drawing.model import Labelled, Outcome
-from keymint.drawing.simplify import Simplified
-from keymint.drawing.text import INWARD, KINDS, OUTWARD, columns, role
+from keymint.drawing.simplify import SimplifiedGraph
 
 LINE = 22.0
 """Height of a line of text, in pixels."""
 
 
 @dataclass(frozen=True, slots=True)
-class Sample:
+class LegendEntry:
     """An entry of the legend.
 
     Attributes:
@@ -33,7 +33,9 @@ class Sample:
     y: float = 0.0
 
 
-def legend(labelled: Labelled, drawn: Simplified, panels: Sequence[Panel], transport: int | None) -> Iterator[Sample]:
+def legend(
+    labelled: LabelledGraph, drawn: SimplifiedGraph, panels: Sequence[Panel], transport: int | None
+) -> Iterator[LegendEntry]:
     """Yield the entries of a legend.
 
     Args:
@@ -48,40 +50,40 @@ def legend(labelled: Labelled, drawn: Simplified, panels: Sequence[Panel], trans
         named = [name for name in direction if name in roles and name != "relay"]
         if named:
             towards = "object" if form == "out" else "subject"
-            yield Sample(f"to the {towards}: {', '.join(named)}", "plain", "arrow")
+            yield LegendEntry(f"to the {towards}: {', '.join(named)}", "plain", "arrow")
     if "relay" in roles:
-        yield Sample("both ways: relay", "plain", "both")
+        yield LegendEntry("both ways: relay", "plain", "both")
     outcomes = {one.outcome(transport) for one in drawn.edges}
     labels = bool(labelled.transports)
     words = {
-        Outcome.ALLOW: "allowed, as the policy says" if labels else "allowed",
-        Outcome.DENY: "denied, as the policy says" if labels else "denied",
-        Outcome.FALSE_ALLOW: "DANGER: allowed against the policy (false positive)",
-        Outcome.FALSE_DENY: "denied against the policy (false negative)",
+        EdgeOutcome.ALLOW: "allowed, as the policy says" if labels else "allowed",
+        EdgeOutcome.DENY: "denied, as the policy says" if labels else "denied",
+        EdgeOutcome.FALSE_ALLOW: "DANGER: allowed against the policy (false positive)",
+        EdgeOutcome.FALSE_DENY: "denied against the policy (false negative)",
     }
     for outcome, text in words.items():
         if outcome in outcomes:
-            yield Sample(text, edge_classes(outcome, labels=labels), "arrow" if outcome.allowed else "barred")
+            yield LegendEntry(text, edge_classes(outcome, labels=labels), "arrow" if outcome.allowed else "barred")
     if any(one.audit for one in drawn.edges):
-        yield Sample("AUDIT: to be watched", "audited", "dot")
+        yield LegendEntry("AUDIT: to be watched", "audited", "dot")
     if drawn.marks:
-        yield Sample("what every node may do (--common draws it)", "muted", "mark")
+        yield LegendEntry("what every node may do (--common draws it)", "muted", "mark")
 
 
-def _boxes(labelled: Labelled, drawn: Simplified, panels: Sequence[Panel]) -> Iterator[Sample]:
+def _boxes(labelled: LabelledGraph, drawn: SimplifiedGraph, panels: Sequence[Panel]) -> Iterator[LegendEntry]:
     """Yield the entries on subjects and objects."""
     kinds = {box.kind for panel in panels for box in panel.boxes}
-    yield Sample("subject", "subject", "box")
+    yield LegendEntry("subject", "subject", "box")
     if any(len(members) > 1 for members in drawn.groups.values()):
-        yield Sample("subjects of a namespace", "subject group", "box")
+        yield LegendEntry("subjects of a namespace", "subject group", "box")
     for kind, name in KINDS.items():
         if kind in kinds:
-            yield Sample(name, kind, "box")
+            yield LegendEntry(name, kind, "box")
     if any(one.edge.object in labelled.patterns for one in drawn.edges):
-        yield Sample("expression", "pattern neutral", "box")
+        yield LegendEntry("expression", "pattern neutral", "box")
 
 
-def flowed(samples: Sequence[Sample], width: float) -> tuple[list[Sample], float]:
+def flowed(samples: Sequence[LegendEntry], width: float) -> tuple[list[LegendEntry], float]:
     """Place entries in lines of that width, in pixels; return them, and the height of all."""
     x = y = 0.0
     placed = []
@@ -94,11 +96,11 @@ def flowed(samples: Sequence[Sample], width: float) -> tuple[list[Sample], float
     return placed, y + LINE
 
 
-def edge_classes(outcome: Outcome, *, labels: bool) -> str:
+def edge_classes(outcome: EdgeOutcome, *, labels: bool) -> str:
     """Return the classes of an edge in the style sheet; with ``labels`` of transports they are true or false."""
-    if outcome is Outcome.UNLABELLED:
+    if outcome is EdgeOutcome.UNLABELLED:
         return "plain"
-    if outcome is Outcome.FALSE_ALLOW:
+    if outcome is EdgeOutcome.FALSE_ALLOW:
         return "danger false"
     verdict = "allow" if outcome.allowed else "deny"
     return f"{verdict} {'false' if outcome.false else 'true'}" if labels else verdict

@@ -17,7 +17,7 @@ class Split(StrEnum):
 
 
 @dataclass(frozen=True, slots=True)
-class Options:
+class DrawingOptions:
     """How a graph is drawn.
 
     Attributes:

@@ -11,16 +11,16 @@ from dataclasses import dataclass
 
 from keymint.drawing.fold import fold
 from keymint.drawing.grouping import GROUP_FROM, grouped, groups
-from keymint.drawing.layout import Domain
-from keymint.drawing.model import Labelled, LabelledEdge, Outcome
-from keymint.drawing.options import Options, Split
+from keymint.drawing.labelled_graph import EdgeOutcome, LabelledEdge, LabelledGraph
+from keymint.drawing.layout import DomainObject
+from keymint.drawing.options import DrawingOptions, Split
 
 FOLD_FROM = 40
 """Objects of a graph from which on they are folded unless the reader wants otherwise."""
 
 
 @dataclass(frozen=True, slots=True)
-class Simplified:
+class SimplifiedGraph:
     """What is drawn of a graph.
 
     Attributes:
@@ -34,11 +34,11 @@ class Simplified:
     edges: tuple[LabelledEdge, ...]
     groups: Mapping[str, tuple[str, ...]]
     marks: Mapping[str, tuple[LabelledEdge, ...]]
-    members: Mapping[Domain, tuple[Domain, ...]]
+    members: Mapping[DomainObject, tuple[DomainObject, ...]]
     left_out: int
 
 
-def simplify(labelled: Labelled, options: Options) -> Simplified:
+def simplify(labelled: LabelledGraph, options: DrawingOptions) -> SimplifiedGraph:
     """Return what is drawn of a graph."""
     folded = [one for one in labelled.edges if not options.common and is_folded(one, options)]
     hidden = set(folded)
@@ -52,32 +52,32 @@ def simplify(labelled: Labelled, options: Options) -> Simplified:
     group_of = {subject: name for name, subjects in members.items() for subject in subjects}
     for one in folded:
         marks[group_of[one.edge.subject]].append(one)
-    return Simplified(
+    return SimplifiedGraph(
         shown, members, {name: tuple(found) for name, found in marks.items()}, objects, len(drawn) - len(shown)
     )
 
 
-def is_folded(one: LabelledEdge, options: Options) -> bool:
+def is_folded(one: LabelledEdge, options: DrawingOptions) -> bool:
     """Tell whether an edge is left to a mark: a common rule allows it, and so does the transport."""
-    return one.common and one.outcome(options.transport) is Outcome.ALLOW
+    return one.common and one.outcome(options.transport) is EdgeOutcome.ALLOW
 
 
-def _wants_groups(labelled: Labelled, options: Options) -> bool:
+def _wants_groups(labelled: LabelledGraph, options: DrawingOptions) -> bool:
     if options.group is None:
         return options.split is Split.NONE and len(labelled.subjects) > GROUP_FROM
     return options.group
 
 
 def _folded(
-    edges: Sequence[LabelledEdge], options: Options
-) -> tuple[tuple[LabelledEdge, ...], Mapping[Domain, tuple[Domain, ...]]]:
+    edges: Sequence[LabelledEdge], options: DrawingOptions
+) -> tuple[tuple[LabelledEdge, ...], Mapping[DomainObject, tuple[DomainObject, ...]]]:
     objects = {(one.edge.domain, one.edge.object) for one in edges}
     if options.fold or (options.fold is None and len(objects) >= FOLD_FROM):
         return fold(edges)
     return tuple(edges), {key: (key,) for key in objects}
 
 
-def shown_edges(edges: Sequence[LabelledEdge], options: Options) -> tuple[LabelledEdge, ...]:
+def shown_edges(edges: Sequence[LabelledEdge], options: DrawingOptions) -> tuple[LabelledEdge, ...]:
     """Return the edges that a picture has room for, in their own order.
 
     Beyond the limit what no rule allows goes first, and all of it: some of it would look as if the rest were allowed.
@@ -109,6 +109,6 @@ def weight(one: LabelledEdge, transport: int | None = None) -> int:
     outcome = one.outcome(transport)
     if outcome.false:
         return 0
-    if outcome is not Outcome.DENY:
+    if outcome is not EdgeOutcome.DENY:
         return 2
     return EXPRESS if one.policy is not None and one.policy.where is not None else DEFAULT_DENIAL

@@ -11,14 +11,14 @@ from dataclasses import dataclass
 from functools import cache
 from typing import TYPE_CHECKING
 
+from keymint.drawing.display_text import columns, object_name, printable, shorten
 from keymint.drawing.fold import folded_name
-from keymint.drawing.layout import CHARACTER, Box, Key, Line, Panel, lay_out
+from keymint.drawing.labelled_graph import EdgeOutcome, LabelledEdge, LabelledGraph, namespace
+from keymint.drawing.layout import CHARACTER, EdgeLine, NodeBox, NodeKey, Panel, lay_out
 from keymint.drawing.legend import LINE, edge_classes, flowed, legend
-from keymint.drawing.model import Labelled, LabelledEdge, Outcome, namespace
-from keymint.drawing.options import Options, Split
+from keymint.drawing.options import DrawingOptions, Split
 from keymint.drawing.palette import style_sheet
-from keymint.drawing.simplify import Simplified, simplify, weight
-from keymint.drawing.text import columns, object_name, printable, shorten
+from keymint.drawing.simplify import SimplifiedGraph, simplify, weight
 from keymint.drawing.words import counted, sentence
 
 if TYPE_CHECKING:
@@ -34,14 +34,14 @@ _HEAD = 8.0
 
 
 @dataclass(frozen=True, slots=True)
-class Embedding:
+class PageEmbedding:
     """How a picture becomes part of a page, which has the style sheet.
 
     Attributes:
         number: returns the number of a subject, group or object in the page, which tells more at ``#n<number>``.
     """
 
-    number: Callable[[Key], int]
+    number: Callable[[NodeKey], int]
 
 
 @cache
@@ -68,17 +68,17 @@ def _breakable(name: str) -> Markup:
     return Markup("<wbr>").join(re.split("(?<=[^/_][/_])(?=[^/_])", name, flags=re.DOTALL))
 
 
-def svg(labelled: Labelled, options: Options | None = None) -> bytes:
+def svg(labelled: LabelledGraph, options: DrawingOptions | None = None) -> bytes:
     """Return a picture as an SVG 1.1 document in UTF-8; the same for the same graph on every machine.
 
     Args:
         labelled: the graph.
         options: how it is drawn.
     """
-    return draw(labelled, options or Options(), None).encode()
+    return draw(labelled, options or DrawingOptions(), None).encode()
 
 
-def draw(labelled: Labelled, options: Options, embedding: Embedding | None) -> str:
+def draw(labelled: LabelledGraph, options: DrawingOptions, embedding: PageEmbedding | None) -> str:
     """Return a picture as a document, or as an element to embed."""
     drawn = simplify(labelled, options)
     names = {key[1]: folded_name(found) for key, found in drawn.members.items() if len(found) > 1}
@@ -127,12 +127,12 @@ def draw(labelled: Labelled, options: Options, embedding: Embedding | None) -> s
     )
 
 
-def _by_weight(lines: Sequence[Line], options: Options) -> list[Line]:
+def _by_weight(lines: Sequence[EdgeLine], options: DrawingOptions) -> list[EdgeLine]:
     """Return lines so that those that matter are drawn over the others."""
     return sorted(lines, key=lambda line: -weight(line.labelled, options.transport))
 
 
-def _parts(drawn: Simplified, split: Split) -> Iterator[tuple[str, tuple[LabelledEdge, ...], tuple[str, ...]]]:
+def _parts(drawn: SimplifiedGraph, split: Split) -> Iterator[tuple[str, tuple[LabelledEdge, ...], tuple[str, ...]]]:
     if split is Split.NONE:
         yield "", drawn.edges, tuple(drawn.groups)
         return
@@ -166,7 +166,7 @@ def _placed(panels: Sequence[Panel], most: float) -> tuple[list[tuple[Panel, flo
 # -- words -----------------------------------------------------------------------------------------------------------
 
 
-def _subtitle(labelled: Labelled, options: Options, drawn: Simplified) -> str:
+def _subtitle(labelled: LabelledGraph, options: DrawingOptions, drawn: SimplifiedGraph) -> str:
     objects = {(one.edge.domain, one.edge.object) for one in labelled.edges}
     sizes = ((labelled.subjects, "subject"), (objects, "object"), (labelled.edges, "edge"))
     said = [", ".join(counted(len(found), noun) for found, noun in sizes)]
@@ -191,9 +191,11 @@ def _subtitle(labelled: Labelled, options: Options, drawn: Simplified) -> str:
 # -- shapes ----------------------------------------------------------------------------------------------------------
 
 
-def _box(box: Box, labelled: Labelled, drawn: Simplified, embedding: Embedding | None) -> dict[str, object]:
+def _box(
+    box: NodeBox, labelled: LabelledGraph, drawn: SimplifiedGraph, embedding: PageEmbedding | None
+) -> dict[str, object]:
     key = box.key
-    stands_for: Sequence[Key] = drawn.groups[key] if isinstance(key, str) else drawn.members[key]
+    stands_for: Sequence[NodeKey] = drawn.groups[key] if isinstance(key, str) else drawn.members[key]
     title = box.title
     if len(stands_for) > 1:
         title = "\n".join(printable(one) if isinstance(one, str) else object_name(one[1], one[0]) for one in stands_for)
@@ -222,7 +224,11 @@ def _box(box: Box, labelled: Labelled, drawn: Simplified, embedding: Embedding |
 
 
 def _line(
-    line: Line, labelled: Labelled, options: Options, drawn: Simplified, embedding: Embedding | None
+    line: EdgeLine,
+    labelled: LabelledGraph,
+    options: DrawingOptions,
+    drawn: SimplifiedGraph,
+    embedding: PageEmbedding | None,
 ) -> dict[str, object]:
     outcome = line.labelled.outcome(options.transport)
     size = _HEAD * (1.25 if outcome.false else 1.0)
@@ -232,7 +238,7 @@ def _line(
     bend = 0.45 * (end - start)
     curve = f"M{_number(start)} {_number(line.y1)}C{_number(start + bend)} {_number(line.y1)} "
     curve += f"{_number(end - bend)} {_number(line.y2)} {_number(end)} {_number(line.y2)}"
-    barred = outcome is not Outcome.UNLABELLED and not outcome.allowed
+    barred = outcome is not EdgeOutcome.UNLABELLED and not outcome.allowed
     heads = []
     if line.outward:
         heads.append(_head(line.x2, line.y2, forward * size, barred=barred))
@@ -249,7 +255,7 @@ def _line(
         "audit": line.labelled.audit,
         "dot_x": _number(start + (end - start) * (at**3 + 3 * at**2 * (1 - at) * 0.55 + 3 * at * (1 - at) ** 2 * 0.45)),
         "dot_y": _number(line.y1 + (line.y2 - line.y1) * (at**3 + 3 * at**2 * (1 - at))),
-        "danger": outcome is Outcome.FALSE_ALLOW,
+        "danger": outcome is EdgeOutcome.FALSE_ALLOW,
         "middle_x": _number((start + end) / 2),
         "middle_y": _number((line.y1 + line.y2) / 2),
         "subject": _numbers(drawn.groups[edge.subject], embedding),
@@ -257,7 +263,7 @@ def _line(
     }
 
 
-def _numbers(keys: Sequence[Key], embedding: Embedding | None) -> str | None:
+def _numbers(keys: Sequence[NodeKey], embedding: PageEmbedding | None) -> str | None:
     """Return the numbers in the page of what a box stands for."""
     return " ".join(str(embedding.number(key)) for key in keys) if embedding else None
 

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from keymint.drawing.model import LabelledEdge, Said
-from keymint.drawing.text import object_name, printable
+from keymint.drawing.display_text import object_name, printable
+from keymint.drawing.labelled_graph import Label, LabelledEdge
 
 
 def counted(number: int, noun: str) -> str:
@@ -22,6 +22,6 @@ def sentence(labelled: LabelledEdge, transports: Sequence[str]) -> str:
     return printable(text + (f" - {said}" if said else "") + (" (AUDIT)" if labelled.audit else ""))
 
 
-def _said(said: Said) -> str:
+def _said(said: Label) -> str:
     because = ": ".join(filter(None, (str(said.where) if said.where else "", said.reason)))
     return ("allowed" if said.allowed else "denied") + (f" ({because})" if because else "")

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from keymint.analysis import vain
+from keymint.analysis import redundant_rules
 from tests.bounds import COMPILE, Sweep
 from tests.effort import calls_of
 from tests.families import FAMILIES
@@ -21,7 +21,7 @@ def test_random_policies(tmp_path: Path) -> None:
         sweep.run(str(seed), minified(tokens(seed)))
     tally = sweep.tally
     assert tally.most["compile"][0] < COMPILE
-    assert tally.most["lint"][0] < vain.TOGETHER
+    assert tally.most["lint"][0] < redundant_rules.TOGETHER
     assert len(tally.refused) <= 1, tally.refused
     assert not tally.unknown
 

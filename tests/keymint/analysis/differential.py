@@ -16,8 +16,8 @@ from comarmor.errors import Origin
 from comarmor.language.decide import decide
 from comarmor.patterns.expression import matches
 from comarmor.patterns.glob import parse
-from keymint.analysis.diff import Changed, diff, gains
-from keymint.analysis.holders import Held, holders
+from keymint.analysis.policy_diff import SubjectChanges, diff_policies, has_gains
+from keymint.analysis.who_can import PermissionHolder, who_can
 from keymint.api import PolicySource
 from tests.keymint.analysis.edits import OBJECTS, SEGMENTS, edited, random_policy
 
@@ -46,11 +46,11 @@ class Verdict:
 def compared(old: str, new: str) -> Verdict:
     """Compare what ``diff`` says of two policies with what the reference evaluator says of each request there is."""
     one, other = _loaded(old), _loaded(new)
-    found = diff(one, other)
+    found = diff_policies(one, other)
     undecided = any(change.unknown for each in found for change in each.changes)
     requests = list(_differing(one.policy, other.policy))
     wrong = [*_missed(requests, found), *_false(one.policy, other.policy, found)]
-    if any(allowed for _, allowed in requests) and not gains(found):
+    if any(allowed for _, allowed in requests) and not has_gains(found):
         wrong.append("no gain is reported")
     return Verdict(bool(requests), undecided, "; ".join(wrong[:3]))
 
@@ -120,7 +120,7 @@ def _objects(subject: str) -> list[str]:
     return list(dict.fromkeys((*near, *_subjects())))
 
 
-def _missed(requests: Sequence[tuple[Request, bool]], found: Sequence[Changed]) -> Iterator[str]:
+def _missed(requests: Sequence[tuple[Request, bool]], found: Sequence[SubjectChanges]) -> Iterator[str]:
     """Yield what brute force found and ``diff`` does not say, of the subject or of a pattern that matches it."""
     for (subject, kind, permission, name, partition), allowed in requests:
         parts = {part[:2] for part in comarmor.PARTS.get((kind, permission), ())}
@@ -145,11 +145,11 @@ def _missed(requests: Sequence[tuple[Request, bool]], found: Sequence[Changed]) 
             yield f"missed: {subject} {what} {permission} {name}" + (f" in {partition}" if partition else "")
 
 
-def _about(each: Changed, subject: str) -> bool:
+def _about(each: SubjectChanges, subject: str) -> bool:
     return matches(each.like, subject) if each.like else each.subject == subject
 
 
-def _false(old: comarmor.Policy, new: comarmor.Policy, found: Sequence[Changed]) -> Iterator[str]:
+def _false(old: comarmor.Policy, new: comarmor.Policy, found: Sequence[SubjectChanges]) -> Iterator[str]:
     for each in found:
         for change in each.changes:
             if change.unknown:
@@ -190,7 +190,7 @@ def asked(seed: int) -> Answer:
     kind = rng.choice([kind for kind in comarmor.PERMISSIONS if kind != "topic"])
     permission = rng.choice(comarmor.PERMISSIONS[kind][:2])
     name = rng.choice([each for each in OBJECTS if "{" not in each])
-    found = list(holders(loaded, parse("*"), kind, permission, parse(name)))
+    found = list(who_can(loaded, parse("*"), kind, permission, parse(name)))
     holding = [
         subject
         for subject in _subjects()
@@ -207,5 +207,5 @@ def asked(seed: int) -> Answer:
     return Answer(bool(holding), any(each.unknown for each in found), "; ".join(wrong[:3]))
 
 
-def _holds(loaded: keymint_ros2_comarmor._LoadedPolicy, each: Held, permission: str, kind: str) -> bool:
+def _holds(loaded: keymint_ros2_comarmor._LoadedPolicy, each: PermissionHolder, permission: str, kind: str) -> bool:
     return loaded.policy.decide(each.subject, kind, permission, each.word).allowed

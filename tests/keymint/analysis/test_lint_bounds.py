@@ -13,7 +13,7 @@ from comarmor.patterns.effort import limited
 from comarmor.patterns.glob import parse
 from comarmor.patterns.pattern_index import Near
 from comarmor.patterns.relations import disjoint
-from keymint.analysis import portable, similar, subjects, vain
+from keymint.analysis import name_similarity, portability, redundant_rules, subject_patterns
 from keymint.analysis.lint import lint
 from tests.effort import calls_of
 from tests.families import FAMILIES
@@ -48,7 +48,7 @@ def test_calls_grow_with_the_policy(tmp_path: Path) -> None:
 
 
 def test_names_that_are_all_alike_end_with_a_note(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(similar, "_STEPS", 200)
+    monkeypatch.setattr(name_similarity, "_STEPS", 200)
     steps, codes = linted(tmp_path, FAMILIES["misspelt"](60))
     assert "lint-unknown" in codes
     assert steps < 2 * 60 * 300
@@ -56,18 +56,18 @@ def test_names_that_are_all_alike_end_with_a_note(tmp_path: Path, monkeypatch: p
 
 def test_questions_that_are_too_hard_end_with_a_note(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     text = FAMILIES["infixes"](40)
-    monkeypatch.setattr(vain, "UNIT", 100)
+    monkeypatch.setattr(redundant_rules, "UNIT", 100)
     assert linted(tmp_path, text)[1] == ["lint-unknown"]
-    monkeypatch.setattr(vain, "UNIT", 100_000)
-    monkeypatch.setattr(vain, "TOGETHER", 1_000)
-    monkeypatch.setattr(vain, "EACH", 0)
+    monkeypatch.setattr(redundant_rules, "UNIT", 100_000)
+    monkeypatch.setattr(redundant_rules, "TOGETHER", 1_000)
+    monkeypatch.setattr(redundant_rules, "EACH", 0)
     steps, codes = linted(tmp_path, text)
     assert codes == ["lint-unknown"]
     assert steps < 60_000
 
 
 def test_too_many_pairs_end_with_a_note(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(vain, "MOST_PAIRS", 20)
+    monkeypatch.setattr(redundant_rules, "MOST_PAIRS", 20)
     assert "lint-unknown" in linted(tmp_path, FAMILIES["flat"](30))[1]
 
 
@@ -77,14 +77,14 @@ def test_patterns_of_subjects_that_overlap_too_often_end_with_a_note(
     text = "".join(
         f'<profile name="{at}"><attachment>/*{at}*</attachment></profile>' for at in ("a", "b", "c", "d", "e", "f")
     )
-    monkeypatch.setattr(subjects, "_MOST_EXAMPLES", 3)
+    monkeypatch.setattr(subject_patterns, "_MOST_EXAMPLES", 3)
     assert "lint-unknown" in linted(tmp_path, f"<profiles>{text}</profiles>")[1]
 
 
 def test_the_compiler_ends_with_a_note(keymint, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     (tmp_path / "p.xml").write_text(FAMILIES["bracketed"](4) + " ")
     (tmp_path / "q.xml").write_text(FAMILIES["flat"](30))
-    monkeypatch.setattr(portable, "STEPS", 10)
+    monkeypatch.setattr(portability, "STEPS", 10)
     outcome = keymint("lint", "q.xml", "--json")
     assert outcome.codes() == ["lint-unknown"]
     assert outcome.code == 0

@@ -9,8 +9,8 @@ from pathlib import Path
 import pytest
 
 from comarmor.errors import Origin
-from keymint.analysis.expected import Checks
 from keymint.analysis.lint import lint
+from keymint.analysis.policy_tests import ExpectationChecker
 from keymint.api import Expectation
 from tests.conftest import Outcome
 from tests.generated import Tokens, line_in_pretty, minified, pretty, tokens
@@ -34,7 +34,7 @@ def test_lint_and_coverage(tmp_path: Path, seed: int) -> None:
     found = lint(other)
     assert [(each.code, _PLACE.sub("", each.message), _in_pretty(policy, each.where)) for each in found] == said
     expected = Expectation("t", True, "/*", "ros_publish", "/*scan*", "", Origin("t", 1))
-    mine, theirs = Checks(one), Checks(other)
+    mine, theirs = ExpectationChecker(one), ExpectationChecker(other)
     lines = [line_in_pretty(policy, column) for _, _, column in sorted(theirs.rules())]
     assert lines == [line for _, line, _ in sorted(mine.rules())]
     exercised = [line_in_pretty(policy, column) for _, _, column in sorted(theirs.check(expected).exercised)]

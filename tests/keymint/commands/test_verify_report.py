@@ -7,7 +7,7 @@ from pathlib import Path
 from comarmor.errors import Origin
 from keymint.api import PolicyDecision, Tier, Verdict
 from keymint.commands.verify_report import labelled_edges
-from keymint.drawing.model import Confusion, Said
+from keymint.drawing.labelled_graph import Confusion, Label
 from keymint.graph import Edge, Object
 from keymint.verify.model import Confusion as Counts
 from keymint.verify.model import Error, Finding, Outcome
@@ -33,10 +33,10 @@ def test_edges_without_findings_are_labelled_as_the_policy_does() -> None:
     graph = labels(outcome("x", Counts(0, 0, 1, 3), finding(EDGES[1])), outcome("y", Counts(0, 0, 0, 4)))
     why = "allow rule 2; row 5"
     assert [one.transports for one in graph.edges] == [
-        (Said(False), Said(False)),
-        (Said(True, why, Origin("permissions.xml", 7)), Said(False)),
-        (Said(False), Said(False)),
-        (Said(False), Said(False)),
+        (Label(False), Label(False)),
+        (Label(True, why, Origin("permissions.xml", 7)), Label(False)),
+        (Label(False), Label(False)),
+        (Label(False), Label(False)),
     ]
     assert [graph.confusion(at) for at in (0, 1)] == [Confusion(0, 0, 1, 3), Confusion(0, 0, 0, 4)]
 

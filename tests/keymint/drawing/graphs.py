@@ -5,26 +5,26 @@ from __future__ import annotations
 from hypothesis import strategies as st
 
 from comarmor.errors import Origin
-from keymint.drawing.model import Labelled, LabelledEdge, Said
+from keymint.drawing.labelled_graph import Label, LabelledEdge, LabelledGraph
 from keymint.graph import LABELLED, Edge, Object
 
 HOSTILE = "</script></style><img src=x onerror=alert(1)>\"'&\u202e\x01]]>"
-ALLOWED, DENIED = Said(True, "an ALLOW rule", Origin("policy.xml", 3)), Said(False, "no rule")
-EXPRESSLY_DENIED = Said(False, "a DENY rule", Origin("policy.xml", 7))
+ALLOWED, DENIED = Label(True, "an ALLOW rule", Origin("policy.xml", 3)), Label(False, "no rule")
+EXPRESSLY_DENIED = Label(False, "a DENY rule", Origin("policy.xml", 7))
 
 
 def edge(subject: str, permission: str, kind: str, name: str) -> Edge:
     return Edge(subject, permission, Object(kind, name))
 
 
-def labelled(subject: str, permission: str, name: str, policy: Said | None, *transports: Said | None) -> LabelledEdge:
+def labelled(subject: str, permission: str, name: str, policy: Label | None, *transports: Label | None) -> LabelledEdge:
     kind = next(kind for kind, permissions in LABELLED.items() if permission in permissions)
     return LabelledEdge(edge(subject, permission, kind, name), policy, transports)
 
 
-def one_of_each() -> Labelled:
+def one_of_each() -> LabelledGraph:
     """Return a graph with every outcome, on one transport."""
-    return Labelled.of(
+    return LabelledGraph.of(
         "talker and listener",
         [
             labelled("/talker", "ros_publish", "/chatter", ALLOWED, ALLOWED),
@@ -36,18 +36,18 @@ def one_of_each() -> Labelled:
     )
 
 
-def fleet(robots: int) -> Labelled:
+def fleet(robots: int) -> LabelledGraph:
     """Return a graph of robots with four nodes each."""
     names = [f"/robot{robot}/node{node}" for robot in range(robots) for node in range(4)]
     edges = [labelled(name, "ros_publish", "/fleet/state", ALLOWED) for name in names]
-    return Labelled.of("t", [*edges, labelled(names[0], "ros_publish", "/estop", EXPRESSLY_DENIED)])
+    return LabelledGraph.of("t", [*edges, labelled(names[0], "ros_publish", "/estop", EXPRESSLY_DENIED)])
 
 
-def hostile() -> Labelled:
+def hostile() -> LabelledGraph:
     """Return a graph in which all text is hostile."""
-    said = Said(True, HOSTILE, Origin(HOSTILE, 1, (Origin(HOSTILE, 2),)))
+    said = Label(True, HOSTILE, Origin(HOSTILE, 1, (Origin(HOSTILE, 2),)))
     found = Edge(f"/{HOSTILE}", "publish", Object("topic", HOSTILE, ("*", HOSTILE)), 3)
-    return Labelled.of(HOSTILE, [LabelledEdge(found, said, (DENIED,), audit=True)], transports=[HOSTILE])
+    return LabelledGraph.of(HOSTILE, [LabelledEdge(found, said, (DENIED,), audit=True)], transports=[HOSTILE])
 
 
 NAMES = st.one_of(st.sampled_from(["/a", "/b", "/a/c", "/漢字", HOSTILE]), st.text(max_size=80))
@@ -55,7 +55,7 @@ SAID = st.sampled_from([None, ALLOWED, DENIED])
 
 
 @st.composite
-def graphs(draw: st.DrawFn, transports: int = 1) -> Labelled:
+def graphs(draw: st.DrawFn, transports: int = 1) -> LabelledGraph:
     """Draw a graph of any shape."""
     subjects = draw(st.lists(NAMES, min_size=1, max_size=8, unique=True))
     found = {}
@@ -69,4 +69,4 @@ def graphs(draw: st.DrawFn, transports: int = 1) -> Labelled:
         )
         said = tuple(draw(SAID) for _ in range(transports))
         found[which] = LabelledEdge(which, draw(SAID), said, draw(st.booleans()))
-    return Labelled.of("t", found.values(), subjects, [f"t{at}" for at in range(transports)])
+    return LabelledGraph.of("t", found.values(), subjects, [f"t{at}" for at in range(transports)])

@@ -7,14 +7,14 @@ import itertools
 from hypothesis import given
 from hypothesis import strategies as st
 
-from keymint.drawing.layout import CHARACTER, GAP, PORT_DISTANCE, Box, lay_out
-from keymint.drawing.model import Labelled
-from keymint.drawing.text import columns
+from keymint.drawing.display_text import columns
+from keymint.drawing.labelled_graph import LabelledGraph
+from keymint.drawing.layout import CHARACTER, GAP, PORT_DISTANCE, NodeBox, lay_out
 
 from .graphs import ALLOWED, graphs, labelled
 
 
-def overlap(one: Box, other: Box) -> bool:
+def overlap(one: NodeBox, other: NodeBox) -> bool:
     return (
         one.x < other.x + other.width
         and other.x < one.x + one.width
@@ -24,7 +24,7 @@ def overlap(one: Box, other: Box) -> bool:
 
 
 @given(graphs())
-def test_nothing_overlaps_and_labels_fit(graph: Labelled) -> None:
+def test_nothing_overlaps_and_labels_fit(graph: LabelledGraph) -> None:
     panel = lay_out("", graph.edges, graph.subjects)
     assert not [pair for pair in itertools.combinations(panel.boxes, 2) if overlap(*pair)]
     for box in panel.boxes:
@@ -36,7 +36,7 @@ def test_nothing_overlaps_and_labels_fit(graph: Labelled) -> None:
 
 
 @given(graphs())
-def test_every_edge_ends_at_ports_of_its_own_in_its_boxes(graph: Labelled) -> None:
+def test_every_edge_ends_at_ports_of_its_own_in_its_boxes(graph: LabelledGraph) -> None:
     panel = lay_out("", graph.edges, graph.subjects)
     boxes = {box.key: box for box in panel.boxes}
     ends: dict[tuple[float, float], int] = {}
@@ -54,8 +54,8 @@ def test_every_edge_ends_at_ports_of_its_own_in_its_boxes(graph: Labelled) -> No
 
 
 @given(graphs())
-def test_the_same_graph_is_the_same_picture(graph: Labelled) -> None:
-    again = Labelled.of("t", reversed(graph.edges), graph.subjects, graph.transports)
+def test_the_same_graph_is_the_same_picture(graph: LabelledGraph) -> None:
+    again = LabelledGraph.of("t", reversed(graph.edges), graph.subjects, graph.transports)
     assert lay_out("", graph.edges, graph.subjects) == lay_out("", again.edges, again.subjects)
 
 

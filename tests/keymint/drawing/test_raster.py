@@ -10,7 +10,7 @@ import pytest
 
 from keymint.drawing import raster
 from keymint.drawing.dot import dot
-from keymint.drawing.options import Options
+from keymint.drawing.options import DrawingOptions
 from keymint.drawing.raster import png
 from keymint.drawing.svg import svg
 from keymint.errors import KeymintError
@@ -69,5 +69,5 @@ def test_dot() -> None:
 
 
 def test_dot_quotes_names() -> None:
-    for line in dot(hostile(), Options()).decode().splitlines():
+    for line in dot(hostile(), DrawingOptions()).decode().splitlines():
         assert len(re.findall(r'(?<!\\)"', line.replace("\\\\", ""))) % 2 == 0, line

@@ -10,13 +10,13 @@ from hypothesis import given
 from hypothesis import strategies as st
 from lxml import etree
 
+from keymint.drawing.display_text import printable, shorten
 from keymint.drawing.dot import dot
-from keymint.drawing.model import DIFFERENCES, Labelled, LabelledEdge, Said, select
-from keymint.drawing.options import Options, Split
+from keymint.drawing.labelled_graph import MISMATCHES, Label, LabelledEdge, LabelledGraph, select_edges
+from keymint.drawing.options import DrawingOptions, Split
 from keymint.drawing.palette import DARK, KIND_NAMES, LIGHT, Theme
 from keymint.drawing.simplify import shown_edges, simplify
 from keymint.drawing.svg import svg
-from keymint.drawing.text import printable, shorten
 from keymint.graph import Object
 
 from .graphs import ALLOWED, DENIED, EXPRESSLY_DENIED, HOSTILE, edge, fleet, graphs, hostile, labelled, one_of_each
@@ -52,7 +52,7 @@ def test_labels_are_drawn_as_in_the_paper() -> None:
 
 
 def test_arrows_follow_the_role() -> None:
-    graph = Labelled.of(
+    graph = LabelledGraph.of(
         "t", [labelled("/a", permission, "/t", ALLOWED) for permission in ("ros_publish", "ros_subscribe")], ["/a"]
     )
     root = tree(svg(graph))
@@ -79,14 +79,14 @@ def test_the_legend_says_what_is_drawn_and_no_more() -> None:
         "DANGER: allowed against the policy (false positive)",
         "denied against the policy (false negative)",
     ]
-    plain = Labelled.of("t", [labelled("/a", "ros_request", "/go", None)])
+    plain = LabelledGraph.of("t", [labelled("/a", "ros_request", "/go", None)])
     assert legend(tree(svg(plain))) == ["subject", "action", "to the subject: request"]
 
 
 def test_expressions_and_audit_are_marked() -> None:
     audited = labelled("/a", "ros_publish", "/robot/*", DENIED)
     found = type(audited)(audited.edge, audited.policy, (), audit=True)
-    graph = Labelled.of("t", [found], patterns=[Object("ros_topic", "/robot/*")])
+    graph = LabelledGraph.of("t", [found], patterns=[Object("ros_topic", "/robot/*")])
     root = tree(svg(graph))
     assert {"expression", "AUDIT: to be watched"} <= set(legend(root))
     assert root.xpath("//s:g[contains(@class, 'pattern') and contains(@class, 'ros_topic')]", namespaces=NS)
@@ -94,22 +94,24 @@ def test_expressions_and_audit_are_marked() -> None:
 
 
 def test_differences_only() -> None:
-    graph = select(one_of_each(), only=DIFFERENCES)
+    graph = select_edges(one_of_each(), only=MISMATCHES)
     assert set(classes(tree(svg(graph))).values()) == {"edge deny false", "edge danger false"}
 
 
 def test_a_panel_for_each() -> None:
-    graph = Labelled.of("t", [labelled(name, "ros_publish", "/t", ALLOWED) for name in ("/r1/a", "/r1/b", "/r2/a")])
+    graph = LabelledGraph.of(
+        "t", [labelled(name, "ros_publish", "/t", ALLOWED) for name in ("/r1/a", "/r1/b", "/r2/a")]
+    )
     headings = "//s:text[@class='heading']/text()"
-    by_subject = tree(svg(graph, Options(split=Split.SUBJECT)))
+    by_subject = tree(svg(graph, DrawingOptions(split=Split.SUBJECT)))
     assert by_subject.xpath(headings, namespaces=NS) == ["/r1/a", "/r1/b", "/r2/a"]
-    assert tree(svg(graph, Options(split=Split.NAMESPACE))).xpath(headings, namespaces=NS) == ["/r1/", "/r2/"]
+    assert tree(svg(graph, DrawingOptions(split=Split.NAMESPACE))).xpath(headings, namespaces=NS) == ["/r1/", "/r2/"]
 
 
 def test_alike_objects_are_folded() -> None:
     names = [f"/a/{name}" for name in "bcd"]
-    graph = Labelled.of("t", [labelled("/a", "ros_execute", name, ALLOWED) for name in (*names, "/other")])
-    root = tree(svg(graph, Options(fold=True)))
+    graph = LabelledGraph.of("t", [labelled("/a", "ros_execute", name, ALLOWED) for name in (*names, "/other")])
+    root = tree(svg(graph, DrawingOptions(fold=True)))
     labels = root.xpath("//s:g[@class='box ros_service']/s:text/text()", namespaces=NS)
     assert sorted(labels)[:2] == ["/a/… (3 services)", "/other"]
     assert "/a/b\n/a/c\n/a/d" in root.xpath("//s:g[@class='box ros_service']/s:title/text()", namespaces=NS)
@@ -117,7 +119,7 @@ def test_alike_objects_are_folded() -> None:
 
 
 def test_what_tells_objects_apart_keeps_them_apart() -> None:
-    graph = Labelled.of(
+    graph = LabelledGraph.of(
         "t",
         [
             labelled("/a", "ros_execute", "/a/b", ALLOWED, ALLOWED),
@@ -125,22 +127,24 @@ def test_what_tells_objects_apart_keeps_them_apart() -> None:
         ],
         transports=["t"],
     )
-    assert len(classes(tree(svg(graph, Options(fold=True))))) == 2
+    assert len(classes(tree(svg(graph, DrawingOptions(fold=True))))) == 2
 
 
 def test_beyond_the_limit_what_matters_stays() -> None:
     denied = [labelled("/a", "ros_publish", f"/d{at}", DENIED, DENIED) for at in range(20)]
     wrong = [labelled("/a", "ros_publish", f"/w{at}", DENIED, ALLOWED) for at in range(3)]
-    graph = Labelled.of("t", [*denied, *wrong], transports=["t"])
-    assert {one.edge.object.name for one in shown_edges(graph.edges, Options(limit=10))} == {"/w0", "/w1", "/w2"}
-    assert len(shown_edges(graph.edges, Options(limit=2))) == 3
-    root = tree(svg(graph, Options(limit=10, fold=False)))
+    graph = LabelledGraph.of("t", [*denied, *wrong], transports=["t"])
+    assert {one.edge.object.name for one in shown_edges(graph.edges, DrawingOptions(limit=10))} == {"/w0", "/w1", "/w2"}
+    assert len(shown_edges(graph.edges, DrawingOptions(limit=2))) == 3
+    root = tree(svg(graph, DrawingOptions(limit=10, fold=False)))
     assert "20 of 23 lines left out" in root.findtext("s:desc", namespaces=NS)
 
 
 @given(graphs(), st.sampled_from(Theme), st.sampled_from(Split), st.sampled_from([None, True, False]))
-def test_every_graph_is_a_well_formed_picture(graph: Labelled, theme: Theme, split: Split, fold: bool | None) -> None:
-    root = tree(svg(graph, Options(theme, split, 0, fold=fold)))
+def test_every_graph_is_a_well_formed_picture(
+    graph: LabelledGraph, theme: Theme, split: Split, fold: bool | None
+) -> None:
+    root = tree(svg(graph, DrawingOptions(theme, split, 0, fold=fold)))
     assert root.tag == "{http://www.w3.org/2000/svg}svg"
     if fold is False:
         assert len(root.xpath("//s:g[starts-with(@class, 'edge')]", namespaces=NS)) == len(graph.edges)
@@ -155,7 +159,7 @@ def test_hostile_names_are_text() -> None:
 
 
 def test_an_empty_graph_is_a_picture() -> None:
-    assert tree(svg(Labelled.of("nothing", []))).findtext("s:desc", namespaces=NS).startswith("0 subjects")
+    assert tree(svg(LabelledGraph.of("nothing", []))).findtext("s:desc", namespaces=NS).startswith("0 subjects")
 
 
 def test_nothing_is_fetched() -> None:
@@ -197,21 +201,21 @@ def texts(root: etree._Element) -> list[str]:
 
 def test_common_rules_are_a_mark_at_the_subject() -> None:
     own = labelled("/a", "ros_publish", "/chatter", ALLOWED)
-    graph = Labelled.of("t", [COMMON, own])
+    graph = LabelledGraph.of("t", [COMMON, own])
     root = tree(svg(graph))
     assert sorted(texts(root)) == ["+1 common", "/a", "/chatter"]
     assert "what every node may do (--common draws it)" in legend(root)
     assert "1 common edge as marks" in root.findtext("s:desc", namespaces=NS)
     assert "/a ros_publish /rosout" in root.xpath("string(//s:g[s:text='+1 common']/s:title)", namespaces=NS)
-    assert sorted(texts(tree(svg(graph, Options(common=True))))) == ["/a", "/chatter", "/rosout"]
+    assert sorted(texts(tree(svg(graph, DrawingOptions(common=True))))) == ["/a", "/chatter", "/rosout"]
     assert "+1 common" in dot(graph).decode()
 
 
 @pytest.mark.parametrize("transport", [ALLOWED, DENIED])
 @pytest.mark.parametrize("policy", [ALLOWED, DENIED])
-def test_nothing_that_is_denied_or_false_hides_in_a_mark(policy: Said, transport: Said) -> None:
+def test_nothing_that_is_denied_or_false_hides_in_a_mark(policy: Label, transport: Label) -> None:
     found = replace(COMMON, policy=policy, transports=(transport,))
-    hidden = not simplify(Labelled.of("t", [found], transports=["x"]), Options()).edges
+    hidden = not simplify(LabelledGraph.of("t", [found], transports=["x"]), DrawingOptions()).edges
     assert hidden is (policy is ALLOWED and transport is ALLOWED)
 
 
@@ -222,9 +226,9 @@ def test_a_fleet_is_grouped_by_namespace() -> None:
     assert len(classes(root)) == 11
     title = root.xpath("string(//s:g[s:text='/robot3/… (4 subjects)']/s:title)", namespaces=NS)
     assert title == "\n".join(f"/robot3/node{at}" for at in range(4))
-    assert "/robot0/node0" in texts(tree(svg(fleet(10), Options(group=False))))
+    assert "/robot0/node0" in texts(tree(svg(fleet(10), DrawingOptions(group=False))))
     assert "/robot0/node0" in texts(tree(svg(fleet(7))))
-    assert "/robot0/… (4 subjects)" in texts(tree(svg(fleet(7), Options(group=True))))
+    assert "/robot0/… (4 subjects)" in texts(tree(svg(fleet(7), DrawingOptions(group=True))))
 
 
 def test_a_group_shows_every_label_of_its_members() -> None:
@@ -234,21 +238,21 @@ def test_a_group_shows_every_label_of_its_members() -> None:
         labelled("/r/n30", "ros_publish", "/t", DENIED, ALLOWED),
         labelled("/s/n", "ros_publish", "/t", ALLOWED, ALLOWED),
     ]
-    root = tree(svg(Labelled.of("t", edges, transports=["x"])))
+    root = tree(svg(LabelledGraph.of("t", edges, transports=["x"])))
     drawn = root.xpath("//s:g[contains(@class, ' false') or contains(@class, ' true')][s:title]/@class", namespaces=NS)
     assert sorted(drawn) == ["edge allow true", "edge allow true", "edge danger false", "edge deny true"]
 
 
 def test_groups_are_of_the_deepest_level_that_is_readable() -> None:
     names = [f"/site{site}/robot{robot}/{node}" for site in range(4) for robot in range(20) for node in "ab"]
-    graph = Labelled.of("t", [labelled(name, "ros_publish", "/t", ALLOWED) for name in names])
-    assert list(simplify(graph, Options()).groups) == [f"/site{at}/… (40 subjects)" for at in range(4)]
+    graph = LabelledGraph.of("t", [labelled(name, "ros_publish", "/t", ALLOWED) for name in names])
+    assert list(simplify(graph, DrawingOptions()).groups) == [f"/site{at}/… (40 subjects)" for at in range(4)]
 
 
 @given(st.lists(st.sampled_from([ALLOWED, DENIED, EXPRESSLY_DENIED]), max_size=40), st.integers(1, 20))
-def test_what_a_rule_denies_expressly_is_always_drawn(said: list[Said], limit: int) -> None:
+def test_what_a_rule_denies_expressly_is_always_drawn(said: list[Label], limit: int) -> None:
     edges = [labelled("/a", "ros_publish", f"/t{at}", each) for at, each in enumerate(said)]
-    shown = shown_edges(edges, Options(limit=limit))
+    shown = shown_edges(edges, DrawingOptions(limit=limit))
     assert [one for one in edges if one.policy is EXPRESSLY_DENIED] == [
         one for one in shown if one.policy is EXPRESSLY_DENIED
     ]
@@ -294,7 +298,7 @@ def test_what_is_said_below_the_title_is_never_cut_off() -> None:
         for robot in range(6)
         for node in range(10)
     ]
-    root = tree(svg(Labelled.of("t", edges, transports=[said])))
+    root = tree(svg(LabelledGraph.of("t", edges, transports=[said])))
     width, margin = float(root.get("width")), 24.0
     lines = root.xpath("/s:svg/s:text[@class='muted']", namespaces=NS)
     assert len(lines) > 1

@@ -11,8 +11,8 @@ from keymint_ros2_dds.compiling import compile as compiling
 from keymint_ros2_dds.compiling import emission
 
 from comarmor.patterns.effort import limited
-from keymint.analysis.portable import package_of
-from keymint.analysis.subjects import rules_of
+from keymint.analysis.portability import package_of
+from keymint.analysis.subject_patterns import rules_of
 from keymint.api import BuildOptions, LoadedPolicy
 from keymint.errors import KeymintError
 from tests.families import FAMILIES

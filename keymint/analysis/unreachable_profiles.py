@@ -8,23 +8,23 @@ from collections.abc import Iterator, Sequence
 from comarmor.errors import Diagnostic, Origin, Severity
 from comarmor.patterns.glob import parse
 from comarmor.patterns.relations import TooComplexError
-from keymint.analysis.subjects import can_be, reached
+from keymint.analysis.subject_patterns import can_exist, profile_subjects
 from keymint.api import Structure
 
 
-def unreachable(found: Structure) -> Iterator[Diagnostic]:
+def unreachable_profiles(found: Structure) -> Iterator[Diagnostic]:
     """Yield profiles that never apply, attachments that no subject matches, and tunables that nothing uses."""
     for name, where in found.unused:
         yield _said("tunable-unused", f"nothing uses the tunable @{{{name}}}", where, "remove it")
     for profile in found.profiles:
         possible = False
         for expression, where in profile.attachments:
-            if not can_be(parse(expression)):
+            if not can_exist(parse(expression)):
                 message = f"no subject can be named as the attachment {expression!r} of profile {profile.name!r} says"
                 yield _said("subject-never", message, where, "a subject is named like /robot1/talker")
                 continue
             try:
-                inside = [one for one in reached((*profile.around, (expression,))) if can_be(one)]
+                inside = [one for one in profile_subjects((*profile.around, (expression,))) if can_exist(one)]
             except TooComplexError:
                 possible = True
                 continue

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from keymint.drawing.report import html_report
+from keymint.drawing.html_report import html_report
 from keymint.drawing.svg import svg
 
 from .graphs import HOSTILE, fleet, hostile, one_of_each

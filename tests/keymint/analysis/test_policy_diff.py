@@ -13,10 +13,10 @@ from comarmor.errors import Origin
 from comarmor.patterns.glob import parse
 from comarmor.patterns.relations import matches
 from comarmor.rules import Effect
-from keymint.analysis.changes import changes_of
-from keymint.analysis.diff import diff, gains
 from keymint.analysis.differences import summary
-from keymint.analysis.purse import STATES, Purse
+from keymint.analysis.policy_diff import diff_policies, has_gains
+from keymint.analysis.query_budget import STATES, QueryBudget
+from keymint.analysis.rule_diff import rule_changes
 from keymint.ir import Rule
 from tests.keymint.analysis.policies import deny, loaded, profile, rule
 
@@ -28,7 +28,7 @@ def changed(folder: Path, old: str, new: str) -> list[tuple[str, str]]:
     one, other = (loaded(folder, text, name=f"{name}.xml") for name, text in (("old", old), ("new", new)))
     return [
         (each.subject, f"{'+' if it.gains else '-'} {it.permission} {'' if it.whole else 'part of '}{it.pattern}")
-        for each in diff(one, other)
+        for each in diff_policies(one, other)
         for it in each.changes
     ]
 
@@ -74,11 +74,11 @@ def test_subjects_that_come_go_or_are_not_named(tmp_path: Path) -> None:
     said = changed(tmp_path, profile("/old", rule(*PUB, "/a")), profile("/guest/*", rule(*PUB, "{namespace}{name}")))
     assert said == [("/old", "- ros_publish /a"), ("/guest/x", "+ ros_publish /guest/x")]
     one, other = (loaded(tmp_path, profile(name)) for name in ("/a", "/b"))
-    assert [(each.subject, each.before, each.after) for each in diff(one, other)] == [
+    assert [(each.subject, each.before, each.after) for each in diff_policies(one, other)] == [
         ("/a", True, False),
         ("/b", False, True),
     ]
-    assert not gains(diff(one, other))
+    assert not has_gains(diff_policies(one, other))
 
 
 def test_an_example_is_shortest_and_has_its_rule(tmp_path: Path) -> None:
@@ -86,11 +86,11 @@ def test_an_example_is_shortest_and_has_its_rule(tmp_path: Path) -> None:
         loaded(tmp_path, profile("/s")),
         loaded(tmp_path, profile("/s", rule(*PUB, "/x/*"), deny(*PUB, "/x/?"))),
     )
-    (found,) = diff(one, other)
+    (found,) = diff_policies(one, other)
     (change,) = found.changes
     assert (change.example, change.where.line, change.whole) == ("/x/aa", 3, False)
-    assert gains([found])
-    assert not gains(diff(other, one))
+    assert has_gains([found])
+    assert not has_gains(diff_policies(other, one))
 
 
 ATOMS = ("/", "a", "b", "*", "?", "[!a]")
@@ -113,7 +113,7 @@ def permitted(rules: list[Rule], name: str) -> bool:
 
 @given(RULES, RULES)
 def test_what_changes_is_covered_and_what_is_said_is_so(old: list[Rule], new: list[Rule]) -> None:
-    found = list(changes_of(old, new))
+    found = list(rule_changes(old, new))
     for name in LEGAL:
         before, after = permitted(old, name), permitted(new, name)
         if before is not after:
@@ -131,7 +131,7 @@ def test_a_gain_in_a_namespace_below(tmp_path: Path) -> None:
     sees = rule("ros_topic", "ros_subscribe", "/*")
     old, new = (profile("/*a?", sees, deny("ros_topic", "ros_subscribe", denied)) for denied in ("{namespace}a", "/a*"))
     one, other = (loaded(tmp_path, text, name=f"{name}.xml") for name, text in (("old", old), ("new", new)))
-    assert gains(diff(one, other))
+    assert has_gains(diff_policies(one, other))
 
 
 @pytest.mark.parametrize(
@@ -142,7 +142,7 @@ def test_the_summary_is_a_sentence(tmp_path: Path, gaining: int, losing: int, sa
     more = "".join(profile(f"/g{number}", rule(*PUB, "/a")) for number in range(gaining))
     less = "".join(profile(f"/l{number}", rule(*PUB, "/a")) for number in range(losing))
     one, other = (loaded(tmp_path, text, name=f"{name}.xml") for name, text in (("old", less), ("new", more)))
-    assert summary(diff(one, other)) == said
+    assert summary(diff_policies(one, other)) == said
 
 
 @pytest.mark.parametrize(
@@ -160,10 +160,10 @@ def test_a_pattern_of_subjects_grows(tmp_path: Path, old: str, new: str, witness
         loaded(tmp_path, profile(each, rule(*PUB, name)), name=f"{number}.xml")
         for number, each in enumerate((old, new))
     )
-    (found,) = diff(one, other)
+    (found,) = diff_policies(one, other)
     assert (found.subject, [change.gains for change in found.changes]) == (witness, [True])
-    assert gains([found])
-    (found,) = (each for each in diff(other, one) if each.like)
+    assert has_gains([found])
+    (found,) = (each for each in diff_policies(other, one) if each.like)
     assert (found.subject, [change.gains for change in found.changes]) == (witness, [False])
 
 
@@ -211,11 +211,11 @@ def test_many_nested_wildcards_are_a_product(tmp_path: Path) -> None:
     inside = rule(*PUB, "/x")
     for letter in "abcdef":
         inside = profile(f"*{letter}*", inside)
-    purse = Purse()
+    purse = QueryBudget()
     one, other = (
         loaded(tmp_path, text, name=f"{n}.xml") for n, text in enumerate((profile("/y"), profile("/y") + inside))
     )
-    found = [change for each in diff(one, other, purse) for change in each.changes]
+    found = [change for each in diff_policies(one, other, purse) for change in each.changes]
     assert [change.unknown for change in found] == [""] * 6
     assert purse.spent < STATES // 5
 
@@ -224,9 +224,9 @@ def test_a_spent_budget_is_never_equivalent(tmp_path: Path) -> None:
     one, other = (
         loaded(tmp_path, profile(name, rule(*PUB, "/x")), name=f"{len(name)}.xml") for name in ("/s*", "/[st]*")
     )
-    assert all(not change.unknown for each in diff(one, other) for change in each.changes)
-    found = diff(one, other, Purse(1))
-    assert gains(found)
+    assert all(not change.unknown for each in diff_policies(one, other) for change in each.changes)
+    found = diff_policies(one, other, QueryBudget(1))
+    assert has_gains(found)
     assert all(change.unknown for each in found for change in each.changes)
     assert "not decided for" in summary(found)
 
@@ -239,9 +239,9 @@ def test_a_large_policy_is_compared_by_what_changed(tmp_path: Path) -> None:
 
     spent = []
     for number in (20, 200):
-        purse = Purse()
+        purse = QueryBudget()
         old = loaded(tmp_path, fleet(number), name="old.xml")
         new = loaded(tmp_path, fleet(number) + profile("/robot3/arm*", rule(*PUB, "/y")), name="new.xml")
-        assert [each.like for each in diff(old, new, purse)] == ["/robot3/arm*"]
+        assert [each.like for each in diff_policies(old, new, purse)] == ["/robot3/arm*"]
         spent.append(purse.spent)
     assert spent[1] <= 2 * spent[0]

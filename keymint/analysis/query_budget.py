@@ -19,7 +19,7 @@ _TICK = 256
 
 
 @dataclass(slots=True)
-class Purse:
+class QueryBudget:
     """A budget that several questions share.
 
     Attributes:

@@ -33,7 +33,7 @@ from keymint.ir import Rule
 
 RAW = "topic"
 SEPARATOR = "\0"
-Key = tuple[str, str]
+PermissionKey = tuple[str, str]
 """A kind, and a permission of it that has no parts."""
 
 _ROS = Universe(charset((ord(char), ord(char)) for char in string.ascii_letters + string.digits + "_/"))
@@ -59,12 +59,12 @@ def names(kind: str) -> DecisionList:
     return _RAW_NAMES if kind == RAW else _ROS_NAMES
 
 
-def keys(rule: Rule) -> Iterator[Key]:
+def keys(rule: Rule) -> Iterator[PermissionKey]:
     """Yield what a rule is about, its permissions taken apart."""
     yield from dict.fromkeys((kind, part) for held in rule.permissions for kind, part, _ in parts(rule.kind, held))
 
 
-def patterns(rule: Rule, expression: str, key: Key) -> tuple[Glob, ...]:
+def patterns(rule: Rule, expression: str, key: PermissionKey) -> tuple[Glob, ...]:
     """Return the words of a kind and permission that an expression of a rule is about."""
     parsed = parse(expression)
     if rule.kind == RAW:
@@ -90,7 +90,7 @@ def asked(kind: str, expression: str, partition: str = "") -> Glob:
     return in_partition(partition, parse(expression)) if kind == RAW else parse(expression)
 
 
-def listed(rules: Iterable[Rule], key: Key) -> DecisionList:
+def listed(rules: Iterable[Rule], key: PermissionKey) -> DecisionList:
     """Return what rules say of a kind and permission that has no parts: denials, then what is allowed."""
     found: dict[Effect, dict[Glob, None]] = {Effect.DENY: {}, Effect.ALLOW: {}}
     for rule in rules:
@@ -104,7 +104,7 @@ def decisions(denied: Iterable[Glob], allowed: Iterable[Glob]) -> DecisionList:
     return (Block(False, tuple(denied)), Block(True, tuple(allowed)))
 
 
-def conjunction(rules: Iterable[Rule], kind: str, permission: str) -> tuple[DecisionList, ...]:
+def part_lists(rules: Iterable[Rule], kind: str, permission: str) -> tuple[DecisionList, ...]:
     """Return lists of which all must permit a name for the permission to be held: one for each part."""
     rules = tuple(rules)
     return tuple(
@@ -137,7 +137,7 @@ def allowed(pattern: Glob) -> DecisionList:
     return (Block(True, (pattern,)),)
 
 
-def flipped(decided: DecisionList) -> DecisionList:
+def negated(decided: DecisionList) -> DecisionList:
     """Return the list that permits exactly what another one refuses."""
     return (*(Block(not block.allows, block.patterns) for block in decided), Block(True, (EVERYTHING,)))
 

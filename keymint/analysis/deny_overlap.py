@@ -12,12 +12,12 @@ from comarmor.patterns.decision_lists import Equal, Unknown
 from comarmor.patterns.glob import Glob, literal
 from comarmor.patterns.relations import TooComplexError, disjoint
 from comarmor.rules import Effect
-from keymint.analysis.lists import Key, allowed, keys, meet, patterns, text
-from keymint.analysis.subjects import reached, splits
+from keymint.analysis.rule_lists import PermissionKey, allowed, keys, meet, patterns, text
+from keymint.analysis.subject_patterns import namespace_name_splits, profile_subjects
 from keymint.api import Clause, Structure
 
 
-def may_matter(written: Structure, clause: Clause, at: int) -> bool:
+def may_deny_something(written: Structure, clause: Clause, at: int) -> bool:
     """Tell whether a rule may allow something that an expression of a DENY rule denies.
 
     Left out are rules that depend on the subject in the same way: any example shows what they have in common.
@@ -43,7 +43,7 @@ def may_matter(written: Structure, clause: Clause, at: int) -> bool:
         _overlap(key[0], one, two)
         for other, number in others
         for key in keys(clause.rule)
-        for subjects in reached((*clause.profiles, *other.profiles))
+        for subjects in profile_subjects((*clause.profiles, *other.profiles))
         if literal(subjects) is None
         for one in _about(clause, at, subjects, key)
         for two in _about(other, number, subjects, key)
@@ -60,9 +60,9 @@ def _beginning(clause: Clause, at: int) -> str | None:
     return None
 
 
-def _about(clause: Clause, at: int, subjects: Glob, key: Key) -> Iterator[Glob]:
+def _about(clause: Clause, at: int, subjects: Glob, key: PermissionKey) -> Iterator[Glob]:
     """Yield patterns that together match what an expression is about for any of some subjects."""
-    for namespace, name in splits(subjects):
+    for namespace, name in namespace_name_splits(subjects):
         yield from patterns(clause.rule, clause.expand(text(namespace), text(name))[at], key)
 
 

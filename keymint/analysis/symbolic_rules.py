@@ -10,10 +10,10 @@ from comarmor.errors import Origin
 from comarmor.patterns.glob import STAR, Glob, literal, parse
 from comarmor.patterns.relations import TooComplexError, disjoint
 from comarmor.rules import Effect
-from keymint.analysis.lists import Key, keys
-from keymint.analysis.subjects import EVERY, reached
-from keymint.analysis.symbolic import Condition, Entry, pairs
-from keymint.analysis.templates import symbolic
+from keymint.analysis.rule_lists import PermissionKey, keys
+from keymint.analysis.subject_patterns import EVERY, profile_subjects
+from keymint.analysis.subject_templates import symbolic_patterns
+from keymint.analysis.symbolic_search import SymbolicCondition, SymbolicEntry, namespace_name_pairs
 from keymint.api import Structure
 
 _Profiles = tuple[tuple[str, ...], ...]
@@ -22,7 +22,7 @@ _MOST_PIECES = 8
 
 
 @dataclass(frozen=True, slots=True)
-class Reach:
+class ProfileReach:
     """The subjects that nested profiles match by a pattern.
 
     Attributes:
@@ -36,16 +36,18 @@ class Reach:
     exact: tuple[Glob, ...]
 
     @property
-    def conditions(self) -> tuple[Condition, ...]:
+    def conditions(self) -> tuple[SymbolicCondition, ...]:
         """What a subject that a pattern matches must be like besides."""
         return tuple(
-            Condition(some=tuple(Entry(pairs(parse(expression)), (STAR,)) for expression in level))
+            SymbolicCondition(
+                some=tuple(SymbolicEntry(namespace_name_pairs(parse(expression)), (STAR,)) for expression in level)
+            )
             for level in self.left
         )
 
 
 @dataclass(frozen=True, slots=True)
-class Spoken:
+class SymbolicRule:
     """An expression of a rule.
 
     Attributes:
@@ -56,7 +58,7 @@ class Spoken:
     """
 
     profiles: _Profiles
-    reach: Reach
+    reach: ProfileReach
     object: Glob
     where: Origin
 
@@ -65,13 +67,13 @@ class Spoken:
         """What it says, wherever it stands."""
         return self.profiles, self.object
 
-    def entry(self) -> Entry:
+    def entry(self) -> SymbolicEntry:
         """Return it as part of a condition."""
         subjects = self.reach.exact or self.reach.subjects
-        return Entry(tuple(pair for one in subjects for pair in pairs(one)), self.object)
+        return SymbolicEntry(tuple(pair for one in subjects for pair in namespace_name_pairs(one)), self.object)
 
 
-class Book:
+class SymbolicRules:
     """What the rules of a policy say of subjects that its profiles match by a pattern.
 
     Args:
@@ -84,34 +86,34 @@ class Book:
 
     def __init__(self, written: Structure) -> None:
         self.singles: dict[str, None] = {}
-        self._found: dict[tuple[Key, Effect], dict[tuple[_Profiles, Glob], Spoken]] = defaultdict(dict)
-        self._near: dict[tuple[Key, Effect], _Near] = {}
-        reaches: dict[_Profiles, Reach] = {}
+        self._found: dict[tuple[PermissionKey, Effect], dict[tuple[_Profiles, Glob], SymbolicRule]] = defaultdict(dict)
+        self._near: dict[tuple[PermissionKey, Effect], _Near] = {}
+        reaches: dict[_Profiles, ProfileReach] = {}
         for clause in written.clauses:
             if clause.profiles not in reaches:
-                reaches[clause.profiles], singles = reach(clause.profiles)
+                reaches[clause.profiles], singles = profile_reach(clause.profiles)
                 self.singles |= dict.fromkeys(singles)
             subjects = reaches[clause.profiles]
             if not subjects.subjects:
                 continue
             for key in keys(clause.rule):
-                for pattern in symbolic(clause, key):
-                    spoken = Spoken(clause.profiles, subjects, pattern, clause.rule.origin)
+                for pattern in symbolic_patterns(clause, key):
+                    spoken = SymbolicRule(clause.profiles, subjects, pattern, clause.rule.origin)
                     self._found[key, clause.rule.effect].setdefault(spoken.said, spoken)
 
-    def all(self, key: Key, effect: Effect) -> dict[tuple[_Profiles, Glob], Spoken]:
+    def all(self, key: PermissionKey, effect: Effect) -> dict[tuple[_Profiles, Glob], SymbolicRule]:
         """Return what rules of an effect say of a kind and permission without parts, by what they say."""
         return self._found.get((key, effect), {})
 
-    def surely(self, key: Key, effect: Effect, subjects: Glob) -> tuple[Entry, ...]:
+    def surely(self, key: PermissionKey, effect: Effect, subjects: Glob) -> tuple[SymbolicEntry, ...]:
         """Return what rules of an effect say that may be about some subjects; where that is too complex, less."""
         return tuple(one.entry() for one in self._about(key, effect, subjects) if one.reach.exact)
 
-    def perhaps(self, key: Key, effect: Effect, subjects: Glob) -> tuple[Entry, ...]:
+    def perhaps(self, key: PermissionKey, effect: Effect, subjects: Glob) -> tuple[SymbolicEntry, ...]:
         """Return what rules of an effect say that may be about some subjects; where that is too complex, more."""
         return tuple(one.entry() for one in self._about(key, effect, subjects))
 
-    def _about(self, key: Key, effect: Effect, subjects: Glob) -> Iterator[Spoken]:
+    def _about(self, key: PermissionKey, effect: Effect, subjects: Glob) -> Iterator[SymbolicRule]:
         if (key, effect) not in self._near:
             self._near[key, effect] = _Near(self.all(key, effect))
         yield from self._near[key, effect].of(subjects)
@@ -120,16 +122,16 @@ class Book:
 class _Near:
     """What rules say, by the profiles that they stand in."""
 
-    def __init__(self, found: dict[tuple[_Profiles, Glob], Spoken]) -> None:
-        self._by_profiles: dict[_Profiles, list[Spoken]] = defaultdict(list)
+    def __init__(self, found: dict[tuple[_Profiles, Glob], SymbolicRule]) -> None:
+        self._by_profiles: dict[_Profiles, list[SymbolicRule]] = defaultdict(list)
         self._by_head: dict[str, dict[_Profiles, None]] = defaultdict(dict)
         for spoken in found.values():
             self._by_profiles[spoken.profiles].append(spoken)
             for one in spoken.reach.subjects:
                 self._by_head[_head(one)][spoken.profiles] = None
-        self._known: dict[Glob, tuple[Spoken, ...]] = {}
+        self._known: dict[Glob, tuple[SymbolicRule, ...]] = {}
 
-    def of(self, subjects: Glob) -> tuple[Spoken, ...]:
+    def of(self, subjects: Glob) -> tuple[SymbolicRule, ...]:
         """Return the description of subjects that a pattern matches."""
         if subjects not in self._known:
             head = _head(subjects)
@@ -148,12 +150,12 @@ class _Near:
         return self._known[subjects]
 
 
-def reach(profiles: _Profiles) -> tuple[Reach, tuple[str, ...]]:
+def profile_reach(profiles: _Profiles) -> tuple[ProfileReach, tuple[str, ...]]:
     """Return the subjects that nested profiles match by a pattern, and those that they match each by itself."""
     exact: tuple[Glob, ...] = ()
     for depth in range(len(profiles), 0, -1):
         try:
-            found = reached(profiles[:depth])
+            found = profile_subjects(profiles[:depth])
         except TooComplexError:
             continue
         if depth == len(profiles):
@@ -161,8 +163,8 @@ def reach(profiles: _Profiles) -> tuple[Reach, tuple[str, ...]]:
         if depth > 1 and len(found) > max(_MOST_PIECES, *map(len, profiles)):
             continue
         singles = tuple(name for one in found if (name := literal(one)) is not None)
-        return Reach(tuple(one for one in found if literal(one) is None), profiles[depth:], exact), singles
-    return Reach((EVERY,), profiles, ()), ()
+        return ProfileReach(tuple(one for one in found if literal(one) is None), profiles[depth:], exact), singles
+    return ProfileReach((EVERY,), profiles, ()), ()
 
 
 def _head(pattern: Glob) -> str:

@@ -17,28 +17,28 @@ from typing import Any
 from markupsafe import Markup
 
 from comarmor.errors import Origin, cited
-from keymint.drawing.layout import Domain, Key
-from keymint.drawing.model import Labelled, LabelledEdge, Outcome, Said, select
-from keymint.drawing.options import Options
+from keymint.drawing.display_text import KINDS, object_name, printable
+from keymint.drawing.labelled_graph import EdgeOutcome, Label, LabelledEdge, LabelledGraph, select_edges
+from keymint.drawing.layout import DomainObject, NodeKey
+from keymint.drawing.options import DrawingOptions
 from keymint.drawing.palette import Theme, style_sheet
 from keymint.drawing.simplify import EXPRESS, simplify, weight
-from keymint.drawing.svg import Embedding, draw, environment
-from keymint.drawing.text import KINDS, object_name, printable
+from keymint.drawing.svg import PageEmbedding, draw, environment
 from keymint.drawing.words import counted
 
 MOST_ROWS = 10_000
 """Edges that a report lists; it says how many it leaves out. False labels and express denials are all listed, then what
 is allowed."""
 _WORDS = {
-    Outcome.FALSE_ALLOW: "DANGER: allowed against the policy",
-    Outcome.FALSE_DENY: "denied against the policy",
-    Outcome.ALLOW: "allowed",
-    Outcome.DENY: "denied",
-    Outcome.UNLABELLED: "not labelled",
+    EdgeOutcome.FALSE_ALLOW: "DANGER: allowed against the policy",
+    EdgeOutcome.FALSE_DENY: "denied against the policy",
+    EdgeOutcome.ALLOW: "allowed",
+    EdgeOutcome.DENY: "denied",
+    EdgeOutcome.UNLABELLED: "not labelled",
 }
 
 
-def html_report(labelled: Labelled, sources: Mapping[str, bytes], picture: Options | None = None) -> bytes:
+def html_report(labelled: LabelledGraph, sources: Mapping[str, bytes], picture: DrawingOptions | None = None) -> bytes:
     """Return a report as an HTML document in UTF-8; the same for the same graph on every machine.
 
     Args:
@@ -46,7 +46,7 @@ def html_report(labelled: Labelled, sources: Mapping[str, bytes], picture: Optio
         sources: texts of the files that places in the graph are in, by the path that the places have.
         picture: how its picture is drawn; the theme follows the reader's preference.
     """
-    options = replace(picture or Options(), theme=Theme.AUTO)
+    options = replace(picture or DrawingOptions(), theme=Theme.AUTO)
     page = _Page(labelled, tuple(sources), options)
     style = _text("report.css") + style_sheet(Theme.AUTO)
     script = _text("report.js")
@@ -72,7 +72,7 @@ def html_report(labelled: Labelled, sources: Mapping[str, bytes], picture: Optio
         "has_policy": any(one.policy for one in labelled.edges),
         "confusions": [(name, labelled.confusion(at)) for at, name in enumerate(page.transports)],
         "differences": [row for row in listed if row["wrong"]],
-        "picture": Markup(draw(labelled, options, Embedding(page.number))) if labelled.edges else "",  # noqa: S704 - escaped
+        "picture": Markup(draw(labelled, options, PageEmbedding(page.number))) if labelled.edges else "",  # noqa: S704 - escaped
         "groups": list(_groups(labelled, options, page)) if labelled.edges else [],
         "subjects": [
             {"name": printable(name), "number": page.number(name), "rows": rows[name]} for name in labelled.subjects
@@ -87,12 +87,12 @@ def html_report(labelled: Labelled, sources: Mapping[str, bytes], picture: Optio
     return environment().get_template("report.html.j2").render(context).encode()
 
 
-def _groups(labelled: Labelled, options: Options, page: _Page) -> Iterator[Mapping[str, Any]]:
+def _groups(labelled: LabelledGraph, options: DrawingOptions, page: _Page) -> Iterator[Mapping[str, Any]]:
     """Yield the groups of the picture, each with a picture of its own subjects."""
     for name, members in simplify(labelled, options).groups.items():
         if len(members) > 1:
-            part = replace(select(labelled, subjects=set(members)), title=name)
-            drawn = draw(part, replace(options, group=False), Embedding(page.number))
+            part = replace(select_edges(labelled, subjects=set(members)), title=name)
+            drawn = draw(part, replace(options, group=False), PageEmbedding(page.number))
             yield {"name": printable(name), "number": page.number(name), "picture": Markup(drawn)}  # noqa: S704 - escaped
 
 
@@ -122,18 +122,18 @@ class _Link:
 class _Page:
     """What the parts of a report refer to one another by."""
 
-    def __init__(self, labelled: Labelled, sources: Sequence[str], options: Options) -> None:
+    def __init__(self, labelled: LabelledGraph, sources: Sequence[str], options: DrawingOptions) -> None:
         self._labelled = labelled
         self._sources = {name: at for at, name in enumerate(sources)}
         self.transports = [printable(name) for name in labelled.transports]
-        self.objects: list[Domain] = sorted({(one.edge.domain, one.edge.object) for one in labelled.edges})
-        self._numbers: dict[Key, int] = {}
+        self.objects: list[DomainObject] = sorted({(one.edge.domain, one.edge.object) for one in labelled.edges})
+        self._numbers: dict[NodeKey, int] = {}
         groups = simplify(labelled, options).groups
-        keys: list[Key] = [*labelled.subjects, *self.objects, *groups]
+        keys: list[NodeKey] = [*labelled.subjects, *self.objects, *groups]
         for key in keys:
             self._numbers.setdefault(key, len(self._numbers))
 
-    def number(self, key: Key) -> int:
+    def number(self, key: NodeKey) -> int:
         """Return the number of a subject or object."""
         return self._numbers[key]
 
@@ -172,7 +172,7 @@ class _Page:
             ],
         }
 
-    def _said(self, said: Said | None, *, wrong: bool = False) -> Mapping[str, Any] | None:
+    def _said(self, said: Label | None, *, wrong: bool = False) -> Mapping[str, Any] | None:
         if said is None:
             return None
         return {
@@ -191,13 +191,13 @@ class _Page:
 
     def object_rows(self) -> list[Mapping[str, Any]]:
         """Return every object with who may do what on it."""
-        allowed: dict[Domain, list[tuple[int, str, str]]] = defaultdict(list)
-        counts: dict[Domain, Counter[str]] = defaultdict(Counter)
+        allowed: dict[DomainObject, list[tuple[int, str, str]]] = defaultdict(list)
+        counts: dict[DomainObject, Counter[str]] = defaultdict(Counter)
         for one in self._labelled.edges:
             key = (one.edge.domain, one.edge.object)
             outcome = one.outcome()
-            counts[key]["wrong" if outcome.false else "denied" if outcome is Outcome.DENY else "other"] += 1
-            if outcome is not Outcome.DENY and outcome is not Outcome.FALSE_DENY:
+            counts[key]["wrong" if outcome.false else "denied" if outcome is EdgeOutcome.DENY else "other"] += 1
+            if outcome is not EdgeOutcome.DENY and outcome is not EdgeOutcome.FALSE_DENY:
                 subject = one.edge.subject
                 allowed[key].append((self.number(subject), printable(subject), printable(one.edge.permission)))
         return [

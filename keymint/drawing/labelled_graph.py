@@ -18,7 +18,7 @@ from keymint.errors import ExitCode, KeymintError
 from keymint.graph import Edge, Graph, Object
 
 
-class Outcome(StrEnum):
+class EdgeOutcome(StrEnum):
     """How an edge is drawn."""
 
     UNLABELLED = "unlabelled"
@@ -30,19 +30,19 @@ class Outcome(StrEnum):
     @property
     def false(self) -> bool:
         """Whether a transport decides otherwise than the policy."""
-        return self in DIFFERENCES
+        return self in MISMATCHES
 
     @property
     def allowed(self) -> bool:
         """Whether the edge works in the end."""
-        return self in {Outcome.ALLOW, Outcome.FALSE_ALLOW}
+        return self in {EdgeOutcome.ALLOW, EdgeOutcome.FALSE_ALLOW}
 
 
-DIFFERENCES = frozenset({Outcome.FALSE_ALLOW, Outcome.FALSE_DENY})
+MISMATCHES = frozenset({EdgeOutcome.FALSE_ALLOW, EdgeOutcome.FALSE_DENY})
 
 
 @dataclass(frozen=True, slots=True)
-class Said:
+class Label:
     """What one layer says about an edge.
 
     Attributes:
@@ -69,24 +69,24 @@ class LabelledEdge:
     """
 
     edge: Edge
-    policy: Said | None = None
-    transports: tuple[Said | None, ...] = ()
+    policy: Label | None = None
+    transports: tuple[Label | None, ...] = ()
     audit: bool = False
     common: bool = False
 
-    def outcome(self, transport: int | None = None) -> Outcome:
+    def outcome(self, transport: int | None = None) -> EdgeOutcome:
         """Return how the edge is drawn, for one transport or (None) for all together, where any false label wins."""
         said = self.transports if transport is None else self.transports[transport : transport + 1]
         found = [one.allowed for one in said if one is not None]
         if self.policy is None:
-            return _plain(all(found)) if found else Outcome.UNLABELLED
+            return _plain(all(found)) if found else EdgeOutcome.UNLABELLED
         if any(allowed != self.policy.allowed for allowed in found):
-            return Outcome.FALSE_DENY if self.policy.allowed else Outcome.FALSE_ALLOW
+            return EdgeOutcome.FALSE_DENY if self.policy.allowed else EdgeOutcome.FALSE_ALLOW
         return _plain(self.policy.allowed)
 
 
-def _plain(allowed: bool) -> Outcome:
-    return Outcome.ALLOW if allowed else Outcome.DENY
+def _plain(allowed: bool) -> EdgeOutcome:
+    return EdgeOutcome.ALLOW if allowed else EdgeOutcome.DENY
 
 
 @dataclass(frozen=True, slots=True)
@@ -107,7 +107,7 @@ class Confusion:
 
 
 @dataclass(frozen=True, slots=True)
-class Labelled:
+class LabelledGraph:
     """A graph with labels.
 
     Attributes:
@@ -135,19 +135,19 @@ class Labelled:
         transports: Sequence[str] = (),
         patterns: Iterable[Object] = (),
         confusions: Sequence[Confusion] = (),
-    ) -> Labelled:
+    ) -> LabelledGraph:
         """Return the graph of these edges; subjects of the edges need not be named again."""
         found = tuple(sorted(edges, key=lambda labelled: labelled.edge))
         named = {*subjects, *(labelled.edge.subject for labelled in found)}
         return cls(title, found, tuple(sorted(named)), tuple(transports), frozenset(patterns), tuple(confusions))
 
     @classmethod
-    def of_graph(cls, title: str, graph: Graph) -> Labelled:
+    def of_graph(cls, title: str, graph: Graph) -> LabelledGraph:
         """Return a graph about which nothing is said."""
         return cls.of(title, (LabelledEdge(edge) for edge in graph.edges), graph.subjects)
 
     @property
-    def counts(self) -> Mapping[Outcome, int]:
+    def counts(self) -> Mapping[EdgeOutcome, int]:
         """Number of edges by outcome."""
         return Counter(labelled.outcome() for labelled in self.edges)
 
@@ -159,7 +159,10 @@ class Labelled:
             one.outcome(transport) for one in self.edges if one.policy is not None and one.transports[transport]
         )
         return Confusion(
-            asked[Outcome.ALLOW], asked[Outcome.FALSE_DENY], asked[Outcome.FALSE_ALLOW], asked[Outcome.DENY]
+            asked[EdgeOutcome.ALLOW],
+            asked[EdgeOutcome.FALSE_DENY],
+            asked[EdgeOutcome.FALSE_ALLOW],
+            asked[EdgeOutcome.DENY],
         )
 
 
@@ -168,7 +171,9 @@ def namespace(name: str) -> str:
     return name[: name.rfind("/") + 1]
 
 
-def choose(known: Sequence[str], subjects: Sequence[str] = (), namespaces: Sequence[str] = ()) -> tuple[str, ...]:
+def choose_subjects(
+    known: Sequence[str], subjects: Sequence[str] = (), namespaces: Sequence[str] = ()
+) -> tuple[str, ...]:
     """Return the subjects that a user asked for, sorted; all of them when nothing was asked for.
 
     Args:
@@ -195,7 +200,9 @@ def choose(known: Sequence[str], subjects: Sequence[str] = (), namespaces: Seque
     return tuple(sorted(kept))
 
 
-def select(labelled: Labelled, *, subjects: Collection[str] | None = None, only: Collection[Outcome] = ()) -> Labelled:
+def select_edges(
+    labelled: LabelledGraph, *, subjects: Collection[str] | None = None, only: Collection[EdgeOutcome] = ()
+) -> LabelledGraph:
     """Return a part of a graph.
 
     Args:

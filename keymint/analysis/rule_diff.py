@@ -11,27 +11,27 @@ from comarmor.patterns.glob import Glob, parse, surround
 from comarmor.patterns.proofs import difference
 from comarmor.patterns.relations import TooComplexError, covers, disjoint, intersection
 from comarmor.rules import PERMISSIONS, Effect, parts
-from keymint.analysis.lists import (
-    Key,
+from keymint.analysis.query_budget import QueryBudget
+from keymint.analysis.rule_lists import (
+    PermissionKey,
     allowed,
-    conjunction,
-    flipped,
     is_composite,
     keys,
     listed,
     meet,
+    negated,
+    part_lists,
     patterns,
     shown,
     universe,
     word,
 )
-from keymint.analysis.purse import Purse
-from keymint.analysis.subjects import only
+from keymint.analysis.subject_patterns import only
 from keymint.ir import Rule
 
 
 @dataclass(frozen=True, slots=True)
-class Change:
+class PermissionChange:
     """Objects on which a subject gains, or loses, a permission.
 
     Attributes:
@@ -60,7 +60,9 @@ class Change:
         return word(self.kind, self.word)
 
 
-def changes_of(old: Sequence[Rule], new: Sequence[Rule], purse: Purse | None = None) -> Iterator[Change]:
+def rule_changes(
+    old: Sequence[Rule], new: Sequence[Rule], purse: QueryBudget | None = None
+) -> Iterator[PermissionChange]:
     """Yield what a subject gains and loses when its rules change, gains first.
 
     Args:
@@ -68,17 +70,17 @@ def changes_of(old: Sequence[Rule], new: Sequence[Rule], purse: Purse | None = N
         new: its newer ones.
         purse: pays for it.
     """
-    purse = purse or Purse()
+    purse = purse or QueryBudget()
     for is_gain, before, after in ((True, old, new), (False, new, old)):
-        for kind, permission, pattern, example, whole, where, unknown in _Comparison(before, after, purse).found():
-            yield Change(is_gain, kind, permission, shown(kind, pattern), whole, example, where, unknown)
+        for kind, permission, pattern, example, whole, where, unknown in _RuleComparison(before, after, purse).found():
+            yield PermissionChange(is_gain, kind, permission, shown(kind, pattern), whole, example, where, unknown)
 
 
 _Found = tuple[str, str, Glob, str, bool, Origin, str]
 """Kind, permission, pattern, example, whether all of the pattern changes, the rule that allows it, and why unknown."""
 
 
-class _Comparison:
+class _RuleComparison:
     """What a subject may do by some rules, and not by other ones.
 
     Args:
@@ -87,7 +89,7 @@ class _Comparison:
         purse: pays for it.
     """
 
-    def __init__(self, before: Sequence[Rule], after: Sequence[Rule], purse: Purse) -> None:
+    def __init__(self, before: Sequence[Rule], after: Sequence[Rule], purse: QueryBudget) -> None:
         self._before = before
         self._after = after
         self._purse = purse
@@ -96,7 +98,7 @@ class _Comparison:
         """Yield what the rules make a difference to: permissions without parts first."""
         all_ = [(kind, permission) for kind, held in PERMISSIONS.items() for permission in held]
         composite = [found for key in all_ if is_composite(*key) for found in self._composite(*key)]
-        explained: dict[Key, list[Glob]] = {}
+        explained: dict[PermissionKey, list[Glob]] = {}
         for kind, permission, pattern, *_ in composite:
             pieces = [((of, part), surround("", pattern, suffix)) for of, part, suffix in parts(kind, permission)]
             if all(self._is_changed(key, piece) for key, piece in pieces):
@@ -109,13 +111,13 @@ class _Comparison:
                         yield found
         yield from composite
 
-    def _is_changed(self, key: Key, piece: Glob) -> bool:
+    def _is_changed(self, key: PermissionKey, piece: Glob) -> bool:
         return self._is_whole(key[0], piece, listed(self._before, key), listed(self._after, key))
 
     def _meet(self, kind: str, *lists: DecisionList) -> Outcome:
         return meet(kind, *lists, budget=self._purse.question())
 
-    def _elementary(self, key: Key) -> list[_Found]:
+    def _elementary(self, key: PermissionKey) -> list[_Found]:
         """Return what rules allow of a kind and permission without parts that earlier ones do not."""
         old, new = listed(self._before, key), listed(self._after, key)
         if isinstance(difference(old, new, universe=universe(key[0]), budget=self._purse.question()), Equal):
@@ -131,12 +133,18 @@ class _Comparison:
         return _largest(found)
 
     def _of_pattern(
-        self, pattern: Glob, old: DecisionList, new: DecisionList, denied: tuple[Glob, ...], key: Key, where: Origin
+        self,
+        pattern: Glob,
+        old: DecisionList,
+        new: DecisionList,
+        denied: tuple[Glob, ...],
+        key: PermissionKey,
+        where: Origin,
     ) -> Iterator[_Found]:
         """Yield what of a pattern is allowed now and was not: what was denied, and what nothing allowed."""
         kind, permission = key
         mine = only(pattern, new)
-        unspoken: DecisionList = (*(block for block in old if not block.allows), *flipped(old)[1:])
+        unspoken: DecisionList = (*(block for block in old if not block.allows), *negated(old)[1:])
         outcome = self._meet(kind, mine, unspoken)
         if not isinstance(outcome, Equal):
             whole = not any(not disjoint(pattern, each) for each in denied) and self._is_whole(kind, pattern, old, new)
@@ -162,21 +170,21 @@ class _Comparison:
         }
         if not candidates:
             return []
-        old, new = conjunction(self._before, kind, permission), conjunction(self._after, kind, permission)
+        old, new = part_lists(self._before, kind, permission), part_lists(self._after, kind, permission)
         found: list[_Found] = []
         for pattern, where in candidates.items():
-            outcomes = [self._meet(kind, allowed(pattern), *new, flipped(part)) for part in old]
+            outcomes = [self._meet(kind, allowed(pattern), *new, negated(part)) for part in old]
             outcome = _shortest(outcomes)
             if outcome is not None:
                 had = not isinstance(self._meet(kind, allowed(pattern), *old), Equal)
-                lacks = any(not isinstance(self._meet(kind, allowed(pattern), flipped(part)), Equal) for part in new)
+                lacks = any(not isinstance(self._meet(kind, allowed(pattern), negated(part)), Equal) for part in new)
                 found.append(_found((kind, permission), pattern, outcome, not had and not lacks, where))
         return _largest(found)
 
     def _is_whole(self, kind: str, pattern: Glob, old: DecisionList, new: DecisionList) -> bool:
         """Tell whether the older list refuses, and the newer one permits, all that a pattern matches."""
         refused_before = self._meet(kind, allowed(pattern), old)
-        refused_now = self._meet(kind, allowed(pattern), flipped(new))
+        refused_now = self._meet(kind, allowed(pattern), negated(new))
         return isinstance(refused_before, Equal) and isinstance(refused_now, Equal)
 
 
@@ -187,7 +195,7 @@ def _shortest(outcomes: Sequence[Equal | Witness | Unknown]) -> Witness | Unknow
     return next((each for each in outcomes if isinstance(each, Unknown)), None)
 
 
-def _found(key: Key, pattern: Glob, outcome: Witness | Unknown, whole: bool, where: Origin) -> _Found:
+def _found(key: PermissionKey, pattern: Glob, outcome: Witness | Unknown, whole: bool, where: Origin) -> _Found:
     if isinstance(outcome, Unknown):
         return (*key, pattern, "", False, where, outcome.reason)
     return (*key, pattern, outcome.word, whole, where, "")

@@ -12,7 +12,7 @@ from comarmor.errors import Origin
 from comarmor.patterns import glob
 from comarmor.rules import PERMISSIONS
 from keymint.api import LoadedPolicy, PolicyDecision
-from keymint.drawing.model import Labelled, LabelledEdge, Said
+from keymint.drawing.labelled_graph import Label, LabelledEdge, LabelledGraph
 from keymint.errors import KeymintError
 from keymint.graph import LABELLED, Edge, Graph, Object, complete
 from keymint.ir import Rule
@@ -31,7 +31,7 @@ def nowhere(_where: Origin) -> bool:
     return False
 
 
-def of_graph(
+def label_graph(
     title: str,
     policy: LoadedPolicy,
     graph: Graph,
@@ -40,7 +40,7 @@ def of_graph(
     everything: bool = False,
     typed: Callable[[str], str] = unchanged,
     common: Callable[[Origin], bool] = nowhere,
-) -> Labelled:
+) -> LabelledGraph:
     """Return a graph, or its completion, labelled by a policy.
 
     Args:
@@ -58,12 +58,12 @@ def of_graph(
     if everything:
         _refuse_large(len(subjects) * sum(len(LABELLED[found.kind]) for _, found in graph.objects))
     edges = complete(replace(graph, subjects=tuple(subjects))) if everything else graph.edges
-    said = _Said(typed, common)
+    said = _Labels(typed, common)
     labelled = (said.labelled(edge, policy.decide(edge)) for edge in edges if edge.subject in subjects)
-    return Labelled.of(title, labelled, subjects)
+    return LabelledGraph.of(title, labelled, subjects)
 
 
-def of_policy(
+def policy_graph(
     title: str,
     policy: LoadedPolicy,
     subjects: Sequence[str] = (),
@@ -71,7 +71,7 @@ def of_policy(
     everything: bool = False,
     typed: Callable[[str], str] = unchanged,
     common: Callable[[Origin], bool] = nowhere,
-) -> Labelled:
+) -> LabelledGraph:
     """Return the graph of a policy.
 
     Its objects are the names in the rules of its subjects. An expression that is no name stands for itself: only the
@@ -115,14 +115,14 @@ def of_policy(
                     mine.setdefault(found, set()).update(rule.permissions)
     if everything:
         _refuse_large(len(chosen) * sum(len(LABELLED[found.kind]) for found in names))
-    said = _Said(typed, common)
+    said = _Labels(typed, common)
     decided = itertools.chain(
         _decided(policy, chosen, sorted(names), said, everything=everything),
         _expressed(policy, own, expressions, said),
     )
     edges = list(itertools.islice(decided, MOST_EDGES + 1))
     _refuse_large(len(edges))
-    return Labelled.of(title, edges, chosen, patterns=expressions)
+    return LabelledGraph.of(title, edges, chosen, patterns=expressions)
 
 
 def _refuse_large(edges: int) -> None:
@@ -135,7 +135,7 @@ def _refuse_large(edges: int) -> None:
 
 
 def _decided(
-    policy: LoadedPolicy, subjects: Sequence[str], objects: Sequence[Object], said: _Said, *, everything: bool
+    policy: LoadedPolicy, subjects: Sequence[str], objects: Sequence[Object], said: _Labels, *, everything: bool
 ) -> Iterator[LabelledEdge]:
     for subject in subjects:
         for found in objects:
@@ -151,7 +151,7 @@ def _expressed(
     policy: LoadedPolicy,
     own: Mapping[str, Mapping[Object, set[str]]],
     expressions: Mapping[Object, Object],
-    said: _Said,
+    said: _Labels,
 ) -> Iterator[LabelledEdge]:
     for subject, found in own.items():
         for expression, permissions in found.items():
@@ -160,13 +160,13 @@ def _expressed(
                 yield said.labelled(replace(asked, object=expression), policy.decide(asked))
 
 
-class _Said:
+class _Labels:
     """Makes labels of decisions; the many that are alike are one object."""
 
     def __init__(self, typed: Callable[[str], str], common: Callable[[Origin], bool]) -> None:
         self._typed = functools.cache(typed)
         self._common = common
-        self._known: dict[PolicyDecision, Said] = {}
+        self._known: dict[PolicyDecision, Label] = {}
 
     def labelled(self, edge: Edge, decision: PolicyDecision) -> LabelledEdge:
         """Return a labelled edge."""
@@ -174,7 +174,7 @@ class _Said:
             # The place of the rule is said beside the reason.
             reason = decision.reason.replace(f" at {decision.where}", "") if decision.where else decision.reason
             where = self._place(decision.where) if decision.where else None
-            self._known[decision] = Said(decision.allowed, reason, where)
+            self._known[decision] = Label(decision.allowed, reason, where)
         common = decision.allowed and decision.where is not None and self._common(decision.where)
         return LabelledEdge(edge, self._known[decision], (), decision.audit, common)
 

@@ -19,7 +19,16 @@ from comarmor.patterns.pattern_index import Near
 from comarmor.patterns.proofs import difference
 from comarmor.patterns.relations import TooComplexError, covers, intersection, matches
 from comarmor.rules import Effect
-from keymint.analysis.lists import Key, allowed, decisions, keys, names, patterns, text, universe
+from keymint.analysis.rule_lists import (
+    PermissionKey,
+    allowed,
+    decisions,
+    keys,
+    names,
+    patterns,
+    text,
+    universe,
+)
 from keymint.api import Clause, LoadedPolicy, Structure
 from keymint.ir import Rule
 
@@ -49,7 +58,7 @@ def rules_of(policy: LoadedPolicy, subject: str) -> tuple[Rule, ...]:
 
 
 @remembered(1 << 14)
-def reached(profiles: tuple[tuple[str, ...], ...], within: Glob = EVERY) -> tuple[Glob, ...]:
+def profile_subjects(profiles: tuple[tuple[str, ...], ...], within: Glob = EVERY) -> tuple[Glob, ...]:
     """Return patterns that together match the subjects to which nested profiles apply.
 
     Args:
@@ -61,7 +70,7 @@ def reached(profiles: tuple[tuple[str, ...], ...], within: Glob = EVERY) -> tupl
     """
     if not profiles:
         return (within,)
-    return _narrowed(reached(profiles[:-1], within), profiles[-1])
+    return _narrowed(profile_subjects(profiles[:-1], within), profiles[-1])
 
 
 def _narrowed(found: Iterable[Glob], level: Sequence[str]) -> tuple[Glob, ...]:
@@ -86,7 +95,7 @@ def _narrowed(found: Iterable[Glob], level: Sequence[str]) -> tuple[Glob, ...]:
     return tuple(new)
 
 
-def can_be(pattern: Glob) -> bool:
+def can_exist(pattern: Glob) -> bool:
     """Tell whether a subject can have a name that a pattern matches; True where that is not decided."""
     if _filled_legally(pattern) is not None:
         return True
@@ -134,7 +143,7 @@ def examples(
         for profile in each.profiles:
             chain = (*profile.around, tuple(expression for expression, _ in profile.attachments))
             try:
-                wild |= dict.fromkeys(one for one in reached(chain) if literal(one) is None)
+                wild |= dict.fromkeys(one for one in profile_subjects(chain) if literal(one) is None)
             except TooComplexError:
                 given_up.append(f"the profiles around {profile.name!r} overlap in too many ways")
     found: dict[str, str] = {}
@@ -172,7 +181,7 @@ def _filled(pattern: Glob, filling: str) -> str:
     )
 
 
-def stand_ins(policy: LoadedPolicy, given_up: list[str] | None = None) -> dict[str, str]:
+def pattern_examples(policy: LoadedPolicy, given_up: list[str] | None = None) -> dict[str, str]:
     """Return a subject for each class of those that a policy does not name; see :func:`examples`."""
     written = structure(policy)
     return examples([written], policy.subjects(), given_up) if written else {}
@@ -217,7 +226,7 @@ def _overlaps(wild: Sequence[Glob]) -> list[Glob]:
     return list(found)
 
 
-def at_most(found: Structure, within: Glob, key: Key) -> Iterator[tuple[Glob, DecisionList]]:
+def at_most(found: Structure, within: Glob, key: PermissionKey) -> Iterator[tuple[Glob, DecisionList]]:
     """Yield, for patterns of subjects, a list that permits at least what any subject of that pattern may do.
 
     Args:
@@ -233,18 +242,18 @@ def at_most(found: Structure, within: Glob, key: Key) -> Iterator[tuple[Glob, De
     for clause in about:
         if clause.rule.effect is not Effect.ALLOW:
             continue
-        for subjects in reached(clause.profiles, within):
+        for subjects in profile_subjects(clause.profiles, within):
             granted: dict[Glob, None] = {}
-            for namespace, name in splits(subjects):
+            for namespace, name in namespace_name_splits(subjects):
                 for expression in clause.expand(text(namespace), text(name)):
                     granted |= dict.fromkeys(patterns(clause.rule, expression, key))
             yield subjects, decisions(_surely_denied(denials, subjects, key), granted)
 
 
-def _surely_denied(denials: Sequence[Clause], subjects: Glob, key: Key) -> Iterator[Glob]:
+def _surely_denied(denials: Sequence[Clause], subjects: Glob, key: PermissionKey) -> Iterator[Glob]:
     """Yield what is denied to every subject that a pattern matches."""
     for clause in denials:
-        if not any(covers(each, subjects) for each in reached(clause.profiles)):
+        if not any(covers(each, subjects) for each in profile_subjects(clause.profiles)):
             continue
         name = literal(subjects)
         if name is not None:
@@ -260,7 +269,7 @@ def _surely_denied(denials: Sequence[Clause], subjects: Glob, key: Key) -> Itera
             yield from patterns(clause.rule, expression, key)
 
 
-def splits(subjects: Glob) -> Iterator[tuple[Glob, Glob]]:
+def namespace_name_splits(subjects: Glob) -> Iterator[tuple[Glob, Glob]]:
     """Yield patterns of namespace and name so that each subject that a pattern matches is of one of them."""
     flat = units(subjects)
     for at, unit in enumerate(flat):
@@ -280,7 +289,7 @@ def matching(policy: LoadedPolicy, pattern: Glob) -> tuple[str, ...]:
     return tuple(subject for subject in policy.subjects() if matches(pattern, subject))
 
 
-def doubt(policy: LoadedPolicy, pattern: Glob) -> str:
+def unknown_subject(policy: LoadedPolicy, pattern: Glob) -> str:
     """Return why a subject may not be the one that was meant; empty for a pattern, and for one of the policy's."""
     subject = literal(pattern)
     if subject is None or policy.rules(subject) is not None:
@@ -290,7 +299,7 @@ def doubt(policy: LoadedPolicy, pattern: Glob) -> str:
     return said + (f"; did you mean {near[0]}?" if near else "")
 
 
-def inside(policy: LoadedPolicy, pattern: Glob) -> tuple[str, ...]:
+def representatives(policy: LoadedPolicy, pattern: Glob) -> tuple[str, ...]:
     """Return the subject that a pattern is, or those that a policy names, or else an example for each profile."""
     exact = literal(pattern)
     named = (exact,) if exact is not None else matching(policy, pattern)
@@ -299,7 +308,7 @@ def inside(policy: LoadedPolicy, pattern: Glob) -> tuple[str, ...]:
     for profile in written.profiles if written else ():
         chain = (*profile.around, tuple(expression for expression, _ in profile.attachments))
         try:
-            reachable = [one for piece in intersection(pattern, EVERY) for one in reached(chain, piece)]
+            reachable = [one for piece in intersection(pattern, EVERY) for one in profile_subjects(chain, piece)]
         except TooComplexError:
             continue
         found |= dict.fromkeys(subject for one in reachable if (subject := example(one)) is not None)

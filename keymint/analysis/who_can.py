@@ -10,17 +10,24 @@ from comarmor.patterns.decision_lists import Equal, Unknown, Witness
 from comarmor.patterns.glob import Glob, literal
 from comarmor.patterns.relations import TooComplexError, intersection, matches
 from comarmor.rules import Effect, parts
-from keymint.analysis.lists import allowed, conjunction, keys, meet, patterns, text, without
-from keymint.analysis.purse import Purse
-from keymint.analysis.spoken import Book, Spoken
-from keymint.analysis.subjects import can_be, example, matching, rules_of, structure
-from keymint.analysis.symbolic import EVERYBODY, Condition, Entry, Found, Undecided, find
+from keymint.analysis.query_budget import QueryBudget
+from keymint.analysis.rule_lists import allowed, keys, meet, part_lists, patterns, text, without
+from keymint.analysis.subject_patterns import can_exist, example, matching, rules_of, structure
+from keymint.analysis.symbolic_rules import SymbolicRule, SymbolicRules
+from keymint.analysis.symbolic_search import (
+    EVERYBODY,
+    FoundSubject,
+    SymbolicCondition,
+    SymbolicEntry,
+    Undecided,
+    find_subject,
+)
 from keymint.api import LoadedPolicy
 from keymint.ir import Rule
 
 
 @dataclass(frozen=True, slots=True)
-class Held:
+class PermissionHolder:
     """A permission that a subject holds, or may hold.
 
     Attributes:
@@ -38,9 +45,9 @@ class Held:
     unknown: str = ""
 
 
-def holders(
-    policy: LoadedPolicy, within: Glob, kind: str, permission: str, name: Glob, purse: Purse | None = None
-) -> Iterator[Held]:
+def who_can(
+    policy: LoadedPolicy, within: Glob, kind: str, permission: str, name: Glob, purse: QueryBudget | None = None
+) -> Iterator[PermissionHolder]:
     """Yield who holds a permission: subjects that a policy names first, then one for each pattern of others.
 
     Where nothing is yielded nobody does: for every subject there is, and every name. A policy whose type does not tell
@@ -56,28 +63,30 @@ def holders(
     """
     exact = literal(within)
     written = structure(policy) if exact is None else None
-    book = Book(written) if written else None
-    singles = [subject for subject in book.singles if matches(within, subject) and can_be((subject,))] if book else []
+    book = SymbolicRules(written) if written else None
+    singles = (
+        [subject for subject in book.singles if matches(within, subject) and can_exist((subject,))] if book else []
+    )
     named = (exact,) if exact is not None else tuple(dict.fromkeys((*matching(policy, within), *singles)))
     for subject in named:
-        found = held(rules_of(policy, subject), kind, permission, name)
+        found = shortest_granted(rules_of(policy, subject), kind, permission, name)
         if found is not None:
             yield _said(subject, "", found, policy, kind, permission)
     if book is not None:
-        question = _Question(policy, book, kind, permission, name, frozenset(named), purse or Purse())
+        question = _HolderSearch(policy, book, kind, permission, name, frozenset(named), purse or QueryBudget())
         yield from question.others(within)
 
 
-def held(
-    rules: Sequence[Rule], kind: str, permission: str, name: Glob, purse: Purse | None = None
+def shortest_granted(
+    rules: Sequence[Rule], kind: str, permission: str, name: Glob, purse: QueryBudget | None = None
 ) -> Witness | Unknown | None:
     """Return the shortest of some names on which rules grant a permission, or None."""
-    lists = conjunction(rules, kind, permission)
+    lists = part_lists(rules, kind, permission)
     outcome = meet(kind, allowed(name), *lists, budget=purse.question(len(lists)) if purse else None)
     return None if isinstance(outcome, Equal) else outcome
 
 
-def granting(rules: Sequence[Rule], kind: str, permission: str, word: str) -> Rule | None:
+def granting_rule(rules: Sequence[Rule], kind: str, permission: str, word: str) -> Rule | None:
     """Return the first rule that allows a name, itself or its first part."""
     part_kind, part, suffix = parts(kind, permission)[0]
     for rule in rules:
@@ -89,14 +98,16 @@ def granting(rules: Sequence[Rule], kind: str, permission: str, word: str) -> Ru
     return None
 
 
-def _said(subject: str, like: str, found: Witness | Unknown, policy: LoadedPolicy, kind: str, permission: str) -> Held:
+def _said(
+    subject: str, like: str, found: Witness | Unknown, policy: LoadedPolicy, kind: str, permission: str
+) -> PermissionHolder:
     if isinstance(found, Unknown):
-        return Held(subject, like, "", None, found.reason)
-    rule = granting(rules_of(policy, subject), kind, permission, found.word)
-    return Held(subject, like, found.word, rule.origin if rule else None)
+        return PermissionHolder(subject, like, "", None, found.reason)
+    rule = granting_rule(rules_of(policy, subject), kind, permission, found.word)
+    return PermissionHolder(subject, like, found.word, rule.origin if rule else None)
 
 
-class _Question:
+class _HolderSearch:
     """Who holds a permission, of the subjects that a policy does not name.
 
     Args:
@@ -112,12 +123,12 @@ class _Question:
     def __init__(
         self,
         policy: LoadedPolicy,
-        book: Book,
+        book: SymbolicRules,
         kind: str,
         permission: str,
         name: Glob,
         named: frozenset[str],
-        purse: Purse,
+        purse: QueryBudget,
     ) -> None:
         self._policy = policy
         self._book = book
@@ -125,7 +136,7 @@ class _Question:
         self._named = named
         self._purse = purse
 
-    def others(self, within: Glob) -> Iterator[Held]:
+    def others(self, within: Glob) -> Iterator[PermissionHolder]:
         """Yield one holder for each pattern of subjects, where there is one."""
         (kind, part, suffix), *_ = parts(self._kind, self._permission)
         told: set[Glob] = set()
@@ -144,33 +155,33 @@ class _Question:
                         break
         for subjects, reason in doubts.items():
             if subjects not in told:
-                yield Held("", text(subjects), "", None, reason)
+                yield PermissionHolder("", text(subjects), "", None, reason)
 
-    def _holder(self, subjects: Glob, shape: Glob, spoken: Spoken) -> Found | Undecided | None:
+    def _holder(self, subjects: Glob, shape: Glob, spoken: SymbolicRule) -> FoundSubject | Undecided | None:
         first = example(subjects)
         tried = [] if first is None or first in self._named else [first]
         for subject in tried:
             if self._judge(subject) is True:
-                return Found(subject)
+                return FoundSubject(subject)
         excluded = {subject for subject in self._named if matches(subjects, subject)}
         conditions = (*spoken.reach.conditions, *self._conditions(subjects))
-        return find(self._kind, subjects, shape, conditions, self._judge, (*excluded, *tried), self._purse)
+        return find_subject(self._kind, subjects, shape, conditions, self._judge, (*excluded, *tried), self._purse)
 
-    def _conditions(self, subjects: Glob) -> Iterator[Condition]:
+    def _conditions(self, subjects: Glob) -> Iterator[SymbolicCondition]:
         """Yield what the rules require: of an action or parameter that each of its parts is allowed."""
-        yield Condition(some=(Entry((EVERYBODY,), self._name),))
+        yield SymbolicCondition(some=(SymbolicEntry((EVERYBODY,), self._name),))
         for number, (kind, part, suffix) in enumerate(parts(self._kind, self._permission)):
             key = (kind, part)
-            yield Condition(tuple(_without(self._book.surely(key, Effect.DENY, subjects), suffix)))
+            yield SymbolicCondition(tuple(_without(self._book.surely(key, Effect.DENY, subjects), suffix)))
             if number:
-                yield Condition(some=tuple(_without(self._book.perhaps(key, Effect.ALLOW, subjects), suffix)))
+                yield SymbolicCondition(some=tuple(_without(self._book.perhaps(key, Effect.ALLOW, subjects), suffix)))
 
     def _judge(self, subject: str) -> bool | Undecided:
-        found = held(rules_of(self._policy, subject), self._kind, self._permission, self._name, self._purse)
+        found = shortest_granted(rules_of(self._policy, subject), self._kind, self._permission, self._name, self._purse)
         return Undecided(self._purse.reason(found.reason)) if isinstance(found, Unknown) else found is not None
 
-    def _said(self, subject: str, subjects: Glob) -> Iterator[Held]:
-        found = held(rules_of(self._policy, subject), self._kind, self._permission, self._name)
+    def _said(self, subject: str, subjects: Glob) -> Iterator[PermissionHolder]:
+        found = shortest_granted(rules_of(self._policy, subject), self._kind, self._permission, self._name)
         if found is not None:
             yield _said(subject, text(subjects), found, self._policy, self._kind, self._permission)
 
@@ -188,6 +199,6 @@ def _before(pattern: Glob, suffix: str) -> tuple[Glob, ...]:
     return without(allowed(pattern), suffix)[0].patterns
 
 
-def _without(entries: Sequence[Entry], suffix: str) -> Iterator[Entry]:
+def _without(entries: Sequence[SymbolicEntry], suffix: str) -> Iterator[SymbolicEntry]:
     for entry in entries:
-        yield from (Entry(entry.subjects, pattern) for pattern in _before(entry.object, suffix))
+        yield from (SymbolicEntry(entry.subjects, pattern) for pattern in _before(entry.object, suffix))

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from comarmor.patterns.glob import STAR, Charset, Glob, Star, literal, parse, units
 from comarmor.patterns.relations import matches
-from keymint.analysis.templates import NAME, NAMESPACE, filled, fitted, spelled
+from keymint.analysis.subject_templates import NAME, NAMESPACE, concrete_name, fill_placeholders, fit_pattern
 
 NAMESPACES = ("", "a/", "b/", "a/b/")
 NAMES = ("a", "b", "ab")
@@ -28,10 +28,10 @@ def words(shape: Glob) -> list[str]:
 
 @given(PATTERNS, PATTERNS)
 def test_narrow_is_too_little_and_wide_too_much(pattern: Glob, shape: Glob) -> None:
-    narrow, wide = (fitted(pattern, shape, *HALVES, wide=flag) for flag in (False, True))
+    narrow, wide = (fit_pattern(pattern, shape, *HALVES, wide=flag) for flag in (False, True))
     for word, namespace, name in product(words(shape), NAMESPACES, NAMES):
         subject = ((namespace,) if namespace else (), (name,))
-        truth = matches(filled(pattern, *subject), spelled(word, namespace, name))
+        truth = matches(fill_placeholders(pattern, *subject), concrete_name(word, namespace, name))
         little, much = (
             any(
                 all(matches(one, namespace) for one in limits)
@@ -55,14 +55,14 @@ def test_a_pattern_is_said_as_itself(pattern: Glob) -> None:
             all(matches(one, namespace) for one in limits)
             and all(matches(one, name) for one in limits2)
             and matches(object_, word)
-            for limits, limits2, object_ in fitted(pattern, pattern, *HALVES, wide=False).pieces
+            for limits, limits2, object_ in fit_pattern(pattern, pattern, *HALVES, wide=False).pieces
         )
 
 
 def test_what_is_exact() -> None:
     same = parse(f"/{NAMESPACE}[ab]")
-    assert fitted(same, parse(f"/{NAMESPACE}*"), *HALVES, wide=False).exact
-    assert fitted(parse("/a/*"), parse(f"/{NAMESPACE}{NAME}"), *HALVES, wide=False).exact
-    assert fitted(parse(f"/x/{NAME}"), parse("/x/a"), *HALVES, wide=False).exact
-    assert not fitted(parse(f"/{NAME}"), parse("/*"), *HALVES, wide=False).exact
-    assert literal(filled(same[:1], ("n/",), ("m",))) == "/n/"
+    assert fit_pattern(same, parse(f"/{NAMESPACE}*"), *HALVES, wide=False).exact
+    assert fit_pattern(parse("/a/*"), parse(f"/{NAMESPACE}{NAME}"), *HALVES, wide=False).exact
+    assert fit_pattern(parse(f"/x/{NAME}"), parse("/x/a"), *HALVES, wide=False).exact
+    assert not fit_pattern(parse(f"/{NAME}"), parse("/*"), *HALVES, wide=False).exact
+    assert literal(fill_placeholders(same[:1], ("n/",), ("m",))) == "/n/"

@@ -1,7 +1,7 @@
 """Two policies compared for all subjects that neither names: what any of them gains or loses.
 
 Only a rule that one policy has and the other has not can make a difference. So for each such rule one question is asked
-about all subjects and objects at once (:mod:`keymint.analysis.symbolic`); rules that both have cost nothing.
+about all subjects and objects at once (:mod:`keymint.analysis.symbolic_search`); rules that both have cost nothing.
 """
 
 from __future__ import annotations
@@ -15,15 +15,21 @@ from comarmor.patterns.decision_lists import Block, Equal, Unknown
 from comarmor.patterns.glob import Glob
 from comarmor.patterns.relations import disjoint, matches
 from comarmor.rules import PERMISSIONS, Effect
-from keymint.analysis.lists import Key, flipped, is_composite, listed, meet
-from keymint.analysis.purse import Purse
-from keymint.analysis.spoken import Book, Spoken
-from keymint.analysis.subjects import EVERY, example, rules_of
-from keymint.analysis.symbolic import EVERYBODY, Condition, Found, Undecided, find
-from keymint.analysis.templates import filled, fitted, marks
+from keymint.analysis.query_budget import QueryBudget
+from keymint.analysis.rule_lists import PermissionKey, is_composite, listed, meet, negated
+from keymint.analysis.subject_patterns import EVERY, example, rules_of
+from keymint.analysis.subject_templates import fill_placeholders, fit_pattern, marks
+from keymint.analysis.symbolic_rules import SymbolicRule, SymbolicRules
+from keymint.analysis.symbolic_search import (
+    EVERYBODY,
+    FoundSubject,
+    SymbolicCondition,
+    Undecided,
+    find_subject,
+)
 from keymint.api import LoadedPolicy
 
-KEYS: tuple[Key, ...] = tuple(
+KEYS: tuple[PermissionKey, ...] = tuple(
     (kind, permission)
     for kind, held in PERMISSIONS.items()
     for permission in held
@@ -33,7 +39,7 @@ KEYS: tuple[Key, ...] = tuple(
 
 
 @dataclass(frozen=True, slots=True)
-class Difference:
+class PatternDifference:
     """What subjects that a pattern matches gain or lose.
 
     Attributes:
@@ -47,7 +53,7 @@ class Difference:
     """
 
     gains: bool
-    key: Key
+    key: PermissionKey
     subjects: Glob
     object: Glob
     where: Origin | None
@@ -55,12 +61,12 @@ class Difference:
     unknown: str = ""
 
 
-def differences(
+def pattern_differences(
     policies: tuple[LoadedPolicy, LoadedPolicy],
-    written: tuple[Book, Book],
+    written: tuple[SymbolicRules, SymbolicRules],
     named: Iterable[str],
-    purse: Purse,
-) -> Iterator[Difference]:
+    purse: QueryBudget,
+) -> Iterator[PatternDifference]:
     """Yield what subjects gain or lose; where nothing is yielded none does, whatever its name.
 
     Args:
@@ -72,18 +78,18 @@ def differences(
     old, new = written
     named = tuple(named)
     for comparison in (
-        _Comparison(True, policies, (old, new), named, purse),
-        _Comparison(False, policies[::-1], (new, old), named, purse),
+        _PatternComparison(True, policies, (old, new), named, purse),
+        _PatternComparison(False, policies[::-1], (new, old), named, purse),
     ):
         for key in KEYS:
             for found in comparison.of(key):
                 if found.unknown and purse.is_empty:
-                    yield Difference(found.gains, ("", ""), EVERY, (), None, "", purse.reason(found.unknown))
+                    yield PatternDifference(found.gains, ("", ""), EVERY, (), None, "", purse.reason(found.unknown))
                     return
                 yield found
 
 
-class _Comparison:
+class _PatternComparison:
     """What subjects may do by one policy, and not by another one.
 
     Args:
@@ -98,9 +104,9 @@ class _Comparison:
         self,
         gains: bool,
         policies: Sequence[LoadedPolicy],
-        books: tuple[Book, Book],
+        books: tuple[SymbolicRules, SymbolicRules],
         named: tuple[str, ...],
-        purse: Purse,
+        purse: QueryBudget,
     ) -> None:
         self._gains = gains
         self._policies = policies
@@ -110,7 +116,7 @@ class _Comparison:
         self._shown: dict[Glob, dict[str, None]] = defaultdict(dict)
         self._excluded: dict[Glob, frozenset[str]] = {}
 
-    def of(self, key: Key) -> Iterator[Difference]:
+    def of(self, key: PermissionKey) -> Iterator[PatternDifference]:
         """Yield, for each rule and pattern of subjects, whether it makes a difference for a kind and permission."""
         allowed = self._after.all(key, Effect.ALLOW)
         new = allowed.keys() - self._before.all(key, Effect.ALLOW).keys()
@@ -124,18 +130,20 @@ class _Comparison:
                 questions = [self._unspoken(key, spoken, subjects)] if said in new else []
                 questions += self._denied(key, spoken, subjects, lifted)
                 found = self._first(key, spoken, subjects, questions) if questions else None
-                if isinstance(found, Found):
+                if isinstance(found, FoundSubject):
                     self._shown[subjects][found.subject] = None
                     yield self._said(key, spoken, subjects, found.subject, "")
                 elif found is not None:
                     yield self._said(key, spoken, subjects, "", found.reason)
 
-    def _said(self, key: Key, spoken: Spoken, subjects: Glob, subject: str, unknown: str) -> Difference:
-        return Difference(self._gains, key, subjects, spoken.object, spoken.where, subject, unknown)
+    def _said(
+        self, key: PermissionKey, spoken: SymbolicRule, subjects: Glob, subject: str, unknown: str
+    ) -> PatternDifference:
+        return PatternDifference(self._gains, key, subjects, spoken.object, spoken.where, subject, unknown)
 
     def _first(
-        self, key: Key, spoken: Spoken, subjects: Glob, questions: Sequence[_Question]
-    ) -> Found | Undecided | None:
+        self, key: PermissionKey, spoken: SymbolicRule, subjects: Glob, questions: Sequence[_Question]
+    ) -> FoundSubject | Undecided | None:
         """Return the answer to the first question that finds a subject; else why one of them was not decided."""
 
         def judge(subject: str) -> bool | Undecided:
@@ -144,16 +152,16 @@ class _Comparison:
         tried = [*self._shown[subjects], *self._example(subjects)]
         for subject in tried:
             if judge(subject) is True:
-                return Found(subject)
+                return FoundSubject(subject)
         undecided: Undecided | None = None
         for question in questions:
-            answer: Found | Undecided | None = None
+            answer: FoundSubject | Undecided | None = None
             for within, shape, conditions in question:
                 excluded = (*self._known(within), *tried)
-                answer = find(key[0], within, shape, conditions, judge, excluded, self._purse)
+                answer = find_subject(key[0], within, shape, conditions, judge, excluded, self._purse)
                 if not isinstance(answer, Undecided):
                     break
-            if isinstance(answer, Found):
+            if isinstance(answer, FoundSubject):
                 return answer
             undecided = undecided or answer
         return undecided
@@ -168,51 +176,53 @@ class _Comparison:
             self._excluded[subjects] = frozenset(name for name in self._named if matches(subjects, name))
         return self._excluded[subjects]
 
-    def _unspoken(self, key: Key, spoken: Spoken, subjects: Glob) -> _Question:
+    def _unspoken(self, key: PermissionKey, spoken: SymbolicRule, subjects: Glob) -> _Question:
         """Return the question whether a rule allows what no rule allowed."""
         refused = (
             *self._after.surely(key, Effect.DENY, subjects),
             *self._before.surely(key, Effect.ALLOW, subjects),
         )
-        return [(subjects, spoken.object, (*spoken.reach.conditions, Condition(refused)))]
+        return [(subjects, spoken.object, (*spoken.reach.conditions, SymbolicCondition(refused)))]
 
-    def _denied(self, key: Key, spoken: Spoken, subjects: Glob, lifted: Sequence[Spoken]) -> Iterator[_Question]:
+    def _denied(
+        self, key: PermissionKey, spoken: SymbolicRule, subjects: Glob, lifted: Sequence[SymbolicRule]
+    ) -> Iterator[_Question]:
         """Yield the questions whether a rule allows what was denied."""
         near = [one for one in lifted if _may_meet(one, spoken, subjects)]
         if not near:
             return
-        mine = (*spoken.reach.conditions, Condition(self._after.surely(key, Effect.DENY, subjects)))
+        mine = (*spoken.reach.conditions, SymbolicCondition(self._after.surely(key, Effect.DENY, subjects)))
         entries = tuple(one.entry() for one in near if not marks(one.object))
         if entries:
-            yield [(subjects, spoken.object, (*mine, Condition(some=entries)))]
+            yield [(subjects, spoken.object, (*mine, SymbolicCondition(some=entries)))]
         for one in near:
             if marks(one.object):
                 yield [*self._both(spoken, subjects, one, mine)]
 
     @staticmethod
-    def _both(spoken: Spoken, subjects: Glob, denial: Spoken, mine: _Conditions) -> Iterator[_Way]:
+    def _both(spoken: SymbolicRule, subjects: Glob, denial: SymbolicRule, mine: _Conditions) -> Iterator[_Way]:
         """Yield the ways to ask whether a rule allows what a denial that depends on the subject denied."""
-        conditions = (*mine, *denial.reach.conditions, Condition(some=(denial.entry(),)))
-        ways = [(subjects, denial.object, (*conditions, Condition(some=(spoken.entry(),))))]
+        conditions = (*mine, *denial.reach.conditions, SymbolicCondition(some=(denial.entry(),)))
+        ways = [(subjects, denial.object, (*conditions, SymbolicCondition(some=(spoken.entry(),))))]
         if marks(spoken.object):
             ways.append((subjects, spoken.object, conditions))
         yield from sorted(ways, key=_blurred)
 
-    def _differs(self, key: Key, pattern: Glob, subject: str) -> bool | Undecided:
+    def _differs(self, key: PermissionKey, pattern: Glob, subject: str) -> bool | Undecided:
         """Tell whether a subject may do by one policy, and not by the other one, something that a pattern matches."""
         head, _, last = subject.removeprefix("/").rpartition("/")
-        mine = filled(pattern, (f"{head}/",) if head else (), (last,))
+        mine = fill_placeholders(pattern, (f"{head}/",) if head else (), (last,))
         before, after = (listed(rules_of(policy, subject), key) for policy in self._policies)
         asked = (Block(True, (mine,)),)
-        outcome = meet(key[0], asked, after, flipped(before), budget=self._purse.question())
+        outcome = meet(key[0], asked, after, negated(before), budget=self._purse.question())
         if isinstance(outcome, Unknown):
             return Undecided(self._purse.reason(outcome.reason))
         return not isinstance(outcome, Equal)
 
 
-_Conditions = tuple[Condition, ...]
+_Conditions = tuple[SymbolicCondition, ...]
 _Way = tuple[Glob, Glob, _Conditions]
-"""What :func:`keymint.analysis.symbolic.find` is asked for: subjects, shape of the words, and conditions."""
+"""Arguments of :func:`~keymint.analysis.symbolic_search.find_subject`: subjects, shape of the names, conditions."""
 _Question = list[_Way]
 """Ways to ask the same; "there is none" is proven by any of them."""
 
@@ -221,10 +231,10 @@ def _blurred(way: _Way) -> int:
     """Return how many expressions cannot be said exactly where the placeholders stand as in the shape of the words."""
     _, shape, conditions = way
     entries = (entry for each in conditions for entry in (*each.none, *(each.some or ())))
-    return sum(not fitted(entry.object, shape, *EVERYBODY, wide=False).exact for entry in entries)
+    return sum(not fit_pattern(entry.object, shape, *EVERYBODY, wide=False).exact for entry in entries)
 
 
-def _may_meet(denial: Spoken, spoken: Spoken, subjects: Glob) -> bool:
+def _may_meet(denial: SymbolicRule, spoken: SymbolicRule, subjects: Glob) -> bool:
     if not marks(denial.object) and not marks(spoken.object) and disjoint(denial.object, spoken.object):
         return False
     return any(not disjoint(one, subjects) for one in denial.reach.subjects)

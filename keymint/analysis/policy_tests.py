@@ -10,10 +10,10 @@ from comarmor.patterns.decision_lists import Block, Equal, Witness
 from comarmor.patterns.glob import EVERYTHING, Glob, literal, parse, surround
 from comarmor.patterns.relations import disjoint, matches
 from comarmor.rules import Effect, parts
-from keymint.analysis.holders import holders
-from keymint.analysis.lists import allowed, asked, conjunction, keys, meet, patterns, word
-from keymint.analysis.question import permitted
-from keymint.analysis.subjects import can_be, doubt, matching, rules_of, stand_ins
+from keymint.analysis.query import parse_permission
+from keymint.analysis.rule_lists import allowed, asked, keys, meet, part_lists, patterns, word
+from keymint.analysis.subject_patterns import can_exist, matching, pattern_examples, rules_of, unknown_subject
+from keymint.analysis.who_can import who_can
 from keymint.api import Expectation, LoadedPolicy
 from keymint.errors import KeymintError
 from keymint.ir import Rule
@@ -22,7 +22,7 @@ Place = Spot
 
 
 @dataclass(frozen=True, slots=True)
-class Checked:
+class ExpectationResult:
     """An expectation that was checked.
 
     Attributes:
@@ -40,7 +40,7 @@ class Checked:
     exercised: frozenset[Place]
 
 
-class Checks:
+class ExpectationChecker:
     """Checks expectations.
 
     Args:
@@ -51,25 +51,25 @@ class Checks:
         self._policy = policy
         self._named = policy.subjects()
         self._rules: Mapping[str, tuple[Rule, ...]] = {
-            subject: rules_of(policy, subject) for subject in (*self._named, *stand_ins(policy))
+            subject: rules_of(policy, subject) for subject in (*self._named, *pattern_examples(policy))
         }
 
     def rules(self) -> dict[Place, Rule]:
         """Return the rules that apply to any subject, by place."""
         return {rule.origin.spot: rule for rules in self._rules.values() for rule in rules}
 
-    def check(self, expected: Expectation) -> Checked:
+    def check(self, expected: Expectation) -> ExpectationResult:
         """Return whether an expectation holds.
 
         Raises:
             KeymintError: it names no permission, or something that no subject or object can be named.
         """
         try:
-            kind, permission = permitted(expected.permission, expected.object)
+            kind, permission = parse_permission(expected.permission, expected.object)
         except KeymintError as error:
             raise KeymintError.of(replace(each, where=expected.where) for each in error.diagnostics) from None
         within = parse(expected.subject)
-        if not can_be(within):
+        if not can_exist(within):
             raise KeymintError(
                 f"no subject can be named as {expected.subject!r} says",
                 where=expected.where,
@@ -87,7 +87,7 @@ class Checks:
         failed = self._allow if expected.allowed else self._deny
         failure, rule = failed(within, kind, permission, name)
         exercised = frozenset(self._exercised(expected, within, kind, permission, name))
-        return Checked(expected, failure, rule, doubt(self._policy, within), exercised)
+        return ExpectationResult(expected, failure, rule, unknown_subject(self._policy, within), exercised)
 
     def _allow(self, within: Glob, kind: str, permission: str, name: Glob) -> tuple[str, Origin | None]:
         """Check that all subjects that the policy names, of those in question, hold a permission on all names."""
@@ -97,7 +97,7 @@ class Checks:
             return "the policy names no subject that it is about", None
         for subject in subjects:
             rules = rules_of(self._policy, subject)
-            for part in conjunction(rules, kind, permission):
+            for part in part_lists(rules, kind, permission):
                 refused = (*(Block(not block.allows, block.patterns) for block in part), Block(True, (EVERYTHING,)))
                 outcome = meet(kind, allowed(name), refused)
                 if isinstance(outcome, Equal):
@@ -112,7 +112,7 @@ class Checks:
 
     def _deny(self, within: Glob, kind: str, permission: str, name: Glob) -> tuple[str, Origin | None]:
         """Check that no subject there is holds a permission on any of the names."""
-        for each in holders(self._policy, within, kind, permission, name):
+        for each in who_can(self._policy, within, kind, permission, name):
             if each.unknown:
                 return f"it was not decided for {each.subject or f'subjects like {each.like}'}: {each.unknown}", None
             return f"{each.subject} may {permission} {word(kind, each.word)}", each.where
@@ -151,7 +151,7 @@ class Checks:
                     yield rule.origin.spot
 
 
-def diagnostics(found: Sequence[Checked]) -> Iterator[Diagnostic]:
+def diagnostics(found: Sequence[ExpectationResult]) -> Iterator[Diagnostic]:
     """Yield what is to be said of expectations: those that do not hold, and those that are in doubt."""
     for each in found:
         where, test = each.expectation.where, each.expectation.test

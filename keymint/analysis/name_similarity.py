@@ -13,8 +13,8 @@ from comarmor.patterns.effort import EffortError, limited, spend
 from comarmor.patterns.glob import Glob, literal, parse
 from comarmor.patterns.pattern_index import Near
 from comarmor.rules import Effect
-from keymint.analysis.attachments import Attachments
-from keymint.analysis.lists import RAW
+from keymint.analysis.attachments import AttachmentIndex
+from keymint.analysis.rule_lists import RAW
 from keymint.api import Structure
 from keymint.ir import Rule
 
@@ -40,7 +40,7 @@ _STEPS = 2_000
 _DIGITS = re.compile(r"\d+")
 
 
-def similar_names(subjects: Mapping[str, tuple[Rule, ...]], attachments: Attachments) -> Iterator[Diagnostic]:
+def similar_names(subjects: Mapping[str, tuple[Rule, ...]], attachments: AttachmentIndex) -> Iterator[Diagnostic]:
     """Yield names that nobody is at the other end of, where a name that is nearly the same has nobody at this end.
 
     Args:

@@ -13,7 +13,7 @@ from functools import lru_cache
 
 from comarmor.patterns.glob import STAR, Glob, Star, Token, literal, normalise, units
 from comarmor.patterns.relations import disjoint
-from keymint.analysis.lists import Key, patterns
+from keymint.analysis.rule_lists import PermissionKey, patterns
 from keymint.api import Clause
 
 NAMESPACE = "\x01"
@@ -26,7 +26,7 @@ _Units = tuple[Token, ...]
 
 
 @dataclass(frozen=True, slots=True)
-class Piece:
+class TemplatePiece:
     """Subjects, and the symbolic words that a pattern matches for each of them.
 
     Attributes:
@@ -41,7 +41,7 @@ class Piece:
 
 
 @dataclass(frozen=True, slots=True)
-class Fitted:
+class FittedPattern:
     """A pattern, said of symbolic words in which the marks stand as in another pattern.
 
     Attributes:
@@ -53,7 +53,7 @@ class Fitted:
     exact: bool
 
 
-def symbolic(clause: Clause, key: Key) -> tuple[Glob, ...]:
+def symbolic_patterns(clause: Clause, key: PermissionKey) -> tuple[Glob, ...]:
     """Return the patterns of symbolic words that a rule is about, for a kind and permission without parts."""
     expressions = clause.expand(f"/{NAMESPACE}/", NAME)
     return tuple(
@@ -70,7 +70,7 @@ def marks(pattern: Glob) -> tuple[str, ...]:
     return tuple(char for token in pattern if isinstance(token, str) for char in token if char in MARKS)
 
 
-def filled(pattern: Glob, namespace: Glob, name: Glob) -> Glob:
+def fill_placeholders(pattern: Glob, namespace: Glob, name: Glob) -> Glob:
     """Return a pattern with patterns of the namespace and the name in place of the marks."""
     if not marks(pattern):
         return pattern
@@ -82,7 +82,7 @@ def filled(pattern: Glob, namespace: Glob, name: Glob) -> Glob:
     )
 
 
-def spelled(word: str, namespace: str, name: str) -> str:
+def concrete_name(word: str, namespace: str, name: str) -> str:
     """Return the word that a symbolic word and a subject give."""
     return word.replace(NAMESPACE, namespace).replace(NAME, name)
 
@@ -93,7 +93,7 @@ def as_written(expression: str) -> str:
 
 
 @lru_cache(maxsize=1 << 14)
-def fitted(pattern: Glob, shape: Glob, namespace: Glob, name: Glob, *, wide: bool) -> Fitted:
+def fit_pattern(pattern: Glob, shape: Glob, namespace: Glob, name: Glob, *, wide: bool) -> FittedPattern:
     """Say a pattern of symbolic words where the marks stand as in another pattern, the shape.
 
     Args:
@@ -108,7 +108,7 @@ def fitted(pattern: Glob, shape: Glob, namespace: Glob, name: Glob, *, wide: boo
     tail = _common(mine[head:][::-1], other[head:][::-1])
     end, end2 = len(mine) - tail, len(other) - tail
     if _apart(mine[head:end], other[head:end2]) or _apart(mine[head:end][::-1], other[head:end2][::-1]):
-        return Fitted((), exact=True)
+        return FittedPattern((), exact=True)
     exact = True
     middle, others = mine[head:end], other[head:end2]
     if _has_mark(middle) and not _has_mark(others):
@@ -116,13 +116,13 @@ def fitted(pattern: Glob, shape: Glob, namespace: Glob, name: Glob, *, wide: boo
     if _has_mark(middle):
         exact = False
         if wide:
-            middle = units(filled(normalise(middle), namespace, name))
+            middle = units(fill_placeholders(normalise(middle), namespace, name))
     segments = _segments(other[head:end2])
     found: dict[tuple[tuple[Glob, ...], tuple[Glob, ...], Glob], None] = {}
     for parts in _parted(middle, segments, {NAMESPACE: namespace, NAME: name}):
         if len(found) == _MOST_PIECES:
             whole = ((), (), shape)
-            return Fitted((whole,) if wide else tuple(found), exact=False)
+            return FittedPattern((whole,) if wide else tuple(found), exact=False)
         limits: dict[str, list[Glob]] = {NAMESPACE: [], NAME: []}
         tokens: list[Token] = [*mine[:head]]
         for at, part in enumerate(parts):
@@ -136,31 +136,31 @@ def fitted(pattern: Glob, shape: Glob, namespace: Glob, name: Glob, *, wide: boo
                 limits[str(mark)].append(limit)
         pattern_ = normalise((*tokens, *mine[end:]))
         found[tuple(limits[NAMESPACE]), tuple(limits[NAME]), pattern_] = None
-    return Fitted(tuple(found), exact)
+    return FittedPattern(tuple(found), exact)
 
 
 def _reversed(
     head: _Units, middle: _Units, shape: _Units, tail: _Units, values: dict[str, Glob], *, wide: bool
-) -> Fitted:
+) -> FittedPattern:
     """Say a pattern with marks of words without: cut the shape where the marks stand, to tell what they must be.
 
     That is exact if the shape is one word; else the subject and the word depend on each other.
     """
     exact = literal(normalise(shape)) is not None
     if not (exact or wide):
-        return Fitted((), exact=False)
+        return FittedPattern((), exact=False)
     segments = _segments(middle)
     found: dict[tuple[tuple[Glob, ...], tuple[Glob, ...], Glob], None] = {}
     for parts in _parted(shape, segments, values):
         if len(found) == _MOST_PIECES:
             all_ = ((), (), normalise((*head, *shape, *tail)))
-            return Fitted((all_,) if wide else tuple(found), exact=False)
+            return FittedPattern((all_,) if wide else tuple(found), exact=False)
         limits: dict[str, list[Glob]] = {NAMESPACE: [], NAME: []}
         for at in range(1, len(parts), 2):
             limits[str(segments[at][0])].append(normalise(parts[at]))
         whole = normalise((*head, *(token for part in parts for token in part), *tail))
         found[tuple(limits[NAMESPACE]), tuple(limits[NAME]), whole] = None
-    return Fitted(tuple(found), exact)
+    return FittedPattern(tuple(found), exact)
 
 
 def _common(one: _Units, other: _Units) -> int:

@@ -1,6 +1,6 @@
 r"""Questions about all subjects at once that a policy does not name.
 
-A word is ``namespace NUL name NUL object``, in which the object is symbolic (:mod:`keymint.analysis.templates`). Rules
+A word is ``namespace NUL name NUL object``; the object is symbolic (:mod:`keymint.analysis.subject_templates`). Rules
 are patterns of such words: nested profiles a product, never a list of subjects. "There is none" is proven. A subject
 that is found is judged by the rules that the policy has for it. Sound, incomplete: it may say unknown where patterns
 that depend on the subject meet by chance.
@@ -18,10 +18,19 @@ from comarmor.patterns.decision_lists import Block, DecisionList, Equal, Univers
 from comarmor.patterns.glob import STAR, Charset, Glob, Star, after, charset, literal, normalise, parse
 from comarmor.patterns.proofs import difference
 from comarmor.patterns.relations import TooComplexError, intersection, matches
-from keymint.analysis.lists import RAW, SEPARATOR, universe
-from keymint.analysis.purse import Purse
-from keymint.analysis.subjects import splits
-from keymint.analysis.templates import MARKS, NAME, NAMESPACE, Piece, filled, fitted, marks, spelled
+from keymint.analysis.query_budget import QueryBudget
+from keymint.analysis.rule_lists import RAW, SEPARATOR, universe
+from keymint.analysis.subject_patterns import namespace_name_splits
+from keymint.analysis.subject_templates import (
+    MARKS,
+    NAME,
+    NAMESPACE,
+    TemplatePiece,
+    concrete_name,
+    fill_placeholders,
+    fit_pattern,
+    marks,
+)
 
 _SPELLED = 16
 """Namespaces, or names, that are taken one by one where a pattern matches so few."""
@@ -34,7 +43,7 @@ _DIGITS = "[0-9]"
 
 
 @dataclass(frozen=True, slots=True)
-class Entry:
+class SymbolicEntry:
     """An expression of a rule.
 
     Attributes:
@@ -50,7 +59,7 @@ EVERYBODY = ((STAR,), (STAR,))
 
 
 @dataclass(frozen=True, slots=True)
-class Condition:
+class SymbolicCondition:
     """What a word must be like.
 
     Attributes:
@@ -58,12 +67,12 @@ class Condition:
         some: a word of any of these; None if there is no such condition.
     """
 
-    none: tuple[Entry, ...] = ()
-    some: tuple[Entry, ...] | None = None
+    none: tuple[SymbolicEntry, ...] = ()
+    some: tuple[SymbolicEntry, ...] | None = None
 
 
 @dataclass(frozen=True, slots=True)
-class Found:
+class FoundSubject:
     """A subject, as was asked for."""
 
     subject: str
@@ -76,24 +85,28 @@ class Undecided:
     reason: str
 
 
-Judge = Callable[[str], "bool | Undecided"]
+SubjectCheck = Callable[[str], "bool | Undecided"]
 """Tells whether a subject is as was asked for: exactly, by its own rules."""
 
 
-def pairs(subjects: Glob) -> tuple[tuple[Glob, Glob], ...]:
+def namespace_name_pairs(subjects: Glob) -> tuple[tuple[Glob, Glob], ...]:
     """Return patterns of namespace (without the leading ``/``) and name that together match the same subjects."""
-    return tuple(dict.fromkeys((rest, name) for namespace, name in splits(subjects) for rest in after(namespace, "/")))
+    return tuple(
+        dict.fromkeys(
+            (rest, name) for namespace, name in namespace_name_splits(subjects) for rest in after(namespace, "/")
+        )
+    )
 
 
-def find(
+def find_subject(
     kind: str,
     subjects: Glob,
     shape: Glob,
-    conditions: Sequence[Condition],
-    judge: Judge,
+    conditions: Sequence[SymbolicCondition],
+    judge: SubjectCheck,
     excluded: Iterable[str],
-    purse: Purse,
-) -> Found | Undecided | None:
+    purse: QueryBudget,
+) -> FoundSubject | Undecided | None:
     """Return a subject for which some word is as was asked for; None if there is none.
 
     Args:
@@ -107,9 +120,9 @@ def find(
     """
     excluded = tuple(excluded)
     undecided: Undecided | None = None
-    for namespace, name in _singled(pairs(subjects), marks(shape)):
+    for namespace, name in _singled(namespace_name_pairs(subjects), marks(shape)):
         found = _Search(kind, namespace, name, shape, conditions, purse).run(judge, excluded)
-        if isinstance(found, Found):
+        if isinstance(found, FoundSubject):
             return found
         undecided = undecided or found
     return undecided
@@ -140,7 +153,13 @@ class _Search:
     """The search among subjects whose namespace and name two patterns match."""
 
     def __init__(
-        self, kind: str, namespace: Glob, name: Glob, shape: Glob, conditions: Sequence[Condition], purse: Purse
+        self,
+        kind: str,
+        namespace: Glob,
+        name: Glob,
+        shape: Glob,
+        conditions: Sequence[SymbolicCondition],
+        purse: QueryBudget,
     ) -> None:
         self._kind = kind
         self._namespace, self._name = namespace, name
@@ -149,8 +168,8 @@ class _Search:
         self._purse = purse
         self._universe = Universe(_alphabet(kind), 4 if kind == RAW else 3, SEPARATOR, last_nonempty=kind == RAW)
 
-    def run(self, judge: Judge, excluded: Iterable[str]) -> Found | Undecided | None:
-        """Ask, judge what is found, and ask again without it; see :func:`find`."""
+    def run(self, judge: SubjectCheck, excluded: Iterable[str]) -> FoundSubject | Undecided | None:
+        """Ask, judge what is found, and ask again without it; see :func:`find_subject`."""
         try:
             positives, negatives = self._lists()
         except TooComplexError:
@@ -173,8 +192,8 @@ class _Search:
             subject = f"/{namespace}{name}"
             judged = judge(subject)
             if judged is not False:
-                return Found(subject) if judged is True else judged
-            refused += [self._subject(subject), *self._met(namespace, name, spelled(word, namespace, name))]
+                return FoundSubject(subject) if judged is True else judged
+            refused += [self._subject(subject), *self._met(namespace, name, concrete_name(word, namespace, name))]
         return Undecided(
             "rules that depend on {namespace} or {name} meet others, and no subject was found that shows a difference"
         )
@@ -191,7 +210,7 @@ class _Search:
                 negatives += (_word(p.namespace, p.name, p.object) for p in self._pieces(entry, wide=False))
         return positives, negatives
 
-    def _pieces(self, entry: Entry, *, wide: bool) -> Iterator[Piece]:
+    def _pieces(self, entry: SymbolicEntry, *, wide: bool) -> Iterator[TemplatePiece]:
         """Yield an entry as patterns of words; they match too much (wide), or too little."""
         for theirs in entry.subjects:
             try:
@@ -202,16 +221,18 @@ class _Search:
                 mine = product((self._namespace,), (self._name,))
             for namespace, name in _singled(mine, marks(entry.object)):
                 pattern = self._fixed(entry.object, namespace, name)
-                found = fitted(pattern, self._shape, namespace, name, wide=wide)
+                found = fit_pattern(pattern, self._shape, namespace, name, wide=wide)
                 for limits, limits2, object_ in found.pieces:
                     both = (_narrowed(namespace, limits, wide=wide), _narrowed(name, limits2, wide=wide))
-                    yield from (Piece(one, other, object_) for one, other in product(*both))
+                    yield from (TemplatePiece(one, other, object_) for one, other in product(*both))
 
     @staticmethod
     def _fixed(pattern: Glob, namespace: Glob, name: Glob) -> Glob:
         """Return a pattern with the namespace, and the name, in their places where there is only one."""
         one, other = literal(namespace), literal(name)
-        return filled(pattern, (NAMESPACE,) if one is None else namespace, (NAME,) if other is None else name)
+        return fill_placeholders(
+            pattern, (NAMESPACE,) if one is None else namespace, (NAME,) if other is None else name
+        )
 
     def _met(self, namespace: str, name: str, word: str) -> Iterator[Glob]:
         """Yield what rules that depend on the subject refuse for a namespace, or a name, where they refuse a word."""
@@ -219,12 +240,12 @@ class _Search:
         for condition in self._conditions:
             for entry in condition.none:
                 used = marks(entry.object)
-                if not used or not matches(filled(entry.object, *exact), word):
+                if not used or not matches(fill_placeholders(entry.object, *exact), word):
                     continue
                 for one, other in entry.subjects:
                     if not (matches(one, namespace) and matches(other, name)):
                         continue
-                    narrow = Entry(
+                    narrow = SymbolicEntry(
                         ((exact[0] if NAMESPACE in used else one, exact[1] if NAME in used else other),), entry.object
                     )
                     yield from (_word(p.namespace, p.name, p.object) for p in self._pieces(narrow, wide=False))
@@ -274,7 +295,7 @@ def _alphabet(kind: str) -> Charset:
 def _illegal(kind: str) -> tuple[Glob, ...]:
     """Return patterns of the words that are about no subject, or no object, that there can be.
 
-    A subject is a fully qualified ROS name (:mod:`keymint.names`); objects: :func:`keymint.analysis.lists.names`.
+    A subject is a fully qualified ROS name (:mod:`keymint.names`); objects: :func:`keymint.analysis.rule_lists.names`.
     """
     rest = (STAR, SEPARATOR, STAR) if kind == RAW else (STAR,)
     digit = parse(_DIGITS)

@@ -18,10 +18,10 @@ from comarmor.patterns.pattern_index import Near
 from comarmor.patterns.proofs import implies
 from comarmor.patterns.relations import TooComplexError
 from comarmor.rules import Effect
-from keymint.analysis.attachments import Attachment, Attachments
-from keymint.analysis.denials import may_matter
-from keymint.analysis.lists import Key, allowed, keys, meet, names, patterns, universe
-from keymint.analysis.profiles import quoted
+from keymint.analysis.attachments import Attachment, AttachmentIndex
+from keymint.analysis.deny_overlap import may_deny_something
+from keymint.analysis.rule_lists import PermissionKey, allowed, keys, meet, names, patterns, universe
+from keymint.analysis.unreachable_profiles import quoted
 from keymint.api import Structure
 from keymint.ir import Rule
 
@@ -48,7 +48,7 @@ class _Unit:
     number: int
 
 
-_Side = tuple[Key, Effect]
+_Side = tuple[PermissionKey, Effect]
 
 
 @dataclass(slots=True)
@@ -62,11 +62,11 @@ class _Applied:
     """
 
     units: dict[_Unit, tuple[Rule, str, Origin]] = field(default_factory=dict)
-    own: dict[_Unit, dict[Key, dict[Glob, None]]] = field(default_factory=dict)
+    own: dict[_Unit, dict[PermissionKey, dict[Glob, None]]] = field(default_factory=dict)
     near: dict[_Side, Near[_Unit]] = field(default_factory=dict)
 
 
-class Vain:
+class RedundantRules:
     """Looks for rules without effect.
 
     Args:
@@ -76,7 +76,7 @@ class Vain:
     """
 
     def __init__(
-        self, subjects: Mapping[str, tuple[Rule, ...]], attachments: Attachments, written: Structure | None
+        self, subjects: Mapping[str, tuple[Rule, ...]], attachments: AttachmentIndex, written: Structure | None
     ) -> None:
         self._attachments = attachments
         self._written = written
@@ -152,7 +152,7 @@ class Vain:
     def _can_match(self, unit: _Unit) -> bool:
         """Tell whether an object can match an expression, for any of its subjects."""
         texts = dict.fromkeys(self._applied[subject].units[unit][:2] for subject in self._by_unit[unit])
-        return any(is_name(rule, expression) for rule, expression in texts)
+        return any(can_name_exist(rule, expression) for rule, expression in texts)
 
     def _code(self, unit: _Unit) -> str:
         subjects = self._by_unit[unit]
@@ -164,7 +164,7 @@ class Vain:
             return "rule-shadowed"
         return "rule-redundant" if all(self._within(subject, unit, Effect.ALLOW) for subject in subjects) else ""
 
-    def _near(self, subject: str, key: Key, effect: Effect, pattern: Glob) -> Iterator[tuple[Glob, _Unit]]:
+    def _near(self, subject: str, key: PermissionKey, effect: Effect, pattern: Glob) -> Iterator[tuple[Glob, _Unit]]:
         index = self._applied[subject].near.get((key, effect))
         return iter(()) if index is None else index.meeting(pattern)
 
@@ -197,7 +197,7 @@ class Vain:
             return False
         applied = (self._applied[subject].units[unit] for subject in self._by_unit[unit])
         found = {self._attachments.clause(rule, Attachment(where, unit.number)) for rule, _, where in applied}
-        return any(may_matter(self._written, *each) for each in found if each is not None)
+        return any(may_deny_something(self._written, *each) for each in found if each is not None)
 
     def _said(self, code: str, units: Sequence[_Unit], *, whole: bool) -> Diagnostic:
         rule, _, attached = self._applied[self._by_unit[units[0]][0]].units[units[0]]
@@ -231,7 +231,7 @@ class Vain:
         return ""
 
 
-def is_name(rule: Rule, expression: str) -> bool:
+def can_name_exist(rule: Rule, expression: str) -> bool:
     """Tell whether an object can have a name that an expression of a rule matches; True where that is not decided."""
     return any(
         not isinstance(meet(key[0], allowed(pattern)), Equal)
@@ -256,7 +256,7 @@ def _surely(outcome: Outcome) -> bool:
     return isinstance(outcome, Equal)
 
 
-def _applied(rules: Sequence[Rule], subject: str, attachments: Attachments) -> _Applied:
+def _applied(rules: Sequence[Rule], subject: str, attachments: AttachmentIndex) -> _Applied:
     found = _Applied()
     sides: dict[_Side, list[tuple[Glob, _Unit]]] = defaultdict(list)
     for rule in rules:
@@ -277,7 +277,7 @@ def _applied(rules: Sequence[Rule], subject: str, attachments: Attachments) -> _
 _Rules = Mapping[str, tuple[Rule, ...]]
 
 
-def bounded(subjects: Iterable[str], rules: Callable[[str], tuple[Rule, ...]]) -> tuple[_Rules, list[str]]:
+def within_bounds(subjects: Iterable[str], rules: Callable[[str], tuple[Rule, ...]]) -> tuple[_Rules, list[str]]:
     """Return the rules of subjects, and the subjects that there was no room for."""
     found: dict[str, tuple[Rule, ...]] = {}
     left_out: list[str] = []

@@ -9,10 +9,10 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from comarmor.patterns.glob import parse
-from keymint.analysis.channels import Channels
-from keymint.analysis.holders import holders
-from keymint.analysis.lists import asked
-from keymint.analysis.question import permitted
+from keymint.analysis.channels import ChannelSearch
+from keymint.analysis.query import parse_permission
+from keymint.analysis.rule_lists import asked
+from keymint.analysis.who_can import who_can
 from keymint.graph import Edge, Object
 from tests.keymint.analysis.policies import deny, loaded, profile, rule
 
@@ -22,8 +22,8 @@ SUB = ("ros_topic", "ros_subscribe")
 
 def who(folder: Path, policy: str, permission: str, name: str, within: str = "*") -> list[tuple[str, str]]:
     """Return subjects and names; what is uncertain has no subject."""
-    kind, permission = permitted(permission, name)
-    found = holders(loaded(folder, policy), parse(within), kind, permission, asked(kind, name))
+    kind, permission = parse_permission(permission, name)
+    found = who_can(loaded(folder, policy), parse(within), kind, permission, asked(kind, name))
     return [(each.subject, each.word) for each in found]
 
 
@@ -63,7 +63,7 @@ def test_who(tmp_path: Path, policy: str, question: tuple[str, str], expected: l
 def test_each_pattern_has_a_holder(tmp_path: Path) -> None:
     # /x/b is an example of both.
     policy = loaded(tmp_path, profile("/[!a]/b", rule(*PUB, "/x")) + profile("/*/b", rule(*PUB, "/x")))
-    assert [each.like for each in holders(policy, parse("*"), *PUB, parse("/x"))] == ["/[!a]/b", "/*/b"]
+    assert [each.like for each in who_can(policy, parse("*"), *PUB, parse("/x"))] == ["/[!a]/b", "/*/b"]
 
 
 def test_within_a_pattern_of_subjects(tmp_path: Path) -> None:
@@ -89,7 +89,7 @@ NAMES = ["/a", "/b", "/a/b", "/a/a", "/b/b", "/a/b/b", "/c/d/b"]
 def test_nobody_means_nobody(tmp_path: Path, written: list[tuple[str, str, str]], within: str, name: str) -> None:
     text = "".join(profile(where, rule(*PUB, what, effect=effect)) for where, effect, what in written)
     policy = loaded(tmp_path, text)
-    found = list(holders(policy, parse(within), *PUB, parse(name)))
+    found = list(who_can(policy, parse(within), *PUB, parse(name)))
     for each in found:
         if not each.unknown:
             assert policy.decide(Edge(each.subject, PUB[1], Object(PUB[0], each.word))).allowed
@@ -109,17 +109,17 @@ def test_channels(tmp_path: Path) -> None:
         profile("/b", rule(*SUB, "/x/y"), rule("ros_service", "ros_call", "/s")),
         profile("/c", rule("ros_service", "ros_execute", "/s")),
     )
-    path = Channels(policy, ()).path(["/a"], ["/c"])
+    path = ChannelSearch(policy, ()).path(["/a"], ["/c"])
     assert path is not None
     assert [(step.writer, step.reader, step.word) for step in path] == [("/a", "/b", "/x/y"), ("/b", "/c", "/s")]
     # A server answers its clients.
-    assert len(Channels(policy, ()).path(["/c"], ["/b"]) or ()) == 1
-    assert Channels(policy, ()).path(["/c"], ["/a"]) is None
-    assert Channels(policy, ["/x/*"]).path(["/a"], ["/c"]) is None
+    assert len(ChannelSearch(policy, ()).path(["/c"], ["/b"]) or ()) == 1
+    assert ChannelSearch(policy, ()).path(["/c"], ["/a"]) is None
+    assert ChannelSearch(policy, ["/x/*"]).path(["/a"], ["/c"]) is None
 
 
 def test_channels_of_subjects_that_are_not_named(tmp_path: Path) -> None:
     policy = loaded(tmp_path, profile("/amr*/*", rule("ros_topic", "ros_publish ros_subscribe", "{namespace}*")))
-    channels = Channels(policy, ())
+    channels = ChannelSearch(policy, ())
     assert list(channels.possible(parse("/amr1/*"), parse("/amr2/*"))) == []
     assert list(channels.possible(parse("/amr1/*"), parse("/amr*/*"))) != []

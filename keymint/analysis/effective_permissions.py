@@ -10,12 +10,12 @@ from comarmor.patterns.decision_lists import Equal
 from comarmor.patterns.glob import parse
 from comarmor.patterns.relations import disjoint
 from comarmor.rules import Effect, parts
-from keymint.analysis.lists import RAW, allowed, conjunction, in_partition, meet, patterns
+from keymint.analysis.rule_lists import RAW, allowed, in_partition, meet, part_lists, patterns
 from keymint.ir import Rule
 
 
 @dataclass(frozen=True, slots=True)
-class Ability:
+class EffectivePermission:
     """A permission that a subject has on what an expression matches.
 
     Attributes:
@@ -35,14 +35,14 @@ class Ability:
     where: Origin
 
 
-def abilities(rules: Sequence[Rule]) -> Iterator[Ability]:
+def effective_permissions(rules: Sequence[Rule]) -> Iterator[EffectivePermission]:
     """Yield what rules allow of which anything is left."""
     denials = [rule for rule in rules if rule.effect is Effect.DENY]
     for rule in rules:
         if rule.effect is not Effect.ALLOW:
             continue
         for permission in rule.permissions:
-            lists = conjunction(rules, rule.kind, permission)
+            lists = part_lists(rules, rule.kind, permission)
             for expression in rule.expressions:
                 asked = [parse(expression)]
                 if rule.kind == RAW:
@@ -50,7 +50,7 @@ def abilities(rules: Sequence[Rule]) -> Iterator[Ability]:
                 if all(isinstance(meet(rule.kind, allowed(one), *lists), Equal) for one in asked):
                     continue
                 but = _taken(rule, expression, permission, denials)
-                yield Ability(permission, expression, rule.partitions, but, rule.audit, rule.origin)
+                yield EffectivePermission(permission, expression, rule.partitions, but, rule.audit, rule.origin)
 
 
 def _taken(rule: Rule, expression: str, permission: str, denials: Sequence[Rule]) -> tuple[str, ...]:

@@ -31,7 +31,7 @@ _Texts = tuple[str, ...]
 _Chain = tuple[_Texts, ...]
 
 
-def slips(written: Structure) -> Iterator[Diagnostic]:
+def attachment_mistakes(written: Structure) -> Iterator[Diagnostic]:
     """Yield what is likely a slip, each cause once.
 
     Args:

@@ -10,9 +10,9 @@ from keymint_ros2_comarmor import policy_type
 
 from comarmor.errors import Origin
 from keymint.api import LoadedPolicy, PolicySource
-from keymint.drawing import of_policy as room
-from keymint.drawing.model import Labelled, Outcome
-from keymint.drawing.of_policy import of_graph, of_policy
+from keymint.drawing import policy_graph as room
+from keymint.drawing.labelled_graph import EdgeOutcome, LabelledGraph
+from keymint.drawing.policy_graph import label_graph, policy_graph
 from keymint.errors import KeymintError
 from keymint.graph import Edge, Graph, Object, complete
 
@@ -43,7 +43,7 @@ def load(tmp_path: Path) -> Load:
     return loaded
 
 
-def drawn(graph: Labelled) -> dict[str, Outcome]:
+def drawn(graph: LabelledGraph) -> dict[str, EdgeOutcome]:
     return {f"{one.edge.subject} {one.edge.permission} {one.edge.object.name}": one.outcome() for one in graph.edges}
 
 
@@ -52,18 +52,18 @@ def test_allowed_and_expressly_denied(load: Load) -> None:
         _a=rule("ros_topic", "ros_publish", "/t") + rule("ros_topic", "ros_subscribe", "/t", "DENY"),
         _b=rule("ros_topic", "ros_subscribe", "/t"),
     )
-    assert drawn(of_policy("t", policy)) == {
-        "/a ros_publish /t": Outcome.ALLOW,
-        "/a ros_subscribe /t": Outcome.DENY,
-        "/b ros_subscribe /t": Outcome.ALLOW,
+    assert drawn(policy_graph("t", policy)) == {
+        "/a ros_publish /t": EdgeOutcome.ALLOW,
+        "/a ros_subscribe /t": EdgeOutcome.DENY,
+        "/b ros_subscribe /t": EdgeOutcome.ALLOW,
     }
 
 
 def test_everything(load: Load) -> None:
     policy = load(_a=rule("ros_topic", "ros_publish", "/t"), _b=rule("ros_service", "ros_call", "/s"))
-    graph = of_policy("t", policy, everything=True)
+    graph = policy_graph("t", policy, everything=True)
     assert len(graph.edges) == 8
-    assert graph.counts[Outcome.ALLOW] == 2
+    assert graph.counts[EdgeOutcome.ALLOW] == 2
 
 
 def test_expressions_stand_for_themselves(load: Load) -> None:
@@ -73,31 +73,31 @@ def test_expressions_stand_for_themselves(load: Load) -> None:
         + rule("ros_topic", "ros_subscribe", "/r/[ab]?"),
         _b=rule("ros_topic", "ros_publish", "/r/scan"),
     )
-    graph = of_policy("t", policy)
+    graph = policy_graph("t", policy)
     assert drawn(graph) == {
-        "/a ros_subscribe /r/*": Outcome.ALLOW,
-        "/a ros_subscribe /r/private/*": Outcome.DENY,
-        "/a ros_subscribe /r/[ab]?": Outcome.ALLOW,
-        "/a ros_subscribe /r/scan": Outcome.ALLOW,
-        "/b ros_publish /r/scan": Outcome.ALLOW,
+        "/a ros_subscribe /r/*": EdgeOutcome.ALLOW,
+        "/a ros_subscribe /r/private/*": EdgeOutcome.DENY,
+        "/a ros_subscribe /r/[ab]?": EdgeOutcome.ALLOW,
+        "/a ros_subscribe /r/scan": EdgeOutcome.ALLOW,
+        "/b ros_publish /r/scan": EdgeOutcome.ALLOW,
     }
     assert {found.name for found in graph.patterns} == {"/r/*", "/r/private/*", "/r/[ab]?"}
 
 
 def test_an_expression_under_a_wider_deny_is_denied(load: Load) -> None:
     policy = load(_a=rule("ros_topic", "ros_publish", "/r/*") + rule("ros_topic", "ros_publish", "*", "DENY"))
-    assert drawn(of_policy("t", policy))["/a ros_publish /r/*"] is Outcome.DENY
+    assert drawn(policy_graph("t", policy))["/a ros_publish /r/*"] is EdgeOutcome.DENY
 
 
 def test_an_escaped_name_is_a_name(load: Load) -> None:
-    graph = of_policy("t", load(_a=rule("topic", "publish", r"a\*b")))
-    assert drawn(graph) == {"/a publish a*b": Outcome.ALLOW}
+    graph = policy_graph("t", load(_a=rule("topic", "publish", r"a\*b")))
+    assert drawn(graph) == {"/a publish a*b": EdgeOutcome.ALLOW}
     assert not graph.patterns
 
 
 def test_why_and_where(load: Load) -> None:
     policy = load(_a=rule("ros_topic", "ros_publish", "/t", more=' modifier="AUDIT"'))
-    (one,) = of_policy("t", policy, typed=lambda file: Path(file).name).edges
+    (one,) = policy_graph("t", policy, typed=lambda file: Path(file).name).edges
     assert one.audit
     assert one.policy.where is not None
     assert (one.policy.where.file, one.policy.where.line) == ("policy.xml", 3)
@@ -109,25 +109,25 @@ def test_a_graph_labelled_by_a_policy(load: Load) -> None:
     graph = Graph.of(
         [Edge("/a", "ros_publish", Object("ros_topic", "/t")), Edge("/b", "ros_publish", Object("ros_topic", "/t"))]
     )
-    assert drawn(of_graph("t", policy, graph, graph.subjects)) == {
-        "/a ros_publish /t": Outcome.ALLOW,
-        "/b ros_publish /t": Outcome.DENY,
+    assert drawn(label_graph("t", policy, graph, graph.subjects)) == {
+        "/a ros_publish /t": EdgeOutcome.ALLOW,
+        "/b ros_publish /t": EdgeOutcome.DENY,
     }
-    whole = of_graph("t", policy, graph, graph.subjects, everything=True)
+    whole = label_graph("t", policy, graph, graph.subjects, everything=True)
     assert [one.edge for one in whole.edges] == list(complete(graph))
-    assert {one.edge.subject for one in of_graph("t", policy, graph, ["/b"], everything=True).edges} == {"/b"}
+    assert {one.edge.subject for one in label_graph("t", policy, graph, ["/b"], everything=True).edges} == {"/b"}
 
 
 def test_no_subject_is_named_exactly(load: Load) -> None:
     policy = load(**{"_r_*": rule("ros_topic", "ros_publish", "/t")})
     with pytest.raises(KeymintError, match="names no subject exactly"):
-        of_policy("t", policy)
-    assert drawn(of_policy("t", policy, ["/r/x"])) == {"/r/x ros_publish /t": Outcome.ALLOW}
+        policy_graph("t", policy)
+    assert drawn(policy_graph("t", policy, ["/r/x"])) == {"/r/x ros_publish /t": EdgeOutcome.ALLOW}
 
 
 def test_an_unknown_subject(load: Load) -> None:
     with pytest.raises(KeymintError, match="did you mean '/talker'"):
-        of_policy("t", load(_talker=rule("ros_topic", "ros_publish", "/t")), ["/taker"])
+        policy_graph("t", load(_talker=rule("ros_topic", "ros_publish", "/t")), ["/taker"])
 
 
 def test_what_is_too_large_is_refused(load: Load, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -135,4 +135,4 @@ def test_what_is_too_large_is_refused(load: Load, monkeypatch: pytest.MonkeyPatc
     policy = load(_a="".join(rule("ros_topic", "ros_publish", f"/t{at}") for at in range(4)))
     for everything in (True, False):
         with pytest.raises(KeymintError, match="more than 3 edges"):
-            of_policy("t", policy, everything=everything)
+            policy_graph("t", policy, everything=everything)

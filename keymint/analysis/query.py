@@ -23,7 +23,7 @@ _PLAIN = tuple(permission.removeprefix("ros_") for permission in _KIND_OF)
 
 
 @dataclass(frozen=True, slots=True)
-class Question:
+class PolicyQuery:
     """A question.
 
     Attributes:
@@ -41,7 +41,7 @@ class Question:
     object: str = ""
 
 
-def read(words: Sequence[str]) -> Question:
+def parse_query(words: Sequence[str]) -> PolicyQuery:
     """Return the question that words ask.
 
     Raises:
@@ -55,22 +55,22 @@ def read(words: Sequence[str]) -> Question:
         raise _wrong(f"{head!r} begins no question" if head else "there is no question", hint)
     form = next(form for form in FORMS if form.startswith(head))
     if head in ("flows", "isolated"):
-        return Question(head, tuple(map(_subject, _exactly(rest, 2, form))))
+        return PolicyQuery(head, tuple(map(_subject, _exactly(rest, 2, form))))
     if head == "what":
         _fixed(rest, 0, "can", form)
         _fixed(rest, 2, "do", form)
-        return Question(head, (_subject(_exactly(rest, 3, form)[1]),))
+        return PolicyQuery(head, (_subject(_exactly(rest, 3, form)[1]),))
     if head == "who":
         _fixed(rest, 0, "can", form)
         _, permission, name = _exactly(rest, 3, form)
-        return Question(head, (), *permitted(permission, name), _expression(name))
+        return PolicyQuery(head, (), *parse_permission(permission, name), _expression(name))
     if rest[1:2] == ["ever"]:
         del rest[1]
     subject, permission, name = _exactly(rest, 3, form)
-    return Question(head, (_subject(subject),), *permitted(permission, name), _expression(name))
+    return PolicyQuery(head, (_subject(subject),), *parse_permission(permission, name), _expression(name))
 
 
-def permitted(text: str, name: str) -> tuple[str, str]:
+def parse_permission(text: str, name: str) -> tuple[str, str]:
     """Return the kind and the permission that a word means; ``ros_`` may be missing.
 
     ``publish``, ``subscribe`` and ``relay`` are about a raw DDS topic where the name cannot be a ROS name.

@@ -5,13 +5,13 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
-from keymint.analysis.changes import Change, changes_of
-from keymint.analysis.lists import SEPARATOR, shown, text
-from keymint.analysis.purse import Purse
-from keymint.analysis.spoken import Book
-from keymint.analysis.subjects import structure
-from keymint.analysis.templates import as_written
-from keymint.analysis.unnamed import Difference, differences
+from keymint.analysis.pattern_diff import PatternDifference, pattern_differences
+from keymint.analysis.query_budget import QueryBudget
+from keymint.analysis.rule_diff import PermissionChange, rule_changes
+from keymint.analysis.rule_lists import SEPARATOR, shown, text
+from keymint.analysis.subject_patterns import structure
+from keymint.analysis.subject_templates import as_written
+from keymint.analysis.symbolic_rules import SymbolicRules
 from keymint.api import LoadedPolicy
 from keymint.graph import Edge, Object
 from keymint.ir import Rule
@@ -20,7 +20,7 @@ _UNWRITTEN = "the policy type does not tell what its rules say of subjects that 
 
 
 @dataclass(frozen=True, slots=True)
-class Changed:
+class SubjectChanges:
     """What changed for a subject.
 
     Attributes:
@@ -35,10 +35,10 @@ class Changed:
     like: str
     before: bool
     after: bool
-    changes: tuple[Change, ...]
+    changes: tuple[PermissionChange, ...]
 
 
-def diff(old: LoadedPolicy, new: LoadedPolicy, purse: Purse | None = None) -> list[Changed]:
+def diff_policies(old: LoadedPolicy, new: LoadedPolicy, purse: QueryBudget | None = None) -> list[SubjectChanges]:
     """Return what changed between two policies, by subject; subjects without a change are left out.
 
     Subjects are those that either policy names, and of all others one for each pattern and rule that make a difference.
@@ -49,15 +49,15 @@ def diff(old: LoadedPolicy, new: LoadedPolicy, purse: Purse | None = None) -> li
         new: the newer one.
         purse: pays for it; what is not decided when it is spent is returned as unknown.
     """
-    purse = purse or Purse()
+    purse = purse or QueryBudget()
     written = [structure(policy) for policy in (old, new)]
-    books = [Book(each) for each in written if each]
+    books = [SymbolicRules(each) for each in written if each]
     named = {*old.subjects(), *new.subjects()}.union(*(book.singles for book in books))
     changed = [each for subject in sorted(named) if (each := _of_subject(old, new, subject, "", purse))]
     if len(books) < len(written):
         return [*changed, _undecided("*", _UNWRITTEN)]
     shown: dict[tuple[str, str], None] = {}
-    for found in differences((old, new), (books[0], books[1]), named, purse):
+    for found in pattern_differences((old, new), (books[0], books[1]), named, purse):
         like = text(found.subjects)
         if found.unknown:
             changed.append(_undecided(like, found.unknown, found))
@@ -68,20 +68,22 @@ def diff(old: LoadedPolicy, new: LoadedPolicy, purse: Purse | None = None) -> li
     return changed
 
 
-def _of_subject(old: LoadedPolicy, new: LoadedPolicy, subject: str, like: str, purse: Purse) -> Changed | None:
+def _of_subject(
+    old: LoadedPolicy, new: LoadedPolicy, subject: str, like: str, purse: QueryBudget
+) -> SubjectChanges | None:
     """Return what changed for a subject, each example judged by both policies; None if nothing did."""
     before, after = old.rules(subject), new.rules(subject)
     mine, theirs = (each.rules if each else () for each in (before, after))
-    changes = () if _same(mine, theirs) else tuple(changes_of(mine, theirs, purse))
+    changes = () if _same(mine, theirs) else tuple(rule_changes(mine, theirs, purse))
     for change in changes:
         if change.word:
             _judge(old, new, subject, change)
     if changes or (before is None) is not (after is None):
-        return Changed(subject, like, before is not None, after is not None, changes)
+        return SubjectChanges(subject, like, before is not None, after is not None, changes)
     return None
 
 
-def _judge(old: LoadedPolicy, new: LoadedPolicy, subject: str, change: Change) -> None:
+def _judge(old: LoadedPolicy, new: LoadedPolicy, subject: str, change: PermissionChange) -> None:
     """Ask both policies about an example: what an engine says is not taken on trust."""
     partition, _, name = change.word.rpartition(SEPARATOR)
     asked = Object(change.kind, name, (partition,) if partition else ())
@@ -90,18 +92,18 @@ def _judge(old: LoadedPolicy, new: LoadedPolicy, subject: str, change: Change) -
         raise AssertionError(f"the policies do not differ on {edge} as was said")
 
 
-def _undecided(like: str, reason: str, found: Difference | None = None) -> Changed:
+def _undecided(like: str, reason: str, found: PatternDifference | None = None) -> SubjectChanges:
     """Return what it was not found out whether it changed, for subjects that a pattern matches."""
     if found is None or found.where is None:
-        change = Change(True, "", "", "*", False, "", None, reason)
+        change = PermissionChange(True, "", "", "*", False, "", None, reason)
     else:
-        change = Change(
+        change = PermissionChange(
             found.gains, *found.key, as_written(shown(found.key[0], found.object)), False, "", found.where, reason
         )
-    return Changed("", like, before=True, after=True, changes=(change,))
+    return SubjectChanges("", like, before=True, after=True, changes=(change,))
 
 
-def gains(found: Iterable[Changed]) -> bool:
+def has_gains(found: Iterable[SubjectChanges]) -> bool:
     """Tell whether a subject gains something, or may do so where that was not decided."""
     return any(change.gains or change.unknown for each in found for change in each.changes)
 

@@ -9,9 +9,9 @@ import pytest
 from comarmor.patterns.decision_lists import Equal
 from comarmor.patterns.glob import parse
 from comarmor.patterns.ros_names import advice, is_possible
-from keymint.analysis.lists import allowed, meet
-from keymint.analysis.slips import slips
-from keymint.analysis.subjects import structure
+from keymint.analysis.attachment_mistakes import attachment_mistakes
+from keymint.analysis.rule_lists import allowed, meet
+from keymint.analysis.subject_patterns import structure
 from tests.generated import tokens
 from tests.keymint.analysis.policies import deny, loaded_text, rule
 
@@ -31,7 +31,7 @@ def found(folder: Path, *profiles: str, **files: str) -> list[tuple[str, int]]:
     xi = 'xmlns:xi="http://www.w3.org/2001/XInclude"'
     written = structure(loaded_text(folder, f"<profiles {xi}>\n" + "".join(profiles) + "</profiles>"))
     assert written is not None
-    said = list(slips(written))
+    said = list(attachment_mistakes(written))
     assert all(each.help and each.where for each in said)
     return [(each.code, each.where.line) for each in said if each.where]
 

@@ -1,4 +1,4 @@
-"""The report, as a document; ``test_report_in_chromium.py`` reads it as a person does."""
+"""The report, as a document; ``test_html_report_in_chromium.py`` reads it as a person does."""
 
 from __future__ import annotations
 
@@ -9,9 +9,9 @@ import re
 from hypothesis import given, settings
 from lxml import html
 
-from keymint.drawing.model import Confusion, Labelled
+from keymint.drawing.html_report import MOST_ROWS, html_report
+from keymint.drawing.labelled_graph import Confusion, LabelledGraph
 from keymint.drawing.palette import KIND_NAMES
-from keymint.drawing.report import MOST_ROWS, html_report
 
 from .graphs import ALLOWED, DENIED, HOSTILE, graphs, hostile, labelled, one_of_each
 from .test_svg import contrast
@@ -19,7 +19,7 @@ from .test_svg import contrast
 SOURCES = {"policy.xml": b"<profiles>\n  <!-- <b>&amp;\x01 -->\n  <rule/>\n</profiles>\n"}
 
 
-def page(graph: Labelled) -> html.HtmlElement:
+def page(graph: LabelledGraph) -> html.HtmlElement:
     return html.document_fromstring(html_report(graph, SOURCES))
 
 
@@ -65,14 +65,14 @@ def test_the_source_is_there_line_by_line() -> None:
 def test_the_confusion_of_each_transport() -> None:
     cells = page(one_of_each()).xpath("//section[@id='summary']//tbody/tr/*/text()")
     assert cells == ["omg", "1", "1", "1", "1"]
-    counted = Labelled.of("t", one_of_each().edges, transports=["omg"], confusions=[Confusion(7, 1, 1, 9)])
+    counted = LabelledGraph.of("t", one_of_each().edges, transports=["omg"], confusions=[Confusion(7, 1, 1, 9)])
     assert page(counted).xpath("//section[@id='summary']//tbody/tr/*/text()") == ["omg", "7", "9", "1", "1"]
 
 
 def test_differences_are_listed_apart() -> None:
     found = page(one_of_each()).xpath("//section[@id='differences']//tr/@data-v")
     assert sorted(found) == ["false-allow", "false-deny"]
-    same = Labelled.of("t", [labelled("/a", "ros_publish", "/t", ALLOWED, ALLOWED)], transports=["omg"])
+    same = LabelledGraph.of("t", [labelled("/a", "ros_publish", "/t", ALLOWED, ALLOWED)], transports=["omg"])
     assert not page(same).xpath("//section[@id='differences']")
 
 
@@ -106,7 +106,7 @@ def test_hostile_names_are_text() -> None:
 
 @given(graphs(transports=2))
 @settings(max_examples=30)
-def test_every_edge_is_listed_once(graph: Labelled) -> None:
+def test_every_edge_is_listed_once(graph: LabelledGraph) -> None:
     document = page(graph)
     assert len(document.xpath("//section[@class='subject-part']//tr[@data-v]")) == len(graph.edges)
     assert len(document.xpath("//section[@class='subject-part']")) == len(graph.subjects)
@@ -115,7 +115,7 @@ def test_every_edge_is_listed_once(graph: Labelled) -> None:
 def test_a_large_graph_says_what_it_leaves_out() -> None:
     denied = [labelled("/a", "ros_publish", f"/t{at}", DENIED) for at in range(MOST_ROWS)]
     allowed = [labelled("/b", "ros_publish", f"/t{at}", ALLOWED) for at in range(5)]
-    document = page(Labelled.of("t", [*denied, *allowed]))
+    document = page(LabelledGraph.of("t", [*denied, *allowed]))
     assert len(document.xpath("//section[h3//text()='/b']//tr[@data-v]")) == 5
     assert "5 edges that matter least" in document.xpath("string(//p[@class='note'])")
 
@@ -134,4 +134,4 @@ def test_contrast_of_the_page() -> None:
 
 
 def test_an_empty_graph_is_a_page() -> None:
-    assert page(Labelled.of("nothing", [])).xpath("string(//h1)") == "nothing"
+    assert page(LabelledGraph.of("nothing", [])).xpath("string(//h1)") == "nothing"
