@@ -25,9 +25,9 @@ from xml.sax.saxutils import escape
 from agreement import Enclaves
 from documents import Writer
 from keymint_ros2_dds import decision
-from keymint_ros2_dds.compiling.lower import lower
 from keymint_ros2_dds.decision import VARIATIONS, Judge, governance
 from keymint_ros2_dds.decision.access import Governed
+from keymint_ros2_dds.lowering.lower import lower
 from keymint_ros2_dds.proving import Held, Question, prove_document
 from keymint_ros2_dds.proving.governing import Governing
 from keymint_ros2_dds.transports.files import subject_name

@@ -22,9 +22,10 @@ from unittest import mock
 import navigation
 from keymint_ros.distros import library
 from keymint_ros2_comarmor import policy_type
-from keymint_ros2_dds import build_type, document
+from keymint_ros2_dds import build_type
 from keymint_ros2_dds.compiling import compile, gathering  # noqa: A004 - the module's name
-from keymint_ros2_dds.limits import BROKEN, signed_size
+from keymint_ros2_dds.documents import dds_xml
+from keymint_ros2_dds.vendor_limits import BROKEN, signed_size
 from proof import WORDS
 
 from comarmor.errors import Origin
@@ -143,7 +144,7 @@ def main() -> None:
                 show(f"{len(set(names)):,} {title}", *measured(rules), fits)
         path.write_text(navigation.policy())
         for rules in subjects(path):
-            with mock.patch.object(document, "INDENTED", 10**9):
+            with mock.patch.object(dds_xml, "INDENTED", 10**9):
                 show("navigation, with blanks", *measured(rules), fits)
             show("navigation, as written", *measured(rules), fits)
     print("* a signed document of that size breaks handshakes on Fast DDS")

@@ -61,20 +61,20 @@ class DdsSecurity:
         return check(inspection)
 
     def check_all(self, inspections: Sequence[Inspection]) -> Sequence[Diagnostic]:
-        """See :func:`keymint_ros2_dds.check_all.check_all`."""
-        from keymint_ros2_dds.check_all import check_all  # noqa: PLC0415
+        """See :func:`keymint_ros2_dds.check_keystore.check_all`."""
+        from keymint_ros2_dds.check_keystore import check_all  # noqa: PLC0415
 
         return check_all(inspections)
 
     def endpoints(self, distro: str, edge: Edge) -> Sequence[Edge]:
-        """See :func:`keymint_ros2_dds.endpoints.endpoints`."""
-        from keymint_ros2_dds.endpoints import endpoints  # noqa: PLC0415
+        """See :func:`keymint_ros2_dds.lowering.endpoints.endpoints`."""
+        from keymint_ros2_dds.lowering.endpoints import endpoints  # noqa: PLC0415
 
         return endpoints(distro, edge)
 
     def meanings(self, distro: str, endpoint: Edge) -> Sequence[Edge]:
-        """See :func:`keymint_ros2_dds.endpoints.meanings`."""
-        from keymint_ros2_dds.endpoints import meanings  # noqa: PLC0415
+        """See :func:`keymint_ros2_dds.lowering.endpoints.meanings`."""
+        from keymint_ros2_dds.lowering.endpoints import meanings  # noqa: PLC0415
 
         return meanings(distro, endpoint)
 
@@ -104,8 +104,8 @@ class DdsSecurity:
         return prove(obligation, models=(OMG.name,) if obligation.standard_only else None)
 
     def mentioned(self, enclave: Enclave) -> Sequence[tuple[str, Sequence[str]]]:
-        """See :func:`keymint_ros2_dds.mentioned.mentioned`."""
-        from keymint_ros2_dds.mentioned import mentioned  # noqa: PLC0415
+        """See :func:`keymint_ros2_dds.document_topics.mentioned`."""
+        from keymint_ros2_dds.document_topics import mentioned  # noqa: PLC0415
 
         return mentioned(enclave)
 

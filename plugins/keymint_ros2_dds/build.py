@@ -9,9 +9,11 @@ from comarmor.errors import Diagnostic, Origin, Severity
 from keymint.api import BuildOptions, Built, Package
 from keymint.errors import KeymintError
 from keymint.pki import names
-from keymint_ros2_dds import governance, limits, opened
-from keymint_ros2_dds.compiling.emission import emit
-from keymint_ros2_dds.document import GOVERNANCE, GOVERNANCE_XML, PERMISSIONS, PERMISSIONS_XML
+from keymint_ros2_dds import governance_warnings, vendor_limits
+from keymint_ros2_dds.documents import governance_document
+from keymint_ros2_dds.domains import in_words, uncovered
+from keymint_ros2_dds.emission import emit
+from keymint_ros2_dds.layout import GOVERNANCE, GOVERNANCE_XML, PERMISSIONS, PERMISSIONS_XML
 
 
 def build(package: Package, options: BuildOptions) -> Built:
@@ -22,8 +24,8 @@ def build(package: Package, options: BuildOptions) -> Built:
     """
     lenient = options.allow_vendor_specific
     problems: list[Diagnostic] = []
-    found = [*_check(package), *limits.check_key(package.identity.key, package, allow_vendor_specific=lenient)]
-    found += limits.check_issuers(package)
+    found = [*_check(package), *vendor_limits.check_key(package.identity.key, package, allow_vendor_specific=lenient)]
+    found += vendor_limits.check_issuers(package)
     documents: dict[str, bytes] = {}
     notes: tuple[Diagnostic, ...] = ()
     emitted = None
@@ -34,10 +36,10 @@ def build(package: Package, options: BuildOptions) -> Built:
     except KeymintError as error:
         problems += error.diagnostics
     try:
-        documents[GOVERNANCE_XML], remarks = governance.build(
+        documents[GOVERNANCE_XML], remarks = governance_document.build(
             package.governance, package.subject, package.distro, allow_vendor_specific=lenient
         )
-        notes += (*remarks, *opened.findings(package, emitted.lowered if emitted else None))
+        notes += (*remarks, *governance_warnings.findings(package, emitted.lowered if emitted else None))
     except KeymintError as error:
         problems += error.diagnostics
     problems += [item for item in found if item.severity is Severity.ERROR]
@@ -46,7 +48,7 @@ def build(package: Package, options: BuildOptions) -> Built:
     notes += tuple(found)
     for name, kind in ((PERMISSIONS_XML, PERMISSIONS), (GOVERNANCE_XML, GOVERNANCE)):
         about = emitted.lowered if emitted and kind == PERMISSIONS else None
-        notes += tuple(limits.check_size(limits.signed_size(documents[name]), kind, package, about))
+        notes += tuple(vendor_limits.check_size(vendor_limits.signed_size(documents[name]), kind, package, about))
     return Built(documents, notes, {PERMISSIONS_XML: emitted.plain_size} if emitted else {})
 
 
@@ -74,11 +76,10 @@ def _check(package: Package) -> Iterator[Diagnostic]:
             "validity-empty", Severity.ERROR, "the permissions end before they begin",
             granted.origin, "put not_after behind not_before", package.subject,
         )  # fmt: skip
-    for item in governance.uncovered(granted.domains, package.governance):
-        which = f"domain {item.first}" if item.first == item.last else f"domains {item.first} to {item.last}"
+    for item in uncovered(granted.domains, (each for rule in package.governance.domain_rules for each in rule.domains)):
         yield Diagnostic(
             "domain-uncovered", Severity.ERROR,
-            f"the permissions are for {which}, of which the governance says nothing",
+            f"the permissions are for {in_words([item])}, of which the governance says nothing",
             granted.domains_origin or granted.origin, "add the domain to a domain rule of the governance",
             package.subject,
         )  # fmt: skip

@@ -12,10 +12,23 @@ from comarmor.errors import Diagnostic, Origin, Severity
 from keymint.api import DomainRange, Inspection
 from keymint.errors import KeymintError
 from keymint.pki import certificates, keys, names, smime, verify
-from keymint_ros2_dds import check_governance, document, limits, revocation
-from keymint_ros2_dds.compiling.emission import means_the_same
-from keymint_ros2_dds.document import GOVERNANCE, PERMISSIONS, PERMISSIONS_XML
-from keymint_ros2_dds.install import CA, CERTIFICATE, CRL, FILES, IDENTITY_CA, KEY, PERMISSIONS_CA
+from keymint_ros2_dds import check_governance, revocation, vendor_limits
+from keymint_ros2_dds.documents import dds_xml
+from keymint_ros2_dds.domains import in_words, uncovered
+from keymint_ros2_dds.emission import means_the_same
+from keymint_ros2_dds.layout import (
+    CA,
+    CERTIFICATE,
+    CRL,
+    FILES,
+    GOVERNANCE,
+    IDENTITY_CA,
+    KEY,
+    PERMISSIONS,
+    PERMISSIONS_CA,
+    PERMISSIONS_P7S,
+    PERMISSIONS_XML,
+)
 
 SLACK = timedelta(days=1)
 """Fast DDS reads dates in the host's time zone; so a period must reach a day beyond the time it is needed for."""
@@ -172,18 +185,18 @@ class _Enclave:
         content = yield from self._verified(signed, where)
         if content is None:
             return None
-        yield from map(self._for_subject, limits.check_size(len(signed), kind, self._seen.package))
+        yield from map(self._for_subject, vendor_limits.check_size(len(signed), kind, self._seen.package))
         if not self._as_built(kind, content):
             package = self._seen.package.name
             message = f"the sources build another {kind} document: they changed, or the built one was edited by hand"
             mend = f"'keymint build -f {package}' and 'keymint install {package}' write what the sources say"
             yield self._warning("drift", name, message, mend)
         try:
-            root = document.read(content, kind, str(where))
+            root = dds_xml.read(content, kind, str(where))
         except KeymintError as error:
             yield from map(self._for_subject, error.diagnostics)
             return None
-        for hazard in document.hazards(content, root):
+        for hazard in dds_xml.hazards(content, root):
             yield self._warning("document-hazard", name, hazard, f"build it anew in place of editing it; {self._again}")
         return root
 
@@ -259,16 +272,13 @@ class _Enclave:
             yield self._warning(f"{code}-slack", name, message, renew)
 
     def _domains(self, permissions: etree._Element, governance: etree._Element) -> Iterator[Diagnostic]:
-        known = [item for element in governance.iter("domains") for item in _ranges(element)]
-        merged = document.merged(known)
-        wanted = {item for element in permissions.iter("domains") for item in _ranges(element)}
-        for item in sorted(wanted):
-            if not any(k.first <= item.first and item.last <= k.last for k in merged):
-                which = f"domain {item.first}" if item.first == item.last else f"domains {item.first} to {item.last}"
-                yield self._error(
-                    "domain-uncovered", f"{PERMISSIONS}.p7s", f"grants in {which}, which the governance lacks",
-                    "add the domain to a domain rule of the governance",
-                )  # fmt: skip
+        governed = (item for element in governance.iter("domains") for item in _ranges(element))
+        granted = {item for element in permissions.iter("domains") for item in _ranges(element)}
+        for item in uncovered(sorted(granted), governed):
+            yield self._error(
+                "domain-uncovered", PERMISSIONS_P7S, f"grants in {in_words([item])}, which the governance lacks",
+                "add the domain to a domain rule of the governance",
+            )  # fmt: skip
 
 
 def _ranges(element: etree._Element) -> Iterator[DomainRange]:
@@ -296,7 +306,7 @@ def _shown(moment: datetime) -> str:
 
 def _without_rules(content: bytes) -> tuple[tuple[str, str, str], ...]:
     """Return what a permissions document says beside its rules, in the form in which two of them can be compared."""
-    root = document.read(content, PERMISSIONS, PERMISSIONS_XML)
+    root = dds_xml.read(content, PERMISSIONS, PERMISSIONS_XML)
     for grant in root.iter("grant"):
         for rule in [*grant.findall("allow_rule"), *grant.findall("deny_rule")]:
             grant.remove(rule)

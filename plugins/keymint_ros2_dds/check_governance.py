@@ -10,10 +10,10 @@ from comarmor.patterns.glob import GlobError
 from keymint.api import Inspection
 from keymint.errors import KeymintError
 from keymint.pki import smime
-from keymint_ros2_dds import opened
+from keymint_ros2_dds import governance_warnings
 from keymint_ros2_dds.decision.access import Governed
 from keymint_ros2_dds.decision.semantics import STANDARD
-from keymint_ros2_dds.install import GOVERNANCE_P7S
+from keymint_ros2_dds.layout import GOVERNANCE_P7S
 from keymint_ros2_dds.proving import octets
 from keymint_ros2_dds.proving.governing import Governing, cuts
 from keymint_ros2_dds.proving.protection import LAST_DOMAIN, STRICT, Weaker, weaker
@@ -31,8 +31,8 @@ def findings(inspection: Inspection) -> Iterator[Diagnostic]:
         KeymintError: the sources say what no document can.
     """
     package = inspection.package
-    for found in opened.findings(package):
-        if found.severity is Severity.WARNING and found.code != opened.UNPROTECTED:
+    for found in governance_warnings.findings(package):
+        if found.severity is Severity.WARNING and found.code != governance_warnings.UNPROTECTED:
             yield found
     file = f"{inspection.folder}/{GOVERNANCE_P7S}"
     try:
@@ -54,7 +54,7 @@ def _drifted(inspection: Inspection, governing: Governing) -> Iterator[Diagnosti
             continue
         own = governing.source_rule(domains.first) or STRICT
         try:
-            all_found = list(weaker(rule, own, STANDARD, _NAMES, Budget(opened.STATES), access=True))
+            all_found = list(weaker(rule, own, STANDARD, _NAMES, Budget(governance_warnings.STATES), access=True))
         except GlobError as error:
             yield Diagnostic("governance-unread", Severity.ERROR, str(error), document.place(rule.line), again, subject)
             continue

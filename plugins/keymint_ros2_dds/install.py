@@ -10,21 +10,21 @@ from keymint import api
 from keymint.api import Artifact, Credentials, Package
 from keymint.errors import KeymintError
 from keymint.pki import smime
-from keymint_ros2_dds import document
-from keymint_ros2_dds.document import GOVERNANCE, GOVERNANCE_XML, PERMISSIONS, PERMISSIONS_XML
-
-GOVERNANCE_P7S = f"{GOVERNANCE}.p7s"
-PERMISSIONS_P7S = f"{PERMISSIONS}.p7s"
-CERTIFICATE, KEY = "cert.pem", "key.pem"
-CA, IDENTITY_CA, PERMISSIONS_CA = "ca.cert.pem", "identity_ca.cert.pem", "permissions_ca.cert.pem"
-CRL = "crl.pem"
-"""The revocation list of an enclave, which Keymint does not write, and ROS 2 takes from Humble on where it is there."""
-
-FILES: Mapping[str, tuple[str, ...]] = {
-    "sros2": (IDENTITY_CA, PERMISSIONS_CA, CERTIFICATE, KEY, GOVERNANCE_P7S, PERMISSIONS_P7S, PERMISSIONS_XML),
-    "flat": (CA, CERTIFICATE, KEY, GOVERNANCE_P7S, PERMISSIONS_P7S),
-}
-"""The files of an enclave: sros2's keystore of Foxy and later, and that of Ardent and Bouncy (rmw, ``security.c``)."""
+from keymint_ros2_dds.documents import dds_xml
+from keymint_ros2_dds.layout import (
+    CA,
+    CERTIFICATE,
+    FILES,
+    GOVERNANCE,
+    GOVERNANCE_P7S,
+    GOVERNANCE_XML,
+    IDENTITY_CA,
+    KEY,
+    PERMISSIONS,
+    PERMISSIONS_CA,
+    PERMISSIONS_P7S,
+    PERMISSIONS_XML,
+)
 
 
 def install(
@@ -72,7 +72,7 @@ def _document(package: Package, documents: Mapping[str, bytes], kind: str) -> by
             help=f"run 'keymint build {package.name}'",
             code="document-missing",
         )
-    document.require_valid(content, kind, f"{package.name}/{kind}.xml")
+    dds_xml.require_valid(content, kind, f"{package.name}/{kind}.xml")
     return content
 
 

@@ -1,7 +1,6 @@
-"""The compiler: from the rules of a subject to the permissions document that is emitted.
+"""The compiler: from the lowered rules of a subject to the rules of the grant in its permissions document.
 
-In the order of the passes: ``lower`` maps names and says what is allowed and denied; ``plans`` and ``partitions`` make
-decision lists of it; ``rules`` puts these into an order that every vendor reads alike; ``spelling`` writes expressions;
-``gathering`` and ``priority`` rewrite them. ``compile`` runs these; ``emission`` proves the result, and chooses among
-the forms that it may have.
+The passes in order: ``plans`` and ``partitions`` make decision lists, ``rules`` puts these into an order that every
+vendor reads in the same way, ``gathering`` and ``priority`` rewrite them. ``compile`` runs the passes.
+:mod:`keymint_ros2_dds.emission` proves the result and chooses among its forms.
 """

@@ -16,13 +16,13 @@ from keymint.ir import Rule
 from keymint_ros2_dds.compiling import partitions
 from keymint_ros2_dds.compiling.criteria import Criteria
 from keymint_ros2_dds.compiling.gathering import GUARD, gathered
-from keymint_ros2_dds.compiling.lower import Lowered, lower
 from keymint_ros2_dds.compiling.partitions import PartitionError
 from keymint_ros2_dds.compiling.priority import Asked, prioritised
 from keymint_ros2_dds.compiling.rules import Block, OrderError, blocks, one_by_one, standard_blocks
-from keymint_ros2_dds.compiling.spelling import InexpressibleError, faithful, spell
-from keymint_ros2_dds.endpoints import endpoints
-from keymint_ros2_dds.mapping import Action, check_distro, knows
+from keymint_ros2_dds.lowering.endpoints import endpoints
+from keymint_ros2_dds.lowering.lower import Lowered, lower
+from keymint_ros2_dds.lowering.mapping import Action, check_distro, knows
+from keymint_ros2_dds.lowering.portable import InexpressibleError, faithful, spell
 
 DIFFERING = "Cyclone DDS and Fast DDS"
 STEPS = 4_000_000

@@ -6,8 +6,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 from comarmor.rules import Effect
-from keymint_ros2_dds.compiling.lower import Partitions
-from keymint_ros2_dds.mapping import Action
+from keymint_ros2_dds.lowering.lower import Partitions
+from keymint_ros2_dds.lowering.mapping import Action
 
 
 @dataclass(frozen=True, slots=True)

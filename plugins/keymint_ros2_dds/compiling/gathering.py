@@ -1,7 +1,7 @@
 """Gathering topics under bracket expressions, where that makes a document much smaller.
 
-For Cyclone DDS a bracket expression always holds ``]`` as well (see :mod:`.spelling`). So rules with gathered
-topics come last, after a denial of every name with a ``]``; the names that are permitted there have none.
+Cyclone DDS lets every bracket expression match ``]`` as well (see :mod:`keymint_ros2_dds.lowering.portable`). So rules
+with gathered topics come last, after a denial of every name with a ``]``; the names that they permit have none.
 """
 
 from __future__ import annotations
@@ -14,9 +14,9 @@ from comarmor.patterns.relations import matcher
 from comarmor.rules import Effect
 from keymint.keymake.gather import Pattern, gather
 from keymint_ros2_dds.compiling.criteria import Criteria, is_name
-from keymint_ros2_dds.compiling.lower import Partitions
 from keymint_ros2_dds.compiling.partitions import DEFAULT, EVERY
-from keymint_ros2_dds.mapping import Action
+from keymint_ros2_dds.lowering.lower import Partitions
+from keymint_ros2_dds.lowering.mapping import Action
 
 GUARD = "*]*"
 """The names that Cyclone DDS takes to match where the standard does not."""

@@ -27,8 +27,8 @@ from comarmor.patterns.relations import (
     surely_covers,
 )
 from comarmor.rules import Effect
-from keymint_ros2_dds.compiling.lower import Partitions
-from keymint_ros2_dds.compiling.spelling import faithful
+from keymint_ros2_dds.lowering.lower import Partitions
+from keymint_ros2_dds.lowering.portable import faithful
 
 DEFAULT: Partitions = ("",)
 EVERY: Partitions = ("*",)

@@ -9,8 +9,8 @@ from comarmor.patterns.glob import Glob, literal
 from comarmor.patterns.relations import disjoint, sort_key
 from comarmor.rules import Effect
 from keymint.keymake.order import Order, arrange
-from keymint_ros2_dds.compiling.lower import Partitions
 from keymint_ros2_dds.compiling.partitions import DEFAULT, EVERY, Entry, decision_list, touches, uniform
+from keymint_ros2_dds.lowering.lower import Partitions
 
 Listed = tuple[Glob, Partitions]
 

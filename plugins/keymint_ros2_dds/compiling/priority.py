@@ -13,7 +13,7 @@ from comarmor.patterns import glob
 from comarmor.patterns.relations import all_disjoint, matcher, matches
 from keymint_ros2_dds.compiling.criteria import Criteria, is_name
 from keymint_ros2_dds.compiling.gathering import GUARD
-from keymint_ros2_dds.mapping import Action
+from keymint_ros2_dds.lowering.mapping import Action
 
 
 @dataclass(frozen=True, slots=True)

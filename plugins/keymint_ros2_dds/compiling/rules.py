@@ -26,10 +26,10 @@ from comarmor.patterns.relations import TooComplexError, all_disjoint, intersect
 from comarmor.rules import Effect
 from keymint.ir import Rule
 from keymint.keymake.order import Rescue, mentioned_first
-from keymint_ros2_dds.compiling.lower import Lowered, Partitions
 from keymint_ros2_dds.compiling.partitions import DEFAULT, EVERY, Entry
 from keymint_ros2_dds.compiling.plans import Plan, denial_of, plans
-from keymint_ros2_dds.mapping import Action
+from keymint_ros2_dds.lowering.lower import Lowered, Partitions
+from keymint_ros2_dds.lowering.mapping import Action
 
 
 @dataclass(frozen=True, slots=True)

@@ -25,7 +25,8 @@ from keymint_ros2_dds.decision import fnmatch
 from keymint_ros2_dds.decision.document import Domains
 from keymint_ros2_dds.decision.peculiar import FINE, REFUSES, UNTOLD, Effect, Peculiarity, decorations
 from keymint_ros2_dds.decision.refusals import covers
-from keymint_ros2_dds.document import GOVERNANCE, GOVERNANCE_XML, MAX_DOMAIN
+from keymint_ros2_dds.domains import MAX_DOMAIN
+from keymint_ros2_dds.layout import GOVERNANCE, GOVERNANCE_XML
 
 ACCESS = {"publish": "enable_write_access_control", "subscribe": "enable_read_access_control"}
 """The element that puts an action under access control."""

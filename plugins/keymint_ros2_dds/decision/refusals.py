@@ -11,7 +11,7 @@ from functools import lru_cache
 from keymint_ros2_dds.decision import dates, numbers
 from keymint_ros2_dds.decision.document import BLANKS, Criteria, Domains, Grant, PermissionsDocument, Rule
 from keymint_ros2_dds.decision.peculiar import FINE, REFUSES, STOPS, UNTOLD, Effect, Peculiarity
-from keymint_ros2_dds.document import MAX_DOMAIN
+from keymint_ros2_dds.domains import MAX_DOMAIN
 
 _CYCLONE, _FAST = "Cyclone DDS", "Fast DDS"
 

@@ -18,7 +18,7 @@ from keymint.api import Anchor, Anchors
 from keymint.errors import KeymintError
 from keymint.pki import certificates, keys, names, smime, verify
 from keymint_ros2_dds import revocation
-from keymint_ros2_dds.install import (
+from keymint_ros2_dds.layout import (
     CA,
     CERTIFICATE,
     CRL,

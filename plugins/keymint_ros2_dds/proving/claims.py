@@ -17,11 +17,11 @@ from keymint.api import Claim, Counterexample, DomainRange, PolicyDecision, Proo
 from keymint.graph import Edge
 from keymint.ir import SubjectRules
 from keymint_ros2_dds import decision
-from keymint_ros2_dds.compiling.lower import Lowered
 from keymint_ros2_dds.decision import OMG, VARIATIONS, Decision, Judge, Variation
 from keymint_ros2_dds.decision.access import Governed
 from keymint_ros2_dds.decision.document import Grant, PermissionsDocument
 from keymint_ros2_dds.decision.semantics import Semantics
+from keymint_ros2_dds.lowering.lower import Lowered
 from keymint_ros2_dds.proving import lists, octets, policy, protection
 from keymint_ros2_dds.proving.eras import Era, eras_of, joined
 from keymint_ros2_dds.proving.governing import Governing, cuts
@@ -86,7 +86,7 @@ class Question:
     Attributes:
         document: the document.
         held: what it is held against.
-        lowered: the rules of that on the level of DDS, from :func:`keymint_ros2_dds.compiling.lower.lower`.
+        lowered: the rules of that on the level of DDS, from :func:`keymint_ros2_dds.lowering.lower.lower`.
         governing: the governance beside it; None puts every topic, and joining, under access control.
     """
 

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 
 from keymint.api import Claim, Proof
 from keymint_ros2_dds import decision
-from keymint_ros2_dds.compiling.lower import Lowered, lower
+from keymint_ros2_dds.lowering.lower import Lowered, lower
 from keymint_ros2_dds.proving.claims import ASSUMPTIONS, Held, Question, prove_document
 from keymint_ros2_dds.proving.governing import Governing
 

@@ -9,10 +9,10 @@ from itertools import pairwise
 
 from comarmor.patterns.glob import GlobError
 from keymint.api import DomainRange, Governance
-from keymint_ros2_dds import governance as sources
 from keymint_ros2_dds.decision import governance
 from keymint_ros2_dds.decision.governance import ACCESS, JOIN, UNAUTHENTICATED, DomainRule, GovernanceDocument
 from keymint_ros2_dds.decision.semantics import STANDARD
+from keymint_ros2_dds.documents import governance_document as sources
 from keymint_ros2_dds.proving.opening import regions
 
 ACTIONS = ("publish", "subscribe")

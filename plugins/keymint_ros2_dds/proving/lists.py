@@ -13,11 +13,11 @@ from comarmor.patterns.decision_lists import Block, DecisionList
 from comarmor.patterns.glob import EVERYTHING, Glob, normalise, parse
 from comarmor.patterns.relations import matches
 from comarmor.rules import Effect
-from keymint_ros2_dds.compiling.lower import Lowered, Partitions
 from keymint_ros2_dds.decision.document import Criteria, Grant, Rule
 from keymint_ros2_dds.decision.refusals import covers
 from keymint_ros2_dds.decision.semantics import Semantics
-from keymint_ros2_dds.mapping import Action
+from keymint_ros2_dds.lowering.lower import Lowered, Partitions
+from keymint_ros2_dds.lowering.mapping import Action
 from keymint_ros2_dds.proving import octets
 from keymint_ros2_dds.proving.dialects import read
 

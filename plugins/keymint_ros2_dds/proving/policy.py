@@ -14,8 +14,8 @@ from comarmor.rules import Effect, parts
 from keymint.graph import Edge, Object
 from keymint.ir import Rule, SubjectRules
 from keymint_ros2_dds.decision import fnmatch
-from keymint_ros2_dds.endpoints import meanings
-from keymint_ros2_dds.mapping import ARDENT
+from keymint_ros2_dds.lowering.endpoints import meanings
+from keymint_ros2_dds.lowering.mapping import ARDENT
 from keymint_ros2_dds.proving import octets
 
 _ROS_NAME = re.compile(r"(?:/(?!\w*__)[A-Za-z_][A-Za-z0-9_]*)+", re.ASCII)

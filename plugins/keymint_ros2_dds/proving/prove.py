@@ -9,8 +9,7 @@ from keymint.api import Anchors, Claim, Obligation, Term
 from keymint.errors import KeymintError
 from keymint.pki import smime
 from keymint_ros2_dds import decision
-from keymint_ros2_dds.document import PERMISSIONS_XML
-from keymint_ros2_dds.install import CERTIFICATE, GOVERNANCE_P7S, PERMISSIONS_P7S
+from keymint_ros2_dds.layout import CERTIFICATE, GOVERNANCE_P7S, PERMISSIONS_P7S, PERMISSIONS_XML
 from keymint_ros2_dds.proving import validity
 from keymint_ros2_dds.proving.anchors import differences
 from keymint_ros2_dds.proving.claims import Held

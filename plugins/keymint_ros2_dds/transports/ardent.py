@@ -14,8 +14,8 @@ from dataclasses import dataclass, replace
 
 from keymint.api import Enclave, Tier, Transport, Usable, Verdict
 from keymint.graph import Edge
-from keymint_ros2_dds.endpoints import endpoints
-from keymint_ros2_dds.mapping import ARDENT
+from keymint_ros2_dds.lowering.endpoints import endpoints
+from keymint_ros2_dds.lowering.mapping import ARDENT
 
 _OF_SERVICES = ("rq", "rr")
 DEVIATION = "ardent-services: ROS 2 Ardent creates the endpoints of services in the empty partition first"

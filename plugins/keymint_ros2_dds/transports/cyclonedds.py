@@ -15,8 +15,8 @@ from keymint.pki import smime
 from keymint_ros2_dds import decision
 from keymint_ros2_dds.decision import CYCLONEDDS_0_10
 from keymint_ros2_dds.decision.refusals import stops_cyclone
-from keymint_ros2_dds.endpoints import endpoints
-from keymint_ros2_dds.install import PERMISSIONS_P7S
+from keymint_ros2_dds.layout import PERMISSIONS_P7S
+from keymint_ros2_dds.lowering.endpoints import endpoints
 from keymint_ros2_dds.transports import files, real
 from keymint_ros2_dds.transports.real_transport import RealTransport
 from keymint_ros2_dds.transports.simulated import Courts

@@ -20,7 +20,7 @@ from keymint.api import Enclave, Verdict
 from keymint.errors import KeymintError
 from keymint.graph import Edge as GraphEdge
 from keymint_ros2_dds.decision import Variation
-from keymint_ros2_dds.endpoints import endpoints
+from keymint_ros2_dds.lowering.endpoints import endpoints
 from keymint_ros2_dds.transports import real
 from keymint_ros2_dds.transports.simulated import Court, Courts
 from keymint_ros2_dds.vendors.participants import (

@@ -12,7 +12,7 @@ from comarmor.errors import Origin
 from keymint.api import Enclave
 from keymint.errors import KeymintError
 from keymint.pki import certificates, mime, names
-from keymint_ros2_dds.install import CA, IDENTITY_CA, KEY, PERMISSIONS_CA
+from keymint_ros2_dds.layout import CA, IDENTITY_CA, KEY, PERMISSIONS_CA
 
 __all__ = ["authority", "by_subject", "content", "raise_if_unread", "refuse_encrypted_key", "subject_name"]
 

@@ -10,7 +10,7 @@ from keymint.api import Tier, Usable, Verdict
 from keymint.errors import KeymintError
 from keymint.graph import Edge
 from keymint_ros2_dds.decision import Variation
-from keymint_ros2_dds.endpoints import endpoints
+from keymint_ros2_dds.lowering.endpoints import endpoints
 from keymint_ros2_dds.transports import files
 from keymint_ros2_dds.transports.simulated import Court, Courts
 from keymint_ros2_dds.vendors.participants import Direction, Participant, ProbeError, RefusedError, System, Vendor

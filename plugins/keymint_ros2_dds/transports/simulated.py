@@ -16,8 +16,8 @@ from keymint.pki import smime
 from keymint_ros2_dds import decision
 from keymint_ros2_dds.decision import OMG, Decision, Judge, Outcome, Variation, governance
 from keymint_ros2_dds.decision.access import Governed
-from keymint_ros2_dds.endpoints import endpoints
-from keymint_ros2_dds.install import CERTIFICATE, GOVERNANCE_P7S, PERMISSIONS_P7S
+from keymint_ros2_dds.layout import CERTIFICATE, GOVERNANCE_P7S, PERMISSIONS_P7S
+from keymint_ros2_dds.lowering.endpoints import endpoints
 from keymint_ros2_dds.transports import files
 
 

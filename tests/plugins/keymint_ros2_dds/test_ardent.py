@@ -9,9 +9,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from keymint_ros2_dds import build_type
-from keymint_ros2_dds.compiling.spelling import faithful
-from keymint_ros2_dds.endpoints import endpoints, meanings
-from keymint_ros2_dds.mapping import IMAGES, ardent
+from keymint_ros2_dds.lowering import ardent_names
+from keymint_ros2_dds.lowering.endpoints import endpoints, meanings
+from keymint_ros2_dds.lowering.mapping import IMAGES
+from keymint_ros2_dds.lowering.portable import faithful
 from lxml import etree
 
 from comarmor.errors import Severity
@@ -30,7 +31,7 @@ TOPIC = IMAGES["ros_publish"][0]
 
 
 def pairs(text: str, **options) -> set[tuple[str, str]]:
-    return {(faithful(where), faithful(what)) for where, what in ardent.image(parse(text), TOPIC, **options)}
+    return {(faithful(where), faithful(what)) for where, what in ardent_names.image(parse(text), TOPIC, **options)}
 
 
 @pytest.mark.parametrize(

@@ -6,7 +6,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 
 import pytest
-from keymint_ros2_dds.endpoints import endpoints
+from keymint_ros2_dds.lowering.endpoints import endpoints
 from keymint_ros2_dds.transports import ardent_omg
 from keymint_ros2_dds.transports.ardent import DEVIATION, ArdentMiddleware, created
 

@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from keymint_ros2_dds import build_type
-from keymint_ros2_dds.check_all import cyclone_takes_for
+from keymint_ros2_dds.check_keystore import cyclone_takes_for
 
 from comarmor.errors import Severity
 from keymint.api import KeySpec

@@ -11,7 +11,8 @@ from unittest import mock
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from keymint_ros2_dds import build_type, document, limits
+from keymint_ros2_dds import build_type, vendor_limits
+from keymint_ros2_dds.documents import dds_xml
 from lxml import etree
 
 from benchmarks import navigation
@@ -26,7 +27,7 @@ NAMES = st.lists(st.from_regex(r"/[a-z][a-z0-9_]{0,30}(/[a-z][a-z0-9_]{0,30}){0,
 def built(*names: str, indented: int, **options: bool) -> bytes:
     """Return the permissions of who may publish and subscribe to these topics."""
     rules = [rule("ALLOW", "ros_topic", "ros_publish ros_subscribe", name) for name in names]
-    with mock.patch.object(document, "INDENTED", indented):
+    with mock.patch.object(dds_xml, "INDENTED", indented):
         done = build_type.build(package(*rules), replace(BuildOptions(), **options))
     (name,) = done.plain_sizes
     assert name == "permissions.xml"
@@ -50,7 +51,7 @@ def test_only_a_document_beyond_the_limit_loses_its_blanks_and_nothing_else(name
 @given(NAMES, st.integers(500, 12_000))
 def test_the_size_of_the_plain_form_is_what_it_would_have(names: list[str], limit: int) -> None:
     rules = [rule("ALLOW", "ros_topic", "ros_publish ros_subscribe", name) for name in names]
-    with mock.patch.object(document, "INDENTED", limit):
+    with mock.patch.object(dds_xml, "INDENTED", limit):
         small = build_type.build(package(*rules), BuildOptions())
         plain = build_type.build(package(*rules), BuildOptions(optimise=False))
     assert small.plain_sizes == {"permissions.xml": len(plain.documents["permissions.xml"])}
@@ -84,7 +85,7 @@ def test_the_policy_of_a_navigation_stack_fits(keymint: Callable, policy: Path, 
     (said,) = (found for found in outcome.document["diagnostics"] if found["code"] == "size-permissions")
     (size,) = re.findall(r"about ([\d,]+) bytes", said["message"])
     assert abs(int(size.replace(",", "")) - len(signed)) < 200
-    assert limits.TIGHT < len(signed) < limits.BROKEN
+    assert vendor_limits.TIGHT < len(signed) < vendor_limits.BROKEN
 
     why = keymint("why", "/navigation", "ros_publish", "/cmd_vel_smoothed", "-w", "ws", "-t", "omg", "--json")
     (transport,) = why.document["result"]["transports"]

@@ -6,9 +6,8 @@ from datetime import UTC, datetime
 from pathlib import Path
 
 import pytest
-from keymint_ros2_dds import build_type
+from keymint_ros2_dds import build_type, emission
 from keymint_ros2_dds.compiling import compile as compiling
-from keymint_ros2_dds.compiling import emission
 
 from comarmor.patterns.effort import limited
 from keymint.analysis.portability import package_of

@@ -11,8 +11,8 @@ from unittest import mock
 import pytest
 from hypothesis import event, given, settings
 from hypothesis import strategies as st
-from keymint_ros2_dds import build_type
-from keymint_ros2_dds.compiling import compile, emission, gathering  # noqa: A004 - the module's name
+from keymint_ros2_dds import build_type, emission
+from keymint_ros2_dds.compiling import compile, gathering  # noqa: A004 - the module's name
 from lxml import etree
 
 from comarmor.errors import Severity

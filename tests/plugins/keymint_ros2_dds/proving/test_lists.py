@@ -9,8 +9,8 @@ import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from keymint_ros2_dds import decision
-from keymint_ros2_dds.compiling.lower import lower
 from keymint_ros2_dds.decision import VARIATIONS, Judge, fnmatch
+from keymint_ros2_dds.lowering.lower import lower
 from keymint_ros2_dds.proving import lists, policy
 from keymint_ros2_dds.proving.dialects import READERS
 

@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from keymint_ros2_dds import build_type, decision, proving
-from keymint_ros2_dds.compiling.lower import lower
+from keymint_ros2_dds.lowering.lower import lower
 from keymint_ros2_dds.transports.files import subject_name
 
 from comarmor.errors import Origin

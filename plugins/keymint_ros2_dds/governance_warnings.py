@@ -15,9 +15,10 @@ from comarmor.patterns.glob import EVERYTHING, Glob, normalise
 from comarmor.patterns.proofs import escapes
 from comarmor.patterns.relations import union_covers
 from keymint.api import DomainRange, DomainRule, Package, TopicProtection
-from keymint_ros2_dds import document, governance
-from keymint_ros2_dds.compiling.lower import Lowered, lower
 from keymint_ros2_dds.decision.governance import ACCESS, JOIN, UNAUTHENTICATED
+from keymint_ros2_dds.documents import governance_document
+from keymint_ros2_dds.domains import in_words
+from keymint_ros2_dds.lowering.lower import Lowered, lower
 from keymint_ros2_dds.proving import lists, octets
 from keymint_ros2_dds.proving.protection import ACCEPT
 
@@ -68,14 +69,8 @@ def _left(domains: tuple[DomainRange, ...], seen: list[DomainRange]) -> Iterator
             yield DomainRange(first, following - 1)
 
 
-def _in_words(domains: tuple[DomainRange, ...]) -> str:
-    texts = [str(e.first) if e.first == e.last else f"{e.first} to {e.last}" for e in document.merged(domains)]
-    many = len(texts) > 1 or " to " in texts[0]
-    return f"domain{'s' if many else ''} {', '.join(texts)}"
-
-
 def _of_domain(rule: DomainRule, domains: tuple[DomainRange, ...]) -> Iterator[_Said]:
-    where = _in_words(domains)
+    where = in_words(domains)
     if not rule.enable_join_access_control:
         text = f"{JOIN} is false: every identity of the authority may join {where}, also without any permission"
         yield "governance-open-join", text, rule.origin
@@ -90,7 +85,11 @@ def _of_topics(
     inside = any(a.first <= b.last and b.first <= a.last for a in domains for b in package.permissions.domains)
     before: list[Glob] = []
     for topic in rule.topic_rules:
-        own = [each for each in governance.patterns(topic, package.distro) if not union_covers(tuple(before), each)]
+        own = [
+            each
+            for each in governance_document.patterns(topic, package.distro)
+            if not union_covers(tuple(before), each)
+        ]
         open_ = [] if not own else [action for action in ACCESS if not _controls(topic, action)]
         if open_ and inside and lowered is None:
             lowered = lower(package.permissions.rules, package.distro)
@@ -99,13 +98,13 @@ def _of_topics(
                 continue
             text = (
                 f"{ACCESS[action]} is false for {topic.expression!r}: every participant may {action} what it matches "
-                f"in {_in_words(domains)}, also what the policy denies or does not allow"
+                f"in {in_words(domains)}, also what the policy denies or does not allow"
             )
             yield "governance-open", text, topic.origin
         kinds = (rule.rtps_protection_kind, topic.metadata_protection_kind, topic.data_protection_kind)
         if own and set(kinds) == {_NONE}:
             text = (
-                f"nothing protects what {topic.expression!r} matches in {_in_words(domains)} (rtps_, metadata_ and "
+                f"nothing protects what {topic.expression!r} matches in {in_words(domains)} (rtps_, metadata_ and "
                 "data_protection_kind are NONE): whoever reaches the network can read and forge it"
             )
             yield UNPROTECTED, text, topic.origin

@@ -13,11 +13,13 @@ from comarmor.rules import Effect
 from keymint.api import Permissions
 from keymint.errors import KeymintError
 from keymint.pki import names
-from keymint_ros2_dds import document
 from keymint_ros2_dds.compiling.criteria import Criteria
-from keymint_ros2_dds.compiling.lower import Partitions
 from keymint_ros2_dds.compiling.partitions import DEFAULT
-from keymint_ros2_dds.mapping import Action
+from keymint_ros2_dds.documents import dds_xml
+from keymint_ros2_dds.domains import check_domains, merged
+from keymint_ros2_dds.layout import PERMISSIONS
+from keymint_ros2_dds.lowering.lower import Partitions
+from keymint_ros2_dds.lowering.mapping import Action
 
 
 def render(permissions: Permissions, rules: Iterable[Criteria]) -> bytes:
@@ -27,40 +29,40 @@ def render(permissions: Permissions, rules: Iterable[Criteria]) -> bytes:
         KeymintError: the subject's name, a date or a domain cannot be said alike for all vendors.
     """
     subject = permissions.rules.subject
-    problems = document.check_domains(permissions.domains, permissions.domains_origin or permissions.origin, subject)
-    if permissions.validity.not_after.year > document.MAX_YEAR:
+    problems = check_domains(permissions.domains, permissions.domains_origin or permissions.origin, subject)
+    if permissions.validity.not_after.year > dds_xml.MAX_YEAR:
         message = (
             f"the permissions end in the year {permissions.validity.not_after.year}, which Cyclone DDS takes to be over"
         )
-        help_ = f"let them end by {document.MAX_YEAR}"
+        help_ = f"let them end by {dds_xml.MAX_YEAR}"
         problems.append(Diagnostic("portability-date", Severity.ERROR, message, permissions.origin, help_, subject))
     if problems:
         raise KeymintError.of(problems)
-    root = document.root(document.PERMISSIONS)
-    grant = document.child(document.child(root, "permissions"), "grant")
+    root = dds_xml.root(PERMISSIONS)
+    grant = dds_xml.child(dds_xml.child(root, "permissions"), "grant")
     grant.set("name", permissions.grant_name)
-    document.child(grant, "subject_name", names.render(names.parse(permissions.subject_name, permissions.origin)))
-    validity = document.child(grant, "validity")
-    document.child(validity, "not_before", document.date(permissions.validity.not_before))
-    document.child(validity, "not_after", document.date(permissions.validity.not_after))
+    dds_xml.child(grant, "subject_name", names.render(names.parse(permissions.subject_name, permissions.origin)))
+    validity = dds_xml.child(grant, "validity")
+    dds_xml.child(validity, "not_before", dds_xml.date(permissions.validity.not_before))
+    dds_xml.child(validity, "not_after", dds_xml.date(permissions.validity.not_after))
     for rule in rules:
-        element = document.child(grant, "allow_rule" if rule.effect is Effect.ALLOW else "deny_rule")
-        document.domains(element, permissions.domains)
+        element = dds_xml.child(grant, "allow_rule" if rule.effect is Effect.ALLOW else "deny_rule")
+        dds_xml.domains(element, permissions.domains)
         for action, texts in rule.topics.items():
             _criteria(element, action, texts, rule.partitions)
-    document.child(grant, "default", "DENY")
-    return document.render(root, document.PERMISSIONS)
+    dds_xml.child(grant, "default", "DENY")
+    return dds_xml.render(root, PERMISSIONS)
 
 
 def _criteria(parent: etree._Element, action: Action, texts: Iterable[str], listed: Partitions) -> None:
-    element = document.child(parent, action)
-    topics = document.child(element, "topics")
+    element = dds_xml.child(parent, action)
+    topics = dds_xml.child(element, "topics")
     for text in texts:
-        document.child(topics, "topic", text)
+        dds_xml.child(topics, "topic", text)
     if listed != DEFAULT:
-        names_ = document.child(element, "partitions")
+        names_ = dds_xml.child(element, "partitions")
         for text in listed:
-            document.child(names_, "partition", text)
+            dds_xml.child(names_, "partition", text)
 
 
 def rendered_size(permissions: Permissions, rules: Iterable[Criteria]) -> int:
@@ -73,7 +75,7 @@ def rendered_size(permissions: Permissions, rules: Iterable[Criteria]) -> int:
     bare = _Size(sum(len(line.lstrip(b" ")) for line in frame), 0)
     whole = bare + _Size(0, sum(map(len, frame)) - bare.text) + _rules_size(permissions, rules)
     indented = whole.text + whole.blanks
-    return indented if indented <= document.INDENTED else whole.text
+    return indented if indented <= dds_xml.INDENTED else whole.text
 
 
 @dataclass(frozen=True, slots=True)
@@ -88,7 +90,7 @@ class _Size:
 
 
 def _rules_size(permissions: Permissions, rules: Iterable[Criteria]) -> _Size:
-    ranges = document.merged(permissions.domains)
+    ranges = merged(permissions.domains)
     same = {"id": [str(each.first) for each in ranges if each.first == each.last]}
     domains = _lines(same, 5)
     for each in ranges:

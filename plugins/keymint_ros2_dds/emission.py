@@ -16,14 +16,14 @@ from comarmor.patterns.effort import limited
 from keymint.api import BuildOptions, Claim, Package, Proof
 from keymint.errors import KeymintError
 from keymint.pki import names
-from keymint_ros2_dds import document as documents
 from keymint_ros2_dds.compiling.compile import Compiled, compile_rules, remarks
 from keymint_ros2_dds.compiling.criteria import Criteria
-from keymint_ros2_dds.compiling.lower import Lowered
 from keymint_ros2_dds.decision import OMG
-from keymint_ros2_dds.document import PERMISSIONS, PERMISSIONS_XML
-from keymint_ros2_dds.mapping import Action
-from keymint_ros2_dds.permissions import render, rendered_size
+from keymint_ros2_dds.documents import dds_xml as documents
+from keymint_ros2_dds.documents.permissions_document import render, rendered_size
+from keymint_ros2_dds.layout import PERMISSIONS, PERMISSIONS_XML
+from keymint_ros2_dds.lowering.lower import Lowered
+from keymint_ros2_dds.lowering.mapping import Action
 from keymint_ros2_dds.proving import ASSUMPTIONS, Held, prove_content
 
 STATES = 50_000

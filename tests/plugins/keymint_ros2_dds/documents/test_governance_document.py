@@ -11,8 +11,7 @@ from lxml import etree
 from comarmor.errors import Origin
 from keymint.api import BuildOptions, DomainRange
 from keymint.errors import KeymintError
-
-from .packages import domain_rule, package, protection, rule
+from tests.plugins.keymint_ros2_dds.packages import domain_rule, package, protection, rule
 
 STRICT, LENIENT = BuildOptions(), BuildOptions(allow_vendor_specific=True)
 

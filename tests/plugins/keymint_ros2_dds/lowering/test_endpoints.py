@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from keymint_ros2_dds.endpoints import endpoints, meanings
+from keymint_ros2_dds.lowering.endpoints import endpoints, meanings
 
 from keymint.errors import KeymintError
 from keymint.graph import LABELLED, Edge, Object

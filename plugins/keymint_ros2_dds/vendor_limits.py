@@ -10,7 +10,7 @@ from comarmor.rules import Effect
 from keymint.api import KeySpec, Package
 from keymint.errors import KeymintError
 from keymint.pki import keys
-from keymint_ros2_dds.compiling.lower import Lowered
+from keymint_ros2_dds.lowering.lower import Lowered
 
 TIGHT = 45_000
 """Bytes of a signed document up to which handshakes were seen to work on every vendor."""

@@ -1,6 +1,7 @@
 """Names of ROS 2 entities as DDS topics and partitions; which way a distribution maps them.
 
-:mod:`.modern` is the mapping of Bouncy and later, :mod:`.ardent` that of Ardent. A raw topic is its own name in both.
+:mod:`.modern_names` is the mapping of Bouncy and later, :mod:`.ardent_names` that of Ardent. Both keep raw topics as
+they are.
 """
 
 from __future__ import annotations
@@ -11,9 +12,9 @@ from collections.abc import Iterator
 from comarmor.patterns.glob import Glob
 from comarmor.rules import Effect
 from keymint.errors import KeymintError
-from keymint_ros2_dds.mapping import ardent
-from keymint_ros2_dds.mapping.entities import IMAGES, Action, Image
-from keymint_ros2_dds.mapping.modern import image
+from keymint_ros2_dds.lowering import ardent_names
+from keymint_ros2_dds.lowering.entities import IMAGES, Action, Image
+from keymint_ros2_dds.lowering.modern_names import image
 
 __all__ = ["ARDENT", "DISTROS", "IMAGES", "Action", "Image", "check_distro", "image", "images", "knows"]
 
@@ -40,7 +41,7 @@ def images(
         effect: what the rule does with the names.
     """
     if distro == ARDENT and mapped.prefix:
-        for partition, topic in ardent.image(expression, mapped, part, every=effect is Effect.DENY):
+        for partition, topic in ardent_names.image(expression, mapped, part, every=effect is Effect.DENY):
             yield topic, partition
     else:
         for topic in image(expression, mapped, part):

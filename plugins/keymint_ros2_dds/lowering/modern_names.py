@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from comarmor.patterns import glob
 from comarmor.patterns.glob import Glob
-from keymint_ros2_dds.mapping.entities import Image
+from keymint_ros2_dds.lowering.entities import Image
 
 
 def image(expression: Glob, mapped: Image, part: str = "") -> tuple[Glob, ...]:

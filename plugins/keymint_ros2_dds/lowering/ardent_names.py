@@ -13,7 +13,7 @@ from itertools import product
 from comarmor.patterns import glob
 from comarmor.patterns.glob import STAR, Charset, Glob, Star, Token
 from comarmor.patterns.relations import covers
-from keymint_ros2_dds.mapping.entities import Image
+from keymint_ros2_dds.lowering.entities import Image
 
 MAX_ALTERNATIVES = 64
 """Partitions that the bracket expressions of a namespace may stand for."""

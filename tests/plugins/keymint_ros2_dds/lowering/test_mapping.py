@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import pytest
-from keymint_ros2_dds.compiling.spelling import faithful
-from keymint_ros2_dds.mapping import DISTROS, IMAGES, Action, Image, check_distro, image
+from keymint_ros2_dds.lowering.mapping import DISTROS, IMAGES, Action, Image, check_distro, image
+from keymint_ros2_dds.lowering.portable import faithful
 
 from comarmor.patterns.glob import parse
 from keymint.errors import KeymintError

@@ -14,11 +14,13 @@ from comarmor.patterns import glob
 from comarmor.patterns.glob import EVERYTHING, Glob
 from comarmor.patterns.relations import covers, union_covers
 from comarmor.rules import PARTS
-from keymint.api import DomainRange, DomainRule, Governance, TopicProtection
+from keymint.api import DomainRule, Governance, TopicProtection
 from keymint.errors import KeymintError
-from keymint_ros2_dds import document
-from keymint_ros2_dds.compiling.spelling import InexpressibleError, faithful, spell
-from keymint_ros2_dds.mapping import ARDENT, IMAGES, images
+from keymint_ros2_dds.documents import dds_xml
+from keymint_ros2_dds.domains import check_domains
+from keymint_ros2_dds.layout import GOVERNANCE
+from keymint_ros2_dds.lowering.mapping import ARDENT, IMAGES, images
+from keymint_ros2_dds.lowering.portable import InexpressibleError, faithful, spell
 
 KINDS = ("NONE", "SIGN", "ENCRYPT", "SIGN_WITH_ORIGIN_AUTHENTICATION", "ENCRYPT_WITH_ORIGIN_AUTHENTICATION")
 DATA_KINDS = ("NONE", "SIGN", "ENCRYPT")
@@ -63,20 +65,20 @@ def build(
 def _compile(governance: Governance, distro: str, lenient: bool) -> tuple[bytes, tuple[Diagnostic, ...]]:
     """Most packages of a workspace have the same governance, so that it is compiled once."""
     problems = list(_check(governance, lenient))
-    root = document.root(document.GOVERNANCE)
-    rules = document.child(root, "domain_access_rules")
+    root = dds_xml.root(GOVERNANCE)
+    rules = dds_xml.child(root, "domain_access_rules")
     for rule in governance.domain_rules:
         problems += _domain_rule(rules, rule, distro, lenient)
     if any(item.severity is Severity.ERROR for item in problems):
         return b"", tuple(problems)
-    return document.render(root, document.GOVERNANCE), tuple(problems)
+    return dds_xml.render(root, GOVERNANCE), tuple(problems)
 
 
 def _check(governance: Governance, lenient: bool) -> Iterator[Diagnostic]:
     if not governance.domain_rules:
         yield Diagnostic("governance-empty", Severity.ERROR, "the governance has no domain rule")
     for rule in governance.domain_rules:
-        yield from document.check_domains(rule.domains, rule.domains_origin or rule.origin, "")
+        yield from check_domains(rule.domains, rule.domains_origin or rule.origin, "")
         for name in ("discovery", "liveliness", "rtps"):
             yield from _kind(f"{name}_protection_kind", getattr(rule, f"{name}_protection_kind"), KINDS, rule.origin)
         if rule.allow_unauthenticated_participants and rule.rtps_protection_kind != "NONE":
@@ -110,14 +112,14 @@ def _hint(word: str, known: Iterable[str]) -> str:
 
 
 def _domain_rule(parent: etree._Element, rule: DomainRule, distro: str, lenient: bool) -> Iterator[Diagnostic]:
-    element = document.child(parent, "domain_rule")
-    document.domains(element, rule.domains)
-    document.child(element, "allow_unauthenticated_participants", _boolean(rule.allow_unauthenticated_participants))
-    document.child(element, "enable_join_access_control", _boolean(rule.enable_join_access_control))
-    document.child(element, "discovery_protection_kind", rule.discovery_protection_kind)
-    document.child(element, "liveliness_protection_kind", rule.liveliness_protection_kind)
-    document.child(element, "rtps_protection_kind", rule.rtps_protection_kind)
-    topics = document.child(element, "topic_access_rules")
+    element = dds_xml.child(parent, "domain_rule")
+    dds_xml.domains(element, rule.domains)
+    dds_xml.child(element, "allow_unauthenticated_participants", _boolean(rule.allow_unauthenticated_participants))
+    dds_xml.child(element, "enable_join_access_control", _boolean(rule.enable_join_access_control))
+    dds_xml.child(element, "discovery_protection_kind", rule.discovery_protection_kind)
+    dds_xml.child(element, "liveliness_protection_kind", rule.liveliness_protection_kind)
+    dds_xml.child(element, "rtps_protection_kind", rule.rtps_protection_kind)
+    topics = dds_xml.child(element, "topic_access_rules")
     said: list[Glob] = []
     for topic in rule.topic_rules:
         if topic.kind not in _PERMISSIONS:
@@ -215,14 +217,14 @@ def _spelled(pattern: Glob, topic: TopicProtection, lenient: bool) -> tuple[tupl
 
 
 def _topic_rule(parent: etree._Element, expression: str, topic: TopicProtection) -> None:
-    element = document.child(parent, "topic_rule")
-    document.child(element, "topic_expression", expression)
-    document.child(element, "enable_discovery_protection", _boolean(topic.enable_discovery_protection))
-    document.child(element, "enable_liveliness_protection", _boolean(topic.enable_liveliness_protection))
-    document.child(element, "enable_read_access_control", _boolean(topic.enable_read_access_control))
-    document.child(element, "enable_write_access_control", _boolean(topic.enable_write_access_control))
-    document.child(element, "metadata_protection_kind", topic.metadata_protection_kind)
-    document.child(element, "data_protection_kind", topic.data_protection_kind)
+    element = dds_xml.child(parent, "topic_rule")
+    dds_xml.child(element, "topic_expression", expression)
+    dds_xml.child(element, "enable_discovery_protection", _boolean(topic.enable_discovery_protection))
+    dds_xml.child(element, "enable_liveliness_protection", _boolean(topic.enable_liveliness_protection))
+    dds_xml.child(element, "enable_read_access_control", _boolean(topic.enable_read_access_control))
+    dds_xml.child(element, "enable_write_access_control", _boolean(topic.enable_write_access_control))
+    dds_xml.child(element, "metadata_protection_kind", topic.metadata_protection_kind)
+    dds_xml.child(element, "data_protection_kind", topic.data_protection_kind)
 
 
 def _strictest(rule: DomainRule) -> TopicProtection:
@@ -232,9 +234,3 @@ def _strictest(rule: DomainRule) -> TopicProtection:
 
 def _boolean(value: bool) -> str:
     return "true" if value else "false"
-
-
-def uncovered(permissions: Sequence[DomainRange], governance: Governance) -> tuple[DomainRange, ...]:
-    """Return the domains of permissions that no domain rule is about."""
-    known = document.merged(item for rule in governance.domain_rules for item in rule.domains)
-    return tuple(item for item in permissions if not any(k.first <= item.first and item.last <= k.last for k in known))

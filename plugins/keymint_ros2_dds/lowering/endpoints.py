@@ -7,7 +7,7 @@ from functools import lru_cache
 from comarmor.rules import parts
 from keymint.errors import KeymintError
 from keymint.graph import Edge, Object
-from keymint_ros2_dds.mapping import ARDENT, IMAGES, check_distro, knows
+from keymint_ros2_dds.lowering.mapping import ARDENT, IMAGES, check_distro, knows
 
 _KINDS = {
     "ros_publish": "ros_topic", "ros_subscribe": "ros_topic", "ros_call": "ros_service", "ros_execute": "ros_service",

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator
 from datetime import UTC, datetime
 
 from lxml import etree
@@ -13,13 +13,8 @@ from comarmor.xml import schema
 from comarmor.xml.reader import parse
 from keymint.api import DomainRange
 from keymint.errors import KeymintError
+from keymint_ros2_dds.domains import merged
 
-PERMISSIONS = "permissions"
-GOVERNANCE = "governance"
-PERMISSIONS_XML = f"{PERMISSIONS}.xml"
-GOVERNANCE_XML = f"{GOVERNANCE}.xml"
-MAX_DOMAIN = 230
-"""The highest domain id whose ports exist (DDSI-RTPS 2.3, 9.6.1.1); Cyclone DDS refuses documents with higher ones."""
 MAX_YEAR = 2261
 """Cyclone DDS counts time in nanoseconds of 64 bits, and takes later years to be over."""
 
@@ -37,7 +32,7 @@ _HEAD = b'<?xml version="1.0" encoding="UTF-8"?>\n'
 
 
 def root(kind: str) -> etree._Element:
-    """Return the root element of a document of :data:`PERMISSIONS` or :data:`GOVERNANCE`."""
+    """Return the root element of a document of ``permissions`` or ``governance``."""
     element = etree.Element("dds", nsmap={"xsi": _XSI})
     element.set(f"{{{_XSI}}}noNamespaceSchemaLocation", f"{_SPEC}/omg_shared_ca_{kind}.xsd")
     return element
@@ -61,34 +56,6 @@ def domains(parent: etree._Element, ranges: Iterable[DomainRange]) -> None:
             both = child(element, "id_range")
             child(both, "min", str(item.first))
             child(both, "max", str(item.last))
-
-
-def merged(ranges: Iterable[DomainRange]) -> Sequence[DomainRange]:
-    """Return ranges of domains sorted, those that overlap or touch as one."""
-    found: list[DomainRange] = []
-    for item in sorted(ranges):
-        if found and item.first <= found[-1].last + 1:
-            found[-1] = DomainRange(found[-1].first, max(found[-1].last, item.last))
-        else:
-            found.append(item)
-    return found
-
-
-def check_domains(ranges: Sequence[DomainRange], where: Origin, subject: str) -> list[Diagnostic]:
-    """Return what is wrong with a list of domains: none, an empty range, or an id that has no ports."""
-    if not ranges:
-        return [Diagnostic("domains", Severity.ERROR, "no domain is given", where, "name at least one", subject)]
-    found = []
-    for item in ranges:
-        if item.first > item.last or item.first < 0:
-            message = f"the range of domains {item.first} to {item.last} is empty"
-            found.append(Diagnostic("domains", Severity.ERROR, message, where, "put the lower id first", subject))
-        elif item.last > MAX_DOMAIN:
-            message = f"domain {item.last} is higher than {MAX_DOMAIN}; Cyclone DDS refuses the whole document"
-            found.append(
-                Diagnostic("portability-domain", Severity.ERROR, message, where, f"use 0 to {MAX_DOMAIN}", subject)
-            )
-    return found
 
 
 def date(moment: datetime) -> str:
@@ -136,7 +103,7 @@ def read(content: bytes, kind: str, name: str) -> etree._Element:
 
     Args:
         content: XML.
-        kind: :data:`PERMISSIONS` or :data:`GOVERNANCE`.
+        kind: ``permissions`` or ``governance``.
         name: the file as the user would type it.
 
     Raises:

@@ -9,7 +9,7 @@ import re
 import pytest
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
-from keymint_ros2_dds.compiling.spelling import MAX_ALTERNATIVES, InexpressibleError, faithful, spell
+from keymint_ros2_dds.lowering.portable import MAX_ALTERNATIVES, InexpressibleError, faithful, spell
 
 from comarmor.patterns import glob
 from comarmor.patterns.relations import matches

@@ -17,8 +17,8 @@ from comarmor.patterns.ros_names import advice, is_possible
 from comarmor.rules import Effect, parts
 from keymint.errors import KeymintError
 from keymint.ir import Rule, SubjectRules
-from keymint_ros2_dds.compiling.spelling import faithful
-from keymint_ros2_dds.mapping import IMAGES, Action, images, knows
+from keymint_ros2_dds.lowering.mapping import IMAGES, Action, images, knows
+from keymint_ros2_dds.lowering.portable import faithful
 
 Partitions = tuple[str, ...]
 """Partition expressions as a policy has them, sorted; empty: not narrowed."""

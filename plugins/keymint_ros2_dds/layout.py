@@ -1,0 +1,22 @@
+"""The files of an enclave, by layout of the keystore."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+PERMISSIONS = "permissions"
+GOVERNANCE = "governance"
+PERMISSIONS_XML = f"{PERMISSIONS}.xml"
+GOVERNANCE_XML = f"{GOVERNANCE}.xml"
+PERMISSIONS_P7S = f"{PERMISSIONS}.p7s"
+GOVERNANCE_P7S = f"{GOVERNANCE}.p7s"
+CERTIFICATE, KEY = "cert.pem", "key.pem"
+CA, IDENTITY_CA, PERMISSIONS_CA = "ca.cert.pem", "identity_ca.cert.pem", "permissions_ca.cert.pem"
+CRL = "crl.pem"
+"""The revocation list of an enclave. Keymint does not write it; ROS 2 from Humble on reads it if it exists."""
+
+FILES: Mapping[str, tuple[str, ...]] = {
+    "sros2": (IDENTITY_CA, PERMISSIONS_CA, CERTIFICATE, KEY, GOVERNANCE_P7S, PERMISSIONS_P7S, PERMISSIONS_XML),
+    "flat": (CA, CERTIFICATE, KEY, GOVERNANCE_P7S, PERMISSIONS_P7S),
+}
+"""The files of an enclave: sros2's keystore of Foxy and later, and that of Ardent and Bouncy (rmw, ``security.c``)."""
