@@ -2,7 +2,7 @@
 
 usage: python benchmarks/bounds.py [--policies N] [--seed N] [--families]
 
-Steps are those of comarmor.patterns.effort: no clock is read, so that the figures are the same on every machine. A
+Steps are those of comarmor.patterns.steps: no clock is read, so that the figures are the same on every machine. A
 policy is refused if the compiler gives one of its subjects up; at most 2 in 100 may be. What vendors do not read
 alike is not counted as that. With --families policies that grow are tried as well, in two sizes.
 """

@@ -24,10 +24,10 @@ import provision
 from comarmor.patterns.decision_lists import (
     PRINTABLE,
     Block,
-    Budget,
     DecisionList,
     Equal,
-    Outcome,
+    ProofResult,
+    SearchBudget,
     Unknown,
     Witness,
 )
@@ -72,10 +72,10 @@ def decisions(denied: Iterable[str], allowed: Iterable[str]) -> DecisionList:
     return Block(False, tuple(map(parse, denied))), Block(True, tuple(map(parse, allowed)))
 
 
-def measured(a: DecisionList, b: DecisionList) -> tuple[Outcome, float]:
+def measured(a: DecisionList, b: DecisionList) -> tuple[ProofResult, float]:
     """Return the outcome of a comparison, and the seconds that it took."""
     start = time.perf_counter()
-    budget = Budget(5_000_000, lambda: time.perf_counter() - start < LIMIT)
+    budget = SearchBudget(5_000_000, lambda: time.perf_counter() - start < LIMIT)
     found = difference(a, b, universe=PRINTABLE, budget=budget)
     return found, time.perf_counter() - start
 

@@ -8,7 +8,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 
 from comarmor.errors import Origin
-from comarmor.patterns.effort import limited
+from comarmor.patterns.steps import step_limit
 from keymint.analysis.lint import lint
 from keymint.analysis.policy_diff import diff_policies
 from keymint.analysis.portability import package_of
@@ -74,7 +74,7 @@ class Sweep:
             self._asked("compile", name, lambda subject=subject: self._compiled(name, policy, subject))
 
     def _asked(self, stage: str, name: str, ask: Callable[[], object]) -> None:
-        with limited(None) as effort:
+        with step_limit(None) as effort:
             ask()
         self.tally.count(stage, effort.spent, name)
 

@@ -11,9 +11,9 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
-from comarmor.patterns.cube_search import Meter, Search
+from comarmor.patterns.cube_search import CountState, CubeSearch
 from comarmor.patterns.decision_lists import DecisionList, Universe
-from comarmor.patterns.derivatives import Arena
+from comarmor.patterns.derivatives import Derivatives
 from comarmor.patterns.evaluate import Evaluator, Index, shortest
 from comarmor.patterns.glob import Glob, literal
 from comarmor.patterns.relations import disjoint, matcher
@@ -23,7 +23,7 @@ ROUNDS = 16
 
 
 @dataclass(frozen=True, slots=True)
-class Side:
+class RankedPattern:
     """One way in which a list permits or refuses: a word matches the pattern, and none of some blocks.
 
     Attributes:
@@ -35,7 +35,7 @@ class Side:
     unless: int
 
 
-class Escapes:
+class CounterexampleSearch:
     """Looks for the shortest word that all of some lists permit and another one refuses.
 
     Args:
@@ -51,8 +51,8 @@ class Escapes:
         permitting: Sequence[DecisionList],
         refusing: DecisionList,
         universe: Universe,
-        arena: Callable[[], Arena],
-        meter: Meter,
+        arena: Callable[[], Derivatives],
+        meter: CountState,
     ) -> None:
         self._permitting = permitting
         self._refusing = refusing
@@ -103,7 +103,7 @@ class Escapes:
             for refused in self._denials(chosen, bound):
                 yield [*allowed, refused.pattern], [*limits, (self._denying, refused.unless)]
 
-    def _chosen(self, at: int, chosen: tuple[Side, ...]) -> Iterator[tuple[Side, ...]]:
+    def _chosen(self, at: int, chosen: tuple[RankedPattern, ...]) -> Iterator[tuple[RankedPattern, ...]]:
         """Yield one way in which each list permits, such that all of them may permit one word."""
         if at == len(self._permitting):
             yield chosen
@@ -114,7 +114,7 @@ class Escapes:
             if not any(disjoint(side.pattern, other.pattern) for other in chosen):
                 yield from self._chosen(at + 1, (*chosen, side))
 
-    def _denials(self, chosen: Sequence[Side], bound: int | None) -> Iterator[Side]:
+    def _denials(self, chosen: Sequence[RankedPattern], bound: int | None) -> Iterator[RankedPattern]:
         """Yield the ways in which the refusing list refuses what is permitted in a way."""
         allowed = [side.pattern for side in chosen]
         for side in self._left(chosen[0].unless, bound).near(allowed[0]):
@@ -140,7 +140,7 @@ class Escapes:
             return None
         excluded: dict[Glob, None] = {}
         for _ in range(ROUNDS):
-            word = Search(self._arena(), positives, excluded, self._meter).shortest(bound)
+            word = CubeSearch(self._arena(), positives, excluded, self._meter).shortest(bound)
             if word is None:
                 return None
             against = [pattern for patterns, blocks in limits for pattern in patterns.matching(word, blocks)]
@@ -148,7 +148,7 @@ class Escapes:
                 return word
             excluded.update(dict.fromkeys(against))
         everything = (p for patterns, blocks in limits for p in patterns.meeting(positives, blocks))
-        return Search(self._arena(), positives, _thinned(everything), self._meter).shortest(bound)
+        return CubeSearch(self._arena(), positives, _thinned(everything), self._meter).shortest(bound)
 
 
 Limit = tuple["_Patterns", int]
@@ -183,7 +183,7 @@ class _Patterns:
             for pattern in block.patterns:
                 first[block.allows is allows].setdefault(pattern, at)
         self._first = first[True]
-        self.others = Heads(Side(p, at) for p, at in first[False].items() if literal(p) is None)
+        self.others = Heads(RankedPattern(p, at) for p, at in first[False].items() if literal(p) is None)
 
     # What only some questions need is made by the first of them.
     @cached_property
@@ -192,11 +192,11 @@ class _Patterns:
 
     @cached_property
     def _wild(self) -> Heads:
-        return Heads(Side(p, at) for p, at in self._first.items() if literal(p) is None)
+        return Heads(RankedPattern(p, at) for p, at in self._first.items() if literal(p) is None)
 
     @cached_property
     def _literals(self) -> Heads:
-        return Heads(Side(p, at) for p, at in self._first.items() if literal(p) is not None)
+        return Heads(RankedPattern(p, at) for p, at in self._first.items() if literal(p) is not None)
 
     def has(self, pattern: Glob, blocks: int) -> bool:
         """Tell whether a pattern itself is in the first blocks."""
@@ -221,24 +221,24 @@ class _Patterns:
 class Heads:
     """Patterns by the text that they begin with, in the order in which they were given."""
 
-    def __init__(self, sides: Iterable[Side]) -> None:
+    def __init__(self, sides: Iterable[RankedPattern]) -> None:
         self._all = tuple(sides)
-        self._by_head: dict[str, list[Side]] = {}
+        self._by_head: dict[str, list[RankedPattern]] = {}
         for side in self._all:
             self._by_head.setdefault(_head(side.pattern), []).append(side)
         self._sorted = sorted(self._by_head)
 
-    def __iter__(self) -> Iterator[Side]:
+    def __iter__(self) -> Iterator[RankedPattern]:
         return iter(self._all)
 
-    def beginning(self, text: str) -> Iterator[Side]:
+    def beginning(self, text: str) -> Iterator[RankedPattern]:
         """Yield the patterns whose head begins with a text."""
         for at in range(bisect_left(self._sorted, text), len(self._sorted)):
             if not self._sorted[at].startswith(text):
                 return
             yield from self._by_head[self._sorted[at]]
 
-    def near(self, pattern: Glob) -> Iterator[Side]:
+    def near(self, pattern: Glob) -> Iterator[RankedPattern]:
         """Yield the patterns whose head begins another one's, or is begun by it."""
         text = _head(pattern)
         for end in range(len(text)):

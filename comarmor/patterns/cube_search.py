@@ -10,15 +10,15 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Iterator
 from itertools import product
 
-from comarmor.patterns.derivatives import Arena
-from comarmor.patterns.effort import spend
+from comarmor.patterns.derivatives import Derivatives
 from comarmor.patterns.glob import Glob
+from comarmor.patterns.steps import spend
 
-Meter = Callable[[], None]
-"""Called for every state; raises :class:`comarmor.patterns.decision_lists.SpentError` when the budget is spent."""
+CountState = Callable[[], None]
+"""Called for every state; raises :class:`comarmor.patterns.decision_lists.BudgetError` when the budget is spent."""
 
 
-class Search:
+class CubeSearch:
     """The search of one cube.
 
     Args:
@@ -28,7 +28,9 @@ class Search:
         meter: called for every state.
     """
 
-    def __init__(self, arena: Arena, positives: Iterable[Glob], excluded: Iterable[Glob], meter: Meter) -> None:
+    def __init__(
+        self, arena: Derivatives, positives: Iterable[Glob], excluded: Iterable[Glob], meter: CountState
+    ) -> None:
         self._arena = arena
         self._meter = meter
         self._start = (arena.universe, *(arena.node(pattern) for pattern in dict.fromkeys(positives)))

@@ -7,8 +7,8 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import lru_cache
 
-from comarmor.patterns.effort import spend
 from comarmor.patterns.glob import ANY, Charset, Glob
+from comarmor.patterns.steps import spend
 
 
 @dataclass(frozen=True, slots=True)
@@ -92,27 +92,27 @@ class Unknown:
     reason: str
 
 
-Outcome = Equal | Witness | Unknown
+ProofResult = Equal | Witness | Unknown
 
 
-SEEN = 200_000
+FAST_PATH_STEPS = 200_000
 """Steps for what is seen of a question before it is searched."""
 
 
-class SpentError(Exception):
+class BudgetError(Exception):
     """The budget of a question is spent; says which."""
 
 
 @dataclass(slots=True)
-class Budget:
+class SearchBudget:
     """How much a question may cost.
 
     Attributes:
         states: states that each of the two engines may visit.
         go_on: asked again and again; when it returns False the question is given up. Callers that may read the clock
             make it a deadline.
-        steps_per_state: a state of many patterns takes many steps (:mod:`comarmor.patterns.effort`); on average it may
-            take so many. :data:`SEEN` more are for what shows without a search.
+        steps_per_state: a state of many patterns takes many steps (:mod:`comarmor.patterns.steps`); on average it may
+            take so many. :data:`FAST_PATH_STEPS` more are for what shows without a search.
     """
 
     states: int = 500_000
@@ -122,21 +122,21 @@ class Budget:
     @property
     def steps(self) -> int:
         """Steps that the whole question may take, with both engines."""
-        return SEEN + self.states * self.steps_per_state
+        return FAST_PATH_STEPS + self.states * self.steps_per_state
 
     def meter(self) -> Callable[[], None]:
         """Return a function to be called for every state.
 
-        It raises :class:`SpentError` when the budget is spent.
+        It raises :class:`BudgetError` when the budget is spent.
         """
         visited = 0
 
         def count() -> None:
             nonlocal visited
             if visited >= self.states:
-                raise SpentError(f"not decided within {self.states:,} states")
+                raise BudgetError(f"not decided within {self.states:,} states")
             if not visited % 256 and not self.go_on():
-                raise SpentError("not decided in time")
+                raise BudgetError("not decided in time")
             visited += 1
             spend()
 

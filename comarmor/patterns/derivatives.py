@@ -31,7 +31,7 @@ _Symbol = str | Charset | _Many
 _EVERY = _Many(ANY)
 
 
-class Arena:
+class Derivatives:
     """Nodes, and how they go on.
 
     Args:

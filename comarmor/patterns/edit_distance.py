@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
 
-from comarmor.patterns.effort import spend
+from comarmor.patterns.steps import spend
 
 _END = ""
 """The branch at which the names hang that end there."""
 
 
-class Names:
+class NameTrie:
     """Names, found by how few characters differ.
 
     Args:

@@ -6,15 +6,15 @@ from bisect import bisect_left
 from collections.abc import Iterable, Iterator
 from typing import Generic, TypeVar
 
-from comarmor.patterns.effort import spend
 from comarmor.patterns.glob import Glob, literal
 from comarmor.patterns.relations import disjoint
+from comarmor.patterns.steps import spend
 
 _T = TypeVar("_T")
 _V = TypeVar("_V")
 
 
-class Near(Generic[_T]):
+class PatternIndex(Generic[_T]):
     """An index of patterns, each with what belongs to it.
 
     Args:

@@ -8,17 +8,17 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Sequence
 
 from comarmor.patterns.decision_lists import DecisionList, Universe
-from comarmor.patterns.derivatives import Arena
-from comarmor.patterns.effort import spend
+from comarmor.patterns.derivatives import Derivatives
 from comarmor.patterns.evaluate import Evaluator, shortest
 from comarmor.patterns.glob import literal
+from comarmor.patterns.steps import spend
 
 Residual = tuple[tuple[bool, frozenset[int]], ...]
 """What is left of a list: its blocks, of which neighbours differ in effect; the last one allows."""
 _State = tuple[int | None, tuple[Residual, ...], Residual, frozenset[int]]
 
 
-class Product:
+class ProductSearch:
     """Looks for the shortest word about which a conjunction of lists and another list differ.
 
     Args:
@@ -34,7 +34,7 @@ class Product:
         together: Sequence[DecisionList],
         other: DecisionList,
         universe: Universe,
-        arena: Arena,
+        arena: Derivatives,
         meter: Callable[[], None],
     ) -> None:
         self._together = together

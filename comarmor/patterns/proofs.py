@@ -7,24 +7,24 @@ from dataclasses import replace
 from functools import cache, partial
 
 from comarmor.patterns import fast_path
-from comarmor.patterns.counterexample_search import Escapes
+from comarmor.patterns.counterexample_search import CounterexampleSearch
 from comarmor.patterns.decision_lists import (
     EVERY_WORD,
     Block,
-    Budget,
+    BudgetError,
     DecisionList,
     Equal,
-    Outcome,
-    SpentError,
+    ProofResult,
+    SearchBudget,
     Universe,
     Unknown,
     Witness,
 )
-from comarmor.patterns.derivatives import Arena
-from comarmor.patterns.effort import EffortError, limited
+from comarmor.patterns.derivatives import Derivatives
 from comarmor.patterns.evaluate import permits
 from comarmor.patterns.glob import Glob
-from comarmor.patterns.product_search import Product
+from comarmor.patterns.product_search import ProductSearch
+from comarmor.patterns.steps import StepLimitError, step_limit
 
 FIRST_RUNG = 5_000
 PER_PATTERN = 20
@@ -36,8 +36,8 @@ HEAVIER = 50
 
 
 def difference(
-    a: DecisionList, *b: DecisionList, universe: Universe = EVERY_WORD, budget: Budget | None = None
-) -> Outcome:
+    a: DecisionList, *b: DecisionList, universe: Universe = EVERY_WORD, budget: SearchBudget | None = None
+) -> ProofResult:
     """Tell whether a list permits exactly the words that another one (of several: all the others) permits.
 
     Args:
@@ -49,41 +49,41 @@ def difference(
     Returns:
         :class:`Equal`, a shortest :class:`Witness`, or :class:`Unknown` when the budget was spent.
     """
-    budget = budget or Budget()
+    budget = budget or SearchBudget()
     return _within(budget, lambda: _difference(a, b, universe, budget))
 
 
-def _within(budget: Budget, ask: Callable[[], Outcome]) -> Outcome:
+def _within(budget: SearchBudget, ask: Callable[[], ProofResult]) -> ProofResult:
     """Ask a question that may take the steps of a budget, or those that are left around it."""
     try:
-        with limited(budget.steps):
+        with step_limit(budget.steps):
             return ask()
-    except EffortError as spent:
+    except StepLimitError as spent:
         return Unknown(str(spent))
 
 
-def _difference(a: DecisionList, b: Sequence[DecisionList], universe: Universe, budget: Budget) -> Outcome:
+def _difference(a: DecisionList, b: Sequence[DecisionList], universe: Universe, budget: SearchBudget) -> ProofResult:
     if fast_path.equal(a, b, universe):
         return Equal()
-    arena = cache(lambda: Arena(_patterns((a, *b)), universe))
+    arena = cache(lambda: Derivatives(_patterns((a, *b)), universe))
     spent = ""
     patterns = sum(len(block.patterns) for decisions in (a, *b) for block in decisions)
     for first, second in _rungs(budget, FIRST_RUNG + PER_PATTERN * patterns):
         try:
             word = _by_cubes(a, b, universe, arena, first)
-        except SpentError as error:
+        except BudgetError as error:
             spent = str(error)
         else:
             return Equal() if word is None else _judged(a, b, word)
         try:
-            word = Product(b, a, universe, arena(), second.meter()).shortest()
-        except SpentError:
+            word = ProductSearch(b, a, universe, arena(), second.meter()).shortest()
+        except BudgetError:
             continue
         return Equal() if word is None else _judged(a, b, word)
     return Unknown(spent)
 
 
-def _rungs(budget: Budget, states: int) -> Iterator[tuple[Budget, Budget]]:
+def _rungs(budget: SearchBudget, states: int) -> Iterator[tuple[SearchBudget, SearchBudget]]:
     """Yield what each engine may spend in turn: what is hard for one is often easy for the other."""
     while states < budget.states and budget.go_on():
         yield replace(budget, states=states), replace(budget, states=max(1, states // HEAVIER))
@@ -91,32 +91,34 @@ def _rungs(budget: Budget, states: int) -> Iterator[tuple[Budget, Budget]]:
     yield budget, budget
 
 
-def implies(a: DecisionList, b: DecisionList, universe: Universe = EVERY_WORD, budget: Budget | None = None) -> Outcome:
+def implies(
+    a: DecisionList, b: DecisionList, universe: Universe = EVERY_WORD, budget: SearchBudget | None = None
+) -> ProofResult:
     """Tell whether every word that a list permits is permitted by another one, too.
 
     Returns:
         :class:`Equal` if so; else a shortest :class:`Witness` that ``a`` permits and ``b`` does not, or
         :class:`Unknown`.
     """
-    budget = budget or Budget()
+    budget = budget or SearchBudget()
     return _within(budget, lambda: Equal() if fast_path.implied(a, b, universe) else _escape((a,), b, universe, budget))
 
 
 def intersects(
-    a: DecisionList, b: DecisionList, universe: Universe = EVERY_WORD, budget: Budget | None = None
-) -> Outcome:
+    a: DecisionList, b: DecisionList, universe: Universe = EVERY_WORD, budget: SearchBudget | None = None
+) -> ProofResult:
     """Tell whether there is a word that both lists permit.
 
     Returns:
         a shortest :class:`Witness` if so; else :class:`Equal` (there is none), or :class:`Unknown`.
     """
-    budget = budget or Budget()
+    budget = budget or SearchBudget()
     return _within(budget, lambda: _escape((a, b), (), universe, budget))
 
 
 def shadowed(
-    decisions: DecisionList, universe: Universe = EVERY_WORD, budget: Budget | None = None
-) -> Iterator[tuple[int, int, Outcome]]:
+    decisions: DecisionList, universe: Universe = EVERY_WORD, budget: SearchBudget | None = None
+) -> Iterator[tuple[int, int, ProofResult]]:
     """Tell, for each pattern, whether the patterns before it match all that it matches.
 
     Patterns of the same block that come earlier count as well.
@@ -125,7 +127,7 @@ def shadowed(
         number of the block, number of the pattern in it, and :class:`Equal` if it is shadowed; else a shortest
         :class:`Witness` of what it alone decides, or :class:`Unknown`.
     """
-    budget = budget or Budget()
+    budget = budget or SearchBudget()
     before: dict[Glob, None] = {}
     for at, block in enumerate(decisions):
         for number, pattern in enumerate(block.patterns):
@@ -137,28 +139,30 @@ def escapes(
     permitting: Sequence[DecisionList],
     refusing: DecisionList,
     universe: Universe = EVERY_WORD,
-    budget: Budget | None = None,
-) -> Outcome:
+    budget: SearchBudget | None = None,
+) -> ProofResult:
     """Tell whether every word that all of some lists permit is permitted by another one, too.
 
     Returns:
         :class:`Equal` if so; else a shortest :class:`Witness` that they permit and the other refuses, or
         :class:`Unknown`.
     """
-    budget = budget or Budget()
+    budget = budget or SearchBudget()
     return _within(budget, lambda: _escape(permitting, refusing, universe, budget))
 
 
-def _beyond(pattern: Glob, before: tuple[Glob, ...], universe: Universe, budget: Budget) -> Outcome:
+def _beyond(pattern: Glob, before: tuple[Glob, ...], universe: Universe, budget: SearchBudget) -> ProofResult:
     """Look for a word that a pattern matches, and none of those before it."""
     return _escape(((Block(True, (pattern,)),),), (Block(True, before),), universe, budget)
 
 
-def _escape(permitting: Sequence[DecisionList], refusing: DecisionList, universe: Universe, budget: Budget) -> Outcome:
-    arena = cache(lambda: Arena(_patterns((*permitting, refusing)), universe))
+def _escape(
+    permitting: Sequence[DecisionList], refusing: DecisionList, universe: Universe, budget: SearchBudget
+) -> ProofResult:
+    arena = cache(lambda: Derivatives(_patterns((*permitting, refusing)), universe))
     try:
-        word = Escapes(permitting, refusing, universe, arena, budget.meter()).shortest()
-    except SpentError as spent:
+        word = CounterexampleSearch(permitting, refusing, universe, arena, budget.meter()).shortest()
+    except BudgetError as spent:
         return Unknown(str(spent))
     if word is None:
         return Equal()
@@ -168,17 +172,21 @@ def _escape(permitting: Sequence[DecisionList], refusing: DecisionList, universe
 
 
 def _by_cubes(
-    a: DecisionList, b: Sequence[DecisionList], universe: Universe, arena: Callable[[], Arena], budget: Budget
+    a: DecisionList,
+    b: Sequence[DecisionList],
+    universe: Universe,
+    arena: Callable[[], Derivatives],
+    budget: SearchBudget,
 ) -> str | None:
     """Return the shortest word on which a list differs from several others together."""
     meter = budget.meter()
     best: str | None = None
     for each in b:
-        found = Escapes((a,), each, universe, arena, meter).shortest(_length(best))
+        found = CounterexampleSearch((a,), each, universe, arena, meter).shortest(_length(best))
         best = best if found is None else found
-    more = Escapes(b[:1], a, universe, arena, meter).shortest(_length(best))
+    more = CounterexampleSearch(b[:1], a, universe, arena, meter).shortest(_length(best))
     if more is not None and not all(permits(each, more) for each in b[1:]):
-        more = Escapes(b, a, universe, arena, meter).shortest(_length(best))
+        more = CounterexampleSearch(b, a, universe, arena, meter).shortest(_length(best))
     return best if more is None else more
 
 

@@ -2,7 +2,7 @@
 
 Answers are exact, but for one: whether a pattern is covered is found out by determinising lazily, within a budget. When
 it is spent, :func:`covers` and :func:`union_covers` say False ("not shown"), which their callers must be able to take
-without harm, and :func:`surely_covers` raises. All of them count their steps (:mod:`comarmor.patterns.effort`).
+without harm, and :func:`surely_covers` raises. All of them count their steps (:mod:`comarmor.patterns.steps`).
 """
 
 from __future__ import annotations
@@ -11,7 +11,6 @@ import re
 from collections.abc import Callable, Iterable, Iterator
 from functools import lru_cache
 
-from comarmor.patterns.effort import EffortError, limited, remembered, spend
 from comarmor.patterns.glob import (
     ANY,
     EVERYTHING,
@@ -26,6 +25,7 @@ from comarmor.patterns.glob import (
     normalise,
     units,
 )
+from comarmor.patterns.steps import StepLimitError, cached, spend, step_limit
 
 BUDGET = 2_000
 """States that a question about covering may visit."""
@@ -138,7 +138,7 @@ def _parted(globs: Iterable[Glob]) -> tuple[set[str], list[Glob]]:
     return exact, wild
 
 
-@remembered(1 << 14)
+@cached(1 << 14)
 def _disjoint(left: Glob, right: Glob) -> bool:
     """Search the product of the two for a pair of ends."""
     if is_empty(left) or is_empty(right):
@@ -227,7 +227,7 @@ def union_covers(outers: tuple[Glob, ...], inner: Glob, budget: int = BUDGET) ->
     return bool(_union_covers(outers, inner, budget))
 
 
-@remembered(1 << 14)
+@cached(1 << 14)
 def _union_covers(outers: tuple[Glob, ...], inner: Glob, budget: int) -> bool | None:
     if is_empty(inner):
         return True
@@ -320,15 +320,15 @@ def intersection(left: Glob, right: Glob, limit: int = 64) -> tuple[Glob, ...]:
     return found
 
 
-@remembered(1 << 12)
+@cached(1 << 12)
 def _intersection(left: Glob, right: Glob, limit: int) -> tuple[Glob, ...] | None:
     """Return the pieces of an intersection, or None where there are too many, which is remembered as well."""
-    with limited(INTERSECTION) as effort:
+    with step_limit(INTERSECTION) as effort:
         try:
             return _pieces(left, right, limit)
         except TooComplexError:
             return None
-        except EffortError:
+        except StepLimitError:
             if effort.told == INTERSECTION:
                 return None
             raise

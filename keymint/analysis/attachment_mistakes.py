@@ -11,9 +11,9 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 from comarmor.errors import Diagnostic, Severity
-from comarmor.patterns.effort import EffortError, limited
 from comarmor.patterns.glob import Glob, Star, literal, parse
-from comarmor.patterns.pattern_index import Near
+from comarmor.patterns.pattern_index import PatternIndex
+from comarmor.patterns.steps import StepLimitError, step_limit
 from comarmor.rules import Effect
 from keymint.api import AttachedProfile, Clause, Structure
 
@@ -92,7 +92,9 @@ def _wide(profiles: Sequence[AttachedProfile], clauses: Iterable[Clause]) -> Ite
     if not wild:
         return
     rights = _rights(clauses)
-    near = Near((parse(text), each) for each in profiles for text in _texts(each) if literal(parse(text)) is not None)
+    near = PatternIndex(
+        (parse(text), each) for each in profiles for text in _texts(each) if literal(parse(text)) is not None
+    )
     told: set[tuple[_Chain, str]] = set()
     for each, text, glob in wild:
         granted = rights.get(_chain(each), {})
@@ -100,9 +102,9 @@ def _wide(profiles: Sequence[AttachedProfile], clauses: Iterable[Clause]) -> Ite
             continue
         told.add((_chain(each), text))
         try:
-            with limited(STEPS):
+            with step_limit(STEPS):
                 gaining = list(_gaining(each, granted, near.meeting(glob), rights))
-        except EffortError as spent:
+        except StepLimitError as spent:
             yield Diagnostic(
                 "lint-unknown",
                 Severity.NOTE,

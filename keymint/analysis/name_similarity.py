@@ -8,10 +8,10 @@ from collections import defaultdict
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 
 from comarmor.errors import Diagnostic, Origin, Severity
-from comarmor.patterns.edit_distance import Names
-from comarmor.patterns.effort import EffortError, limited, spend
+from comarmor.patterns.edit_distance import NameTrie
 from comarmor.patterns.glob import Glob, literal, parse
-from comarmor.patterns.pattern_index import Near
+from comarmor.patterns.pattern_index import PatternIndex
+from comarmor.patterns.steps import StepLimitError, spend, step_limit
 from comarmor.rules import Effect
 from keymint.analysis.attachments import AttachmentIndex
 from keymint.analysis.rule_lists import RAW
@@ -49,7 +49,7 @@ def similar_names(subjects: Mapping[str, tuple[Rule, ...]], attachments: Attachm
     """
     exact, wild = _allowed(subjects)
 
-    wilds = {permission: Near((pattern, None) for pattern in patterns) for permission, patterns in wild.items()}
+    wilds = {permission: PatternIndex((pattern, None) for pattern in patterns) for permission, patterns in wild.items()}
 
     def alone(permission: str, name: str) -> bool:
         other = _SIDES[permission][1]
@@ -135,7 +135,7 @@ def _given(candidates: _Candidates, name: str, most: int, given_up: list[str]) -
     """Return the nearest of some candidates; note the name where that takes too many steps."""
     try:
         return candidates.nearest(name, most)
-    except EffortError:
+    except StepLimitError:
         given_up.append(name)
         return None
 
@@ -168,7 +168,7 @@ class _Candidates:
                 words = _DIGITS.sub("", name)
                 self._by_words[words].append(name)
                 self._by_numbers[words, tuple(_DIGITS.findall(name))].append(name)
-        self._words = Names(self._by_words)
+        self._words = NameTrie(self._by_words)
 
     def nearest(self, name: str, most: int) -> str | None:
         """Return the name that is most alike of those that differ by a slip of the pen, and not in numbers only.
@@ -180,7 +180,7 @@ class _Candidates:
             return None
         words = _DIGITS.sub("", name)
         best: tuple[float, str] | None = None
-        with limited(_STEPS):
+        with step_limit(_STEPS):
             for other in self._words.near(words, most):
                 for near in self._likely(name, other) if other != words else ():
                     spend(len(name))

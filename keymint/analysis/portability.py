@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 from datetime import datetime, timedelta
 
 from comarmor.errors import Diagnostic, Origin, Severity
-from comarmor.patterns.effort import limited
+from comarmor.patterns.steps import step_limit
 from keymint.api import (
     BuildOptions,
     BuildType,
@@ -25,7 +25,7 @@ from keymint.ir import Rule, SubjectRules
 
 _RELAYS = ("relay", "ros_relay")
 STEPS = 40_000_000
-"""Steps after which no further subject is compiled (:mod:`comarmor.patterns.effort`)."""
+"""Steps after which no further subject is compiled (:mod:`comarmor.patterns.steps`)."""
 
 
 def portability(
@@ -46,7 +46,7 @@ def portability(
         if spent > STEPS:
             yield _given_up(subject)
             return
-        with limited(None) as effort:
+        with step_limit(None) as effort:
             found = list(_of_subject(build_type, _Asked(name, distro, subject, rules, now), said))
         spent += effort.spent
         yield from found

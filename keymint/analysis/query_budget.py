@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 
-from comarmor.patterns.decision_lists import Budget
+from comarmor.patterns.decision_lists import SearchBudget
 
 STATES = 5_000_000
 """States that all questions of a command may visit together."""
@@ -15,7 +15,7 @@ _STARTS = 4
 _FEW = 16
 """States that such a call counts for."""
 _TICK = 256
-"""States that an engine visits between two calls of :attr:`comarmor.patterns.decision_lists.Budget.go_on`."""
+"""States that an engine visits between two calls of :attr:`comarmor.patterns.decision_lists.SearchBudget.go_on`."""
 
 
 @dataclass(slots=True)
@@ -30,7 +30,7 @@ class QueryBudget:
     states: int = STATES
     spent: int = field(default=0, init=False)
 
-    def question(self, lists: int = 1) -> Budget:
+    def question(self, lists: int = 1) -> SearchBudget:
         """Return the budget of the next question: of so many lists, of which a state holds each."""
         calls = 0
 
@@ -39,7 +39,7 @@ class QueryBudget:
             calls += 1
             return self.spend(lists * (_FEW if calls <= _STARTS else _TICK))
 
-        return Budget(max(1, min(QUESTION // lists, self.states - self.spent)), go_on)
+        return SearchBudget(max(1, min(QUESTION // lists, self.states - self.spent)), go_on)
 
     def spend(self, states: int) -> bool:
         """Count states; tell whether any are left."""

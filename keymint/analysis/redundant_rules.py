@@ -11,12 +11,12 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 
 from comarmor.errors import Diagnostic, Origin, Severity, Spot
-from comarmor.patterns.decision_lists import Block, Equal, Outcome, Unknown
-from comarmor.patterns.effort import EffortError, limited
+from comarmor.patterns.decision_lists import Block, Equal, ProofResult, Unknown
 from comarmor.patterns.glob import Glob
-from comarmor.patterns.pattern_index import Near
+from comarmor.patterns.pattern_index import PatternIndex
 from comarmor.patterns.proofs import implies
 from comarmor.patterns.relations import TooComplexError
+from comarmor.patterns.steps import StepLimitError, step_limit
 from comarmor.rules import Effect
 from keymint.analysis.attachments import Attachment, AttachmentIndex
 from keymint.analysis.deny_overlap import may_deny_something
@@ -63,7 +63,7 @@ class _Applied:
 
     units: dict[_Unit, tuple[Rule, str, Origin]] = field(default_factory=dict)
     own: dict[_Unit, dict[PermissionKey, dict[Glob, None]]] = field(default_factory=dict)
-    near: dict[_Side, Near[_Unit]] = field(default_factory=dict)
+    near: dict[_Side, PatternIndex[_Unit]] = field(default_factory=dict)
 
 
 class RedundantRules:
@@ -100,7 +100,7 @@ class RedundantRules:
         An expression that no object can match is left out: it is reported as such.
         """
         found: dict[tuple[Spot, str], list[_Unit]] = defaultdict(list)
-        with limited(TOGETHER + EACH * len(self._by_unit)):
+        with step_limit(TOGETHER + EACH * len(self._by_unit)):
             # From the last: of two that say the same the later one goes; and what went is no reason for another to go.
             for unit in sorted(self._by_unit, key=lambda each: (each.place, each.attached, each.number), reverse=True):
                 code = self._asked(unit)
@@ -121,10 +121,10 @@ class RedundantRules:
     def _asked(self, unit: _Unit) -> str:
         """Return the finding on an expression, or an empty text; note it where that takes too many steps."""
         try:
-            with limited(UNIT):
+            with step_limit(UNIT):
                 code = self._code(unit)
                 return code if code and self._can_match(unit) else self._set_aside(unit, code)
-        except (EffortError, TooComplexError):
+        except (StepLimitError, TooComplexError):
             self._unknown.append(unit)
             return ""
 
@@ -245,14 +245,14 @@ def warning(code: str, message: str, where: Origin, help_: str) -> Diagnostic:
     return Diagnostic(code, Severity.WARNING, message, where, help_)
 
 
-def _surely(outcome: Outcome) -> bool:
+def _surely(outcome: ProofResult) -> bool:
     """Tell whether the answer to a question is yes.
 
     Raises:
         EffortError: it was not decided.
     """
     if isinstance(outcome, Unknown):
-        raise EffortError(UNIT)
+        raise StepLimitError(UNIT)
     return isinstance(outcome, Equal)
 
 
@@ -270,7 +270,7 @@ def _applied(rules: Sequence[Rule], subject: str, attachments: AttachmentIndex) 
                 for pattern in patterns(rule, expression, key):
                     own.setdefault(key, {})[pattern] = None
                     sides[key, rule.effect].append((pattern, unit))
-    found.near = {side: Near(items) for side, items in sides.items()}
+    found.near = {side: PatternIndex(items) for side, items in sides.items()}
     return found
 
 

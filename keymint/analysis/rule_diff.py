@@ -6,7 +6,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 from comarmor.errors import Origin
-from comarmor.patterns.decision_lists import DecisionList, Equal, Outcome, Unknown, Witness
+from comarmor.patterns.decision_lists import DecisionList, Equal, ProofResult, Unknown, Witness
 from comarmor.patterns.glob import Glob, parse, surround
 from comarmor.patterns.proofs import difference
 from comarmor.patterns.relations import TooComplexError, covers, disjoint, intersection
@@ -114,7 +114,7 @@ class _RuleComparison:
     def _is_changed(self, key: PermissionKey, piece: Glob) -> bool:
         return self._is_whole(key[0], piece, listed(self._before, key), listed(self._after, key))
 
-    def _meet(self, kind: str, *lists: DecisionList) -> Outcome:
+    def _meet(self, kind: str, *lists: DecisionList) -> ProofResult:
         return meet(kind, *lists, budget=self._purse.question())
 
     def _elementary(self, key: PermissionKey) -> list[_Found]:

@@ -10,7 +10,7 @@ import string
 from collections.abc import Iterable, Iterator
 from functools import lru_cache
 
-from comarmor.patterns.decision_lists import Block, Budget, DecisionList, Outcome, Universe
+from comarmor.patterns.decision_lists import Block, DecisionList, ProofResult, SearchBudget, Universe
 from comarmor.patterns.glob import (
     ANY,
     EVERYTHING,
@@ -142,7 +142,7 @@ def negated(decided: DecisionList) -> DecisionList:
     return (*(Block(not block.allows, block.patterns) for block in decided), Block(True, (EVERYTHING,)))
 
 
-def meet(kind: str, *lists: DecisionList, budget: Budget | None = None) -> Outcome:
+def meet(kind: str, *lists: DecisionList, budget: SearchBudget | None = None) -> ProofResult:
     """Tell whether there is a legal name that all of some lists permit.
 
     Args:

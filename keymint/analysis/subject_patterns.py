@@ -13,11 +13,11 @@ from collections.abc import Iterable, Iterator, Sequence
 from operator import itemgetter
 
 from comarmor.patterns.decision_lists import Block, DecisionList, Equal
-from comarmor.patterns.effort import EffortError, limited, remembered, spend
 from comarmor.patterns.glob import Charset, Glob, Star, literal, normalise, parse, units
-from comarmor.patterns.pattern_index import Near
+from comarmor.patterns.pattern_index import PatternIndex
 from comarmor.patterns.proofs import difference
 from comarmor.patterns.relations import TooComplexError, covers, intersection, matches
+from comarmor.patterns.steps import StepLimitError, cached, spend, step_limit
 from comarmor.rules import Effect
 from keymint.analysis.rule_lists import (
     PermissionKey,
@@ -57,7 +57,7 @@ def rules_of(policy: LoadedPolicy, subject: str) -> tuple[Rule, ...]:
     return found.rules if found else ()
 
 
-@remembered(1 << 14)
+@cached(1 << 14)
 def profile_subjects(profiles: tuple[tuple[str, ...], ...], within: Glob = EVERY) -> tuple[Glob, ...]:
     """Return patterns that together match the subjects to which nested profiles apply.
 
@@ -202,7 +202,7 @@ def _with_overlaps(wild: Sequence[Glob], given_up: list[str]) -> Iterator[Glob]:
                     return
                 left -= 1
                 yield each
-    except (EffortError, TooComplexError):
+    except (StepLimitError, TooComplexError):
         given_up.append("patterns of subjects overlap in too many ways")
 
 
@@ -214,9 +214,9 @@ def _overlaps(wild: Sequence[Glob]) -> list[Glob]:
         TooComplexError: two patterns overlap in too many ways.
     """
     places = {pattern: at for at, pattern in enumerate(wild)}
-    near = Near(places.items())
+    near = PatternIndex(places.items())
     found: dict[Glob, None] = {}
-    with limited(_OVERLAPS):
+    with step_limit(_OVERLAPS):
         for at, one in enumerate(wild):
             before = sorted(((place, other) for other, place in near.meeting(one) if place < at), key=itemgetter(0))
             for _, other in before:

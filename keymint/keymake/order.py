@@ -1,7 +1,7 @@
 """Deny overrides allow, said as a list in which the first match decides.
 
 :func:`arrange` turns two unordered sets of patterns into ``allow free; deny; allow rest`` and leaves out what has no
-effect. :func:`mentioned_first` finds what must be said earlier for readers that let a rule about one direction
+effect. :func:`early_rules` finds what must be said earlier for readers that let a rule about one direction
 decide for the other, too.
 """
 
@@ -10,16 +10,16 @@ from __future__ import annotations
 from collections.abc import Iterable
 from dataclasses import dataclass
 
-from comarmor.patterns.effort import spend
 from comarmor.patterns.glob import Glob, literal
 from comarmor.patterns.relations import TooComplexError, covers, disjoint, intersection, matcher, maximal
+from comarmor.patterns.steps import spend
 
 MAX_PIECES = 1000
 """Patterns that may be needed to say what must be said first; beyond, no handshake would carry the document."""
 
 
 @dataclass(frozen=True, slots=True)
-class Order:
+class Arrangement:
     """A decision list: allow ``free``, then deny ``deny``, then allow ``rest``, else deny.
 
     Attributes:
@@ -33,7 +33,7 @@ class Order:
     rest: tuple[Glob, ...] = ()
 
 
-def arrange(allow: Iterable[Glob], deny: Iterable[Glob], *, reduced: bool = True) -> Order:
+def arrange(allow: Iterable[Glob], deny: Iterable[Glob], *, reduced: bool = True) -> Arrangement:
     """Return the decision list that permits the names of ``allow`` without those of ``deny``.
 
     Args:
@@ -71,18 +71,18 @@ def arrange(allow: Iterable[Glob], deny: Iterable[Glob], *, reduced: bool = True
         denied = ()
     rest = tuple(glob for glob in wild if not all(disjoint(glob, other) for other in denied))
     free = [glob for _, glob in literals] + [glob for glob in wild if glob not in rest]
-    return Order(tuple(free), denied, rest)
+    return Arrangement(tuple(free), denied, rest)
 
 
-def _in_full(allow: tuple[Glob, ...], deny: tuple[Glob, ...]) -> Order:
+def _in_full(allow: tuple[Glob, ...], deny: tuple[Glob, ...]) -> Arrangement:
     rest = tuple(glob for glob in allow if not all(disjoint(glob, other) for other in deny))
     touching = tuple(other for other in deny if not all(disjoint(glob, other) for glob in rest))
     touched = set(rest)
-    return Order(tuple(glob for glob in allow if glob not in touched), touching, rest)
+    return Arrangement(tuple(glob for glob in allow if glob not in touched), touching, rest)
 
 
 @dataclass(frozen=True, slots=True)
-class Rescue:
+class EarlyRules:
     """What must be allowed before the denials of the other direction are read.
 
     Attributes:
@@ -96,7 +96,7 @@ class Rescue:
     dirty: tuple[Glob, ...] = ()
 
 
-def mentioned_first(denies: Iterable[Glob], order: Order) -> Rescue:
+def early_rules(denies: Iterable[Glob], order: Arrangement) -> EarlyRules:
     """Return patterns for every name that ``order`` permits and that ``denies`` match, and for none that it denies.
 
     Args:
@@ -126,4 +126,4 @@ def mentioned_first(denies: Iterable[Glob], order: Order) -> Rescue:
     punctures = {piece: None for own in touching for deny in denies for piece in intersection(own, deny)}
     if len(punctures) > MAX_PIECES:
         raise TooComplexError
-    return Rescue(tuple(clean), tuple(maximal(punctures)), tuple(dirty))
+    return EarlyRules(tuple(clean), tuple(maximal(punctures)), tuple(dirty))

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 from comarmor.errors import Diagnostic, Origin, Severity
-from comarmor.patterns.decision_lists import Budget, Universe
+from comarmor.patterns.decision_lists import SearchBudget, Universe
 from comarmor.patterns.glob import GlobError
 from keymint.api import Inspection
 from keymint.errors import KeymintError
@@ -54,7 +54,7 @@ def _drifted(inspection: Inspection, governing: Governing) -> Iterator[Diagnosti
             continue
         own = governing.source_rule(domains.first) or STRICT
         try:
-            all_found = list(weaker(rule, own, STANDARD, _NAMES, Budget(governance_warnings.STATES), access=True))
+            all_found = list(weaker(rule, own, STANDARD, _NAMES, SearchBudget(governance_warnings.STATES), access=True))
         except GlobError as error:
             yield Diagnostic("governance-unread", Severity.ERROR, str(error), document.place(rule.line), again, subject)
             continue

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from lxml import etree
 
 from comarmor.errors import Diagnostic, Severity
-from comarmor.patterns.effort import limited
+from comarmor.patterns.steps import step_limit
 from keymint.api import BuildOptions, Claim, Package, Proof
 from keymint.errors import KeymintError
 from keymint.pki import names
@@ -29,7 +29,7 @@ from keymint_ros2_dds.proving import ASSUMPTIONS, Held, prove_content
 STATES = 50_000
 """States that a question may visit, so that a build never hangs."""
 STEPS = 8_000_000
-"""Steps that all questions about the forms of a document may take together (:mod:`comarmor.patterns.effort`)."""
+"""Steps that all questions about the forms of a document may take together (:mod:`comarmor.patterns.steps`)."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -57,7 +57,7 @@ def emit(package: Package, options: BuildOptions) -> Emitted:
             form of the document means what the rules say.
     """
     compiled = compile_rules(package.permissions, package.distro, options)
-    with limited(STEPS):
+    with step_limit(STEPS):
         return _smallest(package, options, compiled)
 
 

@@ -10,7 +10,7 @@ from collections.abc import Iterator
 from itertools import pairwise
 
 from comarmor.errors import Diagnostic, Origin, Severity
-from comarmor.patterns.decision_lists import Block, Budget, DecisionList, Equal, Universe
+from comarmor.patterns.decision_lists import Block, DecisionList, Equal, SearchBudget, Universe
 from comarmor.patterns.glob import EVERYTHING, Glob, normalise
 from comarmor.patterns.proofs import escapes
 from comarmor.patterns.relations import union_covers
@@ -122,4 +122,4 @@ def _allowed(lowered: Lowered, action: str, before: tuple[Glob, ...], own: tuple
         for allows, topics in ((False, before), (True, own))
     )
     said = lists.of_policy(lowered, action, pairs=True)
-    return isinstance(escapes((opened,), said, _PAIRS, Budget(STATES)), Equal)
+    return isinstance(escapes((opened,), said, _PAIRS, SearchBudget(STATES)), Equal)

@@ -7,9 +7,9 @@ from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 
 from comarmor.errors import Diagnostic, Severity
-from comarmor.patterns.effort import EffortError, limited
 from comarmor.patterns.glob import Glob
 from comarmor.patterns.relations import disjoint, sort_key
+from comarmor.patterns.steps import StepLimitError, step_limit
 from keymint.api import BuildOptions, Demand, Permissions
 from keymint.errors import KeymintError
 from keymint.ir import Rule
@@ -26,7 +26,7 @@ from keymint_ros2_dds.lowering.portable import InexpressibleError, faithful, spe
 
 DIFFERING = "Cyclone DDS and Fast DDS"
 STEPS = 4_000_000
-"""Steps that putting the rules of a subject in order may take (:mod:`comarmor.patterns.effort`)."""
+"""Steps that putting the rules of a subject in order may take (:mod:`comarmor.patterns.steps`)."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -80,13 +80,13 @@ def _blocks(lowered: Lowered, collector: _Collector) -> tuple[Block, ...]:
     if collector.problems:
         return standard_blocks(lowered)
     try:
-        with limited(STEPS):
+        with step_limit(STEPS):
             return blocks(lowered)
     except OrderError as error:
         collector.add("portability-order", None, error.pattern, error.reason)
     except PartitionError as error:
         collector.add("portability-partition", None, error.pattern, error.reason)
-    except EffortError as error:
+    except StepLimitError as error:
         reason = (
             f"it overlaps with others in too many ways: no order of the rules was found within {error.steps:,} steps"
         )
@@ -109,9 +109,9 @@ def _plain(lowered: Lowered, collector: _Collector) -> tuple[Criteria, ...]:
         return collector.written(one_by_one(standard_blocks(lowered), lowered))
     full = collector.of_its_own()
     try:
-        with limited(STEPS):
+        with step_limit(STEPS):
             written = full.written(one_by_one(blocks(lowered, reduced=False), lowered))
-    except (OrderError, PartitionError, EffortError):
+    except (OrderError, PartitionError, StepLimitError):
         written = ()
     if written and not full.problems:
         return written

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from comarmor.patterns.glob import Glob, literal
 from comarmor.patterns.relations import disjoint, sort_key
 from comarmor.rules import Effect
-from keymint.keymake.order import Order, arrange
+from keymint.keymake.order import Arrangement, arrange
 from keymint_ros2_dds.compiling.partitions import DEFAULT, EVERY, Entry, decision_list, touches, uniform
 from keymint_ros2_dds.lowering.lower import Partitions
 
@@ -29,7 +29,7 @@ class Plan:
     front: tuple[Entry, ...]
     back: tuple[Entry, ...]
     partitions: Partitions
-    order: Order | None
+    order: Arrangement | None
 
     @property
     def denies(self) -> tuple[Glob, ...]:

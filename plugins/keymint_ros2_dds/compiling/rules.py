@@ -25,7 +25,7 @@ from comarmor.patterns.glob import Glob
 from comarmor.patterns.relations import TooComplexError, all_disjoint, intersection, union_covers
 from comarmor.rules import Effect
 from keymint.ir import Rule
-from keymint.keymake.order import Rescue, mentioned_first
+from keymint.keymake.order import EarlyRules, early_rules
 from keymint_ros2_dds.compiling.partitions import DEFAULT, EVERY, Entry
 from keymint_ros2_dds.compiling.plans import Plan, denial_of, plans
 from keymint_ros2_dds.lowering.lower import Lowered, Partitions
@@ -111,7 +111,7 @@ def _tagged(sides: _Sides, part: str) -> list[_Tagged]:
     return [(action, entry) for action, listed in sides.items() for plan in listed for entry in getattr(plan, part)]
 
 
-def _rescues(action: Action, sides: _Sides) -> list[tuple[Action, Plan, Rescue]]:
+def _rescues(action: Action, sides: _Sides) -> list[tuple[Action, Plan, EarlyRules]]:
     """Return what one direction must allow before the other one's denials are read.
 
     Raises:
@@ -120,11 +120,11 @@ def _rescues(action: Action, sides: _Sides) -> list[tuple[Action, Plan, Rescue]]
     other = Action.SUBSCRIBE if action is Action.PUBLISH else Action.PUBLISH
     denies = [glob for plan in sides[other] for glob in plan.denies]
     said = [glob for _, entry in _tagged(sides, "front") for glob in entry.globs]
-    found: list[tuple[Action, Plan, Rescue]] = []
+    found: list[tuple[Action, Plan, EarlyRules]] = []
     for plan in sides[action]:
         try:
             if plan.order:
-                found.append((action, plan, mentioned_first(denies, plan.order)))
+                found.append((action, plan, early_rules(denies, plan.order)))
             elif clash := _clash(denies, plan, said):
                 reason = (
                     "it is denied in one direction, allowed in the other, and narrowed to several lists of partitions: "
@@ -150,7 +150,7 @@ def _clash(denies: Iterable[Glob], plan: Plan, said: Iterable[Glob]) -> Glob | N
     return None
 
 
-def _first(front: Iterable[_Tagged], rescues: Iterable[tuple[Action, Plan, Rescue]]) -> list[Block]:
+def _first(front: Iterable[_Tagged], rescues: Iterable[tuple[Action, Plan, EarlyRules]]) -> list[Block]:
     """Return the rules for what no denial touches, and for what must be allowed before the others' denials."""
     rescues = [item for item in rescues if item[2].clean or item[2].dirty]
     clean = [(action, Entry(Effect.ALLOW, each.clean, plan.partitions)) for action, plan, each in rescues if each.clean]

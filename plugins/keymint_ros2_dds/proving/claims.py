@@ -9,7 +9,14 @@ from itertools import pairwise
 from types import MappingProxyType
 
 from comarmor.errors import Origin
-from comarmor.patterns.decision_lists import Budget, DecisionList, Outcome, Universe, Unknown, Witness
+from comarmor.patterns.decision_lists import (
+    DecisionList,
+    ProofResult,
+    SearchBudget,
+    Universe,
+    Unknown,
+    Witness,
+)
 from comarmor.patterns.glob import GlobError
 from comarmor.patterns.proofs import difference
 from comarmor.rules import Effect
@@ -143,19 +150,19 @@ class _Comparison:
             octets.ALPHABET, fields=2 if self.pairs else 1, separator=lists.SEPARATOR, last_nonempty=True
         )
         self._said = {action: lists.of_policy(question.lowered, action, pairs=self.pairs) for action in ACTIONS}
-        self._known: dict[tuple[object, ...], Outcome] = {}
+        self._known: dict[tuple[object, ...], ProofResult] = {}
 
-    def of(self, action: str, permitted: _Permitted, *, inside: bool) -> Outcome:
+    def of(self, action: str, permitted: _Permitted, *, inside: bool) -> ProofResult:
         """Compare what the policy says of an action, inside or outside of its domains, with what is permitted."""
         said = self._said[action] if inside else ()
         key = (said, permitted)
         found = self._known.get(key)
         if found is None:
-            budget = Budget(self._question.held.states, self._question.held.go_on)
+            budget = SearchBudget(self._question.held.states, self._question.held.go_on)
             found = self._known[key] = self._compared(said, permitted, budget)
         return found
 
-    def _compared(self, said: DecisionList, permitted: _Permitted, budget: Budget) -> Outcome:
+    def _compared(self, said: DecisionList, permitted: _Permitted, budget: SearchBudget) -> ProofResult:
         if permitted.regions is None:
             return difference(said, *permitted.lists, universe=self._universe, budget=budget)
         universe = without_wildcards(self._universe) if permitted.both_ways else self._universe
@@ -207,8 +214,8 @@ class _Model:
             subject, model = self._question.held.rules.subject, self._variation.name
             yield from protection.claims(subject, model, self._semantics, self._governing, names, self._budget())
 
-    def _budget(self) -> Budget:
-        return Budget(self._question.held.states, self._question.held.go_on)
+    def _budget(self) -> SearchBudget:
+        return SearchBudget(self._question.held.states, self._question.held.go_on)
 
     def _rule(self, domain: int) -> Governed | None:
         """Return what the governance says in a domain; None where there is no governance in question."""
@@ -277,7 +284,7 @@ class _Model:
             return claim(Proof.UNKNOWN, unknown.reason, spent=True)
         return claim(Proof.UNKNOWN, self._by_locale) if self._by_locale else claim(Proof.PROVEN)
 
-    def _compare(self, era: Era | None, action: str, domain: int, *, inside: bool) -> Outcome:
+    def _compare(self, era: Era | None, action: str, domain: int, *, inside: bool) -> ProofResult:
         """Compare what the policy says with what is permitted while a grant is in force, or where none ever is."""
         permitted = _NONE if era is None else self._permitted(era.grant, action, domain, inside=inside)
         return self._comparison.of(action, permitted, inside=inside)

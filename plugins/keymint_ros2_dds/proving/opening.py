@@ -13,10 +13,10 @@ from functools import lru_cache
 
 from comarmor.patterns.decision_lists import (
     Block,
-    Budget,
     DecisionList,
     Equal,
-    Outcome,
+    ProofResult,
+    SearchBudget,
     Universe,
     Unknown,
     Witness,
@@ -119,8 +119,8 @@ def difference(
     found: Regions,
     exempt: DecisionList,
     universe: Universe,
-    budget: Budget,
-) -> Outcome:
+    budget: SearchBudget,
+) -> ProofResult:
     """Tell whether a policy says exactly what the documents permit.
 
     Args:

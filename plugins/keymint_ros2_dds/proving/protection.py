@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass
 
-from comarmor.patterns.decision_lists import Block, Budget, DecisionList, Universe, Unknown, Witness
+from comarmor.patterns.decision_lists import Block, DecisionList, SearchBudget, Universe, Unknown, Witness
 from comarmor.patterns.glob import EVERYTHING
 from comarmor.patterns.proofs import escapes
 from keymint.api import Claim, Counterexample, DomainRange, PolicyDecision, Proof, Verdict
@@ -73,7 +73,7 @@ def help_for(governing: Governing | None, domain: int) -> str:
 
 
 def claims(
-    subject: str, model: str, semantics: Semantics, governing: Governing, universe: Universe, budget: Budget
+    subject: str, model: str, semantics: Semantics, governing: Governing, universe: Universe, budget: SearchBudget
 ) -> Iterator[Claim]:
     """Yield the claims about domains as a whole that do not hold, or are not known.
 
@@ -149,7 +149,7 @@ def weaker(
     said: DomainRule,
     semantics: Semantics,
     universe: Universe,
-    budget: Budget,
+    budget: SearchBudget,
     *,
     access: bool = False,
 ) -> Iterator[Weaker | Unknown]:

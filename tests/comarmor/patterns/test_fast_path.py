@@ -9,12 +9,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from comarmor.patterns import fast_path
-from comarmor.patterns.counterexample_search import Escapes
-from comarmor.patterns.decision_lists import PRINTABLE, Block, Budget, Equal, Universe, Unknown
-from comarmor.patterns.derivatives import Arena
+from comarmor.patterns.counterexample_search import CounterexampleSearch
+from comarmor.patterns.decision_lists import PRINTABLE, Block, Equal, SearchBudget, Universe, Unknown
+from comarmor.patterns.derivatives import Derivatives
 from comarmor.patterns.evaluate import permits
 from comarmor.patterns.glob import charset
-from comarmor.patterns.product_search import Product
+from comarmor.patterns.product_search import ProductSearch
 from comarmor.patterns.proofs import difference, implies
 
 from .small import UNIVERSE, WORDS, allow, deny, first_difference, globs, lists, patterns_of
@@ -25,7 +25,7 @@ NARROW = Universe(charset([(97, 97)]))
 
 def without_search(a, *b, universe=PRINTABLE):
     """Tell whether lists are equal, with a budget that lets no engine search."""
-    return difference(a, *b, universe=universe, budget=Budget(0))
+    return difference(a, *b, universe=universe, budget=SearchBudget(0))
 
 
 @st.composite
@@ -71,17 +71,17 @@ def test_of_several_lists_too(pair, other):
 @given(alike(), st.sampled_from([UNIVERSE, NARROW, PRINTABLE]))
 def test_no_engine_contradicts(pair, universe):
     a, b = pair
-    arena = Arena(patterns_of(a, b), universe)
+    arena = Derivatives(patterns_of(a, b), universe)
 
     def escape(left, right):
-        return Escapes((left,), right, universe, lambda: arena, Budget().meter()).shortest()
+        return CounterexampleSearch((left,), right, universe, lambda: arena, SearchBudget().meter()).shortest()
 
     if fast_path.implied(a, b, universe):
         assert escape(a, b) is None
     if fast_path.equal(a, (b,), universe):
         assert escape(a, b) is None
         assert escape(b, a) is None
-        assert Product((b,), a, universe, arena, Budget().meter()).shortest() is None
+        assert ProductSearch((b,), a, universe, arena, SearchBudget().meter()).shortest() is None
 
 
 @settings(max_examples=200, deadline=None)
@@ -137,8 +137,8 @@ def test_what_is_not_seen_is_left_to_the_engines(a, b):
 
 def test_implication_needs_no_search_where_a_wider_pattern_stands():
     narrow = (deny("x/p*"), allow("x/*", "y"))
-    assert implies(narrow, (allow("y*"), deny("x/p*"), allow("x*")), PRINTABLE, Budget(0)) == Equal()
-    assert isinstance(implies(narrow, (allow("x/*"),), PRINTABLE, Budget(0)), Unknown)
+    assert implies(narrow, (allow("y*"), deny("x/p*"), allow("x*")), PRINTABLE, SearchBudget(0)) == Equal()
+    assert isinstance(implies(narrow, (allow("x/*"),), PRINTABLE, SearchBudget(0)), Unknown)
 
 
 def test_the_effort_is_bounded(monkeypatch):

@@ -12,11 +12,11 @@ from itertools import product
 
 import pytest
 
-from comarmor.patterns.decision_lists import Block, Budget, DecisionList, Equal, Universe, Witness
-from comarmor.patterns.derivatives import Arena
+from comarmor.patterns.decision_lists import Block, DecisionList, Equal, SearchBudget, Universe, Witness
+from comarmor.patterns.derivatives import Derivatives
 from comarmor.patterns.evaluate import Evaluator
 from comarmor.patterns.glob import charset, normalise, parse
-from comarmor.patterns.product_search import Product
+from comarmor.patterns.product_search import ProductSearch
 from comarmor.patterns.proofs import difference
 
 PAIRS = Universe(charset([(65, 65), (97, 98), (47, 47)]), fields=2)
@@ -162,8 +162,8 @@ def test_every_fault_that_changes_the_meaning_is_found(fault):
             assert found.word not in WORDS
         else:
             assert found == Equal()
-            arena = Arena((p for decisions in (a, b) for block in decisions for p in block.patterns), PAIRS)
-            assert Product((b,), a, PAIRS, arena, Budget().meter()).shortest() is None
+            arena = Derivatives((p for decisions in (a, b) for block in decisions for p in block.patterns), PAIRS)
+            assert ProductSearch((b,), a, PAIRS, arena, SearchBudget().meter()).shortest() is None
 
 
 def test_there_are_enough_faults():

@@ -12,17 +12,17 @@ from comarmor.patterns.decision_lists import (
     EVERY_WORD,
     PRINTABLE,
     Block,
-    Budget,
+    BudgetError,
     Equal,
-    SpentError,
+    SearchBudget,
     Universe,
     Unknown,
     Witness,
 )
-from comarmor.patterns.derivatives import Arena
+from comarmor.patterns.derivatives import Derivatives
 from comarmor.patterns.evaluate import permits
 from comarmor.patterns.glob import parse
-from comarmor.patterns.product_search import Product
+from comarmor.patterns.product_search import ProductSearch
 from comarmor.patterns.proofs import difference, implies, intersects, shadowed
 
 from .small import UNIVERSE, WORDS, allow, deny, first_difference, lists, patterns_of
@@ -56,8 +56,8 @@ def test_a_list_is_held_against_several_that_permit_together(a, b, c):
 @given(lists, lists, lists)
 def test_the_engines_agree(a, b, c):
     found = difference(a, b, c, universe=UNIVERSE)
-    arena = Arena(patterns_of(a, b, c), UNIVERSE)
-    other = Product((b, c), a, UNIVERSE, arena, Budget().meter()).shortest()
+    arena = Derivatives(patterns_of(a, b, c), UNIVERSE)
+    other = ProductSearch((b, c), a, UNIVERSE, arena, SearchBudget().meter()).shortest()
     assert (other is None) == isinstance(found, Equal)
     if isinstance(found, Witness):
         assert other is not None
@@ -137,19 +137,21 @@ def test_a_spent_budget_is_unknown(states):
     inner = ["".join(pair) for pair in itertools.product("ab", repeat=5)]
     a = (allow(*(f"*{text}*{text[::-1]}*a" for text in inner)),)
     b = (allow(*(f"*{text}*{text[::-1]}*" for text in inner)),)
-    found = difference(a, b, universe=UNIVERSE, budget=Budget(states))
+    found = difference(a, b, universe=UNIVERSE, budget=SearchBudget(states))
     assert isinstance(found, Unknown)
     assert str(states) in found.reason
 
 
 def test_a_deadline_is_kept():
-    found = difference((allow(*(f"*{n}*" for n in range(400))),), (allow("*1*"),), budget=Budget(go_on=lambda: False))
+    found = difference(
+        (allow(*(f"*{n}*" for n in range(400))),), (allow("*1*"),), budget=SearchBudget(go_on=lambda: False)
+    )
     assert found == Unknown("not decided in time")
 
 
 def test_the_second_engine_decides_what_the_first_gives_up(monkeypatch):
     def give_up(*_arguments: object) -> None:
-        raise SpentError("too hard")
+        raise BudgetError("too hard")
 
     monkeypatch.setattr("comarmor.patterns.proofs._by_cubes", give_up)
     assert difference((allow("a*"),), (allow("a", "a?*"),)) == Equal()
@@ -177,7 +179,7 @@ HARD = {
 def test_hard_families_are_decided_or_unknown_and_never_wrong(family):
     texts = ["".join(pair) for pair in itertools.product("abcdefghij", "klmnopqrst")][:30]
     a, b = HARD[family](texts)
-    budget = Budget(200_000)
+    budget = SearchBudget(200_000)
     equal = difference((allow(*a),), (allow(*b),), universe=PRINTABLE, budget=budget)
     assert isinstance(equal, Equal | Unknown)
     broken = difference((allow(*a),), (allow(*b[1:]),), universe=PRINTABLE, budget=budget)
@@ -191,7 +193,9 @@ def test_a_last_field_that_is_never_empty(a, b):
     shortest = next((word for word in WORDS if word and permits(a, word) != permits(b, word)), None)
     found = difference(a, b, universe=universe)
     assert agrees(found, shortest)
-    other = Product((b,), a, universe, Arena(patterns_of(a, b), universe), Budget().meter()).shortest()
+    other = ProductSearch(
+        (b,), a, universe, Derivatives(patterns_of(a, b), universe), SearchBudget().meter()
+    ).shortest()
     assert (other is None) == isinstance(found, Equal)
 
 

@@ -8,11 +8,11 @@ from random import Random
 
 import pytest
 
-from comarmor.patterns.edit_distance import Names
-from comarmor.patterns.effort import limited
+from comarmor.patterns.edit_distance import NameTrie
 from comarmor.patterns.glob import parse
-from comarmor.patterns.pattern_index import Near
+from comarmor.patterns.pattern_index import PatternIndex
 from comarmor.patterns.relations import disjoint
+from comarmor.patterns.steps import step_limit
 from keymint.analysis import name_similarity, portability, redundant_rules, subject_patterns
 from keymint.analysis.lint import lint
 from tests.effort import calls_of
@@ -24,7 +24,7 @@ Found = list[str]
 
 def linted(folder: Path, text: str) -> tuple[int, Found]:
     policy = loaded_text(folder, text)
-    with limited(None) as effort:
+    with step_limit(None) as effort:
         found = lint(policy)
     return effort.spent, [each.code for each in found]
 
@@ -95,7 +95,7 @@ def test_an_index_finds_what_meets() -> None:
     pieces = ("a", "b", "ab", "*", "?", "[ab]", "/")
     for _ in range(150):
         globs = [parse("".join(rng.choice(pieces) for _ in range(rng.randint(1, 4)))) for _ in range(20)]
-        near = Near((glob, at) for at, glob in enumerate(globs))
+        near = PatternIndex((glob, at) for at, glob in enumerate(globs))
         wanted = parse("".join(rng.choice(pieces) for _ in range(rng.randint(1, 4))))
         assert sorted(at for _, at in near.meeting(wanted)) == [
             at for at, glob in enumerate(globs) if not disjoint(glob, wanted)
@@ -111,7 +111,7 @@ def test_a_tree_of_names_finds_slips() -> None:
     for _ in range(150):
         names, wanted = [name() for _ in range(20)], name()
         for most in (1, 2):
-            assert set(Names(names).near(wanted, most)) == {each for each in names if _edits(each, wanted) <= most}
+            assert set(NameTrie(names).near(wanted, most)) == {each for each in names if _edits(each, wanted) <= most}
 
 
 def _edits(one: str, other: str) -> int:

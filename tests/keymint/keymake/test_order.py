@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from comarmor.patterns.glob import parse
 from comarmor.patterns.relations import matches
 from comarmor.rules import PARTS, parts
-from keymint.keymake.order import arrange, mentioned_first
+from keymint.keymake.order import arrange, early_rules
 from tests.effort import calls_of
 
 WORDS = ["".join(word) for size in range(6) for word in itertools.product("ab", repeat=size)]
@@ -40,7 +40,7 @@ def test_a_decision_list_permits_what_is_allowed_and_not_denied(allow, deny):
 @given(SETS, SETS, SETS)
 def test_what_must_be_mentioned_first(allow, deny, other):
     order = arrange(allow, deny)
-    rescue = mentioned_first(other, order)
+    rescue = early_rules(other, order)
     for word in WORDS:
         early = anyone(order.free, word) or anyone(rescue.clean, word)
         late = not anyone(rescue.deny, word) and anyone(rescue.dirty, word)

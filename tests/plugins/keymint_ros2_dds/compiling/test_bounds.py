@@ -9,7 +9,7 @@ import pytest
 from keymint_ros2_dds import build_type, emission
 from keymint_ros2_dds.compiling import compile as compiling
 
-from comarmor.patterns.effort import limited
+from comarmor.patterns.steps import step_limit
 from keymint.analysis.portability import package_of
 from keymint.analysis.subject_patterns import rules_of
 from keymint.api import BuildOptions, LoadedPolicy
@@ -25,7 +25,7 @@ MOST = 2 * compiling.STEPS + emission.STEPS
 def steps_of(policy: LoadedPolicy, subject: str, *, vendor_specific: bool = False) -> tuple[int, str]:
     """Return the steps that compiling a subject took, and the codes of what refused it."""
     package = package_of("dds", "humble", subject, rules_of(policy, subject), NOW)
-    with limited(None) as effort:
+    with step_limit(None) as effort:
         try:
             build_type.build(package, BuildOptions(allow_vendor_specific=vendor_specific))
         except KeymintError as error:

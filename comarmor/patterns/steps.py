@@ -1,10 +1,10 @@
 """Effort, counted in steps, so that every search ends: on every machine after the same steps, whatever the time.
 
 A step is a pair of patterns compared, or a state visited. Whoever starts work says how much it may cost
-(:func:`limited`), and what works counts what it does (:func:`spend`). Where the steps are spent :class:`EffortError`
+(:func:`step_limit`), and what works counts what it does (:func:`spend`). Where the steps are spent :class:`StepLimitError`
 is raised, which the one who set the limit turns into an error or into "unknown": never into an answer.
 
-The count does not depend on what was asked before: an answer that is remembered (:func:`remembered`) costs what it
+The count does not depend on what was asked before: an answer that is remembered (:func:`cached`) costs what it
 cost to find.
 """
 
@@ -21,7 +21,7 @@ _P = ParamSpec("_P")
 _T = TypeVar("_T")
 
 
-class EffortError(Exception):
+class StepLimitError(Exception):
     """The steps that some work may take are spent.
 
     Attributes:
@@ -34,7 +34,7 @@ class EffortError(Exception):
 
 
 @dataclass(slots=True)
-class Effort:
+class StepCounter:
     """Steps that were counted.
 
     Attributes:
@@ -52,15 +52,15 @@ class Effort:
         """How many steps are left; None for any number."""
         return None if self.allowed is None else max(0, self.allowed - self.spent)
 
-    def within(self, steps: int | None) -> Effort:
+    def within(self, steps: int | None) -> StepCounter:
         """Return a count of its own for a part of the work, which may take so many steps, or all that are left."""
         left = self.left
         if left is None or (steps is not None and steps < left):
-            return Effort(steps, steps or 0)
-        return Effort(left, self.told)
+            return StepCounter(steps, steps or 0)
+        return StepCounter(left, self.told)
 
 
-_current: ContextVar[Effort | None] = ContextVar("_current", default=None)
+_current: ContextVar[StepCounter | None] = ContextVar("_current", default=None)
 
 
 def spend(steps: int = 1) -> None:
@@ -73,18 +73,18 @@ def spend(steps: int = 1) -> None:
     if effort is not None:
         effort.spent += steps
         if effort.allowed is not None and effort.spent > effort.allowed:
-            raise EffortError(effort.told)
+            raise StepLimitError(effort.told)
 
 
 @contextmanager
-def limited(steps: int | None) -> Iterator[Effort]:
+def step_limit(steps: int | None) -> Iterator[StepCounter]:
     """Count the steps of a block, which may take so many; they count for a limit around it, too.
 
     Args:
         steps: the most steps; None to count only.
     """
     outer = _current.get()
-    effort = Effort(steps, steps or 0) if outer is None else outer.within(steps)
+    effort = StepCounter(steps, steps or 0) if outer is None else outer.within(steps)
     token = _current.set(effort)
     try:
         yield effort
@@ -94,7 +94,7 @@ def limited(steps: int | None) -> Iterator[Effort]:
             outer.spent += effort.spent
 
 
-def remembered(maxsize: int) -> Callable[[Callable[_P, _T]], Callable[_P, _T]]:
+def cached(maxsize: int) -> Callable[[Callable[_P, _T]], Callable[_P, _T]]:
     """Return a decorator like :func:`functools.lru_cache`; an answer costs the same steps each time.
 
     Args:
@@ -105,11 +105,11 @@ def remembered(maxsize: int) -> Callable[[Callable[_P, _T]], Callable[_P, _T]]:
         @lru_cache(maxsize)
         def costed(*args: _P.args, **kwargs: _P.kwargs) -> tuple[_T, int]:
             outer = _current.get()
-            effort = Effort(None, 0) if outer is None else outer.within(None)
+            effort = StepCounter(None, 0) if outer is None else outer.within(None)
             token = _current.set(effort)
             try:
                 return function(*args, **kwargs), 1 + effort.spent
-            except EffortError:
+            except StepLimitError:
                 if outer is not None:
                     outer.spent += effort.spent
                 raise

@@ -4,42 +4,42 @@ from __future__ import annotations
 
 import pytest
 
-from comarmor.patterns.decision_lists import Block, Budget, Equal, Unknown
-from comarmor.patterns.effort import EffortError, limited, remembered, spend
+from comarmor.patterns.decision_lists import Block, Equal, SearchBudget, Unknown
 from comarmor.patterns.glob import parse
 from comarmor.patterns.proofs import difference, implies
 from comarmor.patterns.relations import covers, disjoint, intersection
+from comarmor.patterns.steps import StepLimitError, cached, spend, step_limit
 from tests.effort import calls_of
 
 
 def test_steps_are_counted_and_end() -> None:
-    with limited(10) as effort:
+    with step_limit(10) as effort:
         spend(4)
-        with limited(5):
+        with step_limit(5):
             spend(3)
         assert (effort.spent, effort.left) == (7, 3)
-        with pytest.raises(EffortError, match="within 10 steps"), limited(50):
+        with pytest.raises(StepLimitError, match="within 10 steps"), step_limit(50):
             spend(4)
-        with pytest.raises(EffortError):
+        with pytest.raises(StepLimitError):
             spend()
     spend(1_000)
 
 
 def test_an_answer_that_is_remembered_costs_the_same() -> None:
-    @remembered(8)
+    @cached(8)
     def asked(number: int) -> int:
         spend(number)
         return number
 
     costs = []
     for _ in range(2):
-        with limited(None) as effort:
+        with step_limit(None) as effort:
             assert asked(5) == 5
         costs.append(effort.spent)
     assert costs == [6, 6]
-    with limited(3), pytest.raises(EffortError):
+    with step_limit(3), pytest.raises(StepLimitError):
         asked(5)
-    with limited(3), pytest.raises(EffortError):
+    with step_limit(3), pytest.raises(StepLimitError):
         asked(4)
     assert asked(4) == 4
 
@@ -55,7 +55,7 @@ def test_an_answer_that_is_remembered_costs_the_same() -> None:
 def test_the_count_does_not_depend_on_the_past(ask) -> None:
     costs = []
     for _ in range(2):
-        with limited(None) as effort:
+        with step_limit(None) as effort:
             ask()
         costs.append(effort.spent)
     assert costs[0] == costs[1] > 10
@@ -65,7 +65,7 @@ def test_a_step_stands_for_a_bounded_amount_of_work() -> None:
     one, other = parse("*ab*cd*ef*"), parse("*mn*op*qr*")
 
     def ask() -> int:
-        with limited(None) as effort:
+        with step_limit(None) as effort:
             assert len(intersection(one, other, 100)) > 0
         return effort.spent
 
@@ -79,8 +79,8 @@ def test_a_question_that_takes_too_long_is_unknown() -> None:
     a = (Block(True, hard), Block(False, (parse("*q"),)))
     b = (Block(True, hard[:-1]),)
     for question in (difference, implies):
-        with limited(200) as effort:
+        with step_limit(200) as effort:
             assert isinstance(question(a, b), Unknown)
         assert effort.spent < 20_000
-        assert isinstance(question(a, b, budget=Budget(states=50)), Unknown)
+        assert isinstance(question(a, b, budget=SearchBudget(states=50)), Unknown)
         assert question(b, b) == Equal()
