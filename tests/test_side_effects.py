@@ -1,0 +1,165 @@
+"""Who writes, who starts programs, and who reads the workspace: seen by an audit hook while all verbs run."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+import pytest
+
+from tests.conftest import CHECKOUT
+
+WRITERS = {f"keymint/{name}.py" for name in ("store", "staging", "exchange", "writing")}
+TEMPORARY = {"keymint/git.py", "keymint/verify/copies.py"}
+"""Extract trees of a revision, or copy enclaves for transports, into a temporary folder that they remove."""
+VENDORS = "plugins/keymint_ros2_dds/vendors/"
+"""The only folder that builds and runs foreign programs; it writes to the cache only."""
+STARTERS = {"keymint/process.py", "keymint/git.py", "keymint/commands/completion.py"}
+"""Run git, or the shell that the completion script is for."""
+READERS = ("keymint/check/", "keymint/plan/", "keymint/verify/", "keymint/status.py")
+
+POLICY = "ws/profile/comarmor.d"
+WRITING_VERBS = (
+    ("init", "ws"),
+    ("create", "--all", "-w", "ws"),
+    ("build", "-w", "ws"),
+    ("install", "-w", "ws"),
+    ("build", "-w", "ws", "--renew", "talker"),
+    ("install", "-w", "ws", "--json"),
+    ("install", "-w", "ws"),
+    ("provision", POLICY, "-w", "ws2"),
+    ("graph", POLICY, "-o", "policy.svg"),
+    ("graph", POLICY, "-o", "policy.html"),
+    ("graph", POLICY, "-o", "policy.dot"),
+    ("lint", POLICY, "--sarif", "lint.sarif"),
+    ("test", str(CHECKOUT / "examples/fleet"), "--junit", "tests.xml"),
+    ("learn", str(CHECKOUT / "examples/ppac_2018/graph.json"), "-o", "learned.xml"),
+    ("query", POLICY, "who", "can", "publish", "/chatter"),
+    ("diff", POLICY, f"HEAD:{POLICY}"),
+    ("plugins",),
+    ("transports",),
+    ("completion", "bash"),
+)
+READING_VERBS = (
+    ("check", "-w", "ws"),
+    ("status", "-w", "ws"),
+    ("prove", "-w", "ws"),
+    ("why", "-w", "ws", "/talker", "ros_publish", "/chatter"),
+    ("verify", "-w", "ws", "-t", "omg", "-t", "cyclonedds-0.10", "-t", "fastdds-2.9", "--report", "report"),
+)
+
+
+@dataclass(frozen=True)
+class Event:
+    """What a module of ours did: ``read``, ``write``, ``list`` or ``start``."""
+
+    step: int
+    kind: str
+    path: str
+    module: str
+
+
+def audited(folder: Path, *steps: tuple[str, ...]) -> tuple[list[int], list[Event]]:
+    """Run steps under the audit hook, and return their exit codes and what our modules did."""
+    environment: Mapping[str, str] = {
+        **{name: value for name, value in os.environ.items() if name != "KEYMINT_TRACEBACK"},
+        "XDG_CACHE_HOME": str(folder / "cache"),
+    }
+    done = subprocess.run(
+        [sys.executable, "-c", "from tests.audited import main; main()", folder],
+        input=json.dumps(steps),
+        cwd=CHECKOUT,
+        env=environment,
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    answer = json.loads(done.stdout)
+    return answer["codes"], [Event(*event) for event in answer["events"]]
+
+
+@pytest.fixture(scope="module")
+def run(tmp_path_factory: pytest.TempPathFactory) -> tuple[list[int], list[Event]]:
+    """All verbs, in a folder under version control."""
+    folder = tmp_path_factory.mktemp("audited")
+    subprocess.run(["git", "init", "-q"], cwd=folder, check=True)
+    codes, before = audited(folder, *WRITING_VERBS[:4])
+    identity = ("-c", "user.name=a", "-c", "user.email=a@b.c")
+    subprocess.run(["git", "add", POLICY], cwd=folder, check=True)
+    subprocess.run(["git", *identity, "commit", "-qm", "policy"], cwd=folder, check=True)
+    more, after = audited(folder, *WRITING_VERBS[4:], *READING_VERBS)
+    return codes + more, before + after
+
+
+def test_all_verbs_ran(run: tuple[list[int], list[Event]]) -> None:
+    codes, events = run
+    assert codes == [0] * (len(WRITING_VERBS) + len(READING_VERBS))
+    assert {event.kind for event in events} == {"read", "write", "list", "start"}
+
+
+def test_only_the_store_writes(run: tuple[list[int], list[Event]]) -> None:
+    writers = {event.module for event in run[1] if event.kind == "write"}
+    assert {module for module in writers if not module.startswith(VENDORS)} - TEMPORARY <= WRITERS
+    assert {"keymint/store.py", "keymint/writing.py"} <= writers
+
+
+def test_only_git_and_the_vendors_start_programs(run: tuple[list[int], list[Event]]) -> None:
+    starters = {event.module for event in run[1] if event.kind == "start"}
+    assert {module for module in starters if not module.startswith(VENDORS)} <= STARTERS
+    assert starters & STARTERS
+
+
+def test_verbs_that_read_see_only_their_snapshot(run: tuple[list[int], list[Event]]) -> None:
+    first = len(WRITING_VERBS) - 4
+    seen = {
+        (event.module, event.path)
+        for event in run[1]
+        if event.step >= first
+        and event.kind in {"read", "list"}
+        and event.module.startswith(READERS)
+        and event.module not in TEMPORARY
+        and not event.path.endswith((".py", ".so"))
+        and not event.path.startswith(sys.prefix)
+        and "site-packages" not in event.path
+        and not Path(event.path).is_relative_to(sys.base_prefix)
+        and not Path(event.path).is_relative_to(CHECKOUT)
+    }
+    assert seen == set()
+    assert any(event.module == "keymint/tree.py" and event.kind == "read" for event in run[1] if event.step >= first)
+
+
+def test_a_module_that_writes_is_seen(tmp_path: Path) -> None:
+    script = (
+        "import os, sys\n"
+        "from tests.audited import CHECKOUT, Recorder\n"
+        "recorder = Recorder()\n"
+        "sys.addaudithook(recorder)\n"
+        "def ours(text): exec(compile(text, str(CHECKOUT / 'keymint' / 'new.py'), 'exec'), {'folder': sys.argv[1]})\n"
+        "ours('import os; os.mkdir(folder + \"/a\")')\n"
+        'ours(\'from pathlib import Path; Path(folder, "b").write_text("x")\')\n'
+        'ours(\'import os; os.rename(folder + "/b", folder + "/c")\')\n'
+        "ours('import tempfile; tempfile.mkdtemp(dir=folder)')\n"
+        "ours('import subprocess; subprocess.run([\"true\"])')\n"
+        "ours('import os; os.listdir(folder); open(folder + \"/c\").close()')\n"
+        "open(sys.argv[1] + '/d', 'w').close()\n"
+        "print([(kind, os.path.basename(path), module) for _, kind, path, module in recorder.events])\n"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", script, tmp_path], cwd=CHECKOUT, capture_output=True, text=True, check=True
+    )
+    kinds = [(kind, name) for kind, name, module in eval(done.stdout) if module == "keymint/new.py"]
+    for expected in (
+        ("write", "a"),
+        ("write", "b"),
+        ("write", "b"),
+        ("start", "true"),
+        ("list", tmp_path.name),
+        ("read", "c"),
+    ):
+        assert expected in kinds
+    assert ("write", "d") not in kinds
