@@ -1,10 +1,12 @@
-"""Text from anywhere (names on disk, policies, other programs) as text that is safe to show and to hand on."""
+"""Text for messages: escaped, quoted, counted, with the nearest known word, and safe for JSON."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from difflib import get_close_matches
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
+
+_LONGEST_WORD = 128
+"""Characters of a word that are compared, and shown, at most: difflib takes quadratic time."""
 
 
 def printable(text: str) -> str:
@@ -41,16 +43,41 @@ def encodable(value: Any) -> Any:
     return value
 
 
-def did_you_mean(word: str, known: Sequence[str]) -> str:
-    """Return ``did you mean …?`` with the nearest known word, or an empty string when none is near."""
-    near = get_close_matches(word[:64], known, n=1)
-    return f"did you mean {near[0]}?" if near else ""
+def nearest_word(word: str, known: Iterable[str], similarity: float = 0.6) -> str:
+    """Return the known word that is most similar to a word, whatever its case; empty if none is similar enough.
+
+    Args:
+        word: what somebody wrote.
+        known: what they may have meant.
+        similarity: the least that counts, from 0 to 1 (:meth:`difflib.SequenceMatcher.ratio`).
+    """
+    from difflib import get_close_matches  # noqa: PLC0415 - only messages of errors need it
+
+    by_lower_case = {each.lower(): each for each in known}
+    matches = get_close_matches(word[:_LONGEST_WORD].lower(), by_lower_case, n=1, cutoff=similarity)
+    return by_lower_case[matches[0]] if matches else ""
+
+
+def did_you_mean(word: str, known: Iterable[str], otherwise: str = "", *, similarity: float = 0.6) -> str:
+    """Return ``did you mean '…'?`` with the nearest known word, or another hint if no word is near."""
+    near = nearest_word(word, known, similarity)
+    return f"did you mean {quoted(near, _LONGEST_WORD)}?" if near else otherwise
 
 
 def quoted(text: str, limit: int = 60) -> str:
-    """Return text on one line, in quotes, cut to a length at which a message can still be read."""
-    shown = "".join(c if c.isprintable() else c.encode("unicode_escape").decode() for c in text[: limit + 1])
+    """Return text in quotes on one line, escaped, and cut to a length that keeps a message readable."""
+    shown = printable(text[: limit + 1])
     return f"'{shown[:limit]}…'" if len(shown) > limit else f"'{shown}'"
+
+
+def counted(number: int, noun: str) -> str:
+    """Return a number with its noun: ``no edges``, ``1 edge``, ``2 edges``."""
+    return f"{number or 'no'} {noun}{'' if number == 1 else 's'}"
+
+
+def first_few(items: Sequence[str], most: int) -> str:
+    """Return the first items separated by commas, with ``…`` for the rest."""
+    return ", ".join(items[:most]) + (", …" if len(items) > most else "")
 
 
 def _escaped(char: str) -> str:

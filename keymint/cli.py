@@ -19,7 +19,7 @@ from typing import Any, TextIO, cast
 
 import click
 
-from comarmor.text import printable, printable_lines
+from comarmor.text import did_you_mean, printable, printable_lines
 from keymint import __version__
 from keymint.errors import ExitCode
 from keymint.process import Output, OutputError, StoppedError, held_signals, received, settle
@@ -72,10 +72,7 @@ class _Verbs(click.Group):
         self, ctx: click.Context, args: list[str]
     ) -> tuple[str | None, click.Command | None, list[str]]:
         if args and args[0] not in VERBS and not args[0].startswith("-"):
-            import difflib  # noqa: PLC0415 - only for the message
-
-            near = difflib.get_close_matches(args[0], VERBS, n=1)
-            hint = f"did you mean {near[0]!r}?" if near else "'keymint --help' lists the verbs"
+            hint = did_you_mean(args[0], VERBS, "'keymint --help' lists the verbs")
             ctx.fail(f"no verb {args[0]!r} ({hint})")
         return super().resolve_command(ctx, args)
 

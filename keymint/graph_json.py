@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import difflib
 import json
 import re
 from collections.abc import Iterator, Mapping, Sequence
@@ -10,6 +9,7 @@ from typing import Any, NoReturn
 
 from comarmor.errors import Origin
 from comarmor.rules import PERMISSIONS
+from comarmor.text import did_you_mean
 from keymint.errors import KeymintError
 from keymint.graph import Edge, Graph, Object
 
@@ -155,9 +155,10 @@ class _Reader:
             self._refuse(path, f"is {_shown(value)}, expected an object")
         for name in value:
             if name not in required and name not in also:
-                near = difflib.get_close_matches(name, (*required, *also), 1)
-                known = f"did you mean {near[0]!r}?" if near else f"known are {', '.join((*required, *also))}"
-                self._refuse((*path, name), "unknown member", known)
+                known = (*required, *also)
+                self._refuse(
+                    (*path, name), "unknown member", did_you_mean(name, known, f"known are {', '.join(known)}")
+                )
         for name in required:
             if name not in value:
                 self._refuse(path, f"the member {name!r} is missing")
@@ -184,8 +185,7 @@ class _Reader:
         edge = self._members(path, value, required=("subject", "permission", "object"), also=("partitions", "domain"))
         permission = edge["permission"]
         if not isinstance(permission, str) or permission not in KIND_OF:
-            near = difflib.get_close_matches(str(permission), KIND_OF, 1)
-            known = f"did you mean {near[0]!r}?" if near else f"known are {', '.join(KIND_OF)}"
+            known = did_you_mean(str(permission), KIND_OF, f"known are {', '.join(KIND_OF)}")
             self._refuse((*path, "permission"), f"unknown permission {_shown(permission)}", known)
         domain = edge.get("domain", 0)
         if isinstance(domain, bool) or not isinstance(domain, int) or not 0 <= domain <= MAX_DOMAIN:
@@ -196,8 +196,7 @@ class _Reader:
     def _type(self, path: Path, value: Any) -> tuple[Object, str]:
         entry = self._members(path, value, required=("kind", "object", "type"), also=("partitions",))
         if not isinstance(entry["kind"], str) or entry["kind"] not in PERMISSIONS:
-            near = difflib.get_close_matches(str(entry["kind"]), PERMISSIONS, 1)
-            known = f"did you mean {near[0]!r}?" if near else f"known are {', '.join(PERMISSIONS)}"
+            known = did_you_mean(str(entry["kind"]), PERMISSIONS, f"known are {', '.join(PERMISSIONS)}")
             self._refuse((*path, "kind"), f"unknown kind {_shown(entry['kind'])}", known)
         return self._object(path, entry, entry["kind"]), self._text_of((*path, "type"), entry["type"])
 

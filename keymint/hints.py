@@ -11,10 +11,10 @@ A column ``partition`` may be there as well. In a graph every edge counts once.
 from __future__ import annotations
 
 import csv
-import difflib
 from collections.abc import Iterator, Mapping, Sequence
 
 from comarmor.errors import Diagnostic, Origin, Severity
+from comarmor.text import counted, did_you_mean
 from keymint import graph_json
 from keymint.api import Demand
 from keymint.errors import KeymintError
@@ -75,13 +75,12 @@ def unknown_subjects(demand: Sequence[Demand], known: Sequence[str], name: str) 
         name: the file of the hints, for messages.
     """
     for subject in sorted({each.edge.subject for each in demand} - set(known)):
-        close = difflib.get_close_matches(subject, known, n=1)
         yield Diagnostic(
             "hints-subject",
             Severity.WARNING,
             f"the hints are about {subject}, which is no subject of this workspace",
             Origin(name),
-            f"did you mean {close[0]!r}?" if close else "",
+            did_you_mean(subject, known),
         )
 
 
@@ -95,14 +94,13 @@ def _columns(header: Sequence[str], name: str) -> list[str]:
 
 def _counted(row: Mapping[str, str], width: int, cells: Sequence[str], name: str, line: int) -> tuple[Edge, int]:
     if len(cells) != width:
-        raise _error(name, line, f"has {len(cells)} field{'' if len(cells) == 1 else 's'} instead of {width}")
+        raise _error(name, line, f"has {counted(len(cells), 'field')} instead of {width}")
     subject, permission, text = (row[column].strip() for column in ("subject", "permission", "object"))
     if not legal_subject(subject):
         raise _error(name, line, f"{subject!r} is no name of a subject", "write it in full, as '/robot/arm'")
     kind = KIND_OF.get(permission)
     if kind is None:
-        close = difflib.get_close_matches(permission, KIND_OF, n=1)
-        help_ = f"did you mean {close[0]!r}?" if close else f"one of {', '.join(KIND_OF)}"
+        help_ = did_you_mean(permission, KIND_OF, f"one of {', '.join(KIND_OF)}")
         raise _error(name, line, f"there is no permission {permission!r}", help_)
     partition = row.get("partition", "").strip()
     if not text or not legal_text(text) or not legal_text(partition):

@@ -5,7 +5,6 @@ The only module that touches :mod:`importlib.metadata`.
 
 from __future__ import annotations
 
-import difflib
 import functools
 import importlib.util
 import json
@@ -19,6 +18,7 @@ from pathlib import Path
 from typing import Any, cast
 
 from comarmor.errors import Origin
+from comarmor.text import did_you_mean
 from keymint.api import (
     API_VERSION,
     BuildType,
@@ -238,11 +238,10 @@ class Plugins:
         """
         known = self._entries.get(group, {})
         if name not in known:
-            near = difflib.get_close_matches(name, known, n=1)
             raise KeymintError(
                 f"no {_kind(group)} {name!r} is installed",
                 where=where,
-                help=f"did you mean {near[0]!r}?" if near else "'keymint plugins' lists what is installed",
+                help=did_you_mean(name, known, "'keymint plugins' lists the installed ones"),
                 code="plugin-unknown",
                 exit_code=exit_code,
             )

@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import NoReturn, Protocol
 
 from comarmor.errors import Origin
+from comarmor.text import quoted
 from keymint.errors import KeymintError
 
 PREFIX, SUFFIX = ".keymint-", ".tmp"
@@ -92,7 +93,7 @@ def check_component(name: str, folder: Path) -> None:
         raise KeymintError(f"{name!r} is not the name of a file", where=Origin(str(folder)), code="confined")
     if len(os.fsencode(name)) > MAX_COMPONENT:
         raise KeymintError(
-            f"the name {name[:40]!r}… is longer than {MAX_COMPONENT} bytes",
+            f"the name {quoted(name, 40)} is longer than {MAX_COMPONENT} bytes",
             where=Origin(str(folder)),
             code="confined",
         )

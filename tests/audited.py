@@ -2,8 +2,8 @@
 
     python -m tests.audited FOLDER < steps.json
 
-FOLDER is the current folder of all steps. A step is a list of arguments. Prints the exit codes and a list of events in JSON:
-the step, the kind of event, the path or program, and the innermost module of ours on the stack.
+FOLDER is the current folder of all steps. A step is a list of arguments. Prints the exit codes and a list of events in
+JSON: the step, the kind of event, the path or program, and the innermost module of ours on the stack.
 """
 
 from __future__ import annotations

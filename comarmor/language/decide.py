@@ -87,7 +87,7 @@ def _known(kind: str, permission: str) -> None:
     if kind not in PERMISSIONS:
         raise ComArmorError(
             f"unknown kind {quoted(kind)}, expected one of {', '.join(PERMISSIONS)}",
-            help=did_you_mean(kind, tuple(PERMISSIONS)),
+            help=did_you_mean(kind, PERMISSIONS),
             code="unknown-kind",
         )
     if permission not in PERMISSIONS[kind]:

@@ -129,7 +129,7 @@ class Scope:
             scope = scope.outer
         raise ComArmorError(
             f"the tunable @{{{name}}} is not known here",
-            help=did_you_mean(name, tuple(known)) or "declare it above its use, with <tunable>",
+            help=did_you_mean(name, known, "declare it above its use, with <tunable>"),
             code="tunable",
         )
 

@@ -79,7 +79,7 @@ def parse(text: str) -> tuple[Piece | Reference, ...]:
             if found not in tuple(Placeholder):
                 raise ComArmorError(
                     f"{quoted(found)} is not known, expected {{name}}, {{namespace}} or @{{TUNABLE}}",
-                    help=did_you_mean(found, tuple(Placeholder)) or "for the character itself write \\{ or \\}",
+                    help=did_you_mean(found, Placeholder, "for the character itself write \\{ or \\}"),
                     code="brace",
                 )
             pieces.append(Placeholder(found))

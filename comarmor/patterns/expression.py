@@ -189,7 +189,7 @@ def _class(expression: str, at: int) -> str | None:
     if named[1] not in CLASSES:
         raise ComArmorError(
             f"unknown character class [:{named[1]}:]",
-            help=did_you_mean(named[1].lower(), tuple(CLASSES)) or f"known are {', '.join(CLASSES)}",
+            help=did_you_mean(named[1], CLASSES, f"known are {', '.join(CLASSES)}"),
             code="expression",
         )
     return named[1]

@@ -1,8 +1,9 @@
 """Effort, counted in steps, so that every search ends: on every machine after the same steps, whatever the time.
 
 A step is a pair of patterns compared, or a state visited. Whoever starts work says how much it may cost
-(:func:`step_limit`), and what works counts what it does (:func:`spend`). Where the steps are spent :class:`StepLimitError`
-is raised, which the one who set the limit turns into an error or into "unknown": never into an answer.
+(:func:`step_limit`), and what works counts what it does (:func:`spend`). Where the steps are spent
+:class:`StepLimitError` is raised, which the one who set the limit turns into an error or into "unknown":
+never into an answer.
 
 The count does not depend on what was asked before: an answer that is remembered (:func:`cached`) costs what it
 cost to find.

@@ -117,8 +117,7 @@ def _required(found: re.Match[str], _v: Vocabulary, _e: etree._Element | None) -
 
 def _enumeration(found: re.Match[str], _v: Vocabulary, _e: etree._Element | None) -> tuple[str, str]:
     values = [value.strip("'") for value in found[4].split(", ")]
-    near = did_you_mean(found[3], values) or did_you_mean(found[3].upper(), values)
-    return f"{_holder(found)} is {quoted(found[3])}, expected {' or '.join(values)}", near
+    return f"{_holder(found)} is {quoted(found[3])}, expected {' or '.join(values)}", did_you_mean(found[3], values)
 
 
 def _short(found: re.Match[str], _v: Vocabulary, _e: etree._Element | None) -> tuple[str, str]:

@@ -6,6 +6,7 @@ from collections.abc import Callable, Iterator, Sequence
 from typing import Any
 
 from comarmor.errors import Origin, Spot
+from comarmor.text import counted
 from keymint.analysis.policy_diff import SubjectChanges
 from keymint.analysis.rule_diff import PermissionChange
 
@@ -100,12 +101,9 @@ def summary(found: Sequence[SubjectChanges]) -> str:
     gaining = sum(any(change.gains and not change.unknown for change in each.changes) for each in found)
     losing = sum(any(not change.gains and not change.unknown for change in each.changes) for each in found)
     unknown = sum(any(change.unknown for change in each.changes) for each in found)
-    said = f"{_several(gaining)}, {losing or 'none'} lose{'s' if losing == 1 else ''}"
-    return said + (f"; not decided for {unknown}" if unknown else "")
-
-
-def _several(gaining: int) -> str:
-    return f"{gaining or 'no'} subject{'s gain' if gaining > 1 else ' gains'}"
+    gains = f"{counted(gaining, 'subject')} {'gains' if gaining == 1 else 'gain'}"
+    line = f"{gains}, {losing or 'none'} {'loses' if losing == 1 else 'lose'}"
+    return line + (f"; not decided for {unknown}" if unknown else "")
 
 
 def _subject(each: SubjectChanges, code: Callable[[str], str] = str) -> str:

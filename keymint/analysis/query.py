@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import difflib
 from collections.abc import Sequence
 from dataclasses import dataclass
 
 from comarmor.patterns.glob import GlobError, parse
 from comarmor.rules import PERMISSIONS
+from comarmor.text import did_you_mean
 from keymint.errors import ExitCode, KeymintError
 
 FORMS = (
@@ -49,9 +49,7 @@ def parse_query(words: Sequence[str]) -> PolicyQuery:
     """
     head, rest = (words[0], list(words[1:])) if words else ("", [])
     if head not in HEADS:
-        near = difflib.get_close_matches(head, HEADS, n=1)
-        forms = "; ".join(FORMS)
-        hint = f"did you mean {near[0]!r}?" if near else f"ask one of: {forms}"
+        hint = did_you_mean(head, HEADS, f"ask one of: {'; '.join(FORMS)}")
         raise _wrong(f"{head!r} begins no question" if head else "there is no question", hint)
     form = next(form for form in FORMS if form.startswith(head))
     if head in ("flows", "isolated"):
@@ -87,8 +85,7 @@ def parse_permission(text: str, name: str) -> tuple[str, str]:
         return _KIND_OF[with_ros], with_ros
     if text in _KIND_OF:
         return _KIND_OF[text], text
-    near = difflib.get_close_matches(text, (*_KIND_OF, *_PLAIN), n=1)
-    hint = f"did you mean {near[0]!r}?" if near else f"permissions are {', '.join(dict.fromkeys(_PLAIN))}"
+    hint = did_you_mean(text, (*_KIND_OF, *_PLAIN), f"permissions are {', '.join(dict.fromkeys(_PLAIN))}")
     raise _wrong(f"there is no permission {text!r}", hint)
 
 

@@ -7,7 +7,6 @@ what the policy permits to any of them.
 
 from __future__ import annotations
 
-import difflib
 import re
 from collections.abc import Iterable, Iterator, Sequence
 from operator import itemgetter
@@ -19,6 +18,7 @@ from comarmor.patterns.proofs import difference
 from comarmor.patterns.relations import TooComplexError, covers, intersection, matches
 from comarmor.patterns.steps import StepLimitError, cached, spend, step_limit
 from comarmor.rules import Effect
+from comarmor.text import did_you_mean
 from keymint.analysis.rule_lists import (
     PermissionKey,
     allowed,
@@ -294,9 +294,9 @@ def unknown_subject(policy: LoadedPolicy, pattern: Glob) -> str:
     subject = literal(pattern)
     if subject is None or policy.rules(subject) is not None:
         return ""
-    near = difflib.get_close_matches(subject, policy.subjects(), n=1)
+    hint = did_you_mean(subject, policy.subjects())
     said = f"no profile of the policy applies to {subject}, so that it may do nothing"
-    return said + (f"; did you mean {near[0]}?" if near else "")
+    return said + (f"; {hint}" if hint else "")
 
 
 def representatives(policy: LoadedPolicy, pattern: Glob) -> tuple[str, ...]:

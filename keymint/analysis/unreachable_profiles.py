@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import difflib
 from collections.abc import Iterator, Sequence
 
 from comarmor.errors import Diagnostic, Origin, Severity
 from comarmor.patterns.glob import parse
 from comarmor.patterns.relations import TooComplexError
+from comarmor.text import did_you_mean, first_few
 from keymint.analysis.subject_patterns import can_exist, profile_subjects
 from keymint.api import Structure
 
@@ -45,14 +45,12 @@ def unreachable_profiles(found: Structure) -> Iterator[Diagnostic]:
 
 
 def _mend(attachment: str, around: Sequence[str]) -> str:
-    near = difflib.get_close_matches(attachment, around, n=1, cutoff=0.8)
-    return f"did you mean {near[0]!r}?" if near else "mend the attachment, or move the profile out"
+    return did_you_mean(attachment, around, "fix the attachment, or move the profile out", similarity=0.8)
 
 
 def quoted(expressions: Sequence[str]) -> str:
     """Return expressions for a message, the first of many."""
-    shown = ", ".join(map(repr, expressions[:3]))
-    return shown + (", …" if len(expressions) > 3 else "")  # noqa: PLR2004 - as many as a line takes
+    return first_few([repr(each) for each in expressions], 3)
 
 
 def _said(code: str, message: str, where: Origin, help_: str) -> Diagnostic:

@@ -9,6 +9,7 @@ from datetime import timedelta
 import click
 
 from comarmor.errors import Diagnostic, Severity
+from comarmor.text import counted
 from keymint.check import check as find
 from keymint.commands.common import Run, complete_package, verb
 from keymint.errors import KeymintError
@@ -52,9 +53,8 @@ def check(run: Run, names: tuple[str, ...], within: timedelta) -> Report:
     loaded = inputs.profile()
     said = find(inputs, loaded, chosen, Sources(run.plugins), within)
     findings = folded((*said, *(() if names else _uncreated(inputs, loaded, chosen))))
-    counted = sum(finding.severity is not Severity.NOTE for finding in findings)
-    plural = "" if len(chosen) == 1 else "s"
-    run.console.line(f"checked {len(chosen)} enclave{plural}: {counted or 'no'} finding{'' if counted == 1 else 's'}")
+    number = sum(finding.severity is not Severity.NOTE for finding in findings)
+    run.console.line(f"checked {counted(len(chosen), 'enclave')}: {counted(number, 'finding')}")
     return Report(
         run.verb,
         workspace,

@@ -12,6 +12,7 @@ from typing import Any
 import click
 
 from comarmor.errors import Diagnostic, Severity
+from comarmor.text import did_you_mean
 from keymint.api import Surroundings
 from keymint.commands.plugin_options import require_known
 from keymint.errors import ExitCode, KeymintError
@@ -136,12 +137,9 @@ class Run:
         names = tuple(dict.fromkeys(package_name(name) for name in given))
         for name in names:
             if name not in known:
-                import difflib  # noqa: PLC0415 - only for the message
-
-                near = difflib.get_close_matches(name, known, n=1)
                 raise KeymintError(
                     f"no package {name!r} in {inputs.workspace.shown(inputs.workspace.src)}",
-                    help=f"did you mean {near[0]!r}?" if near else f"'keymint create {name}' makes it",
+                    help=did_you_mean(name, known, f"'keymint create {name}' makes it"),
                     code="package-unknown",
                 )
         return names

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import click
 
+from comarmor.text import counted
 from keymint.analysis.lint import CODES, sorted_diagnostics
 from keymint.analysis.lint import lint as look
 from keymint.analysis.portability import portability
@@ -63,8 +64,7 @@ def lint(
     if sarif is not None:
         write_outputs(run, sarif, as_sarif("keymint lint", CODES, found, typed(run)))
     number = len(found)
-    findings = "no finding" if not number else f"{number} finding{'' if number == 1 else 's'}"
-    like = f" and {len(others)} pattern{'' if len(others) == 1 else 's'} of subjects" if others else ""
-    run.console.line(f"{findings} in the rules of {len(named)} subject{'' if len(named) == 1 else 's'}{like}")
+    like = f" and {counted(len(others), 'pattern')} of subjects" if others else ""
+    run.console.line(f"{counted(number, 'finding')} in the rules of {counted(len(named), 'subject')}{like}")
     result = {"subjects": list(named), "findings": number}
     return Report(run.verb, None, (), found, result, findings_exit(found))

@@ -9,6 +9,7 @@ from typing import Any
 import click
 
 from comarmor.errors import Diagnostic, Origin, Severity
+from comarmor.text import counted
 from keymint.api import Claim, Counterexample, Proof
 from keymint.commands.common import Run, complete_package, verb
 from keymint.commands.numbers import Number
@@ -127,10 +128,10 @@ def _summary(run: Run, found: Findings) -> None:
     parts = [f"{total - len(open_)} of {total} claims proven"]
     parts += [f"{refuted} refuted"] * bool(refuted)
     parts += [f"{len(open_) - refuted} unknown"] * (len(open_) > refuted)
-    parts += [f"{unread} enclave{'' if unread == 1 else 's'} could not be read"] * bool(unread)
+    parts += [f"{counted(unread, 'enclave')} could not be read"] * bool(unread)
     parts += [f"{remembered} unchanged since proven"] * bool(remembered)
     models = ", ".join(_taken(found))
-    enclaves = f"{count} enclave{'' if count == 1 else 's'}{f' for {models}' if models else ''}"
+    enclaves = f"{counted(count, 'enclave')}{f' for {models}' if models else ''}"
     say(f"proved {enclaves}: {', '.join(parts)}{_when(found)}")
     if excepted := list(dict.fromkeys(_excepted(found))):
         say(f"proven except for the topics that governance opens: {'; '.join(excepted[:SHOWN])}{_more(excepted)}")
@@ -155,7 +156,7 @@ def _when(found: Findings) -> str:
     if until is not None:
         return f"; in force at {terms.shown(found.now)}, until {terms.shown(until)}"
     out = sum(terms.end(enclave.terms, found.now) is None for enclave in found.enclaves if enclave.terms)
-    return f"; {out} enclave{' is' if out == 1 else 's are'} not in force at {terms.shown(found.now)}"
+    return f"; {counted(out, 'enclave')} {'is' if out == 1 else 'are'} not in force at {terms.shown(found.now)}"
 
 
 def _shown(moment: datetime | None) -> str | None:

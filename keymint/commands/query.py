@@ -12,6 +12,7 @@ import click
 from comarmor.errors import Diagnostic, Severity
 from comarmor.patterns.decision_lists import Equal
 from comarmor.patterns.glob import literal, parse
+from comarmor.text import counted
 from keymint.analysis.channels import Channel, ChannelSearch
 from keymint.analysis.effective_permissions import effective_permissions
 from keymint.analysis.query import FORMS, HEADS, PolicyQuery, parse_query
@@ -218,7 +219,7 @@ def _flows(run: Run, channels: ChannelSearch, question: PolicyQuery) -> _Answer:
         apart = list(_infrastructure(channels, [(sources, targets)]))
         run.console.line(f"no: nothing flows from {one} to {other}{_but_for(channels, apart)}")
         return "no", {"path": None, "infrastructure": [_channel(each) for each in apart]}
-    run.console.line(f"yes: in {len(path)} step{'' if len(path) == 1 else 's'}")
+    run.console.line(f"yes: in {counted(len(path), 'step')}")
     for step in path:
         run.console.line(f"  {_step(step)}")
     verdict = "yes" if all(step.word for step in path) else "unknown"
@@ -244,7 +245,7 @@ def _isolated(run: Run, channels: ChannelSearch, question: PolicyQuery) -> _Answ
         together.setdefault((channel.kind, channel.word), []).append(channel)
     for shared in list(together.values())[:_MOST]:
         more = len(shared) - 1
-        also = f" (and {more} other pair{'' if more == 1 else 's'})" if more else ""
+        also = f" (and {counted(more, 'other pair')})" if more else ""
         run.console.line(f"{_step(shared[0])}{also}")
     if len(together) > _MOST:
         run.console.line(f"… and {len(together) - _MOST} other channels")
@@ -255,7 +256,7 @@ def _isolated(run: Run, channels: ChannelSearch, question: PolicyQuery) -> _Answ
     run.console.line(
         {
             "yes": f"isolated: nothing flows between {apart}{_but_for(channels, common)}",
-            "no": f"not isolated: {len(together)} channel{'' if len(together) == 1 else 's'} between {apart}",
+            "no": f"not isolated: {counted(len(together), 'channel')} between {apart}",
             "unknown": f"not known: no subject that the policy names breaks it, but others of {apart} may",
         }[verdict]
     )

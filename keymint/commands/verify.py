@@ -8,6 +8,7 @@ from pathlib import Path
 
 import click
 
+from comarmor.text import counted
 from keymint.api import Tier
 from keymint.commands.common import Run, complete_package, verb
 from keymint.commands.files import read_input, write_outputs
@@ -162,13 +163,9 @@ def _show(run: Run, outcomes: Sequence[Outcome], subjects: int, edges: int) -> N
     run.console.table(columns, rows)
     wrong = sum(outcome.confusion.errors for outcome in outcomes)
     run.console.line(
-        f"verified {_counted(subjects, 'enclave')}, {_counted(edges, 'edge')} on "
-        f"{_counted(len(outcomes), 'transport')}: {_counted(wrong, 'edge')} decided otherwise than the policy says"
+        f"verified {counted(subjects, 'enclave')}, {counted(edges, 'edge')} on "
+        f"{counted(len(outcomes), 'transport')}: {counted(wrong, 'edge')} decided otherwise than the policy says"
     )
-
-
-def _counted(number: int, noun: str) -> str:
-    return f"{number or 'no'} {noun}{'' if number == 1 else 's'}"
 
 
 def _write(

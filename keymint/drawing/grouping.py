@@ -6,8 +6,8 @@ from collections import defaultdict
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
+from comarmor.text import counted
 from keymint.drawing.labelled_graph import LabelledEdge, namespace
-from keymint.drawing.words import counted
 
 GROUP_FROM = 30
 """Subjects of a graph beyond which they are grouped, and the most groups where names have the levels for it."""

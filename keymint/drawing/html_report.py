@@ -17,6 +17,7 @@ from typing import Any
 from markupsafe import Markup
 
 from comarmor.errors import Origin, cited
+from comarmor.text import counted
 from keymint.drawing.display_text import KINDS, object_name, printable
 from keymint.drawing.labelled_graph import EdgeOutcome, Label, LabelledEdge, LabelledGraph, select_edges
 from keymint.drawing.layout import DomainObject, NodeKey
@@ -24,7 +25,6 @@ from keymint.drawing.options import DrawingOptions
 from keymint.drawing.palette import Theme, style_sheet
 from keymint.drawing.simplify import EXPRESS, simplify, weight
 from keymint.drawing.svg import PageEmbedding, draw, environment
-from keymint.drawing.words import counted
 
 MOST_ROWS = 10_000
 """Edges that a report lists; it says how many it leaves out. False labels and express denials are all listed, then what

@@ -7,13 +7,13 @@ negative* (false deny).
 
 from __future__ import annotations
 
-import difflib
 from collections import Counter
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from enum import StrEnum
 
 from comarmor.errors import Origin
+from comarmor.text import did_you_mean, first_few
 from keymint.errors import ExitCode, KeymintError
 from keymint.graph import Edge, Graph, Object
 
@@ -221,7 +221,5 @@ def select_edges(
 
 
 def _refuse(message: str, name: str, known: Sequence[str]) -> None:
-    near = difflib.get_close_matches(name, known, n=1)
-    listed = ", ".join(known[:5]) + (", …" if len(known) > 5 else "")  # noqa: PLR2004 - more would be no help
-    hint = f"did you mean {near[0]!r}?" if near else f"there are {listed}" if known else "the graph is empty"
+    hint = did_you_mean(name, known, f"there are {first_few(known, 5)}" if known else "the graph is empty")
     raise KeymintError(message, help=hint, code="subject-unknown", exit_code=ExitCode.USAGE)

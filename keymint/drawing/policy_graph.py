@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import difflib
 import functools
 import itertools
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
@@ -11,6 +10,7 @@ from dataclasses import replace
 from comarmor.errors import Origin
 from comarmor.patterns import glob
 from comarmor.rules import PERMISSIONS
+from comarmor.text import did_you_mean
 from keymint.api import LoadedPolicy, PolicyDecision
 from keymint.drawing.labelled_graph import Label, LabelledEdge, LabelledGraph
 from keymint.errors import KeymintError
@@ -102,8 +102,7 @@ def policy_graph(
     for subject in chosen:
         rules = policy.rules(subject)
         if rules is None:
-            near = difflib.get_close_matches(subject, policy.subjects(), n=1)
-            hint = f"did you mean {near[0]!r}?" if near else "attach a profile to it"
+            hint = did_you_mean(subject, policy.subjects(), "attach a profile to it")
             raise KeymintError(f"no profile of the policy applies to {subject}", help=hint, code="subject-unknown")
         mine = own.setdefault(subject, {})
         for rule in rules.rules:

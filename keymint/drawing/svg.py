@@ -11,6 +11,7 @@ from dataclasses import dataclass
 from functools import cache
 from typing import TYPE_CHECKING
 
+from comarmor.text import counted
 from keymint.drawing.display_text import columns, object_name, printable, shorten
 from keymint.drawing.fold import folded_name
 from keymint.drawing.labelled_graph import EdgeOutcome, LabelledEdge, LabelledGraph, namespace
@@ -19,7 +20,7 @@ from keymint.drawing.legend import LINE, edge_classes, flowed, legend
 from keymint.drawing.options import DrawingOptions, Split
 from keymint.drawing.palette import style_sheet
 from keymint.drawing.simplify import SimplifiedGraph, simplify, weight
-from keymint.drawing.words import counted, sentence
+from keymint.drawing.words import sentence
 
 if TYPE_CHECKING:
     from jinja2 import Environment
@@ -175,7 +176,7 @@ def _subtitle(labelled: LabelledGraph, options: DrawingOptions, drawn: Simplifie
         if options.transport is None and len(labelled.transports) == 1:
             which = labelled.transports[0]
         false = sum(one.outcome(options.transport).false for one in labelled.edges)
-        said.append(f"{printable(which)} against the policy: {false or 'no'} false label{'s' if false != 1 else ''}")
+        said.append(f"{printable(which)} against the policy: {counted(false, 'false label')}")
     if marks := sum(map(len, drawn.marks.values())):
         said.append(f"{counted(marks, 'common edge')} as marks")
     if any(len(found) > 1 for found in drawn.groups.values()):

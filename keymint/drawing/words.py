@@ -8,11 +8,6 @@ from keymint.drawing.display_text import object_name, printable
 from keymint.drawing.labelled_graph import Label, LabelledEdge
 
 
-def counted(number: int, noun: str) -> str:
-    """Return a number with its noun: ``1 edge``, ``2 edges``."""
-    return f"{number} {noun}" + ("" if number == 1 else "s")
-
-
 def sentence(labelled: LabelledEdge, transports: Sequence[str]) -> str:
     """Return an edge and all that is said about it on one line."""
     edge = labelled.edge

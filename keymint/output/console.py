@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from typing import IO, TYPE_CHECKING, Any
 
 from comarmor.errors import Diagnostic, Severity
-from comarmor.text import encodable, printable, printable_lines
+from comarmor.text import counted, encodable, printable, printable_lines
 from keymint.output.report import Report, as_document
 from keymint.plan.model import Action, Size, Step
 from keymint.process import Output
@@ -184,7 +184,7 @@ class Console:
 
 def _counted(steps: Any) -> str:
     packages = {step.package for step in steps if step.package and step.stage != "authorities"}
-    return f"{len(packages)} package{'s' if len(packages) != 1 else ''}" if packages else "everything"
+    return counted(len(packages), "package") if packages else "everything"
 
 
 def _gain(sizes: Sequence[Size]) -> str:
@@ -192,9 +192,8 @@ def _gain(sizes: Sequence[Size]) -> str:
     now, plain = sum(size.bytes for size in sizes), sum(size.plain_bytes for size in sizes)
     if now == plain:
         return ""
-    files = ", ".join(sorted({size.file for size in sizes}))
-    of = f"of {len(sizes)} package{'' if len(sizes) == 1 else 's'}"
-    return f"{files} {of}: {now:,} bytes, {plain:,} in plain form ({(now - plain) / plain:+.0%})"
+    files = f"{', '.join(sorted({size.file for size in sizes}))} of {counted(len(sizes), 'package')}"
+    return f"{files}: {now:,} bytes, {plain:,} in plain form ({(now - plain) / plain:+.0%})"
 
 
 def _paint(text: str, code: str, *, colour: bool) -> str:

@@ -11,6 +11,7 @@ from cryptography.hazmat.primitives import serialization
 from cryptography.x509.oid import ExtendedKeyUsageOID
 
 from comarmor.errors import Diagnostic, Origin, Severity
+from comarmor.text import quoted
 from keymint.api import CertificateSpec
 from keymint.errors import KeymintError
 from keymint.pki import der, extensions, forms, keys, names
@@ -285,7 +286,7 @@ def _issue(
         _ = certificate.extensions
     except ValueError:  # a dotted OID that the library knows, with bytes that are not its syntax
         raise KeymintError(
-            f"an extension of {spec.subject_name[:80]!r} is not in the syntax of its OID",
+            f"an extension of {quoted(spec.subject_name, 80)} is not in the syntax of its OID",
             where=spec.origin,
             help="correct the value after DER:",
             code="extension-invalid",

@@ -12,11 +12,11 @@ from typing import TypeVar
 from cryptography import x509
 from cryptography.x509.oid import AuthorityInformationAccessOID, ExtendedKeyUsageOID, ExtensionOID
 
+from comarmor.text import did_you_mean, quoted
 from keymint.api import Extension
 from keymint.errors import KeymintError
 from keymint.pki import der
 from keymint.pki.keys import PublicKey
-from keymint.pki.suggest import did_you_mean
 
 _E = TypeVar("_E", bound=x509.ExtensionType)
 
@@ -119,7 +119,7 @@ def parse(extension: Extension, context: Context) -> tuple[x509.ObjectIdentifier
         return oid, critical, x509.UnrecognizedExtension(oid, _raw(text))
     except ValueError as error:
         raise KeymintError(
-            f"{extension.name} = {extension.value[:80]!r}: {error}",
+            f"{extension.name} = {quoted(extension.value, 80)}: {error}",
             where=extension.origin,
             help="the notation is that of OpenSSL's x509v3_config(5)",
             code="extension-invalid",
@@ -141,7 +141,7 @@ def _unknown(extension: Extension) -> x509.ObjectIdentifier:
         problem, help_ = f"the extension {name} has a name", f"write {known}"
     else:
         problem = f"{name!r} is not an extension that is known"
-        help_ = did_you_mean(name, _KNOWN, "and dotted OIDs")
+        help_ = did_you_mean(name, _KNOWN, f"known are {', '.join(_KNOWN)} and dotted OIDs")
     raise KeymintError(problem, where=extension.origin, help=help_, code="extension-unknown")
 
 
@@ -157,7 +157,8 @@ def _items(text: str) -> list[str]:
 def _one_of(text: str, known: Mapping[str, object]) -> str:
     if text in known:
         return text
-    raise ValueError(f"{text!r} is not known, {did_you_mean(text, known)}")
+    hint = did_you_mean(text, known, f"known are {', '.join(known)}")
+    raise ValueError(f"{text!r} is not known, {hint}")
 
 
 def _oid(text: str) -> x509.ObjectIdentifier:
@@ -281,7 +282,7 @@ def _hex(text: str) -> bytes:
     try:
         content = bytes.fromhex(text.replace(":", ""))
     except ValueError:
-        raise ValueError(f"{text[:40]!r} is not hexadecimal") from None
+        raise ValueError(f"{quoted(text, 40)} is not hexadecimal") from None
     if not content:
         raise ValueError("no hexadecimal digits")
     return content

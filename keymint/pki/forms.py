@@ -13,6 +13,7 @@ from cryptography.hazmat.primitives import hashes
 from cryptography.x509.oid import ExtendedKeyUsageOID, ExtensionOID
 
 from comarmor.errors import Diagnostic, Origin, Severity
+from comarmor.text import quoted
 from keymint.api import CertificateSpec, Validity
 from keymint.errors import KeymintError
 from keymint.pki import extensions, keys, names
@@ -158,7 +159,7 @@ def _extensions(spec: CertificateSpec, context: extensions.Context, role: Role) 
         found[oid] = (critical, value)
         if problem := _conflict(value, critical, role):
             raise KeymintError(
-                f"{extension.name} = {extension.value[:80]!r} {problem}",
+                f"{extension.name} = {quoted(extension.value, 80)} {problem}",
                 where=extension.origin,
                 help="leave it out for the default" if role is Role.IDENTITY else "leave it out, or correct it",
                 code="extension-conflict",

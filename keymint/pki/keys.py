@@ -18,9 +18,9 @@ from cryptography.hazmat.primitives import serialization
 from cryptography.hazmat.primitives.asymmetric import ec, rsa
 
 from comarmor.errors import Origin
+from comarmor.text import did_you_mean
 from keymint.api import KeySpec
 from keymint.errors import KeymintError
-from keymint.pki.suggest import did_you_mean
 
 PrivateKey = ec.EllipticCurvePrivateKey | rsa.RSAPrivateKey
 PublicKey = ec.EllipticCurvePublicKey | rsa.RSAPublicKey
@@ -62,7 +62,7 @@ def curve_name(text: str, where: Origin | None = None) -> str:
     raise KeymintError(
         f"{text!r} is not a curve that keys can have",
         where=where,
-        help=did_you_mean(plain, CURVES),
+        help=did_you_mean(plain, CURVES, f"known are {', '.join(CURVES)}"),
         code="key-type-unknown",
     )
 

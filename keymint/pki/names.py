@@ -15,8 +15,8 @@ from cryptography import x509
 from cryptography.x509.oid import NameOID
 
 from comarmor.errors import Origin
+from comarmor.text import did_you_mean, quoted
 from keymint.errors import KeymintError
-from keymint.pki.suggest import did_you_mean
 
 MAX_COMMON_NAME = 64
 """ub-common-name of RFC 5280, appendix A.1."""
@@ -179,8 +179,8 @@ def _pairs(text: str, where: Origin | None) -> Iterator[tuple[str, str]]:
         if found is None:
             rest = text[position:].strip()
             raise KeymintError(
-                f"{text[:120]!r} is not a subject name: "
-                + (f"no attribute type and '=' in {rest[:60]!r}" if rest else "it ends with a separator"),
+                f"{quoted(text, 120)} is not a subject name: "
+                + (f"no attribute type and '=' in {quoted(rest, 60)}" if rest else "it ends with a separator"),
                 where=where,
                 help=rf"{_EXAMPLE}; a comma inside a value is written \,",
                 code="name-invalid",
@@ -209,7 +209,7 @@ def _value(text: str, position: int, where: Origin | None) -> tuple[str, int]:
                 position += 2
             else:
                 raise KeymintError(
-                    f"{text[:120]!r} is not a subject name: after '\\' stands one of "
+                    f"{quoted(text, 120)} is not a subject name: after '\\' stands one of "
                     f"{''.join(sorted(_ESCAPABLE))!r} or two hexadecimal digits",
                     where=where,
                     help="write \\\\ for a backslash",
@@ -221,7 +221,7 @@ def _value(text: str, position: int, where: Origin | None) -> tuple[str, int]:
             break
         if character == '"' or (character == "+" and _begins_attribute(text, position + 1)):
             raise KeymintError(
-                f"{text[:120]!r} is not a subject name that can be used: "
+                f"{quoted(text, 120)} is not a subject name that can be used: "
                 + ("values are not quoted" if character == '"' else "RDNs with several attributes are not supported"),
                 where=where,
                 help=f"separate attributes by ',', or write \\{character} for the character itself",
@@ -235,7 +235,7 @@ def _value(text: str, position: int, where: Origin | None) -> tuple[str, int]:
         return raw.decode(), position
     except UnicodeDecodeError:
         raise KeymintError(
-            f"{text[:120]!r} is not a subject name: an escaped value is not UTF-8",
+            f"{quoted(text, 120)} is not a subject name: an escaped value is not UTF-8",
             where=where,
             code="name-invalid",
         ) from None
@@ -265,7 +265,7 @@ def _attribute(kind: str, value: str, name: str, where: Origin | None) -> x509.N
     if problem:
         too_long = short == "CN" and size > most
         raise KeymintError(
-            f"{name[:120]!r} is not a subject name: {short} {problem}",
+            f"{quoted(name, 120)} is not a subject name: {short} {problem}",
             where=where,
             help="OU={unique},CN={common_name} shortens it and keeps it unique" if too_long else _EXAMPLE,
             code="name-invalid",
@@ -284,10 +284,11 @@ def _type(kind: str, where: Origin | None) -> tuple[x509.ObjectIdentifier, int]:
             pass
         else:
             return _TYPES[_SHORT[oid]] if oid in _SHORT else (oid, _UNBOUNDED)
+    known = [*_TYPES, *_ALIASES]
     raise KeymintError(
         f"{kind!r} is not an attribute type of a subject name",
         where=where,
-        help=did_you_mean(kind, [*_TYPES, *_ALIASES], "and dotted OIDs"),
+        help=did_you_mean(kind, known, f"known are {', '.join(known)} and dotted OIDs"),
         code="name-invalid",
     )
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import difflib
 import functools
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -11,6 +10,7 @@ from itertools import chain
 from cryptography import x509
 
 from comarmor.errors import Diagnostic, Origin, Severity
+from comarmor.text import did_you_mean
 from keymint.api import Authority, CertificateSpec, Signer
 from keymint.errors import ExitCode, KeymintError
 from keymint.pki import certificates, keys
@@ -113,10 +113,9 @@ def _require_named(loaded: LoadedProfile, new: Sequence[str]) -> None:
     known = [authority.name for authority in loaded.profile.authorities]
     for name in new:
         if name not in known:
-            near = difflib.get_close_matches(name, known, n=1)
             raise KeymintError(
                 f"no authority {name!r} in the profile, which has {', '.join(known)}",
-                help=f"did you mean {near[0]!r}?" if near else "name one of these",
+                help=did_you_mean(name, known, "name one of these"),
                 code="authority-unknown",
                 exit_code=ExitCode.USAGE,
             )

@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from comarmor.errors import Diagnostic, Origin, Severity
+from comarmor.text import counted, did_you_mean, first_few
 from keymint.api import AppliedProfile, LoadedPolicy, PolicyDecision, Structure
 from keymint.errors import KeymintError
 from keymint.graph import Edge
@@ -76,9 +77,8 @@ def policy_changed(inputs: Inputs, loaded: LoadedProfile, sources: Sources) -> S
         return (Diagnostic(CHANGED, Severity.WARNING, message, None, "mend it, then run 'keymint create --all'"),)
     if not behind:
         return ()
-    shown = ", ".join(f"/{name}" for name in behind[:_SHOWN]) + (", …" if len(behind) > _SHOWN else "")
-    count = "1 package" if len(behind) == 1 else f"{len(behind)} packages"
-    message = f"the policy changed since the packages were made from it; it says something else of {count}: {shown}"
+    shown = first_few([f"/{name}" for name in behind], _SHOWN)
+    message = f"{counted(len(behind), 'source package')} out of date with the policy: {shown}"
     return (Diagnostic(CHANGED, Severity.WARNING, message, None, "run 'keymint create --all'"),)
 
 
@@ -333,9 +333,6 @@ def _outputs(files: dict[str, bytes]) -> dict[str, str]:
 
 
 def _nothing_applies(name: str, policy: LoadedPolicy, *, known: bool) -> Diagnostic:
-    import difflib  # noqa: PLC0415 - only for the message
-
-    near = difflib.get_close_matches(f"/{name}", policy.subjects(), n=1)
     if known:
         return Diagnostic(
             "subject-unnamed",
@@ -345,7 +342,7 @@ def _nothing_applies(name: str, policy: LoadedPolicy, *, known: bool) -> Diagnos
             f"remove src/{name}, or name it in the policy",
             f"/{name}",
         )
-    hint = f"did you mean {near[0]}?" if near else "attach a profile to it"
+    hint = did_you_mean(f"/{name}", policy.subjects(), "attach a profile to it")
     return Diagnostic(
         "subject-unknown",
         Severity.ERROR,

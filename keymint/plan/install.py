@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from comarmor.errors import Diagnostic, Origin, Severity
+from comarmor.text import did_you_mean
 from keymint.api import Artifact, Credentials, Package
 from keymint.errors import KeymintError
 from keymint.pki import certificates, keys
@@ -300,13 +301,10 @@ def authority_of(authorities: Mapping[str, MintedAuthority], name: str, origin: 
         KeymintError: the profile has none of this name.
     """
     if name not in authorities:
-        import difflib  # noqa: PLC0415 - only for the message
-
-        near = difflib.get_close_matches(name, authorities, n=1)
         raise KeymintError(
             f"no authority {name!r} in the profile, which has {', '.join(sorted(authorities)) or 'none'}",
             where=origin,
-            help=f"did you mean {near[0]!r}?" if near else "name one in issuer_name",
+            help=did_you_mean(name, authorities, "name one in issuer_name"),
             code="authority-unknown",
         )
     return authorities[name]

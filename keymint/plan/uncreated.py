@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from comarmor.errors import Diagnostic, Origin, Severity
+from comarmor.text import first_few
 from keymint.api import LoadedPolicy
 from keymint.plan.create import package_of
 from keymint.plan.inputs import Inputs
@@ -32,7 +33,7 @@ def uncreated(inputs: Inputs, policy: LoadedPolicy, known: Sequence[str]) -> tup
     missing = [name for name in missing if not known or hidden_by(inputs.tree, src, name) is None]
     if not missing:
         return ()
-    listed = ", ".join(f"/{name}" for name in missing[:_SHOWN]) + (", …" if len(missing) > _SHOWN else "")
+    listed = first_few([f"/{name}" for name in missing], _SHOWN)
     what = "a subject that has" if len(missing) == 1 else f"{len(missing)} subjects that have"
     marker = hidden_by(inputs.tree, src, missing[0])
     return (

@@ -6,6 +6,7 @@ from collections import defaultdict
 from collections.abc import Sequence
 from xml.etree import ElementTree as ET  # only writes
 
+from comarmor.text import counted
 from keymint.output.junit import legal, rendered
 from keymint.verify.model import Finding, Outcome
 from keymint.verify.words import in_words
@@ -31,7 +32,7 @@ def junit(outcomes: Sequence[Outcome], subjects: Sequence[str]) -> bytes:
             case = ET.SubElement(suite, "testcase", classname=f"keymint.{outcome.transport}", name=legal(subject))
             if count := outcome.wrong.get(subject, 0):
                 lines = [in_words([outcome.transport], finding) for finding in found[subject]]
-                message = f"{count} edge{'s' if count > 1 else ''} decided otherwise than the policy says"
+                message = f"{counted(count, 'edge')} decided otherwise than the policy says"
                 failure = ET.SubElement(case, "failure", type="verify", message=message)
                 failure.text = legal("\n".join(lines) or "not listed: there are too many findings")
     return rendered(root)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import difflib
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
@@ -10,6 +9,7 @@ from functools import lru_cache
 from comarmor.patterns import glob
 from comarmor.patterns.relations import matcher
 from comarmor.rules import Effect, parts
+from comarmor.text import nearest_word
 from keymint.graph import Edge
 from keymint.ir import Rule
 from keymint.verify.judge import RAW
@@ -102,5 +102,5 @@ def _similar_name(allows: Sequence[tuple[int, Rule]], edge: Edge) -> Near | None
         if rule.kind == edge.object.kind and edge.permission in rule.permissions
         for each in rule.expressions
     }
-    close = difflib.get_close_matches(edge.object.name, by_expression, n=1)
-    return Near(by_expression[close[0]], f"it is about {close[0]!r}; did you mean that?") if close else None
+    near = nearest_word(edge.object.name, by_expression)
+    return Near(by_expression[near], f"it is about {near!r}; did you mean that?") if near else None

@@ -6,6 +6,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import cast
 
+from comarmor.text import did_you_mean
 from keymint.api import Enclave, LoadedPolicy, NameMapping, Package
 from keymint.errors import KeymintError
 from keymint.graph import Edge, Graph, complete
@@ -86,12 +87,9 @@ def edges_of_graph(graph: Graph, found: Scope, *, only: bool) -> tuple[tuple[str
     if not graph.edges:
         raise KeymintError("the graph has no edge, so that there is nothing to verify", code="graph-empty")
     if missing and not only:
-        import difflib  # noqa: PLC0415 - only for the message
-
-        near = difflib.get_close_matches(missing[0], found.enclaves, n=1)
         raise KeymintError(
             f"the graph has a subject {missing[0]}, but no such enclave is verified",
-            help=f"did you mean {near[0]}?" if near else f"'keymint create {missing[0]}', build and install it",
+            help=did_you_mean(missing[0], found.enclaves, f"'keymint create {missing[0]}', build and install it"),
             code="enclave-missing",
         )
     kept = tuple(subject for subject in graph.subjects if subject in found.enclaves)

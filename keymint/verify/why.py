@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import difflib
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import cast
 
 from comarmor.errors import Origin
+from comarmor.text import did_you_mean, nearest_word
 from keymint.api import AppliedProfile, Enclave, LoadedPolicy, PolicyDecision, RulePlaces, Tier, Transport
 from keymint.errors import ExitCode, KeymintError
 from keymint.graph import LABELLED, Edge, Object
@@ -85,10 +85,9 @@ def request(subject: str, permission: str, name: str, partitions: Sequence[str],
             exit_code=ExitCode.USAGE,
         )
     if permission not in _KIND_OF:
-        near = difflib.get_close_matches(permission, _KIND_OF, n=1)
         raise KeymintError(
             f"no permission {permission!r}",
-            help=f"did you mean {near[0]}?" if near else f"permissions are {', '.join(_KIND_OF)}",
+            help=did_you_mean(permission, _KIND_OF, f"permissions are {', '.join(_KIND_OF)}"),
             code="permission-unknown",
             exit_code=ExitCode.USAGE,
         )
@@ -156,7 +155,7 @@ def explain(
     asked = (edge, *naming.meanings(edge)) if naming and edge.object.kind == RAW else (edge,)
     matching = sorted({at for each in asked for at in about(rules, each)}, key=lambda at: rules[at].effect != "DENY")
     near = None if matching else nearest(rules, edge)
-    known = difflib.get_close_matches(edge.subject, policy.subjects(), n=1)
+    subjects = policy.subjects()
     there = name in installed(inputs, loaded)
     labels: dict[str, Finding] = {}
     if there:
@@ -175,7 +174,7 @@ def explain(
         policy=decision,
         rules=[Place(rules[at], rules[at].origin) for at in matching],
         near=Place(rules[near.at], rules[near.at].origin, near.lacks) if near else None,
-        similar=known[0] if known and package is None and edge.subject not in policy.subjects() else "",
+        similar=nearest_word(edge.subject, subjects) if package is None and edge.subject not in subjects else "",
         package=package or (),
         packaged=package is not None,
         endpoints=naming.endpoints(edge) if naming else (),

@@ -9,10 +9,10 @@ from pathlib import Path, PurePosixPath
 from typing import TYPE_CHECKING
 
 from comarmor.data import locate
+from comarmor.text import did_you_mean
 from keymint.api import Bootstrap
 from keymint.errors import KeymintError
 from keymint_ros import distros
-from keymint_ros.document import did_you_mean
 
 if TYPE_CHECKING:
     import jinja2
@@ -133,7 +133,7 @@ def _check_choice(what: str, value: str, known: Mapping[str, object]) -> None:
     if value not in known:
         raise KeymintError(
             f"unknown {what} {value!r}",
-            help=did_you_mean(value, known) or f"known are {', '.join(known)}",
+            help=did_you_mean(value, known, f"known are {', '.join(known)}"),
             code=f"{what.replace(' ', '-')}-unknown",
         )
 

@@ -6,8 +6,8 @@ from pathlib import Path
 
 from comarmor.data import locate
 from comarmor.errors import Origin
+from comarmor.text import did_you_mean
 from keymint.errors import ExitCode, KeymintError
-from keymint_ros.document import did_you_mean
 
 _FAMILIES = {
     "ardent": ("ardent",),
@@ -36,7 +36,7 @@ def check(distro: str, where: Origin | None = None) -> str:
     raise KeymintError(
         f"unknown ROS 2 distro {distro!r}",
         where=where,
-        help=did_you_mean(distro.lower(), DISTROS) or f"known are {', '.join(DISTROS)}",
+        help=did_you_mean(distro, DISTROS, f"known are {', '.join(DISTROS)}"),
         code="distro-unknown",
         exit_code=ExitCode.FAILURE if where else ExitCode.USAGE,  # no file says it, so an option or $ROS_DISTRO does
     )

@@ -8,9 +8,8 @@ from __future__ import annotations
 
 import posixpath
 import re
-from collections.abc import Callable, Collection, Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import replace
-from difflib import get_close_matches
 from functools import lru_cache
 from typing import Generic, TypeVar
 
@@ -20,6 +19,7 @@ from comarmor import errors
 from comarmor.data import locate
 from comarmor.errors import Diagnostic, Origin, Severity
 from comarmor.language import source
+from comarmor.text import did_you_mean
 from comarmor.xml import schema
 from keymint.errors import KeymintError
 
@@ -151,7 +151,7 @@ def file_in(files: Mapping[str, bytes], path: str, where: Origin, space: str) ->
         raise KeymintError(
             f"there is no file {path!r} in the {space}",
             where=where,
-            help=did_you_mean(inside, files) or "create it, or correct the path",
+            help=did_you_mean(inside, files, "create it, or correct the path"),
             code="file-missing",
         )
     return files[inside]
@@ -173,9 +173,3 @@ def confined(path: str, where: Origin) -> str:
             code="path-outside",
         )
     return posixpath.normpath(path)
-
-
-def did_you_mean(word: str, known: Collection[str]) -> str:
-    """Return ``did you mean …?`` with the nearest known word, or an empty string when none is near."""
-    near = get_close_matches(word[:128], list(known), n=1)
-    return f"did you mean {near[0]}?" if near else ""

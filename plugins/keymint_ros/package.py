@@ -7,10 +7,11 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, TypeVar
 
 from comarmor.errors import Diagnostic, Origin
+from comarmor.text import did_you_mean
 from keymint.api import Authority, CertificateSpec, Governance, Package, Permissions, Profile
 from keymint.errors import KeymintError
 from keymint_ros import certificate, governance, manifest, permissions, placeholders, validity
-from keymint_ros.document import Reader, confined, did_you_mean, file_in, line, place, text
+from keymint_ros.document import Reader, confined, file_in, line, place, text
 from keymint_ros.manifest import MARKER, Manifest, Part
 from keymint_ros.profile import OPEN_GOVERNANCE, base_of
 
@@ -91,7 +92,7 @@ class _Loader:
             raise KeymintError(
                 f"the package has no {part.path}",
                 where=where if part.named else Origin(self.folder),
-                help=create or did_you_mean(path, self.files) or f"create it, or leave its path out of {MARKER}",
+                help=create or did_you_mean(path, self.files, f"create it, or leave its path out of {MARKER}"),
                 code="file-missing",
             )
         return self.file(path), content
@@ -188,7 +189,7 @@ class _Loader:
             if name
             else f"no <issuer_name> says which authority {job}",
             where=where,
-            help=(did_you_mean(name, known) if name else "") or f"the profile's authorities are {', '.join(known)}",
+            help=did_you_mean(name, known, f"the profile's authorities are {', '.join(known)}"),
             code="authority-unknown",
         )
 

@@ -6,8 +6,8 @@ import re
 from collections.abc import Collection, Mapping
 
 from comarmor.errors import Origin
+from comarmor.text import did_you_mean
 from keymint.errors import KeymintError
-from keymint_ros.document import did_you_mean
 
 AUTHORITY = ("name",)
 """Of an authority: its name in the profile."""
@@ -29,7 +29,7 @@ def check(text: str, known: Collection[str], where: Origin) -> str:
             raise KeymintError(
                 f"unknown placeholder {found.group()!r} in {text!r}",
                 where=where,
-                help=did_you_mean(found.group(1) or "", known) or f"the placeholders are {listed}",
+                help=did_you_mean(found.group(1) or "", known, f"the placeholders are {listed}"),
                 code="placeholder-unknown",
             )
     return text

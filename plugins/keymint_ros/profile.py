@@ -9,10 +9,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from comarmor.errors import Origin
+from comarmor.text import did_you_mean
 from keymint.api import Authority, PolicySource, Profile
 from keymint.errors import KeymintError
 from keymint_ros import bootstrap, certificate, distros, placeholders
-from keymint_ros.document import Reader, did_you_mean, file_in, line, place, text
+from keymint_ros.document import Reader, file_in, line, place, text
 from keymint_ros.manifest import BUILD_TYPE
 
 if TYPE_CHECKING:
@@ -190,7 +191,7 @@ def _check_hierarchy(authorities: Mapping[str, Authority], issuers: Mapping[str,
                 raise KeymintError(
                     f"the authority {chain[-1]!r} is issued by {issuer!r}, which the profile does not have",
                     where=where,
-                    help=did_you_mean(issuer, authorities) or "leave <issuer_name> empty for a self-signed authority",
+                    help=did_you_mean(issuer, authorities, "leave <issuer_name> empty for a self-signed authority"),
                     code="authority-unknown",
                 )
             if issuer in chain:

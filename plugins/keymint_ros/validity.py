@@ -7,6 +7,7 @@ from datetime import UTC, datetime
 from typing import TYPE_CHECKING
 
 from comarmor.errors import Origin
+from comarmor.text import quoted
 from keymint.api import Validity
 from keymint.errors import KeymintError
 from keymint_ros.document import place, text
@@ -74,7 +75,7 @@ def _later(start: datetime, element: etree._Element) -> datetime:
         duration = isodate.parse_duration(said[:_LONGEST])
     except (ValueError, ArithmeticError):
         raise KeymintError(
-            f"{said[:_LONGEST]!r} is not an ISO 8601 duration",
+            f"{quoted(said, _LONGEST)} is not an ISO 8601 duration",
             where=place(element),
             help="write e.g. P1Y, P90D or PT12H",
             code="duration-invalid",
@@ -95,7 +96,7 @@ def _later(start: datetime, element: etree._Element) -> datetime:
 
 def _wrong_date(said: str, where: Origin) -> KeymintError:
     return KeymintError(
-        f"{said[:_LONGEST]!r} is not a date between the years {_YEARS.start} and {_YEARS[-1]}",
+        f"{quoted(said, _LONGEST)} is not a date between the years {_YEARS.start} and {_YEARS[-1]}",
         where=where,
         help="write e.g. 2026-01-31T00:00:00, which means UTC, or with a zone 2026-01-31T00:00:00+01:00",
         code="date-invalid",

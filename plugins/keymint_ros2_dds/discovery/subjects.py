@@ -21,6 +21,7 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING
 
 from comarmor.errors import Diagnostic, Severity
+from comarmor.text import first_few
 from keymint.errors import ExitCode, KeymintError
 from keymint.graph_json import legal_subject
 from keymint_ros2_dds.discovery.ros_names import ros_name
@@ -97,7 +98,7 @@ def _shared(
         if len(together) < 2 or name in given.values():  # noqa: PLR2004 - nothing is merged
             continue
         enclave = all(_fields(one.user_data).get("enclave") == name for one in together)
-        guids = ", ".join(one.guid for one in together[:_MOST]) + (", …" if len(together) > _MOST else "")
+        guids = first_few([one.guid for one in together], _MOST)
         yield Diagnostic(
             "subject-shared",
             Severity.NOTE if enclave else Severity.WARNING,

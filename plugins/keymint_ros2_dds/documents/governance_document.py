@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-import difflib
 import re
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from functools import lru_cache
 
 from lxml import etree
@@ -14,6 +13,7 @@ from comarmor.patterns import glob
 from comarmor.patterns.glob import EVERYTHING, Glob
 from comarmor.patterns.relations import covers, union_covers
 from comarmor.rules import PARTS
+from comarmor.text import did_you_mean
 from keymint.api import DomainRule, Governance, TopicProtection
 from keymint.errors import KeymintError
 from keymint_ros2_dds.documents import dds_xml
@@ -96,19 +96,14 @@ def _check(governance: Governance, lenient: bool) -> Iterator[Diagnostic]:
             if topic.kind not in _PERMISSIONS:
                 message = f"unknown kind of topic rule {topic.kind!r}"
                 yield Diagnostic(
-                    "governance-kind", Severity.ERROR, message, topic.origin, _hint(topic.kind, _PERMISSIONS)
+                    "governance-kind", Severity.ERROR, message, topic.origin, did_you_mean(topic.kind, _PERMISSIONS)
                 )
 
 
 def _kind(element: str, value: str, known: Sequence[str], where: Origin) -> Iterator[Diagnostic]:
     if value not in known:
         message = f"{element} is {value!r}, expected one of {', '.join(known)}"
-        yield Diagnostic("protection-kind", Severity.ERROR, message, where, _hint(value.upper(), known))
-
-
-def _hint(word: str, known: Iterable[str]) -> str:
-    close = difflib.get_close_matches(word, list(known), 1)
-    return f"did you mean {close[0]!r}?" if close else ""
+        yield Diagnostic("protection-kind", Severity.ERROR, message, where, did_you_mean(value, known))
 
 
 def _domain_rule(parent: etree._Element, rule: DomainRule, distro: str, lenient: bool) -> Iterator[Diagnostic]:

@@ -6,7 +6,6 @@ say in which order: deny overrides allow.
 
 from __future__ import annotations
 
-import difflib
 from collections.abc import Mapping
 from dataclasses import dataclass
 
@@ -15,6 +14,7 @@ from comarmor.patterns import glob
 from comarmor.patterns.glob import Glob
 from comarmor.patterns.ros_names import advice, is_possible
 from comarmor.rules import Effect, parts
+from comarmor.text import did_you_mean
 from keymint.errors import KeymintError
 from keymint.ir import Rule, SubjectRules
 from keymint_ros2_dds.lowering.mapping import IMAGES, Action, images, knows
@@ -77,11 +77,10 @@ def _images(expression: str, rule: Rule, distro: str) -> list[tuple[Action, Glob
     for permission in rule.permissions:
         for _, part, suffix in parts(rule.kind, permission):
             if part not in IMAGES:
-                close = difflib.get_close_matches(part, IMAGES, 1)
                 raise KeymintError(
                     f"DDS knows no permission {part!r} of a {rule.kind} rule",
                     where=rule.origin,
-                    help=f"did you mean {close[0]!r}?" if close else "",
+                    help=did_you_mean(part, IMAGES),
                     code="permission-unknown",
                 )
             for mapped in IMAGES[part]:

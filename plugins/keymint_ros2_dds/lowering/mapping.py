@@ -6,11 +6,11 @@ they are.
 
 from __future__ import annotations
 
-import difflib
 from collections.abc import Iterator
 
 from comarmor.patterns.glob import Glob
 from comarmor.rules import Effect
+from comarmor.text import did_you_mean
 from keymint.errors import KeymintError
 from keymint_ros2_dds.lowering import ardent_names
 from keymint_ros2_dds.lowering.entities import IMAGES, Action, Image
@@ -61,9 +61,8 @@ def check_distro(distro: str) -> None:
     """
     if distro in DISTROS:
         return
-    close = difflib.get_close_matches(distro, DISTROS, 1)
     raise KeymintError(
         f"unknown distro {distro!r}",
-        help=f"did you mean {close[0]!r}?" if close else f"use one of {', '.join(DISTROS)}",
+        help=did_you_mean(distro, DISTROS, f"use one of {', '.join(DISTROS)}"),
         code="distro-unknown",
     )

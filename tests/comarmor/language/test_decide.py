@@ -206,7 +206,10 @@ def test_partitions(load, allowed_in, denied_in, asked, allowed) -> None:
 
 @pytest.mark.parametrize(
     ("kind", "permission", "hint"),
-    [("ros_topc", "ros_publish", "did you mean ros_topic?"), ("ros_topic", "ros_publsh", "did you mean ros_publish?")],
+    [
+        ("ros_topc", "ros_publish", "did you mean 'ros_topic'?"),
+        ("ros_topic", "ros_publsh", "did you mean 'ros_publish'?"),
+    ],
 )
 def test_unknown_kind_or_permission(load, kind, permission, hint) -> None:
     with pytest.raises(comarmor.ComArmorError) as caught:

@@ -152,8 +152,8 @@ def test_placeholders(load, attachment, subject, expression) -> None:
 @pytest.mark.parametrize(
     ("attachment", "code", "hint"),
     [
-        ("{nam}", "brace", "did you mean {name}?"),
-        ("{NAME}", "brace", "\\{ or \\}"),
+        ("{nam}", "brace", "did you mean '{name}'?"),
+        ("{NAME}", "brace", "did you mean '{name}'?"),
         ("x}", "brace", "\\{ or \\}"),
         ("{", "brace", "\\{ or \\}"),
         ("{}", "brace", "\\{ or \\}"),
@@ -319,7 +319,7 @@ def test_wrong_tunables(refused, content, message) -> None:
 
 
 def test_unknown_tunable_is_asked_back(refused) -> None:
-    assert refused(profiles(tunable("ROBOT", "x"), profile(allow("@{ROBOTS}")))).help == "did you mean ROBOT?"
+    assert refused(profiles(tunable("ROBOT", "x"), profile(allow("@{ROBOTS}")))).help == "did you mean 'ROBOT'?"
 
 
 def test_tunables_cannot_explode(refused) -> None:
@@ -339,7 +339,7 @@ def test_tunables_cannot_explode(refused) -> None:
             "<profiles>\n<profil/></profiles>",
             2,
             "<profil> is not expected here, expected <profile>",
-            "did you mean profile?",
+            "did you mean 'profile'?",
         ),
         (
             "<profiles>\n<profile\nname='p'>\n<attachment>/s</attachment></profile><x/></profiles>",
@@ -351,7 +351,7 @@ def test_tunables_cannot_explode(refused) -> None:
             profile(allow("/x").replace("</perm", "<ros_publsh/></perm")),
             1,
             "or <ros_relay>",
-            "did you mean ros_publish?",
+            "did you mean 'ros_publish'?",
         ),
         (profile(allow("/x"), "<attachment>/y</attachment>"), 1, "<attachment> is not expected here", "another place"),
         ("<policy/>", 1, "<policy> is not expected as the root, expected <profiles> or <profile>", ""),
@@ -382,7 +382,7 @@ def test_tunables_cannot_explode(refused) -> None:
             "modifier",
         ),
         ("<profile><attachment>/s</attachment></profile>", 1, "<profile> lacks its attribute 'name'", ""),
-        (profile("\n\n", allow("/x").replace("ALLOW", "allow")), 3, "expected ALLOW or DENY", "did you mean ALLOW?"),
+        (profile("\n\n", allow("/x").replace("ALLOW", "allow")), 3, "expected ALLOW or DENY", "did you mean 'ALLOW'?"),
         (profile("text"), 1, "<profile> cannot hold text", "comment"),
         (profile("\n", allow("/x").replace("ros_publish", "ros_call")), 2, "<ros_call> is not expected here", ""),
         (profile("\n", allow("/x").replace("<ros_publish/>", "")), 2, "<permissions> is not complete", ""),
@@ -424,7 +424,7 @@ def test_defect_in_an_included_file_has_its_origin(refused) -> None:
     assert [Path(place.file).name for place in found.where.chain] == ["a.xml", "policy.xml"]
     assert [found.where.line, *(place.line for place in found.where.chain)] == [4, 2, 3]
     assert "included from" in str(found)
-    assert found.help == "did you mean ros_topic?"
+    assert found.help == "did you mean 'ros_topic'?"
 
 
 def test_rules_cannot_stand_outside_of_a_profile(refused) -> None:

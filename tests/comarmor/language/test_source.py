@@ -135,7 +135,7 @@ def test_a_missing_include_says_where_it_was_looked_for(write, tmp_path) -> None
     root = write({"p.xml": including("s/nod.xml"), "s/node.xml": PROFILE})
     found = quickly_refused(root / "p.xml")
     assert "'s/nod.xml' does not exist" in found.message
-    assert found.help == f"looked for '{root}/s/nod.xml'; did you mean node.xml?"
+    assert found.help == f"looked for '{root}/s/nod.xml'; did you mean 'node.xml'?"
 
 
 def test_a_missing_include_is_not_advised_to_be_the_including_file(write) -> None:
@@ -152,7 +152,7 @@ def test_and_in_the_library_as_well(write, tmp_path) -> None:
     with pytest.raises(comarmor.ComArmorError) as caught:
         comarmor.load(root / "p.xml", library=library)
     help_ = caught.value.diagnostics[0].help
-    assert help_ == f"looked for '{root}/s/nod.xml' and '{library}/s/nod.xml'; did you mean node.xml?"
+    assert help_ == f"looked for '{root}/s/nod.xml' and '{library}/s/nod.xml'; did you mean 'node.xml'?"
 
 
 @pytest.mark.parametrize("target", ["/etc/passwd", "../outside.xml", "missing", "sub", "link.xml", "/dev/zero"])

@@ -98,8 +98,8 @@ def test_literals() -> None:
     ("pattern", "message"),
     [
         ("a\\", "lone"),
-        ("[[:alhpa:]]", "did you mean alpha?"),
-        ("[[:ALPHA:]]", "did you mean alpha?"),
+        ("[[:alhpa:]]", "did you mean 'alpha'?"),
+        ("[[:ALPHA:]]", "did you mean 'alpha'?"),
         ("[[.a.]]", "collating element"),
         ("[[=a=]]", "equivalence class"),
         ("[z-a]", "range z-a is empty"),

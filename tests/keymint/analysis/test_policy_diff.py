@@ -136,7 +136,7 @@ def test_a_gain_in_a_namespace_below(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize(
     ("gaining", "losing", "said"),
-    [(0, 1, "no subject gains, 1 loses"), (1, 0, "1 subject gains, none lose"), (2, 2, "2 subjects gain, 2 lose")],
+    [(0, 1, "no subjects gain, 1 loses"), (1, 0, "1 subject gains, none lose"), (2, 2, "2 subjects gain, 2 lose")],
 )
 def test_the_summary_is_a_sentence(tmp_path: Path, gaining: int, losing: int, said: str) -> None:
     more = "".join(profile(f"/g{number}", rule(*PUB, "/a")) for number in range(gaining))

@@ -40,7 +40,7 @@ def test_a_subject_to_whom_a_profile_applies_can_be_named(keymint, ws: Path) -> 
 def test_a_subject_to_whom_none_applies_is_an_error(keymint, ws: Path) -> None:
     outcome = keymint("create", "/robot1/drivr", "/robot2/driver", cwd=ws)
     assert outcome.code == 1
-    assert "no profile of the policy applies to /robot1/drivr (did you mean /robot1/driver?)" in outcome.err
+    assert "no profile of the policy applies to /robot1/drivr (did you mean '/robot1/driver'?)" in outcome.err
     assert not (ws / "src").exists()
 
 

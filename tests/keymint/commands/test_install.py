@@ -190,7 +190,7 @@ def test_a_subject_that_the_policy_names_since_is_told(keymint, provisioned: Pat
     more = "<profile name='new'><attachment>/new</attachment></profile></profiles>"
     policy.write_text(policy.read_text().replace("</profiles>", more))
     outcome = keymint("build", cwd=provisioned)
-    assert "it says something else of 1 package: /new (run 'keymint create --all')" in outcome.err
+    assert "1 source package out of date with the policy: /new (run 'keymint create --all')" in outcome.err
     policy.write_text("<profiles>")
     outcome = keymint("build", cwd=provisioned)
     assert "the policy changed since the packages were made from it, and cannot be read: " in outcome.err
@@ -233,11 +233,8 @@ def test_sources_and_policy_that_changed_are_said(keymint, provisioned: Path, po
     policy.write_text(policy.read_text().replace("/chatter", "/other"))
     for words in (["build"], ["install"], ["install", "--no-prove"]):
         outcome = keymint(*words, cwd=provisioned)
-        assert (
-            "the policy changed since the packages were made from it; it says something else of 2 packages"
-            in outcome.err
-        )
-        assert "packages: /robot1/listener, /talker (run 'keymint create --all')" in outcome.err
+        message = "2 source packages out of date with the policy: /robot1/listener, /talker"
+        assert f"{message} (run 'keymint create --all')" in outcome.err
     keymint("create", "--all", cwd=provisioned)
     outcome = keymint("install", "--no-prove", cwd=provisioned)
     assert "build/robot1/listener: warning: is stale; signing the existing build [2 packages]" in outcome.err

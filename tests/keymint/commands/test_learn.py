@@ -123,7 +123,7 @@ def test_a_deny_rule_in_the_way_is_a_finding(keymint, tmp_path: Path) -> None:
         (["junk.json"], "junk.json:1: error: not JSON"),
         (["g.json", "--policy", "missing.xml"], "does not exist"),
         (["g.json", "--policy", "junk.json"], "junk.json"),
-        (["g.json", "--distro", "jazy", "--policy", "p.xml"], "did you mean jazzy?"),
+        (["g.json", "--distro", "jazy", "--policy", "p.xml"], "did you mean 'jazzy'?"),
     ],
 )
 def test_what_is_refused(keymint, tmp_path: Path, arguments: list[str], words: str) -> None:

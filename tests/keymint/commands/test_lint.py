@@ -59,7 +59,7 @@ def test_rules_of_subjects_that_nobody_names(keymint, tmp_path: Path) -> None:
     (tmp_path / "p.xml").write_text(BAD.replace("<attachment>/a<", "<attachment>/a/*<"))
     outcome = keymint("lint", "p.xml", "--json")
     assert outcome.codes() == ["deny-nothing", "portability-relay"]
-    assert keymint("lint", "p.xml").out == "2 findings in the rules of 0 subjects and 1 pattern of subjects\n"
+    assert keymint("lint", "p.xml").out == "2 findings in the rules of no subjects and 1 pattern of subjects\n"
 
 
 def test_a_name_that_nothing_has_is_said_once(keymint, tmp_path: Path) -> None:

@@ -131,7 +131,7 @@ def test_no_question(keymint, policy: Path) -> None:
     [
         ("who can publish //x", "no ros_topic can be named as '//x' says"),
         ("who can publish fleet/emergency_stop", "did you mean '/fleet/emergency_stop'?"),
-        ("can /robt1/base publish /robot1/odom", "did you mean /robot1/base?"),
+        ("can /robt1/base publish /robot1/odom", "did you mean '/robot1/base'?"),
         ("flows /robot1/base /nobody", "no profile of the policy applies to /nobody"),
     ],
 )

@@ -99,7 +99,7 @@ def test_mistakes(expect, expectation: str, said: str) -> None:
 def test_a_subject_that_nothing_applies_to_is_in_doubt(expect) -> None:
     outcome = expect(one("deny", "/aa", "publish", "/x"))
     assert outcome.code == 0
-    assert "no profile of the policy applies to /aa, so that it may do nothing; did you mean /a?" in outcome.err
+    assert "no profile of the policy applies to /aa, so that it may do nothing; did you mean '/a'?" in outcome.err
 
 
 def test_no_tests(keymint, policy: Path) -> None:

@@ -76,8 +76,8 @@ def test_a_value_out_of_a_known_set_is_wrong_usage(
 @pytest.mark.parametrize(
     ("arguments", "meant"),
     [
-        (("init", "x", "--distro", "jazy"), "did you mean jazzy?"),
-        (("provision", "policy.xml", "--distro", "Humble"), "did you mean humble?"),
+        (("init", "x", "--distro", "jazy"), "did you mean 'jazzy'?"),
+        (("provision", "policy.xml", "--distro", "Humble"), "did you mean 'humble'?"),
         (("verify", "-t", "cyclonedd"), "did you mean 'cyclonedds'?"),
         (("lint", "policy.xml", "--policy-type", "keymint_ros_comarmor"), "did you mean 'keymint_ros2_comarmor'?"),
     ],

@@ -328,7 +328,7 @@ class TestGraph:
         path = self.graph(tmp_path, [("/cell/am", "ros_publish", "/cell/state")])
         outcome = keymint("verify", "--graph", path, *ASKED, cwd=cell)
         assert outcome.code == 1
-        assert "did you mean /cell/arm?" in outcome.err
+        assert "did you mean '/cell/arm'?" in outcome.err
 
     def test_without_an_edge(self, keymint, cell: Path, tmp_path: Path) -> None:
         outcome = keymint("verify", "--graph", self.graph(tmp_path, []), *ASKED, cwd=cell)

@@ -139,7 +139,7 @@ def test_a_raw_topic_that_a_ros_rule_is_about(why) -> None:
 def test_a_subject_without_an_enclave(why) -> None:
     outcome = why("/cell/am", "ros_publish", "/estop")
     assert outcome.code == 0
-    assert "did you mean /cell/arm?" in outcome.out
+    assert "did you mean '/cell/arm'?" in outcome.out
     assert "none is installed" in outcome.out
 
 
@@ -161,7 +161,7 @@ def test_a_transport_that_decides_otherwise(why, keymint, tmp_path: Path) -> Non
 @pytest.mark.parametrize(
     ("arguments", "expected"),
     [
-        (("/cell/arm", "ros_publsh", "/x"), "did you mean ros_publish?"),
+        (("/cell/arm", "ros_publsh", "/x"), "did you mean 'ros_publish'?"),
         (("/cell/arm", "ros_publish", "x"), "did you mean '/x'?"),
         (("/cell/arm", "ros_publish", "/x", "--partition", "p"), "only a topic has partitions"),
     ],

@@ -159,7 +159,7 @@ def test_hostile_names_are_text() -> None:
 
 
 def test_an_empty_graph_is_a_picture() -> None:
-    assert tree(svg(LabelledGraph.of("nothing", []))).findtext("s:desc", namespaces=NS).startswith("0 subjects")
+    assert tree(svg(LabelledGraph.of("nothing", []))).findtext("s:desc", namespaces=NS).startswith("no subjects")
 
 
 def test_nothing_is_fetched() -> None:

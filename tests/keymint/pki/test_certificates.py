@@ -99,8 +99,8 @@ def test_the_back_door_of_a_dotted_oid_is_closed(spec, authority: certificates.I
     [
         ({"basicConstraints": "critical, CA:TRUE"}, "make an identity an authority"),
         ({"keyUsage": "keyCertSign"}, "issue certificates"),
-        ({"keyUsag": "digitalSignature"}, "did you mean keyUsage?"),
-        ({"keyUsage": "digitalSignatur"}, "did you mean digitalSignature?"),
+        ({"keyUsag": "digitalSignature"}, "did you mean 'keyUsage'?"),
+        ({"keyUsage": "digitalSignatur"}, "did you mean 'digitalSignature'?"),
     ],
 )
 def test_extensions_that_an_identity_must_not_have(

@@ -43,8 +43,8 @@ def test_a_key_of_another_kind_does_not_fit() -> None:
 @pytest.mark.parametrize(
     ("spec", "message"),
     [
-        (KeySpec("ec", "SECP256K1"), "did you mean SECP256R1?"),
-        (KeySpec("ec", "SECP256"), "did you mean SECP256R1?"),
+        (KeySpec("ec", "SECP256K1"), "did you mean 'SECP256R1'?"),
+        (KeySpec("ec", "SECP256"), "did you mean 'SECP256R1'?"),
         (KeySpec("ec", "__class__"), "known are SECP256R1"),
         (KeySpec("ec"), "not a curve"),
         (KeySpec("rsa", size=1024), "not between 2048"),

@@ -156,11 +156,11 @@ def test_names_are_escaped() -> None:
 @pytest.mark.parametrize(
     ("changes", "code", "hint"),
     [
-        ({"distro": "ardnet"}, "distro-unknown", "did you mean ardent?"),
-        ({"distro": "Jazy"}, "distro-unknown", "did you mean jazzy?"),
+        ({"distro": "ardnet"}, "distro-unknown", "did you mean 'ardent'?"),
+        ({"distro": "Jazy"}, "distro-unknown", "did you mean 'jazzy'?"),
         ({"distro": "x"}, "distro-unknown", "known are ardent"),
-        ({"layout": "sros"}, "layout-unknown", "did you mean sros2?"),
-        ({"subject_format": "uniqe"}, "subject-format-unknown", "did you mean unique?"),
+        ({"layout": "sros"}, "layout-unknown", "did you mean 'sros2'?"),
+        ({"subject_format": "uniqe"}, "subject-format-unknown", "did you mean 'unique'?"),
         ({"domain": 231}, "domain-range", "ROS_DOMAIN_ID"),
         ({"domain": -1}, "domain-range", "ROS_DOMAIN_ID"),
         ({"policy": "a\nb"}, "text-invalid", "choose"),

@@ -140,11 +140,11 @@ _DNS = '<identity name="{}"/>'
         (*_manifest("<name>listener</name>"), "name-mismatch", "<name>talker</name>"),
         (*_manifest("<permissions><issuer_name>permision_ca</issuer_name></permissions>"), "authority-unknown", "mean"),
         (*_manifest("<permissions><issuer_name>identity_ca</issuer_name></permissions>"), "signers-differ", "same"),
-        (*_manifest("<permisions/>"), "schema", "did you mean permissions?"),
+        (*_manifest("<permisions/>"), "schema", "did you mean 'permissions'?"),
         (
             *_manifest("<identities><identity><identity_path>identites.xml</identity_path></identity></identities>"),
             "file-missing",
-            "did you mean identities.xml?",
+            "did you mean 'identities.xml'?",
         ),
         (
             *_manifest("<identities><identity><defaults_path>../x.xml</defaults_path></identity></identities>"),
@@ -181,7 +181,7 @@ _DNS = '<identity name="{}"/>'
             "<identity/>",
             "<identity><cert><subject_name>CN={subjct}</subject_name></cert></identity>",
             "placeholder-unknown",
-            "did you mean subject?",
+            "did you mean 'subject'?",
         ),
         ("governance.xml", "<domain_rule/>", _RANGE, "domain-range", "exchange"),
         (
@@ -189,14 +189,14 @@ _DNS = '<identity name="{}"/>'
             "<domain_rule/>",
             "<domain_rule><rtps_protection_kind>SING</rtps_protection_kind></domain_rule>",
             "schema",
-            "did you mean SIGN?",
+            "did you mean 'SIGN'?",
         ),
         (
             "permissions.xml",
             '<grant name="/robot1/talker">',
             '<grant name="x"><subject_name>CN={nam}</subject_name>',
             "placeholder-unknown",
-            "did you mean name?",
+            "did you mean 'name'?",
         ),
     ],
 )

@@ -90,7 +90,7 @@ def test_defects_become_diagnostics(folder) -> None:
     assert found.where is not None
     assert found.where.file == f"{folder}/common/node.xml"
     assert found.where.chain[0].line == 4
-    assert found.help == "did you mean publish?"
+    assert found.help == "did you mean 'publish'?"
 
 
 def test_missing_policy_blames_who_names_it(tmp_path) -> None:
