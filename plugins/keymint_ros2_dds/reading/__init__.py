@@ -1,0 +1,1 @@
+"""Read signed and unsigned DDS Security documents into data types that know their lines."""
