@@ -25,11 +25,12 @@ from xml.sax.saxutils import escape
 from agreement import Enclaves
 from documents import Writer
 from keymint_ros2_dds import decision
-from keymint_ros2_dds.decision import VARIATIONS, Judge, governance
+from keymint_ros2_dds.decision import VARIATIONS, Judge
 from keymint_ros2_dds.decision.access import Governed
 from keymint_ros2_dds.lowering.lower import lower
 from keymint_ros2_dds.proving import Held, Question, prove_document
 from keymint_ros2_dds.proving.governing import Governing
+from keymint_ros2_dds.reading import governance_document
 from keymint_ros2_dds.transports.files import subject_name
 from keymint_ros2_dds.vendors import probes
 from keymint_ros2_dds.vendors.cyclone_access_control import AccessControl
@@ -327,7 +328,7 @@ class Bench:
 
     def modelled(self, case: Case, permissions: bytes, counts: Counter[str]) -> Iterator[str]:
         """Yield where the decision point does not decide as brute force does."""
-        document, ruling = decision.read(permissions), governance.read(governance_of(case))
+        document, ruling = decision.read(permissions), governance_document.read(governance_of(case))
         for model in MODELS:
             variation = VARIATIONS[model]
             for domain in DOMAINS:
@@ -348,7 +349,7 @@ class Bench:
             with AccessControl(
                 certificate=self.files["cert.pem"],
                 permissions_ca=ca,
-                governance=ruling,
+                governance_document=ruling,
                 permissions=signed,
                 domain=domain,
             ) as opened:

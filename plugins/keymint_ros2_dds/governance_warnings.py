@@ -15,12 +15,12 @@ from comarmor.patterns.glob import EVERYTHING, Glob, normalise
 from comarmor.patterns.proofs import escapes
 from comarmor.patterns.relations import union_covers
 from keymint.api import DomainRange, DomainRule, Package, TopicProtection
-from keymint_ros2_dds.decision.governance import ACCESS, JOIN, UNAUTHENTICATED
 from keymint_ros2_dds.documents import governance_document
 from keymint_ros2_dds.domains import in_words
 from keymint_ros2_dds.lowering.lower import Lowered, lower
 from keymint_ros2_dds.proving import lists, octets
 from keymint_ros2_dds.proving.protection import ACCEPT
+from keymint_ros2_dds.reading.governance_document import ACCESS, JOIN, UNAUTHENTICATED
 
 STATES = 20_000
 """States that a question may visit; what is given up counts as open."""

@@ -109,7 +109,7 @@ def expected(content: bytes, variation: Variation) -> list[bool] | None:
         document = decision.read(content)
     except KeymintError:
         return None
-    if not variation.semantics.refuses(document) and variation.semantics.untold(document):
+    if not variation.semantics.refusal(document) and variation.semantics.unmodelled(document):
         return None
     judge = Judge(document, "CN=/talker", datetime.now(UTC), 0, variation)
     return [judge.joins and judge.decide(*question).allowed for question in QUESTIONS]

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from keymint_ros2_dds.decision.document import PermissionsDocument, read
 from keymint_ros2_dds.decision.explain import explain
 from keymint_ros2_dds.decision.judge import Decision, Judge, Outcome, decide
 from keymint_ros2_dds.decision.semantics import (
@@ -14,6 +13,7 @@ from keymint_ros2_dds.decision.semantics import (
     Semantics,
     Variation,
 )
+from keymint_ros2_dds.reading.permissions_document import PermissionsDocument, read
 
 __all__ = [
     "CYCLONEDDS_0_10", "FASTDDS_2_9", "OMG", "VARIATIONS", "Decision", "Deviation", "Judge", "Outcome",

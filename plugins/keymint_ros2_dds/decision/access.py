@@ -6,13 +6,20 @@ its permissions are asked. A topic without a rule is refused.
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 
 from comarmor.errors import Origin
-from keymint_ros2_dds.decision.governance import ACCESS, DomainRule, GovernanceDocument
+from keymint_ros2_dds.decision import fnmatch
 from keymint_ros2_dds.decision.judge import Decision, Judge, Outcome
 from keymint_ros2_dds.decision.semantics import Semantics
+from keymint_ros2_dds.reading.governance_document import (
+    ACCESS,
+    DocumentDomainRule,
+    DocumentTopicRule,
+    GovernanceDocument,
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -31,12 +38,12 @@ class Governed:
     domain: int
     semantics: Semantics
     refusal: str
-    rule: DomainRule | None
+    rule: DocumentDomainRule | None
 
     @classmethod
     def of(cls, document: GovernanceDocument, domain: int, semantics: Semantics) -> Governed:
         """Read a document for a domain."""
-        refusal = semantics.governance_refuses(document) or semantics.governance_untold(document)
+        refusal = semantics.refusal(document) or semantics.unmodelled(document)
         rule = None if refusal else document.rule(domain, min_only_is_exact=semantics.min_only_is_exact)
         return cls(document, domain, semantics, refusal, rule)
 
@@ -74,11 +81,10 @@ class Governed:
         return self._by_topic(self.rule, judge, action, topic, partitions)
 
     def _by_topic(
-        self, domain_rule: DomainRule, judge: Judge, action: str, topic: str, partitions: Sequence[str]
+        self, domain_rule: DocumentDomainRule, judge: Judge, action: str, topic: str, partitions: Sequence[str]
     ) -> tuple[Decision, Origin | None]:
         """Decide by the permissions, if the governance wants them to be asked."""
-        both_ways = self.semantics.topic_rules_both_ways
-        rule = domain_rule.topic_rule(topic, self.semantics.fnmatch, both_ways=both_ways)
+        rule = self._topic_rule(domain_rule, topic)
         if rule is None:
             where = self.document.place(domain_rule.line)
             return Decision(Outcome.DENIED, 0, f"{where}: no topic rule is about {topic!r}"), where
@@ -88,3 +94,14 @@ class Governed:
             return Decision(Outcome.ALLOWED, 0, reason), where
         checked = rule.read_controlled and rule.write_controlled
         return judge.decide(action, topic, partitions, topic_checked=checked), None
+
+    def _topic_rule(self, domain_rule: DocumentDomainRule, topic: str) -> DocumentTopicRule | None:
+        """Return the first rule that matches a topic; see :attr:`Semantics.topic_rules_both_ways`."""
+        name, dialect = fnmatch.in_bytes(topic), self.semantics.fnmatch
+        for rule in domain_rule.topic_rules:
+            expression = fnmatch.in_bytes(rule.expression)
+            if expression == "*" or re.fullmatch(dialect(expression), name, re.DOTALL):
+                return rule
+            if self.semantics.topic_rules_both_ways and re.fullmatch(dialect(name), expression, re.DOTALL):
+                return rule
+        return None

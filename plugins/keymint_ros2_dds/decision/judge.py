@@ -15,9 +15,13 @@ from enum import StrEnum
 from functools import lru_cache
 
 from keymint_ros2_dds.decision import fnmatch
-from keymint_ros2_dds.decision.document import Criteria, Grant, PermissionsDocument, Rule
-from keymint_ros2_dds.decision.refusals import covers
 from keymint_ros2_dds.decision.semantics import OMG, Semantics, Variation
+from keymint_ros2_dds.reading.permissions_document import (
+    DocumentCriteria,
+    DocumentGrant,
+    DocumentRule,
+    PermissionsDocument,
+)
 
 Tags = tuple[tuple[str, str], ...]
 DEFAULT_PARTITION = ("",)
@@ -104,7 +108,7 @@ class Judge:
         self.joins = False
         self._default = False
         self._default_line = 0
-        refused = semantics.refuses(document) or semantics.untold(document)
+        refused = semantics.refusal(document) or semantics.unmodelled(document)
         self.refusal: Decision | None = None
         if refused:
             self.refusal = Decision(Outcome.ERROR, 0, refused)
@@ -195,7 +199,9 @@ def decide(
     return Judge(document, subject_name, now, domain, variation).decide(action, topic, partitions, tags)
 
 
-def _grant(document: PermissionsDocument, subject_name: str, now: datetime, semantics: Semantics) -> Grant | Decision:
+def _grant(
+    document: PermissionsDocument, subject_name: str, now: datetime, semantics: Semantics
+) -> DocumentGrant | Decision:
     """Return the grant that counts, or why there is none."""
     reason = f"no grant is about {subject_name!r}"
     found_line = 0
@@ -212,28 +218,28 @@ def _grant(document: PermissionsDocument, subject_name: str, now: datetime, sema
     return Decision(Outcome.ERROR, found_line, f"{place}: {reason}")
 
 
-def _holds(rule: Rule, domain: int, semantics: Semantics) -> bool:
+def _holds(rule: DocumentRule, domain: int, semantics: Semantics) -> bool:
     exact = semantics.min_only_is_exact
-    return not semantics.domains_count or any(covers(each, domain, min_only_is_exact=exact) for each in rule.domains)
+    return not semantics.domains_count or any(each.contain(domain, min_only_is_exact=exact) for each in rule.domains)
 
 
-def _steps(rules: Iterable[Rule], semantics: Semantics) -> Iterator[_Step]:
+def _steps(rules: Iterable[DocumentRule], semantics: Semantics) -> Iterator[_Step]:
     for rule in rules:
         for group in _groups(rule, semantics):
             yield _step(rule, group, semantics)
 
 
-def _groups(rule: Rule, semantics: Semantics) -> Iterable[Sequence[Criteria]]:
+def _groups(rule: DocumentRule, semantics: Semantics) -> Iterable[Sequence[DocumentCriteria]]:
     """Return criteria that are asked together: each by itself, or all of an action."""
     if not semantics.pools_criteria:
         return [[criteria] for criteria in rule.criteria]
-    pooled: dict[str, list[Criteria]] = {}
+    pooled: dict[str, list[DocumentCriteria]] = {}
     for criteria in rule.criteria:
         pooled.setdefault(criteria.action, []).append(criteria)
     return pooled.values()
 
 
-def _step(rule: Rule, group: Sequence[Criteria], semantics: Semantics) -> _Step:
+def _step(rule: DocumentRule, group: Sequence[DocumentCriteria], semantics: Semantics) -> _Step:
     if rule.allows:
         everywhere = False
     else:

@@ -13,19 +13,11 @@ from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
 from typing import Any
 
-from keymint_ros2_dds.decision import dates, fnmatch, governance, subjects
-from keymint_ros2_dds.decision.document import BLANKS, Grant, PermissionsDocument, Rule
-from keymint_ros2_dds.decision.refusals import (
-    cyclone_refuses,
-    cyclone_untold,
-    fast_refuses,
-    fast_untold,
-    nothing_untold,
-    schema_refuses,
-)
-
-Refusal = Callable[[PermissionsDocument], str]
-"""Returns why a document is refused as a whole, or an empty text."""
+from keymint_ros2_dds.decision import fnmatch, strictness, subjects
+from keymint_ros2_dds.decision.strictness import Parser
+from keymint_ros2_dds.reading import dates
+from keymint_ros2_dds.reading.governance_document import GovernanceDocument
+from keymint_ros2_dds.reading.permissions_document import BLANKS, DocumentGrant, DocumentRule, PermissionsDocument
 
 
 def trimmed(text: str) -> str:
@@ -46,8 +38,7 @@ class Semantics:
     """How a permissions document is read.
 
     Attributes:
-        refuses: whether a document is refused as a whole, and why.
-        untold: whether what is made of the document is not known, and why.
+        parser: whose parser reads the documents; it decides which documents are refused, and which are not modelled.
         c_numbers: domain ids are read as in C.
         first_piece: a text ends at its first comment or CDATA section.
         default_ends: nothing that follows the default is looked at.
@@ -67,13 +58,10 @@ class Semantics:
         topic_check: the first criteria that name the topic, in any direction, decide whether there is a topic at all.
         tags_count: data tags are looked at.
         needs_rule_to_join: a participant needs a rule that allows something, whatever the governance document says.
-        governance_refuses: whether a governance document is refused as a whole, and why.
-        governance_untold: whether what is made of a governance document is not known, and why.
         topic_rules_both_ways: the name of a topic is taken for an expression about those of topic rules, too.
     """
 
-    refuses: Refusal = schema_refuses
-    untold: Refusal = nothing_untold
+    parser: Parser = Parser.STANDARD
     c_numbers: bool = False
     first_piece: bool = False
     default_ends: bool = False
@@ -93,20 +81,26 @@ class Semantics:
     topic_check: bool = False
     tags_count: bool = True
     needs_rule_to_join: bool = False
-    governance_refuses: governance.Refusal = governance.schema_refuses
-    governance_untold: governance.Refusal = governance.nothing_untold
     topic_rules_both_ways: bool = False
 
-    def grants(self, document: PermissionsDocument, subject_name: str) -> Sequence[Grant]:
+    def refusal(self, document: PermissionsDocument | GovernanceDocument) -> str:
+        """Return why the parser refuses a document, or an empty text."""
+        return strictness.refusal(document, self.parser)
+
+    def unmodelled(self, document: PermissionsDocument | GovernanceDocument) -> str:
+        """Return why it is not known how the parser reads a document, or an empty text."""
+        return strictness.unmodelled(document, self.parser)
+
+    def grants(self, document: PermissionsDocument, subject_name: str) -> Sequence[DocumentGrant]:
         """Return the grants that are about an identity, in the order of the document."""
         grants = document.read_as(c_numbers=self.c_numbers, first_piece=self.first_piece)
         return [each for each in grants if self.selects(self.reads_text(each.subject_name), subject_name)]
 
-    def rules(self, grant: Grant) -> Sequence[Rule]:
+    def rules(self, grant: DocumentGrant) -> Sequence[DocumentRule]:
         """Return the rules of a grant that count."""
         return grant.rules[: grant.before_default] if self.default_ends else grant.rules
 
-    def period(self, grant: Grant) -> tuple[datetime, datetime] | None:
+    def period(self, grant: DocumentGrant) -> tuple[datetime, datetime] | None:
         """Return when a grant is valid, both ends included; None is never."""
         begin, end = self.date(grant.not_before), self.date(grant.not_after)
         if begin is None and self.no_beginning_holds:
@@ -179,8 +173,7 @@ CYCLONE_DEVIATIONS = (
     _on("9", "topic-check", "the first rule that names a topic decides whether it exists, whatever its direction",
         topic_check=True),
     _on("11", "strictness", "domain ids above 230, foreign attributes, and what is without its ends are refused",
-        refuses=cyclone_refuses, untold=cyclone_untold,
-        governance_refuses=governance.cyclone_refuses, governance_untold=governance.cyclone_untold),
+        parser=Parser.CYCLONE),
     _on("12", "min-only", "a range of domains with a minimum alone is that one domain", min_only_is_exact=True),
     _on("15", "late-dates", "a date that does not fit 64 bits of nanoseconds, or is none, is over",
         date=dates.cyclone, no_beginning_holds=True),
@@ -202,8 +195,7 @@ FAST_DEVIATIONS = (
     _on("7", "deny-topic", "a deny rule denies the topic in every partition, also if it lists some", deny_topic=True),
     _on("10", "domains-unused", "rules of other domains count as well in local checks", domains_count=False),
     _on("11", "strictness", "a grant without a name or default, and empty lists, are refused",
-        refuses=fast_refuses, untold=fast_untold,
-        governance_refuses=governance.fast_refuses, governance_untold=governance.fast_untold),
+        parser=Parser.FAST),
     _on("12", "min-only", "a range of domains with a minimum alone is that one domain", min_only_is_exact=True),
     _on("14", "zone-ignored", "the zone of a date is ignored", date=dates.fast),
     _on("16", "blank-text", "a text of white space alone is empty", reads_text=unless_blank),

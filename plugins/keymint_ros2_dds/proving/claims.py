@@ -26,7 +26,6 @@ from keymint.ir import SubjectRules
 from keymint_ros2_dds import decision
 from keymint_ros2_dds.decision import OMG, VARIATIONS, Decision, Judge, Variation
 from keymint_ros2_dds.decision.access import Governed
-from keymint_ros2_dds.decision.document import Grant, PermissionsDocument
 from keymint_ros2_dds.decision.semantics import Semantics
 from keymint_ros2_dds.lowering.lower import Lowered
 from keymint_ros2_dds.proving import lists, octets, policy, protection
@@ -34,6 +33,7 @@ from keymint_ros2_dds.proving.eras import Era, eras_of, joined
 from keymint_ros2_dds.proving.governing import Governing, cuts
 from keymint_ros2_dds.proving.opening import NOTHING, REFUSED, WILDCARDS, Regions, regions, without_wildcards
 from keymint_ros2_dds.proving.opening import difference as governed_difference
+from keymint_ros2_dds.reading.permissions_document import DocumentGrant, PermissionsDocument
 
 ACTIONS = ("publish", "subscribe")
 LAST_DOMAIN = 232
@@ -183,22 +183,22 @@ class _Model:
         self._comparison = comparison
         self._variation = VARIATIONS[name]
         self._semantics = _semantics(name)
-        self._refused = self._semantics.refuses(question.document)
-        self._untold = "" if self._refused else self._semantics.untold(question.document)
+        self._refused = self._semantics.refusal(question.document)
+        self._unmodelled = "" if self._refused else self._semantics.unmodelled(question.document)
         self._governing = question.governing
         self._governed: dict[int, Governed] = {}
         if self._governing is not None:
-            self._refused = self._refused or self._semantics.governance_refuses(self._governing.document)
+            self._refused = self._refused or self._semantics.refusal(self._governing.document)
             if not self._refused:
                 governance = self._governing.document
-                odd = self._semantics.governance_untold(governance) or self._governing.outlandish()
-                self._untold = self._untold or odd
+                odd = self._semantics.unmodelled(governance) or self._governing.outlandish()
+                self._unmodelled = self._unmodelled or odd
         self._eras = (
             () if self._refused else tuple(eras_of(question.document, question.held.subject_name, self._semantics))
         )
         grants = [era.grant for era in self._eras]
         about = (question.document, grants, question.held.rules, self._semantics)
-        self._untold = self._untold or octets.ambiguous(*about)
+        self._unmodelled = self._unmodelled or octets.ambiguous(*about)
         self._by_locale = octets.by_locale(*about)
 
     def claims(self) -> Iterator[Claim]:
@@ -209,7 +209,7 @@ class _Model:
                 # That nothing is permitted where the policy does not hold is said only where it is wrong.
                 if inside or claim.proof is not Proof.PROVEN:
                     yield claim
-        if self._governing is not None and not self._refused and not self._untold:
+        if self._governing is not None and not self._refused and not self._unmodelled:
             names = Universe(octets.ALPHABET, last_nonempty=True)
             subject, model = self._question.held.rules.subject, self._variation.name
             yield from protection.claims(subject, model, self._semantics, self._governing, names, self._budget())
@@ -268,8 +268,8 @@ class _Model:
             name = self._variation.name
             return Claim(name, action, domains, universe, proof, reason, counterexample, spent, excepted)
 
-        if self._untold:
-            return claim(Proof.UNKNOWN, self._untold)
+        if self._unmodelled:
+            return claim(Proof.UNKNOWN, self._unmodelled)
         domain = domains[0].first
         try:
             found = [(era, self._compare(era, action, domain, inside=inside)) for era in self._eras or (None,)]
@@ -289,7 +289,7 @@ class _Model:
         permitted = _NONE if era is None else self._permitted(era.grant, action, domain, inside=inside)
         return self._comparison.of(action, permitted, inside=inside)
 
-    def _permitted(self, grant: Grant, action: str, domain: int, *, inside: bool) -> _Permitted:
+    def _permitted(self, grant: DocumentGrant, action: str, domain: int, *, inside: bool) -> _Permitted:
         """Return what is permitted while a grant is in force."""
         pairs, semantics = self._comparison.pairs, self._semantics
         own = lists.of_grant(grant, domain, action, semantics, pairs=pairs)

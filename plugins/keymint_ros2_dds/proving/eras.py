@@ -8,8 +8,8 @@ from datetime import UTC, datetime, timedelta
 from itertools import pairwise
 
 from keymint.api import DomainRange
-from keymint_ros2_dds.decision.document import Grant, PermissionsDocument
 from keymint_ros2_dds.decision.semantics import Semantics
+from keymint_ros2_dds.reading.permissions_document import DocumentGrant, PermissionsDocument
 
 _SECOND = timedelta(seconds=1)
 _LAST_MOMENT = datetime.max.replace(tzinfo=UTC) - _SECOND
@@ -19,7 +19,7 @@ _LAST_MOMENT = datetime.max.replace(tzinfo=UTC) - _SECOND
 class Era:
     """A time at which a grant is in force; others may follow in which it is, too."""
 
-    grant: Grant
+    grant: DocumentGrant
     begin: datetime
     end: datetime
 

@@ -9,11 +9,17 @@ from itertools import pairwise
 
 from comarmor.patterns.glob import GlobError
 from keymint.api import DomainRange, Governance
-from keymint_ros2_dds.decision import governance
-from keymint_ros2_dds.decision.governance import ACCESS, JOIN, UNAUTHENTICATED, DomainRule, GovernanceDocument
 from keymint_ros2_dds.decision.semantics import STANDARD
 from keymint_ros2_dds.documents import governance_document as sources
 from keymint_ros2_dds.proving.opening import regions
+from keymint_ros2_dds.reading import governance_document
+from keymint_ros2_dds.reading.governance_document import (
+    ACCESS,
+    JOIN,
+    UNAUTHENTICATED,
+    DocumentDomainRule,
+    GovernanceDocument,
+)
 
 ACTIONS = ("publish", "subscribe")
 
@@ -57,14 +63,14 @@ class Governing:
             built, _ = sources.build(said, subject, distro, allow_vendor_specific=True)
         accepted = said is not None and said.accepts_open
         key = hashlib.sha256(repr((content, place, built, accepted)).encode()).digest()
-        own = governance.read(built) if built else None
-        return cls(governance.read(content, *place), own, accepted, key, content != built)
+        own = governance_document.read(built) if built else None
+        return cls(governance_document.read(content, *place), own, accepted, key, content != built)
 
-    def source_rule(self, domain: int) -> DomainRule | None:
+    def source_rule(self, domain: int) -> DocumentDomainRule | None:
         """Return the rule of the sources for a domain."""
         return None if self.sources is None else self.sources.rule(domain)
 
-    def accepted_rule(self, domain: int) -> DomainRule | None:
+    def accepted_rule(self, domain: int) -> DocumentDomainRule | None:
         """Return the rule whose openings are accepted in a domain."""
         return self.source_rule(domain) if self.accepted else None
 
@@ -112,7 +118,7 @@ class Governing:
             for action in ACTIONS
         )
 
-    def excepted(self, rule: DomainRule, action: str, domain: int) -> Iterator[str]:
+    def excepted(self, rule: DocumentDomainRule, action: str, domain: int) -> Iterator[str]:
         """Yield what a rule of the document leaves open in a domain, as far as that may be accepted."""
         own = self.accepted_rule(domain)
         if own is None:

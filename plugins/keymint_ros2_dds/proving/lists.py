@@ -13,19 +13,18 @@ from comarmor.patterns.decision_lists import Block, DecisionList
 from comarmor.patterns.glob import EVERYTHING, Glob, normalise, parse
 from comarmor.patterns.relations import matches
 from comarmor.rules import Effect
-from keymint_ros2_dds.decision.document import Criteria, Grant, Rule
-from keymint_ros2_dds.decision.refusals import covers
 from keymint_ros2_dds.decision.semantics import Semantics
 from keymint_ros2_dds.lowering.lower import Lowered, Partitions
 from keymint_ros2_dds.lowering.mapping import Action
 from keymint_ros2_dds.proving import octets
 from keymint_ros2_dds.proving.dialects import read
+from keymint_ros2_dds.reading.permissions_document import DocumentCriteria, DocumentGrant, DocumentRule
 
 SEPARATOR = "\0"
 _DEFAULT: Glob = ()
 
 
-def has_partitions(lowered: Lowered, grants: Iterable[Grant]) -> bool:
+def has_partitions(lowered: Lowered, grants: Iterable[DocumentGrant]) -> bool:
     """Tell whether anything may be allowed outside of the default partition, by the policy or by a document."""
     return any(listed not in {(), ("",)} for side in lowered.allow.values() for _, listed in side) or any(
         grant.allows  # by default, in every partition
@@ -58,7 +57,9 @@ def of_policy(lowered: Lowered, action: str, *, pairs: bool) -> DecisionList:
     return tuple(found)
 
 
-def of_grant(grant: Grant, domain: int, action: str, semantics: Semantics, *, pairs: bool) -> tuple[DecisionList, ...]:
+def of_grant(
+    grant: DocumentGrant, domain: int, action: str, semantics: Semantics, *, pairs: bool
+) -> tuple[DecisionList, ...]:
     """Return decision lists of which all must permit a word: the endpoint's, and the topic's where it is checked.
 
     Args:
@@ -79,14 +80,14 @@ def of_grant(grant: Grant, domain: int, action: str, semantics: Semantics, *, pa
     return tuple(lists)
 
 
-def holds(rule: Rule, domain: int, semantics: Semantics) -> bool:
+def holds(rule: DocumentRule, domain: int, semantics: Semantics) -> bool:
     """Tell whether a rule is about a domain."""
     if not semantics.domains_count:
         return True
-    return any(covers(each, domain, min_only_is_exact=semantics.min_only_is_exact) for each in rule.domains)
+    return any(each.contain(domain, min_only_is_exact=semantics.min_only_is_exact) for each in rule.domains)
 
 
-def _endpoints(rules: Iterable[Rule], action: str, semantics: Semantics, *, pairs: bool) -> Iterator[Block]:
+def _endpoints(rules: Iterable[DocumentRule], action: str, semantics: Semantics, *, pairs: bool) -> Iterator[Block]:
     for rule in rules:
         own = [criteria for criteria in rule.criteria if criteria.action == action]
         for together in [own] if semantics.pools_criteria and own else [[criteria] for criteria in own]:
@@ -99,7 +100,7 @@ def _endpoints(rules: Iterable[Rule], action: str, semantics: Semantics, *, pair
                 yield Block(False, named)
 
 
-def _topics(rules: Iterable[Rule], semantics: Semantics, *, pairs: bool) -> Iterator[Block]:
+def _topics(rules: Iterable[DocumentRule], semantics: Semantics, *, pairs: bool) -> Iterator[Block]:
     """Yield the steps of the topic check: by the first criteria that name the topic, whatever their direction."""
     for rule in rules:
         for criteria in rule.criteria:
@@ -108,7 +109,7 @@ def _topics(rules: Iterable[Rule], semantics: Semantics, *, pairs: bool) -> Iter
                 yield Block(rule.allows, _words((EVERYTHING,), topics, pairs=pairs))
 
 
-def _partitions(rule: Rule, together: Sequence[Criteria], semantics: Semantics) -> tuple[Glob, ...]:
+def _partitions(rule: DocumentRule, together: Sequence[DocumentCriteria], semantics: Semantics) -> tuple[Glob, ...]:
     unlisted = any(criteria.partitions is None for criteria in together)
     if not rule.allows and (semantics.deny_topic or (unlisted and not semantics.deny_default)):
         return (EVERYTHING,)

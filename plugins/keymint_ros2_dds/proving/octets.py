@@ -18,9 +18,9 @@ from collections.abc import Iterable, Iterator
 from comarmor.patterns.glob import Glob, charset
 from keymint.ir import SubjectRules
 from keymint_ros2_dds.decision import fnmatch
-from keymint_ros2_dds.decision.document import Grant, PermissionsDocument
 from keymint_ros2_dds.decision.semantics import Semantics
 from keymint_ros2_dds.lowering.mapping import Action
+from keymint_ros2_dds.reading.permissions_document import DocumentGrant, PermissionsDocument
 
 ALPHABET = charset([(0x01, 0xFF)])
 """The bytes of a name."""
@@ -49,7 +49,9 @@ def in_text(name: str) -> str:
     return name if name.isascii() else name.encode("latin-1").decode("utf-8", "surrogateescape")
 
 
-def ambiguous(document: PermissionsDocument, grants: Iterable[Grant], rules: SubjectRules, semantics: Semantics) -> str:
+def ambiguous(
+    document: PermissionsDocument, grants: Iterable[DocumentGrant], rules: SubjectRules, semantics: Semantics
+) -> str:
     """Return why expressions cannot be read as bytes: a set with members beyond ASCII; empty if they can.
 
     Args:
@@ -64,7 +66,9 @@ def ambiguous(document: PermissionsDocument, grants: Iterable[Grant], rules: Sub
     return ""
 
 
-def by_locale(document: PermissionsDocument, grants: Iterable[Grant], rules: SubjectRules, semantics: Semantics) -> str:
+def by_locale(
+    document: PermissionsDocument, grants: Iterable[DocumentGrant], rules: SubjectRules, semantics: Semantics
+) -> str:
     """Return why a claim that is proven over bytes is not made, as expressions depend on the locale; empty if it is.
 
     Args: as of :func:`ambiguous`.
@@ -86,7 +90,7 @@ def by_locale(document: PermissionsDocument, grants: Iterable[Grant], rules: Sub
 
 
 def _all(
-    document: PermissionsDocument, grants: Iterable[Grant], rules: SubjectRules, semantics: Semantics
+    document: PermissionsDocument, grants: Iterable[DocumentGrant], rules: SubjectRules, semantics: Semantics
 ) -> Iterator[tuple[str, str]]:
     """Yield the expressions of a document and of a policy, each with its place."""
     for expression, line in _expressions(grants, semantics):
@@ -96,7 +100,7 @@ def _all(
             yield expression, str(rule.origin)
 
 
-def _expressions(grants: Iterable[Grant], semantics: Semantics) -> Iterator[tuple[str, int]]:
+def _expressions(grants: Iterable[DocumentGrant], semantics: Semantics) -> Iterator[tuple[str, int]]:
     """Yield the expressions that count, each with its line."""
     for grant in grants:
         for rule in semantics.rules(grant):

@@ -23,10 +23,10 @@ from comarmor.patterns.decision_lists import (
 )
 from comarmor.patterns.glob import EVERYTHING, Charset, Glob, normalise
 from comarmor.patterns.proofs import escapes
-from keymint_ros2_dds.decision.governance import DomainRule
 from keymint_ros2_dds.decision.semantics import Semantics
 from keymint_ros2_dds.proving.dialects import read
 from keymint_ros2_dds.proving.lists import SEPARATOR
+from keymint_ros2_dds.reading.governance_document import DocumentDomainRule
 
 WILDCARDS = "*?["
 """Fast DDS takes the name of a topic for an expression about the expressions of topic rules, too. It makes no
@@ -57,7 +57,7 @@ REFUSED = Regions(NOTHING, NOTHING, NOTHING, closed=False)
 
 
 @lru_cache(maxsize=256)
-def regions(rule: DomainRule, action: str, semantics: Semantics, *, pairs: bool) -> Regions:
+def regions(rule: DocumentDomainRule, action: str, semantics: Semantics, *, pairs: bool) -> Regions:
     """Return what a domain rule makes of topics.
 
     Args:

@@ -15,19 +15,19 @@ from comarmor.patterns.proofs import escapes
 from keymint.api import Claim, Counterexample, DomainRange, PolicyDecision, Proof, Verdict
 from keymint.graph import Edge, Object
 from keymint_ros2_dds.decision.access import Governed
-from keymint_ros2_dds.decision.governance import (
+from keymint_ros2_dds.decision.semantics import Semantics
+from keymint_ros2_dds.proving import octets
+from keymint_ros2_dds.proving.governing import Governing, cuts
+from keymint_ros2_dds.proving.opening import patterns
+from keymint_ros2_dds.reading.governance_document import (
     ACCESS,
     DOMAIN_PROTECTIONS,
     JOIN,
     TOPIC_PROTECTIONS,
     UNAUTHENTICATED,
-    DomainRule,
-    TopicRule,
+    DocumentDomainRule,
+    DocumentTopicRule,
 )
-from keymint_ros2_dds.decision.semantics import Semantics
-from keymint_ros2_dds.proving import octets
-from keymint_ros2_dds.proving.governing import Governing, cuts
-from keymint_ros2_dds.proving.opening import patterns
 
 LAST_DOMAIN = 232
 JOINS = "every participant"
@@ -101,7 +101,9 @@ def claims(
                 yield _protect(subject, model, governing, domains, found)
 
 
-def _join(subject: str, model: str, governing: Governing, domains: DomainRange, rule: DomainRule, tag: str) -> Claim:
+def _join(
+    subject: str, model: str, governing: Governing, domains: DomainRange, rule: DocumentDomainRule, tag: str
+) -> Claim:
     where = governing.document.place(rule.line_of(tag))
     who = {
         JOIN: f"{JOIN} is false: every identity of the authority may join",
@@ -129,13 +131,13 @@ def _protect(subject: str, model: str, governing: Governing, domains: DomainRang
     return Claim(model, "protect", (domains,), PROTECTED, Proof.COUNTEREXAMPLE, "", example)
 
 
-STRICT = DomainRule(
+STRICT = DocumentDomainRule(
     (),
     join_controlled=True,
     unauthenticated=False,
     protections=("NONE",) * len(DOMAIN_PROTECTIONS),
     topic_rules=(
-        TopicRule(
+        DocumentTopicRule(
             "*", read_controlled=True, write_controlled=True, protections=("false", "false", "NONE", "NONE"), line=0
         ),
     ),
@@ -145,8 +147,8 @@ STRICT = DomainRule(
 
 
 def weaker(
-    signed: DomainRule,
-    said: DomainRule,
+    signed: DocumentDomainRule,
+    said: DocumentDomainRule,
     semantics: Semantics,
     universe: Universe,
     budget: SearchBudget,
@@ -184,7 +186,7 @@ def weaker(
     yield from found.values()
 
 
-def _weaker_domain(signed: DomainRule, said: DomainRule, *, access: bool) -> Iterator[Weaker]:
+def _weaker_domain(signed: DocumentDomainRule, said: DocumentDomainRule, *, access: bool) -> Iterator[Weaker]:
     for tag, text, wanted in zip(DOMAIN_PROTECTIONS, signed.protections, said.protections, strict=True):
         if _lacks(text, wanted):
             yield Weaker(signed.line_of(tag), tag, text, wanted)
@@ -194,7 +196,7 @@ def _weaker_domain(signed: DomainRule, said: DomainRule, *, access: bool) -> Ite
         yield Weaker(signed.line_of(UNAUTHENTICATED), UNAUTHENTICATED, "true", "false")
 
 
-def _lacking(rule: TopicRule, own: TopicRule, *, access: bool) -> Iterator[tuple[str, str, str]]:
+def _lacking(rule: DocumentTopicRule, own: DocumentTopicRule, *, access: bool) -> Iterator[tuple[str, str, str]]:
     """Yield each element in which a topic rule is weaker than another one, and what both say."""
     for tag, text, wanted in zip(TOPIC_PROTECTIONS, rule.protections, own.protections, strict=True):
         if _lacks(text, wanted):
@@ -208,7 +210,7 @@ def _lacks(text: str, wanted: str) -> bool:
     return not _QUALITIES.get(wanted, set()) <= _QUALITIES.get(text, set())
 
 
-def _regions(rule: DomainRule, semantics: Semantics) -> Iterator[tuple[TopicRule, DecisionList]]:
+def _regions(rule: DocumentDomainRule, semantics: Semantics) -> Iterator[tuple[DocumentTopicRule, DecisionList]]:
     """Yield each topic rule with the list that permits the topics that it decides."""
     before: tuple[Block, ...] = ()
     for each in rule.topic_rules:

@@ -13,9 +13,9 @@ from keymint.errors import KeymintError
 from keymint.pki import certificates, names
 from keymint_ros2_dds import revocation
 from keymint_ros2_dds.decision import VARIATIONS, PermissionsDocument
-from keymint_ros2_dds.decision.document import Grant
 from keymint_ros2_dds.decision.semantics import Semantics
 from keymint_ros2_dds.layout import CA, CERTIFICATE, CRL, IDENTITY_CA, PERMISSIONS_CA
+from keymint_ros2_dds.reading.permissions_document import DocumentGrant
 
 Period = tuple[datetime, datetime]
 _SECOND = timedelta(seconds=1)
@@ -63,7 +63,7 @@ def of_grants(document: PermissionsDocument, subject_name: str) -> Iterator[Term
     together: dict[tuple[int, tuple[Period, ...]], list[str]] = {}
     for name in VARIATIONS:
         semantics = _semantics(name)
-        if semantics.refuses(document) or semantics.untold(document):
+        if semantics.refusal(document) or semantics.unmodelled(document):
             continue
         grants = semantics.grants(document, subject_name)
         counting = grants if semantics.passes_over_invalid else grants[:1]
@@ -86,7 +86,7 @@ def joined(periods: Iterable[Period]) -> tuple[Period, ...]:
     return tuple(found)
 
 
-def _periods(grants: Iterable[Grant], semantics: Semantics) -> Iterator[Period]:
+def _periods(grants: Iterable[DocumentGrant], semantics: Semantics) -> Iterator[Period]:
     for grant in grants:
         period = semantics.period(grant)
         if period is not None:

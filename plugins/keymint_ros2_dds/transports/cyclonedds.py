@@ -13,8 +13,7 @@ from keymint.errors import KeymintError
 from keymint.graph import Edge
 from keymint.pki import smime
 from keymint_ros2_dds import decision
-from keymint_ros2_dds.decision import CYCLONEDDS_0_10
-from keymint_ros2_dds.decision.refusals import stops_cyclone
+from keymint_ros2_dds.decision import CYCLONEDDS_0_10, strictness
 from keymint_ros2_dds.layout import PERMISSIONS_P7S
 from keymint_ros2_dds.lowering.endpoints import endpoints
 from keymint_ros2_dds.transports import files, real
@@ -81,7 +80,7 @@ def _open(folder: Path, domain: int, stack: ExitStack) -> AccessControl | str:
     """
     try:
         signed = files.content(folder, PERMISSIONS_P7S)
-        stops = stops_cyclone(decision.read(smime.signed_content(signed, Origin(PERMISSIONS_P7S))))
+        stops = strictness.crash(decision.read(smime.signed_content(signed, Origin(PERMISSIONS_P7S))))
     except KeymintError as error:
         files.raise_if_unread(error, folder)
         return str(error)

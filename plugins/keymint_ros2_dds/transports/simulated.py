@@ -14,10 +14,11 @@ from keymint.errors import KeymintError
 from keymint.graph import Edge
 from keymint.pki import smime
 from keymint_ros2_dds import decision
-from keymint_ros2_dds.decision import OMG, Decision, Judge, Outcome, Variation, governance
+from keymint_ros2_dds.decision import OMG, Decision, Judge, Outcome, Variation
 from keymint_ros2_dds.decision.access import Governed
 from keymint_ros2_dds.layout import CERTIFICATE, GOVERNANCE_P7S, PERMISSIONS_P7S
 from keymint_ros2_dds.lowering.endpoints import endpoints
+from keymint_ros2_dds.reading import governance_document
 from keymint_ros2_dds.transports import files
 
 
@@ -46,7 +47,7 @@ class Court:
                 name: smime.verify(content, authority, at=now, where=Origin(name)) for name, content in signed.items()
             }
             self._document = decision.read(verified[PERMISSIONS_P7S])
-            self._governance = governance.read(verified[GOVERNANCE_P7S])
+            self._governance = governance_document.read(verified[GOVERNANCE_P7S])
             self._subject_name = files.subject_name(files.content(folder, CERTIFICATE), Origin(CERTIFICATE))
         except KeymintError as error:
             files.raise_if_unread(error, folder)

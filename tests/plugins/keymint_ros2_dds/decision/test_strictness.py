@@ -3,16 +3,8 @@
 from __future__ import annotations
 
 import pytest
-from keymint_ros2_dds.decision import (
-    CYCLONEDDS_0_10,
-    FASTDDS_2_9,
-    OMG,
-    PermissionsDocument,
-    dates,
-    numbers,
-    read,
-    refusals,
-)
+from keymint_ros2_dds.decision import CYCLONEDDS_0_10, FASTDDS_2_9, OMG, PermissionsDocument, read, strictness
+from keymint_ros2_dds.reading import dates, domain_ids
 from lxml import etree
 
 from keymint.errors import KeymintError
@@ -32,9 +24,9 @@ NAMESPACE = b' xmlns:xsi="http://www.w3.org/2001/XMLSchema-instance"'
 
 def does(found: PermissionsDocument, variation) -> str:
     semantics = variation.semantics
-    if semantics.refuses(found):
+    if semantics.refusal(found):
         return REFUSES
-    return UNKNOWN if semantics.untold(found) else READS
+    return UNKNOWN if semantics.unmodelled(found) else READS
 
 
 @pytest.mark.parametrize(
@@ -149,7 +141,7 @@ def test_nothing_that_the_schema_refuses_is_taken_for_plain() -> None:
             continue  # it is not read at all
         if found.defects:
             wrong += 1
-            kinds = [each for each in refusals.peculiarities(found) if each.invalid]
+            kinds = [each for each in strictness.peculiarities(found) if each.invalid]
             assert kinds, content
             assert not any("the schema does not allow" in each.text for each in kinds), (content, found.defects)
     assert wrong > 100
@@ -158,7 +150,7 @@ def test_nothing_that_the_schema_refuses_is_taken_for_plain() -> None:
 def test_a_reason_names_the_line_of_the_file() -> None:
     content = PLAIN.replace(b"<publish>", b"<publish a='1'>", 1)
     line = content[: content.index(b"<publish a")].count(b"\n") + 1
-    reason = CYCLONEDDS_0_10.semantics.refuses(read(content, "p.p7s", 10))
+    reason = CYCLONEDDS_0_10.semantics.refusal(read(content, "p.p7s", 10))
     assert reason == f"p.p7s:{line + 10}: Cyclone DDS refuses the attribute 'a' of <publish>"
 
 
@@ -168,7 +160,7 @@ def test_a_reason_names_the_line_of_the_file() -> None:
      ("99999999999999999999", None), ("-4294967295", 1)],
 )  # fmt: skip
 def test_numbers_as_in_c(text: str, found: int | None) -> None:
-    assert numbers.in_c(text) == (numbers.REFUSED if found is None else found)
+    assert domain_ids.in_c(text) == (domain_ids.REFUSED if found is None else found)
 
 
 @pytest.mark.parametrize(

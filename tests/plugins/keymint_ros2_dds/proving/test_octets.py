@@ -97,7 +97,7 @@ def test_a_class_of_characters_has_other_members_in_other_locales():
 def test_a_line_end_within_a_name_is_not_part_of_the_model_of_cyclone():
     found = stands(Case((), ("a\nb",), ((True, ("a\nb",)),)))
     assert found["cyclonedds-0.10"][0] is Proof.UNKNOWN
-    assert "permissions.xml:2: what Cyclone DDS makes of a line end within a name" in found["cyclonedds-0.10"][1]
+    assert "xml:2: how Cyclone DDS reads a line end within a name is not modelled" in found["cyclonedds-0.10"][1]
     assert found["fastdds-2.9"] == (Proof.PROVEN, "")
 
 

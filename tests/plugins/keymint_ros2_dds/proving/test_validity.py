@@ -53,7 +53,7 @@ def test_a_document_is_in_force_exactly_when_the_decision_point_finds_a_grant(da
     found = {model: term.periods for term in of_grants(read, NAME) for model in term.models}
     for model, variation in VARIATIONS.items():
         semantics = variation.semantics
-        if semantics.refuses(read) or semantics.untold(read):
+        if semantics.refusal(read) or semantics.unmodelled(read):
             assert model not in found
             continue
         ends = [end for period in found[model] for end in period]

@@ -17,8 +17,8 @@ from comarmor.errors import ComArmorError, Diagnostic, Origin, Severity
 from comarmor.xml import schema
 from comarmor.xml.reader import line, parse
 from keymint.errors import KeymintError
-from keymint_ros2_dds.decision import numbers, peculiar
-from keymint_ros2_dds.decision.peculiar import Peculiarity
+from keymint_ros2_dds.reading import domain_ids, quirks
+from keymint_ros2_dds.reading.quirks import Quirk
 
 ACTIONS = ("publish", "subscribe", "relay")
 BLANKS = " \t\v\r\n"
@@ -28,7 +28,7 @@ _WHOLE = re.compile(r"[+-]?[0-9]+")
 
 
 @dataclass(frozen=True, slots=True)
-class Domains:
+class DocumentDomains:
     """Domain ids from ``first`` to ``last``; None where the document leaves an end of the range open.
 
     ``texts`` are the numbers as they are written.
@@ -38,9 +38,21 @@ class Domains:
     last: int | None
     texts: tuple[str, ...] = ()
 
+    def contain(self, domain: int, *, min_only_is_exact: bool) -> bool:
+        """Tell whether a domain id is in the range.
+
+        Args:
+            domain: DDS domain id.
+            min_only_is_exact: a range that has only a minimum is that one domain.
+        """
+        first, last = self.first or 0, self.last
+        if last is None:
+            return domain == first if min_only_is_exact else domain >= first
+        return first <= domain <= last
+
 
 @dataclass(frozen=True, slots=True)
-class Criteria:
+class DocumentCriteria:
     """One ``<publish>``, ``<subscribe>`` or ``<relay>`` of a rule.
 
     Attributes:
@@ -61,18 +73,18 @@ class Criteria:
 
 
 @dataclass(frozen=True, slots=True)
-class Rule:
+class DocumentRule:
     """An ``<allow_rule>`` or a ``<deny_rule>``; it is bounded if there is a ``<domains>``, be it empty."""
 
     allows: bool
-    domains: tuple[Domains, ...]
-    criteria: tuple[Criteria, ...]
+    domains: tuple[DocumentDomains, ...]
+    criteria: tuple[DocumentCriteria, ...]
     line: int
     bounded: bool = True
 
 
 @dataclass(frozen=True, slots=True)
-class Grant:
+class DocumentGrant:
     """The rights of a subject, for a time.
 
     Attributes:
@@ -90,7 +102,7 @@ class Grant:
     subject_name: str
     not_before: str
     not_after: str
-    rules: tuple[Rule, ...]
+    rules: tuple[DocumentRule, ...]
     default: str | None
     before_default: int
     line: int
@@ -114,13 +126,18 @@ class PermissionsDocument:
     """
 
     file: str
-    grants: tuple[Grant, ...]
+    grants: tuple[DocumentGrant, ...]
     defects: tuple[Diagnostic, ...]
-    peculiarities: tuple[Peculiarity, ...] = ()
+    peculiarities: tuple[Quirk, ...] = ()
     offset: int = 0
-    _views: Mapping[tuple[bool, bool], tuple[Grant, ...]] = field(default_factory=dict, repr=False)
+    _views: Mapping[tuple[bool, bool], tuple[DocumentGrant, ...]] = field(default_factory=dict, repr=False)
 
-    def read_as(self, *, c_numbers: bool, first_piece: bool) -> tuple[Grant, ...]:
+    @property
+    def defect(self) -> str:
+        """Why the schema refuses it, or an empty text."""
+        return f"the schema refuses it: {self.defects[0]}" if self.defects else ""
+
+    def read_as(self, *, c_numbers: bool, first_piece: bool) -> tuple[DocumentGrant, ...]:
         """Return the grants as another parser reads them.
 
         Args:
@@ -153,9 +170,9 @@ def read(content: bytes, file: str = "permissions.xml", offset: int = 0) -> Perm
         where = Origin(file, line(root) + offset)
         raise KeymintError("this is not a permissions document", where=where, code="document-kind")
     defects = _defects(root, file, offset)
-    found = peculiar.find(content, valid=not defects)
+    found = quirks.find(content, valid=not defects)
     grants = _Reader(file, offset).grants(root)
-    odd = any(numbers.is_odd(t) for g in grants for r in g.rules for d in r.domains for t in d.texts)
+    odd = any(domain_ids.is_odd(t) for g in grants for r in g.rules for d in r.domains for t in d.texts)
     views = {}
     if odd or found.first_pieces:
         firsts = {element: found.first_pieces.get(at) for at, element in enumerate(root.iter())}
@@ -202,7 +219,7 @@ class _Reader:
     c_numbers: bool = False
     firsts: Mapping[etree._Element, str | None] = field(default_factory=dict)
 
-    def grants(self, root: etree._Element) -> tuple[Grant, ...]:
+    def grants(self, root: etree._Element) -> tuple[DocumentGrant, ...]:
         """Return the grants of a document."""
         return tuple(map(self._grant, root.iterfind("permissions/grant")))
 
@@ -212,11 +229,11 @@ class _Reader:
         first = self.firsts.get(element)
         return (element.text or "") if first is None else first
 
-    def _grant(self, element: etree._Element) -> Grant:
+    def _grant(self, element: etree._Element) -> DocumentGrant:
         children = [str(child.tag) for child in element]
         default = element.find("default")
         end = len(children) if default is None else children.index("default")
-        return Grant(
+        return DocumentGrant(
             element.get("name"),
             self._text(element.find("subject_name")),
             self._text(element.find("validity/not_before")),
@@ -227,9 +244,9 @@ class _Reader:
             line(element),
         )
 
-    def _rule(self, element: etree._Element) -> Rule:
+    def _rule(self, element: etree._Element) -> DocumentRule:
         domains = element.find("domains")
-        return Rule(
+        return DocumentRule(
             element.tag == "allow_rule",
             () if domains is None else tuple(self._domains(domains)),
             tuple(self._criteria(child) for child in element if child.tag in ACTIONS),
@@ -237,15 +254,15 @@ class _Reader:
             domains is not None,
         )
 
-    def _domains(self, element: etree._Element) -> Iterator[Domains]:
+    def _domains(self, element: etree._Element) -> Iterator[DocumentDomains]:
         for child in element:
             if child.tag == "id":
                 number, text = self._number(child)
-                yield Domains(number, number, (text,))
+                yield DocumentDomains(number, number, (text,))
             elif child.tag == "id_range":
                 ends = {str(end.tag): self._number(end) for end in reversed(child) if end.tag in {"min", "max"}}
                 first, last = (ends[name][0] if name in ends else None for name in ("min", "max"))
-                yield Domains(first, last, tuple(text for _, text in ends.values()))
+                yield DocumentDomains(first, last, tuple(text for _, text in ends.values()))
 
     def _number(self, element: etree._Element) -> tuple[int, str]:
         text = self._text(element)
@@ -253,11 +270,11 @@ class _Reader:
         if _WHOLE.fullmatch(plain) is None:
             where = Origin(self.file, line(element) + self.offset)
             raise KeymintError(f"{plain!r} is no domain id, expected a whole number", where=where, code="domains")
-        return (numbers.in_c(text) if self.c_numbers else int(plain)), text
+        return (domain_ids.in_c(text) if self.c_numbers else int(plain)), text
 
-    def _criteria(self, element: etree._Element) -> Criteria:
+    def _criteria(self, element: etree._Element) -> DocumentCriteria:
         topics, partitions, tags = (element.find(name) for name in ("topics", "partitions", "data_tags"))
-        return Criteria(
+        return DocumentCriteria(
             str(element.tag),
             tuple(map(self._text, element.iterfind("topics/topic"))),
             None if partitions is None else tuple(map(self._text, partitions.iterfind("partition"))),

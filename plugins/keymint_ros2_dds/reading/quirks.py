@@ -2,7 +2,7 @@
 
 The models of vendors hold for plain documents: elements, attributes and text as the schema has them. Everything else is
 found here, and for each of it is stated what each vendor was measured to do with it. Where that is not known for all
-documents of a kind, it is :attr:`Effect.UNTOLD`: then nothing is said of that vendor.
+documents of a kind, it is :attr:`VendorReading.UNMODELLED`: then nothing is said of that vendor.
 """
 
 from __future__ import annotations
@@ -15,24 +15,24 @@ from types import MappingProxyType
 from xml.parsers import expat  # nosec - the document was read before, without a DOCTYPE
 
 
-class Effect(Enum):
+class VendorReading(Enum):
     """What a vendor does with a document that has something peculiar.
 
     ``FINE``: it reads the document as its model does. ``REFUSES``: the whole document. ``STOPS``: its process ends.
-    ``UNTOLD``: it is no part of the model.
+    ``UNMODELLED``: it is no part of the model.
     """
 
     FINE = "fine"
     REFUSES = "refuses"
     STOPS = "stops"
-    UNTOLD = "untold"
+    UNMODELLED = "untold"
 
 
-FINE, REFUSES, STOPS, UNTOLD = Effect.FINE, Effect.REFUSES, Effect.STOPS, Effect.UNTOLD
+FINE, REFUSES, STOPS, UNMODELLED = VendorReading
 
 
 @dataclass(frozen=True, slots=True)
-class Peculiarity:
+class Quirk:
     """Something that a plain document has not.
 
     Attributes:
@@ -45,13 +45,13 @@ class Peculiarity:
 
     line: int
     text: str
-    cyclone: Effect
-    fast: Effect
+    cyclone: VendorReading
+    fast: VendorReading
     invalid: bool = False
 
 
 @dataclass(frozen=True, slots=True)
-class Found:
+class Quirks:
     """What is peculiar about a document.
 
     Attributes:
@@ -60,11 +60,11 @@ class Found:
             Fast DDS ends.
     """
 
-    peculiarities: tuple[Peculiarity, ...] = ()
+    peculiarities: tuple[Quirk, ...] = ()
     first_pieces: Mapping[int, str] = field(default_factory=dict)
 
 
-NOTHING = Found()
+NOTHING = Quirks()
 _BOM = b"\xef\xbb\xbf"
 _HEAD = re.compile(rb"""<\?xml version=["']1\.0["'](?: encoding=["'](?:utf-8|us-ascii)["'])?\s*\?>""", re.IGNORECASE)
 _ROOT = re.compile(
@@ -108,7 +108,7 @@ _READ_IN_PIECES = frozenset(("subject_name", "topic", "partition", "name", "valu
 _PLAIN_ATTRIBUTES = frozenset(("xmlns:xsi", "xsi:nonamespaceschemalocation"))
 
 
-def find(content: bytes, *, valid: bool) -> Found:
+def find(content: bytes, *, valid: bool) -> Quirks:
     """Return what is peculiar about a document that could be read.
 
     Args:
@@ -121,7 +121,7 @@ def find(content: bytes, *, valid: bool) -> Found:
     return _Walk(content).found()
 
 
-def decorations(content: bytes, comments_until: int) -> Iterator[Peculiarity]:
+def decorations(content: bytes, comments_until: int) -> Iterator[Quirk]:
     """Yield what of the bytes of a governance document is beyond elements, their text, and comments between tags.
 
     Args:
@@ -129,7 +129,7 @@ def decorations(content: bytes, comments_until: int) -> Iterator[Peculiarity]:
         comments_until: offset up to which both vendors pass over a comment between tags.
     """
     if content.startswith(_BOM):
-        yield Peculiarity(1, "a byte order mark", REFUSES, UNTOLD)
+        yield Quirk(1, "a byte order mark", REFUSES, UNMODELLED)
         return
     rest = _HEAD.sub(b"", content, count=1)
     end = max(comments_until - (len(content) - len(rest)), 0)
@@ -140,7 +140,7 @@ def decorations(content: bytes, comments_until: int) -> Iterator[Peculiarity]:
             content.count(b"\n") - plain.count(b"\n") + _ROOT.sub(b"", plain, count=1).count(b"\n", 0, sign.start())
         )
         text = sign[0].decode("latin-1")
-        yield Peculiarity(before + 1, f"{text!r}, which a plain document has not", UNTOLD, UNTOLD)
+        yield Quirk(before + 1, f"{text!r}, which a plain document has not", UNMODELLED, UNMODELLED)
 
 
 @dataclass(slots=True)
@@ -167,7 +167,7 @@ class _Walk:
 
     def __init__(self, content: bytes) -> None:
         self._content = content
-        self._found: list[Peculiarity] = []
+        self._found: list[Quirk] = []
         self._pieces: dict[int, str] = {}
         self._open = [_Open("", -1)]
         self._count = 0
@@ -185,24 +185,26 @@ class _Walk:
         parser.StartCdataSectionHandler = self._cdata_start
         parser.EndCdataSectionHandler = self._cdata_end
 
-    def found(self) -> Found:
+    def found(self) -> Quirks:
         """Return what is found."""
         if self._content.startswith(_BOM):
             self._note("a byte order mark", REFUSES, FINE, line=1)
         if b"\0" in self._content:
-            self._note("text of two bytes a character", UNTOLD, UNTOLD, line=1)
+            self._note("text of two bytes a character", UNMODELLED, UNMODELLED, line=1)
         self._parser.Parse(self._content, True)
         for at in re.finditer(rb"&", self._content):
             self._reference(at.start())
         self._found.sort(key=lambda each: each.line)
-        return Found(tuple(self._found), MappingProxyType(self._pieces))
+        return Quirks(tuple(self._found), MappingProxyType(self._pieces))
 
-    def _note(self, text: str, cyclone: Effect, fast: Effect, *, line: int = 0, invalid: bool = False) -> None:
-        self._found.append(Peculiarity(line or self._parser.CurrentLineNumber, text, cyclone, fast, invalid))
+    def _note(
+        self, text: str, cyclone: VendorReading, fast: VendorReading, *, line: int = 0, invalid: bool = False
+    ) -> None:
+        self._found.append(Quirk(line or self._parser.CurrentLineNumber, text, cyclone, fast, invalid))
 
     def _declaration(self, _version: str, encoding: str | None, _standalone: int) -> None:
         if (encoding or "utf-8").lower() not in {"utf-8", "us-ascii"} and not self._content.isascii():
-            self._note(f"text in the encoding {encoding}", UNTOLD, UNTOLD)
+            self._note(f"text in the encoding {encoding}", UNMODELLED, UNMODELLED)
 
     def _start(self, name: str, attributes: dict[str, str]) -> None:
         holder = self._open[-1]
@@ -215,7 +217,7 @@ class _Walk:
         self._open.append(_Open(name, self._count))
         self._count += 1
 
-    def _misplaced(self, holder: _Open, name: str) -> Iterator[tuple[str, Effect, Effect]]:
+    def _misplaced(self, holder: _Open, name: str) -> Iterator[tuple[str, VendorReading, VendorReading]]:
         """Yield what is wrong with an element in its place."""
         after_default = any(each.name == "grant" and "default" in each.children for each in self._open)
         if name not in _CHILDREN.get(holder.name, ()):
@@ -224,35 +226,37 @@ class _Walk:
             # Fast DDS looks at nothing after the default: that is a part of its model.
             yield f"the <{name}> after <default>", FINE, FINE
         elif name in holder.children and name not in _MANY:
-            yield f"a second <{name}>", UNTOLD, self._fast_on_second(name, after_default=after_default)
+            yield f"a second <{name}>", UNMODELLED, self._fast_on_second(name, after_default=after_default)
         elif holder.name in {"grant", "validity"} and _too_late(holder, name):
-            yield f"the <{name}> after <{holder.children[-1]}>", UNTOLD, UNTOLD if after_default else REFUSES
+            yield f"the <{name}> after <{holder.children[-1]}>", UNMODELLED, UNMODELLED if after_default else REFUSES
         elif holder.name in _RULES and _too_late(holder, name):
             late = (FINE, FINE)
             if name == "domains":
-                late = (UNTOLD, UNTOLD if after_default else REFUSES)
+                late = (UNMODELLED, UNMODELLED if after_default else REFUSES)
             yield f"the <{name}> after <{holder.children[-1]}>", *late
         elif holder.name == "id_range" and _too_late(holder, name):
             yield f"the <{name}> after <{holder.children[-1]}>", FINE, FINE
 
     @staticmethod
-    def _fast_on_second(name: str, *, after_default: bool) -> Effect:
+    def _fast_on_second(name: str, *, after_default: bool) -> VendorReading:
         if name == "default":
             return FINE
         refused = name in {"subject_name", "validity", "not_before", "domains"}
-        return REFUSES if refused and not after_default else UNTOLD
+        return REFUSES if refused and not after_default else UNMODELLED
 
-    def _foreign(self, holder: _Open, name: str, *, after_default: bool) -> Iterator[tuple[str, Effect, Effect]]:
+    def _foreign(
+        self, holder: _Open, name: str, *, after_default: bool
+    ) -> Iterator[tuple[str, VendorReading, VendorReading]]:
         """Yield what is wrong with an element that its holder may not have."""
         names = {each.name for each in self._open}
         if name in _KNOWN or holder.name in _LEAVES or "data_tags" in names:
-            yield f"<{name}> in <{holder.name}>", UNTOLD, UNTOLD
+            yield f"<{name}> in <{holder.name}>", UNMODELLED, UNMODELLED
         elif name.lower() in _KNOWN:
-            yield f"<{name}>, as it is not in small letters", UNTOLD, UNTOLD if after_default else REFUSES
+            yield f"<{name}>, as it is not in small letters", UNMODELLED, UNMODELLED if after_default else REFUSES
         else:
             ends = holder.name in {"dds", "validity", "id_range"} and bool(holder.children)
-            cyclone = UNTOLD if "relay" in names else REFUSES
-            yield f"the unknown element <{name}>", cyclone, UNTOLD if after_default or ends else REFUSES
+            cyclone = UNMODELLED if "relay" in names else REFUSES
+            yield f"the unknown element <{name}>", cyclone, UNMODELLED if after_default or ends else REFUSES
 
     def _end(self, name: str) -> None:
         if _CLOSING.match(self._content, self._parser.CurrentByteIndex):
@@ -265,15 +269,15 @@ class _Walk:
         if (name == "data_tags" and not closed.children) or (name == "tag" and len(closed.children) < len(_TAG)):
             self._note(f"a <{name}> that is not complete", FINE, FINE, invalid=True)
         elif name == "tag" and closed.children[:2] != _TAG:
-            self._note("a <tag> in another order", FINE, UNTOLD, invalid=True)
+            self._note("a <tag> in another order", FINE, UNMODELLED, invalid=True)
 
     def _between(self, closed: _Open) -> None:
         """Note text in an element that has elements."""
         if any(cdata for _, cdata in closed.pieces):
-            self._note(f"a CDATA section in <{closed.name}>", UNTOLD, UNTOLD, invalid=True)
+            self._note(f"a CDATA section in <{closed.name}>", UNMODELLED, UNMODELLED, invalid=True)
         elif any(text.strip(_BLANKS) for text, _ in closed.pieces):
             ignored = any(each.name in {"relay", "data_tags"} for each in (*self._open, closed))
-            self._note(f"text in <{closed.name}>", UNTOLD if ignored else REFUSES, FINE, invalid=True)
+            self._note(f"text in <{closed.name}>", UNMODELLED if ignored else REFUSES, FINE, invalid=True)
 
     def _leaf(self, closed: _Open) -> None:
         """Note a text in pieces, of which Fast DDS reads the first one."""
@@ -281,11 +285,11 @@ class _Walk:
         first = next((text for text, cdata in closed.pieces if cdata or text.strip(_BLANKS)), "")
         text = f"the text of <{closed.name}>, as it is in pieces"
         if sections > 1 or (sections and not first.strip(_BLANKS)):
-            self._note(text, UNTOLD, UNTOLD)
+            self._note(text, UNMODELLED, UNMODELLED)
         elif closed.comments and closed.name in _NUMBERS:
-            self._note(text, FINE, UNTOLD)
+            self._note(text, FINE, UNMODELLED)
         elif first != "".join(piece for piece, _ in closed.pieces):
-            self._note(text, FINE, FINE if closed.name in _READ_IN_PIECES else UNTOLD)
+            self._note(text, FINE, FINE if closed.name in _READ_IN_PIECES else UNMODELLED)
             self._pieces[closed.number] = first
 
     def _text(self, text: str) -> None:
@@ -297,7 +301,7 @@ class _Walk:
     def _instruction(self, _target: str, _data: str) -> None:
         inside = self._open[-1].name
         if inside in _LEAVES:
-            self._note(f"a processing instruction in <{inside}>", UNTOLD, REFUSES)
+            self._note(f"a processing instruction in <{inside}>", UNMODELLED, REFUSES)
         elif self._count or self._commented:
             self._note("a processing instruction", FINE, REFUSES)
 
@@ -315,9 +319,9 @@ class _Walk:
         """Note what may be a reference to a character, in a form that was not measured."""
         line = self._content.count(b"\n", 0, at) + 1
         if _REFERENCE.match(self._content, at) is None:
-            self._note("an ampersand", UNTOLD, FINE, line=line)
+            self._note("an ampersand", UNMODELLED, FINE, line=line)
         elif _BLANK_REFERENCE.match(self._content, at):
-            self._note("white space as a reference", FINE, UNTOLD, line=line)
+            self._note("white space as a reference", FINE, UNMODELLED, line=line)
 
 
 def _too_late(holder: _Open, name: str) -> bool:

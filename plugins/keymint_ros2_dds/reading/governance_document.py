@@ -11,7 +11,7 @@ there is no verdict.
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
 
@@ -21,12 +21,10 @@ from comarmor.errors import ComArmorError, Origin
 from comarmor.xml import schema
 from comarmor.xml.reader import line, parse
 from keymint.errors import KeymintError
-from keymint_ros2_dds.decision import fnmatch
-from keymint_ros2_dds.decision.document import Domains
-from keymint_ros2_dds.decision.peculiar import FINE, REFUSES, UNTOLD, Effect, Peculiarity, decorations
-from keymint_ros2_dds.decision.refusals import covers
 from keymint_ros2_dds.domains import MAX_DOMAIN
 from keymint_ros2_dds.layout import GOVERNANCE, GOVERNANCE_XML
+from keymint_ros2_dds.reading.permissions_document import DocumentDomains
+from keymint_ros2_dds.reading.quirks import FINE, REFUSES, UNMODELLED, Quirk, decorations
 
 ACCESS = {"publish": "enable_write_access_control", "subscribe": "enable_read_access_control"}
 """The element that puts an action under access control."""
@@ -45,7 +43,7 @@ _BLANKS = " \t\r\n"
 
 
 @dataclass(frozen=True, slots=True)
-class TopicRule:
+class DocumentTopicRule:
     """How the topics that an expression matches are protected.
 
     Attributes:
@@ -68,7 +66,7 @@ class TopicRule:
 
 
 @dataclass(frozen=True, slots=True)
-class DomainRule:
+class DocumentDomainRule:
     """How some domains are protected.
 
     Attributes:
@@ -81,11 +79,11 @@ class DomainRule:
         lines: of those of its elements that are no lists, by tag.
     """
 
-    domains: tuple[Domains, ...]
+    domains: tuple[DocumentDomains, ...]
     join_controlled: bool
     unauthenticated: bool
     protections: tuple[str, ...]
-    topic_rules: tuple[TopicRule, ...]
+    topic_rules: tuple[DocumentTopicRule, ...]
     line: int
     lines: tuple[tuple[str, int], ...] = ()
 
@@ -99,23 +97,6 @@ class DomainRule:
     def line_of(self, tag: str) -> int:
         """Return the line of an element; the rule's where there is none."""
         return dict(self.lines).get(tag, self.line)
-
-    def topic_rule(self, topic: str, dialect: fnmatch.Dialect, *, both_ways: bool = False) -> TopicRule | None:
-        """Return the first rule that is about a topic.
-
-        Args:
-            topic: name of the topic.
-            dialect: of the expressions.
-            both_ways: the name is taken for an expression about the rule's expression, too.
-        """
-        name = fnmatch.in_bytes(topic)
-        for rule in self.topic_rules:
-            expression = fnmatch.in_bytes(rule.expression)
-            if expression == "*" or re.fullmatch(dialect(expression), name, re.DOTALL):
-                return rule
-            if both_ways and re.fullmatch(dialect(name), expression, re.DOTALL):
-                return rule
-        return None
 
 
 @dataclass(frozen=True, slots=True)
@@ -131,9 +112,9 @@ class GovernanceDocument:
     """
 
     file: str
-    domain_rules: tuple[DomainRule, ...]
+    domain_rules: tuple[DocumentDomainRule, ...]
     schema_says: tuple[str, int]
-    peculiarities: tuple[Peculiarity, ...]
+    peculiarities: tuple[Quirk, ...]
     offset: int = 0
 
     @property
@@ -146,7 +127,7 @@ class GovernanceDocument:
         """Return a line of the document as a place in its file."""
         return Origin(self.file, line + self.offset)
 
-    def rule(self, domain: int, *, min_only_is_exact: bool = False) -> DomainRule | None:
+    def rule(self, domain: int, *, min_only_is_exact: bool = False) -> DocumentDomainRule | None:
         """Return the rule that counts in a domain, or None if there is none.
 
         Args:
@@ -154,56 +135,9 @@ class GovernanceDocument:
             min_only_is_exact: a range with a minimum alone is that one domain.
         """
         for rule in self.domain_rules:
-            if any(covers(each, domain, min_only_is_exact=min_only_is_exact) for each in rule.domains):
+            if any(each.contain(domain, min_only_is_exact=min_only_is_exact) for each in rule.domains):
                 return rule
         return None
-
-
-Refusal = Callable[[GovernanceDocument], str]
-"""Returns why a document is refused, or what is not known about its reading; or an empty text."""
-
-
-def schema_refuses(document: GovernanceDocument) -> str:
-    """The standard: what its schema does not allow."""
-    return document.defect
-
-
-def nothing_untold(_document: GovernanceDocument) -> str:
-    """The standard says everything."""
-    return ""
-
-
-def cyclone_refuses(document: GovernanceDocument) -> str:
-    """Cyclone DDS 0.10: a missing element, a domain id above 230, a range that is not in order."""
-    return _reason(document, "Cyclone DDS", lambda each: each.cyclone, REFUSES)
-
-
-def cyclone_untold(document: GovernanceDocument) -> str:
-    """What Cyclone DDS 0.10 may read in a way of its own."""
-    return _reason(document, "Cyclone DDS", lambda each: each.cyclone, UNTOLD)
-
-
-def fast_refuses(document: GovernanceDocument) -> str:
-    """Fast DDS 2.9: a missing element."""
-    return _reason(document, "Fast DDS", lambda each: each.fast, REFUSES)
-
-
-def fast_untold(document: GovernanceDocument) -> str:
-    """What Fast DDS 2.9 may read in a way of its own."""
-    return _reason(document, "Fast DDS", lambda each: each.fast, UNTOLD)
-
-
-def _reason(
-    document: GovernanceDocument, vendor: str, effect: Callable[[Peculiarity], Effect], *effects: Effect
-) -> str:
-    for each in document.peculiarities:
-        found = effect(each)
-        if found in effects:
-            place = document.place(each.line)
-            if found is UNTOLD:
-                return f"{place}: what {vendor} makes of {each.text} is not part of its model"
-            return f"{place}: {vendor} refuses {each.text}"
-    return ""
 
 
 def read(content: bytes, file: str = GOVERNANCE_XML, offset: int = 0) -> GovernanceDocument:
@@ -253,8 +187,8 @@ def _schema_says(root: etree._Element) -> tuple[str, int]:
     return "", 0
 
 
-def _domain_rule(element: etree._Element) -> DomainRule:
-    return DomainRule(
+def _domain_rule(element: etree._Element) -> DocumentDomainRule:
+    return DocumentDomainRule(
         tuple(_domains(element.find("domains"))),
         _is_true(element, JOIN),
         _is_true(element, UNAUTHENTICATED, otherwise=False),
@@ -265,8 +199,8 @@ def _domain_rule(element: etree._Element) -> DomainRule:
     )
 
 
-def _topic_rule(element: etree._Element) -> TopicRule:
-    return TopicRule(
+def _topic_rule(element: etree._Element) -> DocumentTopicRule:
+    return DocumentTopicRule(
         _raw(element.find("topic_expression")),
         _is_true(element, ACCESS["subscribe"]),
         _is_true(element, ACCESS["publish"]),
@@ -275,14 +209,14 @@ def _topic_rule(element: etree._Element) -> TopicRule:
     )
 
 
-def _domains(element: etree._Element | None) -> Iterator[Domains]:
+def _domains(element: etree._Element | None) -> Iterator[DocumentDomains]:
     for child in () if element is None else element:
         if child.tag == "id" and (number := _number(child)) is not None:
-            yield Domains(number, number)
+            yield DocumentDomains(number, number)
         elif child.tag == "id_range":
             first, last = (_number(child.find(tag)) for tag in ("min", "max"))
             if first is not None or last is not None:
-                yield Domains(first, last)
+                yield DocumentDomains(first, last)
 
 
 def _number(element: etree._Element | None) -> int | None:
@@ -303,37 +237,37 @@ def _is_true(element: etree._Element, tag: str, *, otherwise: bool = True) -> bo
     return _BOOLEANS.get(_text(element.find(tag)), otherwise)
 
 
-def _peculiarities(content: bytes, root: etree._Element, defect: str, at: int) -> Iterator[Peculiarity]:
+def _peculiarities(content: bytes, root: etree._Element, defect: str, at: int) -> Iterator[Quirk]:
     inner_end = content.find(b"</domain_access_rules>")
     yield from decorations(content, comments_until=inner_end)
     if defect:
         missing = _only_missing(root)
         if missing is None:
-            yield Peculiarity(at, "what the schema does not allow", UNTOLD, UNTOLD, invalid=True)
+            yield Quirk(at, "what the schema does not allow", UNMODELLED, UNMODELLED, invalid=True)
         else:
             tag, where = missing
-            yield Peculiarity(where, f"a rule without <{tag}>", REFUSES, REFUSES, invalid=True)
+            yield Quirk(where, f"a rule without <{tag}>", REFUSES, REFUSES, invalid=True)
     for element in root.iter():
         if len(element):
             continue
         text = _raw(element)
         if text != text.strip(_BLANKS):
-            yield Peculiarity(line(element), f"white space around the text of <{element.tag}>", UNTOLD, UNTOLD)
+            yield Quirk(line(element), f"white space around the text of <{element.tag}>", UNMODELLED, UNMODELLED)
         elif "\n" in text or "\r" in text:
-            yield Peculiarity(line(element), f"a line end within the text of <{element.tag}>", UNTOLD, UNTOLD)
+            yield Quirk(line(element), f"a line end within the text of <{element.tag}>", UNMODELLED, UNMODELLED)
         elif element.tag in {"id", "min", "max"}:
             yield from _odd_number(element, text)
     for element in root.iter("id_range"):
         first, last = (_number(element.find(tag)) for tag in ("min", "max"))
         if first is None or (last is not None and last < first):
-            yield Peculiarity(line(element), "a range of domains that is not in order", REFUSES, FINE)
+            yield Quirk(line(element), "a range of domains that is not in order", REFUSES, FINE)
 
 
-def _odd_number(element: etree._Element, text: str) -> Iterator[Peculiarity]:
+def _odd_number(element: etree._Element, text: str) -> Iterator[Quirk]:
     if _PLAIN_NUMBER.fullmatch(text) is None:
-        yield Peculiarity(line(element), f"the domain id {text!r}", UNTOLD, UNTOLD)
+        yield Quirk(line(element), f"the domain id {text!r}", UNMODELLED, UNMODELLED)
     elif int(text) > MAX_DOMAIN:
-        yield Peculiarity(line(element), f"a domain id above {MAX_DOMAIN}", REFUSES, FINE)
+        yield Quirk(line(element), f"a domain id above {MAX_DOMAIN}", REFUSES, FINE)
 
 
 def _only_missing(root: etree._Element) -> tuple[str, int] | None:
