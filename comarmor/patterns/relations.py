@@ -329,7 +329,7 @@ def _intersection(left: Glob, right: Glob, limit: int) -> tuple[Glob, ...] | Non
         except TooComplexError:
             return None
         except StepLimitError:
-            if effort.told == INTERSECTION:
+            if effort.reported == INTERSECTION:
                 return None
             raise
 

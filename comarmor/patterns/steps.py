@@ -1,12 +1,11 @@
-"""Effort, counted in steps, so that every search ends: on every machine after the same steps, whatever the time.
+"""Count the steps of a search, so that every search ends, after the same work on every machine.
 
-A step is a pair of patterns compared, or a state visited. Whoever starts work says how much it may cost
-(:func:`step_limit`), and what works counts what it does (:func:`spend`). Where the steps are spent
-:class:`StepLimitError` is raised, which the one who set the limit turns into an error or into "unknown":
-never into an answer.
+A step is one pair of patterns compared, or one state visited. The caller sets the limit (:func:`step_limit`), the
+algorithms count (:func:`spend`). When the limit is reached, :class:`StepLimitError` is raised. Whoever set the limit
+turns it into an error or into "unknown", never into an answer.
 
-The count does not depend on what was asked before: an answer that is remembered (:func:`cached`) costs what it
-cost to find.
+The count does not depend on earlier calls: an answer from a cache (:func:`cached`) costs the steps that computing it
+cost.
 """
 
 from __future__ import annotations
@@ -23,10 +22,10 @@ _T = TypeVar("_T")
 
 
 class StepLimitError(Exception):
-    """The steps that some work may take are spent.
+    """A search reached its step limit.
 
     Attributes:
-        steps: how many it might take.
+        steps: the limit.
     """
 
     def __init__(self, steps: int) -> None:
@@ -36,29 +35,29 @@ class StepLimitError(Exception):
 
 @dataclass(slots=True)
 class StepCounter:
-    """Steps that were counted.
+    """The steps taken so far, and their limit.
 
     Attributes:
-        allowed: the most there may be; None for any number.
-        told: the limit that a message tells: that of the work around, where less than it was left.
-        spent: how many there were.
+        allowed: the limit; None for no limit.
+        reported: the limit to report; it is an outer one's if that leaves fewer steps.
+        spent: steps taken.
     """
 
     allowed: int | None
-    told: int
+    reported: int
     spent: int = 0
 
     @property
-    def left(self) -> int | None:
-        """How many steps are left; None for any number."""
+    def remaining(self) -> int | None:
+        """The steps that remain; None for no limit."""
         return None if self.allowed is None else max(0, self.allowed - self.spent)
 
-    def within(self, steps: int | None) -> StepCounter:
-        """Return a count of its own for a part of the work, which may take so many steps, or all that are left."""
-        left = self.left
-        if left is None or (steps is not None and steps < left):
+    def nested(self, steps: int | None) -> StepCounter:
+        """Return a counter for a part of the work, limited to these steps or to those that remain here."""
+        remaining = self.remaining
+        if remaining is None or (steps is not None and steps < remaining):
             return StepCounter(steps, steps or 0)
-        return StepCounter(left, self.told)
+        return StepCounter(remaining, self.reported)
 
 
 _current: ContextVar[StepCounter | None] = ContextVar("_current", default=None)
@@ -68,61 +67,61 @@ def spend(steps: int = 1) -> None:
     """Count steps.
 
     Raises:
-        EffortError: there are more than the work may take.
+        StepLimitError: the limit is exceeded.
     """
-    effort = _current.get()
-    if effort is not None:
-        effort.spent += steps
-        if effort.allowed is not None and effort.spent > effort.allowed:
-            raise StepLimitError(effort.told)
+    counter = _current.get()
+    if counter is not None:
+        counter.spent += steps
+        if counter.allowed is not None and counter.spent > counter.allowed:
+            raise StepLimitError(counter.reported)
 
 
 @contextmanager
 def step_limit(steps: int | None) -> Iterator[StepCounter]:
-    """Count the steps of a block, which may take so many; they count for a limit around it, too.
+    """Limit the steps of a block; they count towards an outer limit as well.
 
     Args:
-        steps: the most steps; None to count only.
+        steps: the limit; None only counts.
     """
     outer = _current.get()
-    effort = StepCounter(steps, steps or 0) if outer is None else outer.within(steps)
-    token = _current.set(effort)
+    counter = StepCounter(steps, steps or 0) if outer is None else outer.nested(steps)
+    token = _current.set(counter)
     try:
-        yield effort
+        yield counter
     finally:
         _current.reset(token)
         if outer is not None:
-            outer.spent += effort.spent
+            outer.spent += counter.spent
 
 
 def cached(maxsize: int) -> Callable[[Callable[_P, _T]], Callable[_P, _T]]:
-    """Return a decorator like :func:`functools.lru_cache`; an answer costs the same steps each time.
+    """Return a decorator like :func:`functools.lru_cache` whose hits cost as many steps as the first call.
 
     Args:
-        maxsize: so many answers are remembered.
+        maxsize: number of results that are kept.
     """
 
     def decorate(function: Callable[_P, _T]) -> Callable[_P, _T]:
         @lru_cache(maxsize)
-        def costed(*args: _P.args, **kwargs: _P.kwargs) -> tuple[_T, int]:
+        def compute(*args: _P.args, **kwargs: _P.kwargs) -> tuple[_T, int]:
             outer = _current.get()
-            effort = StepCounter(None, 0) if outer is None else outer.within(None)
-            token = _current.set(effort)
+            counter = StepCounter(None, 0) if outer is None else outer.nested(None)
+            token = _current.set(counter)
             try:
-                return function(*args, **kwargs), 1 + effort.spent
+                return function(*args, **kwargs), 1 + counter.spent
             except StepLimitError:
                 if outer is not None:
-                    outer.spent += effort.spent
+                    outer.spent += counter.spent
                 raise
             finally:
                 _current.reset(token)
 
         @wraps(function)
-        def answer(*args: _P.args, **kwargs: _P.kwargs) -> _T:
-            found, cost = costed(*args, **kwargs)  # type: ignore[arg-type]
+        def wrapper(*args: _P.args, **kwargs: _P.kwargs) -> _T:
+            result, cost = compute(*args, **kwargs)  # type: ignore[arg-type]
             spend(cost)
-            return found
+            return result
 
-        return answer
+        return wrapper
 
     return decorate
