@@ -25,14 +25,14 @@ from xml.sax.saxutils import escape
 from agreement import Enclaves
 from documents import Writer
 from keymint_ros2_dds import decision
-from keymint_ros2_dds.decision import VARIATIONS, Judge
-from keymint_ros2_dds.decision.access import Governed
+from keymint_ros2_dds.decision import VARIATIONS, DocumentEvaluator
+from keymint_ros2_dds.decision.access import DomainAccess
 from keymint_ros2_dds.lowering.lower import lower
-from keymint_ros2_dds.proving import Held, Question, prove_document
-from keymint_ros2_dds.proving.governing import Governing
-from keymint_ros2_dds.reading import governance_document
-from keymint_ros2_dds.transports.files import subject_name
-from keymint_ros2_dds.vendors import probes
+from keymint_ros2_dds.proving import ProofQuestion, ProofSpec, prove_document
+from keymint_ros2_dds.proving.enclave_governance import EnclaveGovernance
+from keymint_ros2_dds.reading import signed_governance
+from keymint_ros2_dds.transports.enclave_files import subject_name
+from keymint_ros2_dds.vendors import probe_builds
 from keymint_ros2_dds.vendors.cyclone_access_control import AccessControl
 from keymint_ros2_dds.vendors.participants import FastDDS, ProbeError, RefusedError, System
 
@@ -242,9 +242,9 @@ def rules_of(case: Case, subject: str) -> SubjectRules:
 def claims_of(case: Case, permissions: bytes, subject: str) -> tuple[Claim, ...]:
     """Return the claims about the documents of a case."""
     rules = rules_of(case, "/robot")
-    held = Held(subject, rules, "humble", (DomainRange(0, 0),), 50_000, lambda: True)
-    governing = Governing.of(governance_of(case), ("governance.p7s", 0), None, "/robot", "humble")
-    return prove_document(Question(decision.read(permissions), held, lower(rules, "humble"), governing))
+    held = ProofSpec(subject, rules, "humble", (DomainRange(0, 0),), 50_000, lambda: True)
+    governing = EnclaveGovernance.of(governance_of(case), ("governance.p7s", 0), None, "/robot", "humble")
+    return prove_document(ProofQuestion(decision.read(permissions), held, lower(rules, "humble"), governing))
 
 
 def wrong_claims(case: Case, claims: Sequence[Claim], counts: Counter[str]) -> Iterator[str]:
@@ -328,14 +328,14 @@ class Bench:
 
     def modelled(self, case: Case, permissions: bytes, counts: Counter[str]) -> Iterator[str]:
         """Yield where the decision point does not decide as brute force does."""
-        document, ruling = decision.read(permissions), governance_document.read(governance_of(case))
+        document, ruling = decision.read(permissions), signed_governance.read(governance_of(case))
         for model in MODELS:
             variation = VARIATIONS[model]
             for domain in DOMAINS:
-                judge = Judge(document, self.subject, self.now, domain, variation)
-                governed = Governed.of(ruling, domain, judge.semantics)
+                evaluator = DocumentEvaluator(document, self.subject, self.now, domain, variation)
+                governed = DomainAccess.of(ruling, domain, evaluator.semantics)
                 for action, name, partitions in _asked():
-                    found, _ = governed.decide(judge, action, name, partitions)
+                    found, _ = governed.decide(evaluator, action, name, partitions)
                     wanted = by_documents(case, model, action, name, partitions, domain)
                     counts["model"] += 1
                     if found.allowed != wanted:
@@ -349,7 +349,7 @@ class Bench:
             with AccessControl(
                 certificate=self.files["cert.pem"],
                 permissions_ca=ca,
-                governance_document=ruling,
+                governance=ruling,
                 permissions=signed,
                 domain=domain,
             ) as opened:
@@ -424,8 +424,8 @@ def main() -> int:
     vendor: FastDDS | None = None
     with tempfile.TemporaryDirectory() as cache:
         try:
-            vendor = FastDDS(probes.FASTDDS.build(Path(cache))) if options.fastdds else None
-        except probes.MissingVendorError as error:
+            vendor = FastDDS(probe_builds.FASTDDS.build(Path(cache))) if options.fastdds else None
+        except probe_builds.MissingVendorError as error:
             print(f"Fast DDS is not asked: {error}")
         counts, wrong = compare(options.seed, options.documents, fastdds=vendor, fast_documents=options.fastdds)
     for each in wrong[: options.show]:

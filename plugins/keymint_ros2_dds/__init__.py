@@ -85,13 +85,13 @@ class DdsSecurity:
         return ASSUMPTIONS
 
     def differences(self, files: Mapping[str, bytes], folder: str, anchors: Anchors) -> Sequence[Diagnostic]:
-        """See :func:`keymint_ros2_dds.proving.anchors.differences`."""
-        from keymint_ros2_dds.proving.anchors import differences  # noqa: PLC0415
+        """See :func:`keymint_ros2_dds.proving.trust_anchors.differences`."""
+        from keymint_ros2_dds.proving.trust_anchors import differences  # noqa: PLC0415
 
         return differences(files, folder, anchors)
 
     def terms(self, files: Mapping[str, bytes], folder: str, anchors: Anchors) -> Sequence[Term]:
-        """See :func:`keymint_ros2_dds.proving.prove.terms`."""
+        """See :func:`keymint_ros2_dds.proving.enclave_proof.terms`."""
         from keymint_ros2_dds.proving import terms  # noqa: PLC0415
 
         return terms(files, folder, anchors)

@@ -11,11 +11,11 @@ from keymint.api import Inspection
 from keymint.errors import KeymintError
 from keymint.pki import smime
 from keymint_ros2_dds import governance_warnings
-from keymint_ros2_dds.decision.access import Governed
+from keymint_ros2_dds.decision.access import DomainAccess
 from keymint_ros2_dds.decision.semantics import STANDARD
 from keymint_ros2_dds.layout import GOVERNANCE_P7S
 from keymint_ros2_dds.proving import octets
-from keymint_ros2_dds.proving.governing import Governing, cuts
+from keymint_ros2_dds.proving.enclave_governance import EnclaveGovernance, cuts
 from keymint_ros2_dds.proving.protection import LAST_DOMAIN, STRICT, Weaker, weaker
 
 _NAMES = Universe(octets.ALPHABET, last_nonempty=True)
@@ -40,16 +40,16 @@ def findings(inspection: Inspection) -> Iterator[Diagnostic]:
     except KeymintError:
         return  # said by whoever judges the signature
     place = (file, signed.lines_before)
-    governing = Governing.of(signed.content, place, package.governance, package.subject, package.distro)
+    governing = EnclaveGovernance.of(signed.content, place, package.governance, package.subject, package.distro)
     if governing.differs:
         yield from dict.fromkeys(_drifted(inspection, governing))
 
 
-def _drifted(inspection: Inspection, governing: Governing) -> Iterator[Diagnostic]:
+def _drifted(inspection: Inspection, governing: EnclaveGovernance) -> Iterator[Diagnostic]:
     subject, document = inspection.package.subject, governing.document
     again = f"'keymint install {inspection.package.name}' signs what the sources build"
     for domains in cuts(document, governing.sources, last=LAST_DOMAIN):
-        rule = Governed.of(document, domains.first, STANDARD).rule
+        rule = DomainAccess.of(document, domains.first, STANDARD).rule
         if rule is None:
             continue
         own = governing.source_rule(domains.first) or STRICT

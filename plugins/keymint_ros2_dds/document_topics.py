@@ -8,7 +8,7 @@ from keymint.errors import KeymintError
 from keymint.pki import smime
 from keymint_ros2_dds import decision
 from keymint_ros2_dds.layout import PERMISSIONS_P7S
-from keymint_ros2_dds.transports import files
+from keymint_ros2_dds.transports import enclave_files
 
 
 def mentioned(enclave: Enclave) -> tuple[tuple[str, tuple[str, ...]], ...]:
@@ -17,7 +17,7 @@ def mentioned(enclave: Enclave) -> tuple[tuple[str, tuple[str, ...]], ...]:
     Nothing is returned of a document that cannot be read: that is for the transports to say.
     """
     try:
-        signed = files.content(enclave.folder, PERMISSIONS_P7S)
+        signed = enclave_files.content(enclave.folder, PERMISSIONS_P7S)
         document = decision.read(smime.signed_content(signed, Origin(PERMISSIONS_P7S)))
     except KeymintError:
         return ()

@@ -24,7 +24,7 @@ from keymint_ros2_dds.documents.permissions_document import render, rendered_siz
 from keymint_ros2_dds.layout import PERMISSIONS, PERMISSIONS_XML
 from keymint_ros2_dds.lowering.lower import Lowered
 from keymint_ros2_dds.lowering.mapping import Action
-from keymint_ros2_dds.proving import ASSUMPTIONS, Held, prove_content
+from keymint_ros2_dds.proving import ASSUMPTIONS, ProofSpec, prove_content
 
 STATES = 50_000
 """States that a question may visit, so that a build never hangs."""
@@ -112,7 +112,7 @@ def _models(compiled: Compiled) -> tuple[str, ...]:
 
 def _not_proven(package: Package, lowered: Lowered, document: bytes, models: Sequence[str]) -> list[Claim]:
     """Return the claims that are not proven."""
-    held = Held(
+    held = ProofSpec(
         names.render(names.parse(package.permissions.subject_name, package.permissions.origin)),
         package.permissions.rules,
         package.distro,

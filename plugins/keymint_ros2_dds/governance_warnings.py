@@ -18,13 +18,13 @@ from keymint.api import DomainRange, DomainRule, Package, TopicProtection
 from keymint_ros2_dds.documents import governance_document
 from keymint_ros2_dds.domains import in_words
 from keymint_ros2_dds.lowering.lower import Lowered, lower
-from keymint_ros2_dds.proving import lists, octets
+from keymint_ros2_dds.proving import octets, permission_lists
 from keymint_ros2_dds.proving.protection import ACCEPT
-from keymint_ros2_dds.reading.governance_document import ACCESS, JOIN, UNAUTHENTICATED
+from keymint_ros2_dds.reading.signed_governance import ACCESS, JOIN, UNAUTHENTICATED
 
 STATES = 20_000
 """States that a question may visit; what is given up counts as open."""
-_PAIRS = Universe(octets.ALPHABET, fields=2, separator=lists.SEPARATOR, last_nonempty=True)
+_PAIRS = Universe(octets.ALPHABET, fields=2, separator=permission_lists.SEPARATOR, last_nonempty=True)
 _NONE = "NONE"
 UNPROTECTED = "governance-unprotected"
 """Code of the finding on topics that are neither signed nor encrypted: an owner may trust the network."""
@@ -118,8 +118,11 @@ def _controls(topic: TopicProtection, action: str) -> bool:
 def _allowed(lowered: Lowered, action: str, before: tuple[Glob, ...], own: tuple[Glob, ...]) -> bool:
     """Tell whether a policy allows all that a rule leaves open: those topics, in every partition."""
     opened: DecisionList = tuple(
-        Block(allows, tuple(normalise((*EVERYTHING, lists.SEPARATOR, *octets.of_glob(topic))) for topic in topics))
+        Block(
+            allows,
+            tuple(normalise((*EVERYTHING, permission_lists.SEPARATOR, *octets.of_glob(topic))) for topic in topics),
+        )
         for allows, topics in ((False, before), (True, own))
     )
-    said = lists.of_policy(lowered, action, pairs=True)
+    said = permission_lists.of_policy(lowered, action, pairs=True)
     return isinstance(escapes((opened,), said, _PAIRS, SearchBudget(STATES)), Equal)

@@ -35,7 +35,7 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from keymint_ros2_dds.vendors.cyclone_access_control import Direction
-    from keymint_ros2_dds.vendors.participants import Participant, Vendor
+    from keymint_ros2_dds.vendors.participants import ProbeParticipant, Vendor
 
     import comarmor
 
@@ -149,7 +149,7 @@ def access(authorities: Authorities, subject: str, documents: tuple[str, str]) -
 @contextmanager
 def participant(
     vendor: Vendor, authorities: Authorities, folder: Path, subject: str, documents: tuple[str, str]
-) -> Iterator[Participant | None]:
+) -> Iterator[ProbeParticipant | None]:
     """Sign the documents and give them to a participant of a vendor; yield None if it is refused."""
     permissions, governance = documents
     enclave = authorities.enclave(folder, name=subject, permissions=permissions, governance=governance)

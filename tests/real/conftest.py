@@ -9,7 +9,7 @@ import os
 from typing import TYPE_CHECKING, NoReturn
 
 import pytest
-from keymint_ros2_dds.vendors import probes
+from keymint_ros2_dds.vendors import probe_builds
 from keymint_ros2_dds.vendors.participants import CycloneDDS, FastDDS, System, Vendor
 
 from keymint.api import Usable
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from pathlib import Path
 
 
-def missing(error: probes.MissingVendorError) -> NoReturn:
+def missing(error: probe_builds.MissingVendorError) -> NoReturn:
     """Skip the test or, where vendors are required, fail it."""
     if os.environ.get("KEYMINT_REQUIRE_VENDORS") == "1":
         pytest.fail(f"KEYMINT_REQUIRE_VENDORS=1, but {error}", pytrace=False)
@@ -31,7 +31,7 @@ def missing(error: probes.MissingVendorError) -> NoReturn:
 
 def missing_transport(usable: Usable) -> NoReturn:
     """Skip or fail in the same way where a transport cannot be used."""
-    missing(probes.MissingVendorError("transport", usable.reason, (usable.help,)))
+    missing(probe_builds.MissingVendorError("transport", usable.reason, (usable.help,)))
 
 
 @pytest.fixture(scope="session")
@@ -49,8 +49,8 @@ def probe_cache(pytestconfig: pytest.Config, tmp_path_factory: pytest.TempPathFa
 def cyclone_plugins() -> None:
     """Require the security plugins of Cyclone DDS."""
     try:
-        probes.require_cyclone_plugins()
-    except probes.MissingVendorError as error:
+        probe_builds.require_cyclone_plugins()
+    except probe_builds.MissingVendorError as error:
         missing(error)
 
 
@@ -58,8 +58,8 @@ def cyclone_plugins() -> None:
 def cyclonedds(cyclone_plugins: None, probe_cache: Path) -> Vendor:
     """Return Cyclone DDS."""
     try:
-        return CycloneDDS(probes.CYCLONEDDS.build(probe_cache))
-    except probes.MissingVendorError as error:
+        return CycloneDDS(probe_builds.CYCLONEDDS.build(probe_cache))
+    except probe_builds.MissingVendorError as error:
         missing(error)
 
 
@@ -67,8 +67,8 @@ def cyclonedds(cyclone_plugins: None, probe_cache: Path) -> Vendor:
 def fastdds(probe_cache: Path) -> Vendor:
     """Return Fast DDS."""
     try:
-        return FastDDS(probes.FASTDDS.build(probe_cache))
-    except probes.MissingVendorError as error:
+        return FastDDS(probe_builds.FASTDDS.build(probe_cache))
+    except probe_builds.MissingVendorError as error:
         missing(error)
 
 

@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
     from pathlib import Path
 
-    from keymint_ros2_dds.vendors.participants import Participant
+    from keymint_ros2_dds.vendors.participants import ProbeParticipant
 
 EXAMPLES = (
     Case((), ("a",), ((True, ("a", "covért")),)),
@@ -95,7 +95,7 @@ def test_fast_dds_permits_what_the_claims_are_about(fastdds: Vendor, authorities
         for number, case in enumerate((*EXAMPLES, *islice(usual(5), 8))):
             participant = system.open(enclave(authorities, tmp_path / str(number), case))
 
-            def answers(text: str, asked: Participant = participant) -> bool:
+            def answers(text: str, asked: ProbeParticipant = participant) -> bool:
                 return asked.allows("publish", text)
 
             hold(case, lambda each: by_libc(each, NOESCAPE, "C"), "fastdds-2.9", answers, names)

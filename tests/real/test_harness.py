@@ -8,7 +8,7 @@ import stat
 from typing import TYPE_CHECKING
 
 import pytest
-from keymint_ros2_dds.vendors import participants, probes
+from keymint_ros2_dds.vendors import participants, probe_builds
 from keymint_ros2_dds.vendors.participants import FastDDS, ProbeError, System
 
 from .conftest import missing
@@ -18,16 +18,16 @@ if TYPE_CHECKING:
 
 
 @pytest.fixture
-def absent(tmp_path: Path) -> probes.MissingVendorError:
+def absent(tmp_path: Path) -> probe_builds.MissingVendorError:
     """What is raised where a vendor's headers are not installed."""
-    probe = dataclasses.replace(probes.CYCLONEDDS, compilers=("cc", "gcc", "c++", "g++"), header="dds/absent.h")
-    with pytest.raises(probes.MissingVendorError) as raised:
+    probe = dataclasses.replace(probe_builds.CYCLONEDDS, compilers=("cc", "gcc", "c++", "g++"), header="dds/absent.h")
+    with pytest.raises(probe_builds.MissingVendorError) as raised:
         probe.build(tmp_path)
     return raised.value
 
 
 def test_a_missing_vendor_skips_with_a_line_that_says_what_to_do(
-    absent: probes.MissingVendorError, monkeypatch: pytest.MonkeyPatch
+    absent: probe_builds.MissingVendorError, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.delenv("KEYMINT_REQUIRE_VENDORS", raising=False)
     with pytest.raises(pytest.skip.Exception, match=r"^Cyclone DDS: no .*; apt-get install .*cyclonedds-dev"):
@@ -35,7 +35,7 @@ def test_a_missing_vendor_skips_with_a_line_that_says_what_to_do(
 
 
 def test_a_missing_vendor_fails_where_vendors_are_required(
-    absent: probes.MissingVendorError, monkeypatch: pytest.MonkeyPatch
+    absent: probe_builds.MissingVendorError, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv("KEYMINT_REQUIRE_VENDORS", "1")
     with pytest.raises(pytest.fail.Exception, match="KEYMINT_REQUIRE_VENDORS=1, but Cyclone DDS: no "):
@@ -43,8 +43,8 @@ def test_a_missing_vendor_fails_where_vendors_are_required(
 
 
 def test_a_missing_compiler_is_a_missing_vendor(tmp_path: Path) -> None:
-    probe = dataclasses.replace(probes.FASTDDS, compilers=("absent-compiler",))
-    with pytest.raises(probes.MissingVendorError, match="Fast DDS: no compiler absent-compiler"):
+    probe = dataclasses.replace(probe_builds.FASTDDS, compilers=("absent-compiler",))
+    with pytest.raises(probe_builds.MissingVendorError, match="Fast DDS: no compiler absent-compiler"):
         probe.build(tmp_path)
 
 

@@ -7,7 +7,7 @@ import time
 from typing import TYPE_CHECKING
 
 import pytest
-from keymint_ros2_dds.vendors.participants import DeniedError, Direction, Edge, RefusedError, System
+from keymint_ros2_dds.vendors.participants import DeniedError, Direction, ProbeEndpoint, RefusedError, System
 
 from .provisioning import enclave
 
@@ -182,7 +182,7 @@ def test_edited_permissions_are_refused(system: System, copied: Callable[[str], 
         system.open(signed.parent)
 
 
-def rejected(*edges: Edge) -> bool:
+def rejected(*edges: ProbeEndpoint) -> bool:
     """Wait until the vendor says at either end that it rejects the other; no end may match meanwhile."""
     deadline = time.monotonic() + 30
     while time.monotonic() < deadline:

@@ -13,7 +13,7 @@ import pytest
 from cryptography.hazmat.primitives import hashes, serialization
 from cryptography.hazmat.primitives.serialization import pkcs7
 from keymint_ros2_dds import decision
-from keymint_ros2_dds.decision import CYCLONEDDS_0_10, FASTDDS_2_9, Judge, Variation
+from keymint_ros2_dds.decision import CYCLONEDDS_0_10, FASTDDS_2_9, DocumentEvaluator, Variation
 from keymint_ros2_dds.vendors.participants import CycloneDDS, ProbeError, RefusedError, System, Vendor
 
 from keymint.errors import KeymintError
@@ -111,7 +111,7 @@ def expected(content: bytes, variation: Variation) -> list[bool] | None:
         return None
     if not variation.semantics.refusal(document) and variation.semantics.unmodelled(document):
         return None
-    judge = Judge(document, "CN=/talker", datetime.now(UTC), 0, variation)
+    judge = DocumentEvaluator(document, "CN=/talker", datetime.now(UTC), 0, variation)
     return [judge.joins and judge.decide(*question).allowed for question in QUESTIONS]
 
 

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
+from keymint_ros2_dds.decision.evaluator import DecisionOutcome, DocumentEvaluator, EndpointDecision, decide
 from keymint_ros2_dds.decision.explain import explain
-from keymint_ros2_dds.decision.judge import Decision, Judge, Outcome, decide
 from keymint_ros2_dds.decision.semantics import (
     CYCLONEDDS_0_10,
     FASTDDS_2_9,
@@ -13,9 +13,21 @@ from keymint_ros2_dds.decision.semantics import (
     Semantics,
     Variation,
 )
-from keymint_ros2_dds.reading.permissions_document import PermissionsDocument, read
+from keymint_ros2_dds.reading.signed_permissions import PermissionsDocument, read
 
 __all__ = [
-    "CYCLONEDDS_0_10", "FASTDDS_2_9", "OMG", "VARIATIONS", "Decision", "Deviation", "Judge", "Outcome",
-    "PermissionsDocument", "Semantics", "Variation", "decide", "explain", "read",
+    "CYCLONEDDS_0_10",
+    "FASTDDS_2_9",
+    "OMG",
+    "VARIATIONS",
+    "DecisionOutcome",
+    "Deviation",
+    "DocumentEvaluator",
+    "EndpointDecision",
+    "PermissionsDocument",
+    "Semantics",
+    "Variation",
+    "decide",
+    "explain",
+    "read",
 ]  # fmt: skip

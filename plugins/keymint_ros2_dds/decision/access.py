@@ -12,9 +12,9 @@ from dataclasses import dataclass
 
 from comarmor.errors import Origin
 from keymint_ros2_dds.decision import fnmatch
-from keymint_ros2_dds.decision.judge import Decision, Judge, Outcome
+from keymint_ros2_dds.decision.evaluator import DecisionOutcome, DocumentEvaluator, EndpointDecision
 from keymint_ros2_dds.decision.semantics import Semantics
-from keymint_ros2_dds.reading.governance_document import (
+from keymint_ros2_dds.reading.signed_governance import (
     ACCESS,
     DocumentDomainRule,
     DocumentTopicRule,
@@ -23,7 +23,7 @@ from keymint_ros2_dds.reading.governance_document import (
 
 
 @dataclass(frozen=True, slots=True)
-class Governed:
+class DomainAccess:
     """What a governance document says in a domain, as an implementation reads it.
 
     Attributes:
@@ -41,7 +41,7 @@ class Governed:
     rule: DocumentDomainRule | None
 
     @classmethod
-    def of(cls, document: GovernanceDocument, domain: int, semantics: Semantics) -> Governed:
+    def of(cls, document: GovernanceDocument, domain: int, semantics: Semantics) -> DomainAccess:
         """Read a document for a domain."""
         refusal = semantics.refusal(document) or semantics.unmodelled(document)
         rule = None if refusal else document.rule(domain, min_only_is_exact=semantics.min_only_is_exact)
@@ -58,42 +58,47 @@ class Governed:
         return not self.semantics.needs_rule_to_join and self.rule.joins_without_rule
 
     def decide(
-        self, judge: Judge, action: str, topic: str, partitions: Sequence[str] = ()
-    ) -> tuple[Decision, Origin | None]:
+        self, evaluator: DocumentEvaluator, action: str, topic: str, partitions: Sequence[str] = ()
+    ) -> tuple[EndpointDecision, Origin | None]:
         """Return what is decided about an endpoint, and the place of the topic rule if that decides.
 
         Args:
-            judge: decides by the permissions.
+            evaluator: decides by the permissions.
             action: ``publish`` or ``subscribe``.
             topic: DDS topic name.
             partitions: of the endpoint.
         """
         if self.refusal:
-            return Decision(Outcome.ERROR, 0, self.refusal), None
-        if judge.refusal is not None:
-            return judge.refusal, None
+            return EndpointDecision(DecisionOutcome.ERROR, 0, self.refusal), None
+        if evaluator.refusal is not None:
+            return evaluator.refusal, None
         if self.rule is None:
             reason = f"{self.document.file} is not about domain {self.domain}"
-            return Decision(Outcome.DENIED, 0, reason), Origin(self.document.file)
-        if not self.admits(joins=judge.joins):
+            return EndpointDecision(DecisionOutcome.DENIED, 0, reason), Origin(self.document.file)
+        if not self.admits(joins=evaluator.joins):
             reason = f"the permissions allow nothing in domain {self.domain}, so that there is no participant"
-            return Decision(Outcome.DENIED, 0, reason), None
-        return self._by_topic(self.rule, judge, action, topic, partitions)
+            return EndpointDecision(DecisionOutcome.DENIED, 0, reason), None
+        return self._by_topic(self.rule, evaluator, action, topic, partitions)
 
     def _by_topic(
-        self, domain_rule: DocumentDomainRule, judge: Judge, action: str, topic: str, partitions: Sequence[str]
-    ) -> tuple[Decision, Origin | None]:
+        self,
+        domain_rule: DocumentDomainRule,
+        evaluator: DocumentEvaluator,
+        action: str,
+        topic: str,
+        partitions: Sequence[str],
+    ) -> tuple[EndpointDecision, Origin | None]:
         """Decide by the permissions, if the governance wants them to be asked."""
         rule = self._topic_rule(domain_rule, topic)
         if rule is None:
             where = self.document.place(domain_rule.line)
-            return Decision(Outcome.DENIED, 0, f"{where}: no topic rule is about {topic!r}"), where
+            return EndpointDecision(DecisionOutcome.DENIED, 0, f"{where}: no topic rule is about {topic!r}"), where
         if not rule.controls(action):
             where = self.document.place(rule.line)
             reason = f"{where}: {ACCESS[action]} is false for {rule.expression!r}"
-            return Decision(Outcome.ALLOWED, 0, reason), where
+            return EndpointDecision(DecisionOutcome.ALLOWED, 0, reason), where
         checked = rule.read_controlled and rule.write_controlled
-        return judge.decide(action, topic, partitions, topic_checked=checked), None
+        return evaluator.decide(action, topic, partitions, topic_checked=checked), None
 
     def _topic_rule(self, domain_rule: DocumentDomainRule, topic: str) -> DocumentTopicRule | None:
         """Return the first rule that matches a topic; see :attr:`Semantics.topic_rules_both_ways`."""

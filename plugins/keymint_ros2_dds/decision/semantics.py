@@ -13,11 +13,16 @@ from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
 from typing import Any
 
-from keymint_ros2_dds.decision import fnmatch, strictness, subjects
+from keymint_ros2_dds.decision import fnmatch, strictness, subject_names
 from keymint_ros2_dds.decision.strictness import Parser
 from keymint_ros2_dds.reading import dates
-from keymint_ros2_dds.reading.governance_document import GovernanceDocument
-from keymint_ros2_dds.reading.permissions_document import BLANKS, DocumentGrant, DocumentRule, PermissionsDocument
+from keymint_ros2_dds.reading.signed_governance import GovernanceDocument
+from keymint_ros2_dds.reading.signed_permissions import (
+    BLANKS,
+    DocumentGrant,
+    DocumentRule,
+    PermissionsDocument,
+)
 
 
 def trimmed(text: str) -> str:
@@ -65,7 +70,7 @@ class Semantics:
     c_numbers: bool = False
     first_piece: bool = False
     default_ends: bool = False
-    selects: Callable[[str, str], bool] = subjects.same_name
+    selects: Callable[[str, str], bool] = subject_names.same_name
     passes_over_invalid: bool = True
     date: Callable[[str], datetime | None] = dates.standard
     no_beginning_holds: bool = False
@@ -165,7 +170,7 @@ def _on(row: str, name: str, text: str, **changes: Any) -> Deviation:
 
 CYCLONE_DEVIATIONS = (
     _on("1", "subject-tokens", "every part of the identity's name must occur in the grant's, in any order",
-        selects=subjects.parts_occur),
+        selects=subject_names.parts_occur),
     _on("2", "first-grant-only", "the first grant of the subject counts, also when it is not valid now",
         passes_over_invalid=False),
     _on("6", "deny-default-partition", "a deny rule without partitions is about the default partition alone",
@@ -186,7 +191,7 @@ CYCLONE_DEVIATIONS = (
 
 FAST_DEVIATIONS = (
     _on("1", "subject-text", "names are compared as text in the order of RFC 2253, blanks around parts aside",
-        selects=subjects.same_text),
+        selects=subject_names.same_text),
     _on("3", "default-unused", "<default>ALLOW</default> is read and never used", default_counts=False),
     _on("4", "pooled-criteria", "topics and partitions of all criteria of a rule are taken together",
         pools_criteria=True),

@@ -11,15 +11,15 @@ from functools import lru_cache
 
 from keymint_ros2_dds.domains import MAX_DOMAIN
 from keymint_ros2_dds.reading import dates, domain_ids
-from keymint_ros2_dds.reading.governance_document import GovernanceDocument
-from keymint_ros2_dds.reading.permissions_document import (
+from keymint_ros2_dds.reading.quirks import FINE, REFUSES, STOPS, UNMODELLED, Quirk, VendorReading
+from keymint_ros2_dds.reading.signed_governance import GovernanceDocument
+from keymint_ros2_dds.reading.signed_permissions import (
     BLANKS,
     DocumentCriteria,
     DocumentGrant,
     DocumentRule,
     PermissionsDocument,
 )
-from keymint_ros2_dds.reading.quirks import FINE, REFUSES, STOPS, UNMODELLED, Quirk, VendorReading
 
 
 class Parser(StrEnum):

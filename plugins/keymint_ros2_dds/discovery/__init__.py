@@ -17,15 +17,15 @@ class DdsGraphs:
 
     def usable(self) -> Usable:
         """Tell whether Cyclone DDS, which observes, is installed."""
-        from keymint_ros2_dds.discovery import cyclonedds  # noqa: PLC0415 - listing plugins must not load a vendor
+        from keymint_ros2_dds.discovery import cyclonedds_observer  # noqa: PLC0415 - listing plugins must not load a vendor
 
-        return cyclonedds.usable()
+        return cyclonedds_observer.usable()
 
     def observe(self, domain: int, go_on: Callable[[], bool], names: Mapping[str, str]) -> Discovered:
-        """See :func:`keymint_ros2_dds.discovery.cyclonedds.observe`."""
-        from keymint_ros2_dds.discovery import capture, cyclonedds  # noqa: PLC0415
+        """See :func:`keymint_ros2_dds.discovery.cyclonedds_observer.observe`."""
+        from keymint_ros2_dds.discovery import capture, cyclonedds_observer  # noqa: PLC0415
 
-        return capture.discovered(cyclonedds.observe(domain, go_on), names)
+        return capture.discovered(cyclonedds_observer.observe(domain, go_on), names)
 
     def recognises(self, content: bytes) -> bool:
         """See :func:`keymint_ros2_dds.discovery.admin_console.recognises`."""

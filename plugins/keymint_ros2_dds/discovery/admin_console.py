@@ -15,7 +15,7 @@ import comarmor
 from comarmor.errors import Diagnostic, Origin, Severity
 from comarmor.xml.reader import line, parse
 from keymint.errors import KeymintError
-from keymint_ros2_dds.discovery.capture import Capture, Endpoint, Participant
+from keymint_ros2_dds.discovery.capture import Capture, DiscoveredEndpoint, DiscoveredParticipant
 
 MAX_DOMAIN = 232
 _HEX = re.compile(r"[0-9a-f]{1,2}(?:,\s*[0-9a-f]{1,2})*\Z", re.IGNORECASE)
@@ -41,7 +41,7 @@ def read(content: bytes, name: str) -> Capture:
         root = parse(content, name)
     except comarmor.ComArmorError as error:
         raise KeymintError.of(_diagnostic(found) for found in error.diagnostics) from error
-    reader = _Reader(name)
+    reader = _AdminConsoleReader(name)
     if root.tag != "system":
         raise reader.error(
             root, f"the root is <{root.tag}>, expected <system>", "export the system from RTI Admin Console"
@@ -49,7 +49,7 @@ def read(content: bytes, name: str) -> Capture:
     return reader.capture(root)
 
 
-class _Reader:
+class _AdminConsoleReader:
     def __init__(self, name: str) -> None:
         self._name = name
 
@@ -57,8 +57,8 @@ class _Reader:
         return KeymintError(message, where=Origin(self._name, line(element)), help=hint, code="capture")
 
     def capture(self, root: etree._Element) -> Capture:
-        participants: dict[str, Participant] = {}
-        endpoints: dict[Endpoint, None] = {}
+        participants: dict[str, DiscoveredParticipant] = {}
+        endpoints: dict[DiscoveredEndpoint, None] = {}
         for data in root.iter("participant_data"):
             one = self._participant(data)
             participants[one.guid] = one
@@ -74,19 +74,21 @@ class _Reader:
             raise self.error(root, "no participant in this file", "export the system from RTI Admin Console")
         return Capture(tuple(participants.values()), tuple(endpoints))
 
-    def _participant(self, data: etree._Element) -> Participant:
+    def _participant(self, data: etree._Element) -> DiscoveredParticipant:
         above = data.getparent()
         domain = data.findtext("domain_id") or (above.findtext("domain_id") if above is not None else None) or "0"
         if not domain.strip().isdecimal() or int(domain) > MAX_DOMAIN:
             raise self.error(data, f"domain_id is {domain.strip()!r}, expected a DDS domain id from 0 to {MAX_DOMAIN}")
         name = (data.findtext("participant_name/name") or "").strip()
-        return Participant(self._guid(data, "key"), int(domain), name, _octets(data.findtext("user_data/value")))
+        return DiscoveredParticipant(
+            self._guid(data, "key"), int(domain), name, _octets(data.findtext("user_data/value"))
+        )
 
-    def _endpoint(self, data: etree._Element, permission: str) -> Endpoint:
+    def _endpoint(self, data: etree._Element, permission: str) -> DiscoveredEndpoint:
         topic = (data.findtext("topic_name") or "").strip()
         if not topic:
             raise self.error(data, f"<{data.tag}> has no <topic_name>")
-        return Endpoint(
+        return DiscoveredEndpoint(
             self._guid(data, "participant_key"),
             permission,
             topic,

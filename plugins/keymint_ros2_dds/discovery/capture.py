@@ -9,11 +9,11 @@ from comarmor.errors import Diagnostic, Severity
 from keymint.api import Discovered
 from keymint.graph import Edge, Graph, Object
 from keymint.graph_json import legal_text, partitions
-from keymint_ros2_dds.discovery.subjects import name_participants
+from keymint_ros2_dds.discovery.participant_names import name_participants
 
 
 @dataclass(frozen=True, slots=True, order=True)
-class Participant:
+class DiscoveredParticipant:
     """A participant (DDS 1.4, 2.2.5, ``DCPSParticipant``).
 
     Attributes:
@@ -30,7 +30,7 @@ class Participant:
 
 
 @dataclass(frozen=True, slots=True, order=True)
-class Endpoint:
+class DiscoveredEndpoint:
     """A writer or reader (DDS 1.4, 2.2.5, ``DCPSPublication`` and ``DCPSSubscription``).
 
     Attributes:
@@ -57,8 +57,8 @@ class Endpoint:
 class Capture:
     """Participants and endpoints, in any order; an endpoint's participant is one of them."""
 
-    participants: tuple[Participant, ...]
-    endpoints: tuple[Endpoint, ...]
+    participants: tuple[DiscoveredParticipant, ...]
+    endpoints: tuple[DiscoveredEndpoint, ...]
 
 
 def discovered(capture: Capture, names: Mapping[str, str]) -> Discovered:
@@ -87,6 +87,6 @@ def discovered(capture: Capture, names: Mapping[str, str]) -> Discovered:
     return Discovered(Graph.of(edges, subjects.values(), types), tuple(diagnostics))
 
 
-def _sound(seen: Endpoint) -> bool:
+def _sound(seen: DiscoveredEndpoint) -> bool:
     """Tell whether an endpoint's names can be written down; anyone on the network can announce anything."""
     return bool(seen.topic) and all(map(legal_text, (seen.topic, seen.type, *seen.partitions)))

@@ -6,7 +6,7 @@ from collections.abc import Iterable, Iterator
 
 from comarmor.rules import PARTS, parts
 from keymint.graph import Edge, Graph, Object
-from keymint_ros2_dds.discovery.ros_names import ros_name, ros_type
+from keymint_ros2_dds.discovery.ros_entities import ros_name, ros_type
 
 _TOPIC = {"publish": "ros_publish", "subscribe": "ros_subscribe"}
 _ROLES = {

@@ -7,8 +7,8 @@ is checked once more: on the policy's side by evaluating its rules, on the docum
 
 from __future__ import annotations
 
-from keymint_ros2_dds.proving.claims import ASSUMPTIONS, Held, Question, prove_document
-from keymint_ros2_dds.proving.content import prove_content
-from keymint_ros2_dds.proving.prove import prove, terms
+from keymint_ros2_dds.proving.claims import ASSUMPTIONS, ProofQuestion, ProofSpec, prove_document
+from keymint_ros2_dds.proving.enclave_proof import prove, terms
+from keymint_ros2_dds.proving.proof_cache import prove_content
 
-__all__ = ["ASSUMPTIONS", "Held", "Question", "prove", "prove_content", "prove_document", "terms"]
+__all__ = ["ASSUMPTIONS", "ProofQuestion", "ProofSpec", "prove", "prove_content", "prove_document", "terms"]

@@ -24,16 +24,23 @@ from keymint.api import Claim, Counterexample, DomainRange, PolicyDecision, Proo
 from keymint.graph import Edge
 from keymint.ir import SubjectRules
 from keymint_ros2_dds import decision
-from keymint_ros2_dds.decision import OMG, VARIATIONS, Decision, Judge, Variation
-from keymint_ros2_dds.decision.access import Governed
+from keymint_ros2_dds.decision import OMG, VARIATIONS, DocumentEvaluator, EndpointDecision, Variation
+from keymint_ros2_dds.decision.access import DomainAccess
 from keymint_ros2_dds.decision.semantics import Semantics
 from keymint_ros2_dds.lowering.lower import Lowered
-from keymint_ros2_dds.proving import lists, octets, policy, protection
-from keymint_ros2_dds.proving.eras import Era, eras_of, joined
-from keymint_ros2_dds.proving.governing import Governing, cuts
-from keymint_ros2_dds.proving.opening import NOTHING, REFUSED, WILDCARDS, Regions, regions, without_wildcards
-from keymint_ros2_dds.proving.opening import difference as governed_difference
-from keymint_ros2_dds.reading.permissions_document import DocumentGrant, PermissionsDocument
+from keymint_ros2_dds.proving import octets, permission_lists, policy_evaluator, protection
+from keymint_ros2_dds.proving.enclave_governance import EnclaveGovernance, cuts
+from keymint_ros2_dds.proving.governance_lists import (
+    NOTHING,
+    REFUSED,
+    WILDCARDS,
+    Regions,
+    regions,
+    without_wildcards,
+)
+from keymint_ros2_dds.proving.governance_lists import difference as governed_difference
+from keymint_ros2_dds.proving.grant_periods import GrantPeriod, grant_periods, joined
+from keymint_ros2_dds.reading.signed_permissions import DocumentGrant, PermissionsDocument
 
 ACTIONS = ("publish", "subscribe")
 LAST_DOMAIN = 232
@@ -66,7 +73,7 @@ ASSUMPTIONS: Mapping[str, tuple[str, ...]] = MappingProxyType(
 
 
 @dataclass(frozen=True, slots=True)
-class Held:
+class ProofSpec:
     """What a permissions document is held against, and at what cost.
 
     Attributes:
@@ -87,7 +94,7 @@ class Held:
 
 
 @dataclass(frozen=True, slots=True)
-class Question:
+class ProofQuestion:
     """What is asked of a permissions document, signed or not.
 
     Attributes:
@@ -98,19 +105,19 @@ class Question:
     """
 
     document: PermissionsDocument
-    held: Held
+    held: ProofSpec
     lowered: Lowered
-    governing: Governing | None = None
+    governing: EnclaveGovernance | None = None
 
 
-def prove_document(question: Question, *, models: Sequence[str] | None = None) -> tuple[Claim, ...]:
+def prove_document(question: ProofQuestion, *, models: Sequence[str] | None = None) -> tuple[Claim, ...]:
     """Return the claims about a document, by model, action and domains.
 
     Args:
         question: what is asked.
         models: names of the models, of :data:`ASSUMPTIONS`; None: all.
     """
-    compare = _Comparison(question)
+    compare = _Comparator(question)
     names = ASSUMPTIONS if models is None else models
     return tuple(claim for name in names for claim in _Model(question, compare, name).claims())
 
@@ -139,17 +146,19 @@ class _Permitted:
 _NONE = _Permitted((NOTHING,))
 
 
-class _Comparison:
+class _Comparator:
     """What a policy says, held against decision lists of the document: once for all models that read it alike."""
 
-    def __init__(self, question: Question) -> None:
+    def __init__(self, question: ProofQuestion) -> None:
         self._question = question
         opens = question.governing is not None and question.governing.opens()
-        self.pairs = opens or lists.has_partitions(question.lowered, question.document.grants)
+        self.pairs = opens or permission_lists.has_partitions(question.lowered, question.document.grants)
         self._universe = Universe(
-            octets.ALPHABET, fields=2 if self.pairs else 1, separator=lists.SEPARATOR, last_nonempty=True
+            octets.ALPHABET, fields=2 if self.pairs else 1, separator=permission_lists.SEPARATOR, last_nonempty=True
         )
-        self._said = {action: lists.of_policy(question.lowered, action, pairs=self.pairs) for action in ACTIONS}
+        self._said = {
+            action: permission_lists.of_policy(question.lowered, action, pairs=self.pairs) for action in ACTIONS
+        }
         self._known: dict[tuple[object, ...], ProofResult] = {}
 
     def of(self, action: str, permitted: _Permitted, *, inside: bool) -> ProofResult:
@@ -178,7 +187,7 @@ def _semantics(name: str) -> Semantics:
 class _Model:
     """The claims of one model."""
 
-    def __init__(self, question: Question, comparison: _Comparison, name: str) -> None:
+    def __init__(self, question: ProofQuestion, comparison: _Comparator, name: str) -> None:
         self._question = question
         self._comparison = comparison
         self._variation = VARIATIONS[name]
@@ -186,7 +195,7 @@ class _Model:
         self._refused = self._semantics.refusal(question.document)
         self._unmodelled = "" if self._refused else self._semantics.unmodelled(question.document)
         self._governing = question.governing
-        self._governed: dict[int, Governed] = {}
+        self._governed: dict[int, DomainAccess] = {}
         if self._governing is not None:
             self._refused = self._refused or self._semantics.refusal(self._governing.document)
             if not self._refused:
@@ -194,7 +203,9 @@ class _Model:
                 odd = self._semantics.unmodelled(governance) or self._governing.outlandish()
                 self._unmodelled = self._unmodelled or odd
         self._eras = (
-            () if self._refused else tuple(eras_of(question.document, question.held.subject_name, self._semantics))
+            ()
+            if self._refused
+            else tuple(grant_periods(question.document, question.held.subject_name, self._semantics))
         )
         grants = [era.grant for era in self._eras]
         about = (question.document, grants, question.held.rules, self._semantics)
@@ -217,13 +228,13 @@ class _Model:
     def _budget(self) -> SearchBudget:
         return SearchBudget(self._question.held.states, self._question.held.go_on)
 
-    def _rule(self, domain: int) -> Governed | None:
+    def _rule(self, domain: int) -> DomainAccess | None:
         """Return what the governance says in a domain; None where there is no governance in question."""
         if self._governing is None:
             return None
         found = self._governed.get(domain)
         if found is None:
-            found = self._governed[domain] = Governed.of(self._governing.document, domain, self._semantics)
+            found = self._governed[domain] = DomainAccess.of(self._governing.document, domain, self._semantics)
         return found
 
     def _domains(self) -> Iterator[tuple[tuple[DomainRange, ...], bool]]:
@@ -243,7 +254,7 @@ class _Model:
         groups: dict[tuple[object, ...], list[DomainRange]] = {}
         for first, following in pairwise(steps):
             inside = any(d.first <= first <= d.last for d in wanted)
-            held = [lists.holds(rule, first, self._semantics) for rule in rules]
+            held = [permission_lists.holds(rule, first, self._semantics) for rule in rules]
             governed = self._rule(first)
             rule = None if governed is None else governed.rule
             opens = rule is not None and any(
@@ -284,7 +295,7 @@ class _Model:
             return claim(Proof.UNKNOWN, unknown.reason, spent=True)
         return claim(Proof.UNKNOWN, self._by_locale) if self._by_locale else claim(Proof.PROVEN)
 
-    def _compare(self, era: Era | None, action: str, domain: int, *, inside: bool) -> ProofResult:
+    def _compare(self, era: GrantPeriod | None, action: str, domain: int, *, inside: bool) -> ProofResult:
         """Compare what the policy says with what is permitted while a grant is in force, or where none ever is."""
         permitted = _NONE if era is None else self._permitted(era.grant, action, domain, inside=inside)
         return self._comparison.of(action, permitted, inside=inside)
@@ -292,12 +303,14 @@ class _Model:
     def _permitted(self, grant: DocumentGrant, action: str, domain: int, *, inside: bool) -> _Permitted:
         """Return what is permitted while a grant is in force."""
         pairs, semantics = self._comparison.pairs, self._semantics
-        own = lists.of_grant(grant, domain, action, semantics, pairs=pairs)
+        own = permission_lists.of_grant(grant, domain, action, semantics, pairs=pairs)
         governed = self._rule(domain)
         if governed is None or self._governing is None:
             return _Permitted(own)
         default = semantics.default_counts and grant.allows
-        joins = default or any(rule.allows and lists.holds(rule, domain, semantics) for rule in semantics.rules(grant))
+        joins = default or any(
+            rule.allows and permission_lists.holds(rule, domain, semantics) for rule in semantics.rules(grant)
+        )
         if governed.rule is None:
             return _Permitted(own, REFUSED) if inside else _Permitted(own)
         if not governed.admits(joins=joins):
@@ -325,7 +338,7 @@ class _Model:
         return tuple(self._governing.excepted(governed.rule, action, domain))
 
     def _refuted(
-        self, claim: _Claiming, action: str, domain: int, era: Era | None, witness: Witness, *, inside: bool
+        self, claim: _Claiming, action: str, domain: int, era: GrantPeriod | None, witness: Witness, *, inside: bool
     ) -> Claim:
         found = self._counterexample(action, domain, era, witness.word, inside=inside, permitted=not witness.left)
         if found.policy.allowed is not witness.left or found.document.allowed is witness.left:
@@ -336,14 +349,14 @@ class _Model:
         return claim(Proof.COUNTEREXAMPLE, "", found)
 
     def _counterexample(
-        self, action: str, domain: int, era: Era | None, word: str, *, inside: bool, permitted: bool
+        self, action: str, domain: int, era: GrantPeriod | None, word: str, *, inside: bool, permitted: bool
     ) -> Counterexample:
         asked = self._question.held
-        pair = word.split(lists.SEPARATOR) if self._comparison.pairs else ("", word)
+        pair = word.split(permission_lists.SEPARATOR) if self._comparison.pairs else ("", word)
         partition, topic = map(octets.in_text, pair)
         rules = asked.rules if inside else SubjectRules(asked.rules.subject, ())
-        edges = policy.endpoint_edges(rules.subject, asked.distro, action, topic, partition)
-        rule = policy.decide(rules, asked.distro, action, topic, partition)
+        edges = policy_evaluator.endpoint_edges(rules.subject, asked.distro, action, topic, partition)
+        rule = policy_evaluator.decide(rules, asked.distro, action, topic, partition)
         if rule is not None:
             verb = "allows" if rule.effect is Effect.ALLOW else "denies"
             said = PolicyDecision(
@@ -354,13 +367,15 @@ class _Model:
         verdict = self._verdict(action, domain, era, (topic, partition), permitted=permitted)
         return Counterexample(
             Edge(rules.subject, action, edges[0].object, domain),
-            next((edge for edge in edges[1:] if policy.is_ros_name(edge.object.name)), None),
+            next((edge for edge in edges[1:] if policy_evaluator.is_ros_name(edge.object.name)), None),
             said,
             verdict,
             protection.help_for(self._governing, domain) if verdict.where else "",
         )
 
-    def _verdict(self, action: str, domain: int, era: Era | None, name: tuple[str, str], *, permitted: bool) -> Verdict:
+    def _verdict(
+        self, action: str, domain: int, era: GrantPeriod | None, name: tuple[str, str], *, permitted: bool
+    ) -> Verdict:
         """Return what the decision point says of a topic and partition, read by this model.
 
         Where the engine says that it is permitted, the permissions alone may do so: a peer goes by its own governance.
@@ -372,16 +387,16 @@ class _Model:
             return self._never()
         now = era.begin
 
-        def ask(variation: Variation) -> tuple[Decision, Origin | None]:
-            judge = Judge(question.document, question.held.subject_name, now, domain, variation)
+        def ask(variation: Variation) -> tuple[EndpointDecision, Origin | None]:
+            evaluator = DocumentEvaluator(question.document, question.held.subject_name, now, domain, variation)
             partitions = (partition,) if partition else ()
             if self._governing is None:
-                return judge.decide(action, topic, partitions), None
-            governed = Governed.of(self._governing.document, domain, variation.semantics)
-            found, where = governed.decide(judge, action, topic, partitions)
-            if not found.allowed and permitted and (alone := judge.decide(action, topic, partitions)).allowed:
+                return evaluator.decide(action, topic, partitions), None
+            governed = DomainAccess.of(self._governing.document, domain, variation.semantics)
+            found, where = governed.decide(evaluator, action, topic, partitions)
+            if not found.allowed and permitted and (alone := evaluator.decide(action, topic, partitions)).allowed:
                 reason = f"{alone.reason}; only the governance of this enclave refuses it: peers go by their own"
-                return Decision(alone.outcome, alone.line, reason), None
+                return EndpointDecision(alone.outcome, alone.line, reason), None
             return found, where
 
         found, where = ask(self._variation)

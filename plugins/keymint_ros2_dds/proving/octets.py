@@ -20,7 +20,7 @@ from keymint.ir import SubjectRules
 from keymint_ros2_dds.decision import fnmatch
 from keymint_ros2_dds.decision.semantics import Semantics
 from keymint_ros2_dds.lowering.mapping import Action
-from keymint_ros2_dds.reading.permissions_document import DocumentGrant, PermissionsDocument
+from keymint_ros2_dds.reading.signed_permissions import DocumentGrant, PermissionsDocument
 
 ALPHABET = charset([(0x01, 0xFF)])
 """The bytes of a name."""

@@ -14,12 +14,12 @@ from comarmor.patterns.glob import EVERYTHING
 from comarmor.patterns.proofs import escapes
 from keymint.api import Claim, Counterexample, DomainRange, PolicyDecision, Proof, Verdict
 from keymint.graph import Edge, Object
-from keymint_ros2_dds.decision.access import Governed
+from keymint_ros2_dds.decision.access import DomainAccess
 from keymint_ros2_dds.decision.semantics import Semantics
 from keymint_ros2_dds.proving import octets
-from keymint_ros2_dds.proving.governing import Governing, cuts
-from keymint_ros2_dds.proving.opening import patterns
-from keymint_ros2_dds.reading.governance_document import (
+from keymint_ros2_dds.proving.enclave_governance import EnclaveGovernance, cuts
+from keymint_ros2_dds.proving.governance_lists import patterns
+from keymint_ros2_dds.reading.signed_governance import (
     ACCESS,
     DOMAIN_PROTECTIONS,
     JOIN,
@@ -63,7 +63,7 @@ class Weaker:
     topic: str = ""
 
 
-def help_for(governing: Governing | None, domain: int) -> str:
+def help_for(governing: EnclaveGovernance | None, domain: int) -> str:
     """Return how to mend what a governance leaves open, or refuses."""
     if governing is None:
         return ""
@@ -73,7 +73,12 @@ def help_for(governing: Governing | None, domain: int) -> str:
 
 
 def claims(
-    subject: str, model: str, semantics: Semantics, governing: Governing, universe: Universe, budget: SearchBudget
+    subject: str,
+    model: str,
+    semantics: Semantics,
+    governing: EnclaveGovernance,
+    universe: Universe,
+    budget: SearchBudget,
 ) -> Iterator[Claim]:
     """Yield the claims about domains as a whole that do not hold, or are not known.
 
@@ -86,7 +91,7 @@ def claims(
         budget: what each question may cost.
     """
     for domains in cuts(governing.document, governing.sources, last=LAST_DOMAIN):
-        rule = Governed.of(governing.document, domains.first, semantics).rule
+        rule = DomainAccess.of(governing.document, domains.first, semantics).rule
         if rule is None:
             continue
         own, accepted = governing.source_rule(domains.first), governing.accepted_rule(domains.first)
@@ -102,7 +107,7 @@ def claims(
 
 
 def _join(
-    subject: str, model: str, governing: Governing, domains: DomainRange, rule: DocumentDomainRule, tag: str
+    subject: str, model: str, governing: EnclaveGovernance, domains: DomainRange, rule: DocumentDomainRule, tag: str
 ) -> Claim:
     where = governing.document.place(rule.line_of(tag))
     who = {
@@ -117,7 +122,9 @@ def _join(
     return Claim(model, "join", (domains,), JOINS, Proof.COUNTEREXAMPLE, "", example)
 
 
-def _protect(subject: str, model: str, governing: Governing, domains: DomainRange, found: Weaker | Unknown) -> Claim:
+def _protect(
+    subject: str, model: str, governing: EnclaveGovernance, domains: DomainRange, found: Weaker | Unknown
+) -> Claim:
     if isinstance(found, Unknown):
         return Claim(model, "protect", (domains,), PROTECTED, Proof.UNKNOWN, found.reason, None, spent=True)
     where = governing.document.place(found.line)

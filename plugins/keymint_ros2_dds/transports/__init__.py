@@ -39,20 +39,20 @@ def _simulated(name: str) -> Opener:
 
 
 def _cyclonedds(surroundings: Surroundings) -> Transport:
-    from keymint_ros2_dds.transports.cyclonedds import CycloneDDSTransport  # noqa: PLC0415
+    from keymint_ros2_dds.transports.cyclonedds_transport import CycloneDDSTransport  # noqa: PLC0415
 
     return CycloneDDSTransport(surroundings)
 
 
 def _fastdds(surroundings: Surroundings) -> Transport:
-    from keymint_ros2_dds.transports.fastdds import FastDDSTransport  # noqa: PLC0415
+    from keymint_ros2_dds.transports.fastdds_transport import FastDDSTransport  # noqa: PLC0415
 
     return FastDDSTransport(surroundings)
 
 
 def _of_ardent(opener: Opener) -> Opener:
     def make(surroundings: Surroundings) -> Transport:
-        from keymint_ros2_dds.transports.ardent import ArdentMiddleware  # noqa: PLC0415
+        from keymint_ros2_dds.transports.ardent_middleware import ArdentMiddleware  # noqa: PLC0415
 
         return ArdentMiddleware(opener.open(surroundings))
 

@@ -14,15 +14,15 @@ from keymint.errors import KeymintError
 from keymint.graph import Edge
 from keymint.pki import smime
 from keymint_ros2_dds import decision
-from keymint_ros2_dds.decision import OMG, Decision, Judge, Outcome, Variation
-from keymint_ros2_dds.decision.access import Governed
+from keymint_ros2_dds.decision import OMG, DecisionOutcome, DocumentEvaluator, EndpointDecision, Variation
+from keymint_ros2_dds.decision.access import DomainAccess
 from keymint_ros2_dds.layout import CERTIFICATE, GOVERNANCE_P7S, PERMISSIONS_P7S
 from keymint_ros2_dds.lowering.endpoints import endpoints
-from keymint_ros2_dds.reading import governance_document
-from keymint_ros2_dds.transports import files
+from keymint_ros2_dds.reading import signed_governance
+from keymint_ros2_dds.transports import enclave_files
 
 
-class Court:
+class EnclaveModel:
     """Decides about one enclave in one domain, by the standard and by every implementation.
 
     Args:
@@ -38,19 +38,21 @@ class Court:
         self._folder = folder
         self._now = now
         self._domain = domain
-        self._known: dict[str, tuple[Judge, Governed]] = {}
+        self._known: dict[str, tuple[DocumentEvaluator, DomainAccess]] = {}
         self.refusal = ""
         try:
-            authority = files.authority(folder, permissions=True)
-            signed = {name: files.content(folder, name) for name in (PERMISSIONS_P7S, GOVERNANCE_P7S)}
+            authority = enclave_files.authority(folder, permissions=True)
+            signed = {name: enclave_files.content(folder, name) for name in (PERMISSIONS_P7S, GOVERNANCE_P7S)}
             verified = {
                 name: smime.verify(content, authority, at=now, where=Origin(name)) for name, content in signed.items()
             }
             self._document = decision.read(verified[PERMISSIONS_P7S])
-            self._governance = governance_document.read(verified[GOVERNANCE_P7S])
-            self._subject_name = files.subject_name(files.content(folder, CERTIFICATE), Origin(CERTIFICATE))
+            self._governance = signed_governance.read(verified[GOVERNANCE_P7S])
+            self._subject_name = enclave_files.subject_name(
+                enclave_files.content(folder, CERTIFICATE), Origin(CERTIFICATE)
+            )
         except KeymintError as error:
-            files.raise_if_unread(error, folder)
+            enclave_files.raise_if_unread(error, folder)
             self.refusal = str(error)
 
     @cached_property
@@ -58,20 +60,20 @@ class Court:
         """The permissions document; only if there is no refusal."""
         return self._document
 
-    def decide(self, variation: Variation, endpoint: Edge) -> Decision:
+    def decide(self, variation: Variation, endpoint: Edge) -> EndpointDecision:
         """Return what is decided about an endpoint, an edge of kind ``topic``."""
         if self.refusal:
-            return Decision(Outcome.ERROR, 0, self.refusal)
-        judge, governed = self._read(variation)
+            return EndpointDecision(DecisionOutcome.ERROR, 0, self.refusal)
+        evaluator, governed = self._read(variation)
         found = endpoint.object
-        return governed.decide(judge, endpoint.permission, found.name, found.partitions)[0]
+        return governed.decide(evaluator, endpoint.permission, found.name, found.partitions)[0]
 
-    def _read(self, variation: Variation) -> tuple[Judge, Governed]:
+    def _read(self, variation: Variation) -> tuple[DocumentEvaluator, DomainAccess]:
         known = self._known.get(variation.name)
         if known is None:
-            judge = Judge(self._document, self._subject_name, self._now, self._domain, variation)
-            governed = Governed.of(self._governance, self._domain, judge.semantics)
-            known = self._known[variation.name] = judge, governed
+            evaluator = DocumentEvaluator(self._document, self._subject_name, self._now, self._domain, variation)
+            governed = DomainAccess.of(self._governance, self._domain, evaluator.semantics)
+            known = self._known[variation.name] = evaluator, governed
         return known
 
     def deviation(self, variation: Variation, endpoint: Edge, *, allowed: bool) -> str:
@@ -90,14 +92,14 @@ class Court:
         return "; ".join(map(str, found))
 
 
-class Courts:
-    """The courts of the subjects of edges; as edges come grouped by subject, only those of one subject are kept."""
+class EnclaveModels:
+    """The models of the subjects of edges; as edges come grouped by subject, only those of one subject are kept."""
 
     def __init__(self, enclaves: Sequence[Enclave], now: datetime) -> None:
-        self._enclaves = files.by_subject(enclaves)
+        self._enclaves = enclave_files.by_subject(enclaves)
         self._now = now
         self._subject = ""
-        self._courts: dict[int, Court] = {}
+        self._models: dict[int, EnclaveModel] = {}
 
     def enclave(self, subject: str) -> Enclave:
         """Return the enclave of a subject.
@@ -111,22 +113,22 @@ class Courts:
             )
         return self._enclaves[subject]
 
-    def of(self, subject: str, domain: int) -> Court:
-        """Return the court of a subject in a domain.
+    def of(self, subject: str, domain: int) -> EnclaveModel:
+        """Return the enclave_model of a subject in a domain.
 
         Raises:
             KeymintError: the subject has no enclave.
         """
         enclave = self.enclave(subject)
         if subject != self._subject:
-            self._subject, self._courts = subject, {}
-        if domain not in self._courts:
-            self._courts[domain] = self.fresh(enclave, domain)
-        return self._courts[domain]
+            self._subject, self._models = subject, {}
+        if domain not in self._models:
+            self._models[domain] = self.fresh(enclave, domain)
+        return self._models[domain]
 
-    def fresh(self, enclave: Enclave, domain: int) -> Court:
-        """Return a court of an enclave that is the caller's to keep."""
-        return Court(enclave.folder, self._now, domain)
+    def fresh(self, enclave: Enclave, domain: int) -> EnclaveModel:
+        """Return a enclave_model of an enclave that is the caller's to keep."""
+        return EnclaveModel(enclave.folder, self._now, domain)
 
 
 @dataclass(frozen=True, slots=True)
@@ -150,17 +152,17 @@ class Simulated:
     def label(self, enclaves: Sequence[Enclave], edges: Iterable[Edge], tier: Tier) -> Iterator[tuple[Edge, Verdict]]:
         """See :meth:`keymint.api.Transport.label`."""
         del tier
-        courts = Courts(enclaves, self.now)
+        models = EnclaveModels(enclaves, self.now)
         for edge in edges:
-            court = courts.of(edge.subject, edge.domain)
-            yield edge, self._verdict(court, endpoints(courts.enclave(edge.subject).distro, edge))
+            enclave_model = models.of(edge.subject, edge.domain)
+            yield edge, self._verdict(enclave_model, endpoints(models.enclave(edge.subject).distro, edge))
 
-    def _verdict(self, court: Court, needed: Sequence[Edge]) -> Verdict:
+    def _verdict(self, enclave_model: EnclaveModel, needed: Sequence[Edge]) -> Verdict:
         deviation = ""
         verdict = Verdict(allowed=False, reason="no DDS endpoint stands for this")
         for endpoint in needed:
-            found = court.decide(self.variation, endpoint)
-            deviation = deviation or court.deviation(self.variation, endpoint, allowed=found.allowed)
+            found = enclave_model.decide(self.variation, endpoint)
+            deviation = deviation or enclave_model.deviation(self.variation, endpoint, allowed=found.allowed)
             verdict = Verdict(found.allowed, found.reason, found.line, deviation)
             if not found.allowed:
                 break

@@ -143,7 +143,7 @@ class System:
     def __exit__(self, *_: object) -> None:
         self._stack.close()
 
-    def open(self, enclave: Path, domain: int = 0, *, conforming: bool = True) -> Participant:
+    def open(self, enclave: Path, domain: int = 0, *, conforming: bool = True) -> ProbeParticipant:
         """Start a process with a participant that has its identity and permissions from the enclave's folder.
 
         Args:
@@ -156,23 +156,23 @@ class System:
         """
         index, self._opened = self._opened, self._opened + 1
         environment, words = self._vendor.start(self.first_port, index, conforming=conforming)
-        process = _Process(self._vendor.program, environment)
+        process = _ProbeProcess(self._vendor.program, environment)
         self._stack.callback(process.reap)
         answer, reason = process.ask("OPEN", str(domain), str(enclave.resolve()), *words)
         if answer != "OPENED":
             process.reap()
             raise RefusedError(reason)
-        return Participant(process)
+        return ProbeParticipant(process)
 
 
-class Participant:
+class ProbeParticipant:
     """A participant in a process of its own."""
 
-    def __init__(self, process: _Process) -> None:
+    def __init__(self, process: _ProbeProcess) -> None:
         self._process = process
         self._edges = 0
 
-    def edge(self, direction: Direction, topic: str, partitions: Iterable[str] = ()) -> Edge:
+    def edge(self, direction: Direction, topic: str, partitions: Iterable[str] = ()) -> ProbeEndpoint:
         """Create a writer or a reader.
 
         Raises:
@@ -182,7 +182,7 @@ class Participant:
         answer, reason = self._process.ask("EDGE", name, direction, topic, *partitions)
         if answer != "ALLOWED":
             raise DeniedError(reason)
-        return Edge(self._process, name)
+        return ProbeEndpoint(self._process, name)
 
     def allows(self, direction: Direction, topic: str, partitions: Iterable[str] = ()) -> bool:
         """Tell whether the vendor lets the participant have a writer or reader; it is not kept."""
@@ -198,10 +198,10 @@ class Participant:
         self._process.close()
 
 
-class Edge:
+class ProbeEndpoint:
     """A writer or reader of a participant."""
 
-    def __init__(self, process: _Process, name: str) -> None:
+    def __init__(self, process: _ProbeProcess, name: str) -> None:
         self._process = process
         self._name = name
 
@@ -245,7 +245,7 @@ class Edge:
         return text if answer == "SAMPLE" else None
 
 
-class _Process:
+class _ProbeProcess:
     """A probe's process; it never outlives :meth:`reap`."""
 
     def __init__(self, program: Path, environment: Mapping[str, str]) -> None:

@@ -3,9 +3,17 @@
 from __future__ import annotations
 
 import pytest
-from keymint_ros2_dds.decision import CYCLONEDDS_0_10, FASTDDS_2_9, OMG, VARIATIONS, Judge, explain, read
-from keymint_ros2_dds.decision.access import Governed
-from keymint_ros2_dds.reading import governance_document
+from keymint_ros2_dds.decision import (
+    CYCLONEDDS_0_10,
+    FASTDDS_2_9,
+    OMG,
+    VARIATIONS,
+    DocumentEvaluator,
+    explain,
+    read,
+)
+from keymint_ros2_dds.decision.access import DomainAccess
+from keymint_ros2_dds.reading import signed_governance
 
 from .documents import NOW, SUBJECT, criteria, document, grant, rule
 
@@ -45,10 +53,10 @@ def allowing(text: str, action: str = "publish", name: str = "rt/x", content: by
 
 
 def allows(variation, text: str, action: str, name: str, content: bytes = PERMISSIONS) -> bool:
-    judge = Judge(read(content), SUBJECT, NOW, 0, variation)
+    evaluator = DocumentEvaluator(read(content), SUBJECT, NOW, 0, variation)
     return (
-        Governed.of(governance_document.read(text.encode()), 0, variation.semantics)
-        .decide(judge, action, name)[0]
+        DomainAccess.of(signed_governance.read(text.encode()), 0, variation.semantics)
+        .decide(evaluator, action, name)[0]
         .allowed
     )
 
@@ -94,9 +102,9 @@ def test_names_are_compared_both_ways_by_fast_dds_and_the_row_says_so() -> None:
 
 def test_lines_count_from_the_beginning_of_the_file() -> None:
     text = ruling("\n", topic("rt/x", write=False), "\n", CLOSED)
-    found = governance_document.read(text.encode(), "g.p7s", 10)
+    found = signed_governance.read(text.encode(), "g.p7s", 10)
     assert str(found.place(found.domain_rules[0].topic_rules[0].line)) == "g.p7s:12"
-    judge = Judge(read(PERMISSIONS), SUBJECT, NOW, 0, OMG)
-    decision, where = Governed.of(found, 0, OMG.semantics).decide(judge, "publish", "rt/x")
+    evaluator = DocumentEvaluator(read(PERMISSIONS), SUBJECT, NOW, 0, OMG)
+    decision, where = DomainAccess.of(found, 0, OMG.semantics).decide(evaluator, "publish", "rt/x")
     assert decision.allowed
     assert str(where) == "g.p7s:12"

@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from keymint_ros2_dds.decision import fnmatch
-from keymint_ros2_dds.vendors import probes
+from keymint_ros2_dds.vendors import probe_builds
 from keymint_ros2_dds.vendors.cyclone_access_control import ac_fnmatch
 
 PIECES = st.sampled_from([*"ab-]/*?[!^\\", "[ab]", "[!a]", "[a-b]", "[^a]", "[[:alpha:]]", "[]a]", "[!]", "rt/"])
@@ -42,8 +42,8 @@ def test_the_standard_is_the_c_library(pattern: str, name: str) -> None:
 @pytest.mark.cyclonedds
 def test_cyclone_dds_has_a_matcher_of_its_own() -> None:
     try:
-        probes.require_cyclone_plugins()
-    except probes.MissingVendorError as error:
+        probe_builds.require_cyclone_plugins()
+    except probe_builds.MissingVendorError as error:
         pytest.skip(str(error))
 
     @thorough

@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from keymint_ros2_dds.discovery.interpret import interpret
-from keymint_ros2_dds.discovery.ros_names import RosName, ros_name, ros_type
+from keymint_ros2_dds.discovery.ros_entities import RosName, ros_name, ros_type
 
 from comarmor.rules import PARTS
 from keymint.graph import Edge, Graph, Object

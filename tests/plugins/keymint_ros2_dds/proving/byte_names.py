@@ -17,8 +17,8 @@ from functools import cache
 from itertools import product
 from xml.sax.saxutils import escape
 
-from keymint_ros2_dds.proving import ASSUMPTIONS, Held, prove_content
-from keymint_ros2_dds.vendors import cyclone_access_control, probes
+from keymint_ros2_dds.proving import ASSUMPTIONS, ProofSpec, prove_content
+from keymint_ros2_dds.vendors import cyclone_access_control, probe_builds
 
 from keymint.api import Claim, Proof
 from keymint.errors import KeymintError
@@ -84,7 +84,7 @@ class Case:
         """
         rules = [rule("DENY", "topic", "publish", *self.denied)] if self.denied else []
         rules.append(rule("ALLOW", "topic", "publish", *self.allowed))
-        held = Held("CN=/t", SubjectRules("/t", tuple(rules)), "jazzy", DOMAIN, 200_000, lambda: True)
+        held = ProofSpec("CN=/t", SubjectRules("/t", tuple(rules)), "jazzy", DOMAIN, 200_000, lambda: True)
         found = prove_content(self.content(), ("permissions.xml", 0), held)
         return tuple(claim for claim in found if claim.action == "publish")
 
@@ -229,8 +229,8 @@ def _hold(case: Case, claim: Claim, differing: int, where: str) -> None:
 def has_cyclone() -> bool:
     """Tell whether the plugin of Cyclone DDS is here."""
     try:
-        probes.require_cyclone_plugins()
-    except probes.MissingVendorError:
+        probe_builds.require_cyclone_plugins()
+    except probe_builds.MissingVendorError:
         return False
     return True
 

@@ -10,12 +10,12 @@ from keymint.errors import KeymintError
 from keymint.pki import smime
 from keymint_ros2_dds import decision
 from keymint_ros2_dds.layout import CERTIFICATE, GOVERNANCE_P7S, PERMISSIONS_P7S, PERMISSIONS_XML
-from keymint_ros2_dds.proving import validity
-from keymint_ros2_dds.proving.anchors import differences
-from keymint_ros2_dds.proving.claims import Held
-from keymint_ros2_dds.proving.content import prove_content
-from keymint_ros2_dds.proving.governing import Governing
-from keymint_ros2_dds.transports.files import subject_name
+from keymint_ros2_dds.proving import validity_terms
+from keymint_ros2_dds.proving.claims import ProofSpec
+from keymint_ros2_dds.proving.enclave_governance import EnclaveGovernance
+from keymint_ros2_dds.proving.proof_cache import prove_content
+from keymint_ros2_dds.proving.trust_anchors import differences
+from keymint_ros2_dds.transports.enclave_files import subject_name
 
 
 def prove(obligation: Obligation, *, models: Sequence[str] | None = None) -> tuple[Claim, ...]:
@@ -35,7 +35,7 @@ def prove(obligation: Obligation, *, models: Sequence[str] | None = None) -> tup
     if found := differences(files, folder, obligation.anchors):
         raise KeymintError.of(found)
     content, place = _document(files, folder, obligation.anchors)
-    held = Held(
+    held = ProofSpec(
         _subject_name(files, folder),
         obligation.rules,
         obligation.distro,
@@ -54,8 +54,8 @@ def terms(files: Mapping[str, bytes], folder: str, anchors: Anchors) -> tuple[Te
     """
     content, place = _document(files, folder, anchors)
     document = decision.read(content, *place)
-    of_grants = validity.of_grants(document, _subject_name(files, folder))
-    return (*of_grants, *validity.of_certificates(files, folder))
+    of_grants = validity_terms.of_grants(document, _subject_name(files, folder))
+    return (*of_grants, *validity_terms.of_certificates(files, folder))
 
 
 def _document(files: Mapping[str, bytes], folder: str, anchors: Anchors) -> tuple[bytes, tuple[str, int]]:
@@ -67,13 +67,15 @@ def _document(files: Mapping[str, bytes], folder: str, anchors: Anchors) -> tupl
     return signed.content, (f"{folder}/{name}", offset)
 
 
-def _governing(obligation: Obligation) -> Governing:
+def _governing(obligation: Obligation) -> EnclaveGovernance:
     """Read the signed governance beside what the sources say of it."""
     file = f"{obligation.folder}/{GOVERNANCE_P7S}"
     document = _file(obligation.files, obligation.folder, GOVERNANCE_P7S)
     signed = smime.read(document, obligation.anchors.permissions.chain, where=Origin(file))
     place = (file, signed.lines_before)
-    return Governing.of(signed.content, place, obligation.governance, obligation.rules.subject, obligation.distro)
+    return EnclaveGovernance.of(
+        signed.content, place, obligation.governance, obligation.rules.subject, obligation.distro
+    )
 
 
 def _subject_name(files: Mapping[str, bytes], folder: str) -> str:

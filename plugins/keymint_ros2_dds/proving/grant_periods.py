@@ -9,14 +9,14 @@ from itertools import pairwise
 
 from keymint.api import DomainRange
 from keymint_ros2_dds.decision.semantics import Semantics
-from keymint_ros2_dds.reading.permissions_document import DocumentGrant, PermissionsDocument
+from keymint_ros2_dds.reading.signed_permissions import DocumentGrant, PermissionsDocument
 
 _SECOND = timedelta(seconds=1)
 _LAST_MOMENT = datetime.max.replace(tzinfo=UTC) - _SECOND
 
 
 @dataclass(frozen=True, slots=True)
-class Era:
+class GrantPeriod:
     """A time at which a grant is in force; others may follow in which it is, too."""
 
     grant: DocumentGrant
@@ -24,14 +24,14 @@ class Era:
     end: datetime
 
 
-def eras_of(document: PermissionsDocument, subject_name: str, semantics: Semantics) -> Iterator[Era]:
+def grant_periods(document: PermissionsDocument, subject_name: str, semantics: Semantics) -> Iterator[GrantPeriod]:
     """Yield a time at which each grant that is about the identity is in force; grants that never are have none."""
     grants = semantics.grants(document, subject_name)
     if not semantics.passes_over_invalid:
         grants = grants[:1]
     if len(grants) == 1:
         if (only := semantics.period(grants[0])) is not None:
-            yield Era(grants[0], *only)
+            yield GrantPeriod(grants[0], *only)
         return
     periods = [(grant, period) for grant in grants if (period := semantics.period(grant)) is not None]
     cuts = sorted({begin for _, (begin, _) in periods} | {_next(end) for _, (_, end) in periods})
@@ -40,7 +40,7 @@ def eras_of(document: PermissionsDocument, subject_name: str, semantics: Semanti
         at = next((n for n, (_, (first, last)) in enumerate(periods) if first <= begin <= last), None)
         if at is not None and at not in known:
             known.add(at)
-            yield Era(periods[at][0], begin, following - _SECOND)
+            yield GrantPeriod(periods[at][0], begin, following - _SECOND)
 
 
 def _next(moment: datetime) -> datetime:

@@ -23,8 +23,8 @@ from comarmor.xml.reader import line, parse
 from keymint.errors import KeymintError
 from keymint_ros2_dds.domains import MAX_DOMAIN
 from keymint_ros2_dds.layout import GOVERNANCE, GOVERNANCE_XML
-from keymint_ros2_dds.reading.permissions_document import DocumentDomains
 from keymint_ros2_dds.reading.quirks import FINE, REFUSES, UNMODELLED, Quirk, decorations
+from keymint_ros2_dds.reading.signed_permissions import DocumentDomains
 
 ACCESS = {"publish": "enable_write_access_control", "subscribe": "enable_read_access_control"}
 """The element that puts an action under access control."""

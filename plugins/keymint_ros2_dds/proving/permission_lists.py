@@ -18,7 +18,7 @@ from keymint_ros2_dds.lowering.lower import Lowered, Partitions
 from keymint_ros2_dds.lowering.mapping import Action
 from keymint_ros2_dds.proving import octets
 from keymint_ros2_dds.proving.dialects import read
-from keymint_ros2_dds.reading.permissions_document import DocumentCriteria, DocumentGrant, DocumentRule
+from keymint_ros2_dds.reading.signed_permissions import DocumentCriteria, DocumentGrant, DocumentRule
 
 SEPARATOR = "\0"
 _DEFAULT: Glob = ()

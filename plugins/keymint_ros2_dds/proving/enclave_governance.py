@@ -11,9 +11,9 @@ from comarmor.patterns.glob import GlobError
 from keymint.api import DomainRange, Governance
 from keymint_ros2_dds.decision.semantics import STANDARD
 from keymint_ros2_dds.documents import governance_document as sources
-from keymint_ros2_dds.proving.opening import regions
-from keymint_ros2_dds.reading import governance_document
-from keymint_ros2_dds.reading.governance_document import (
+from keymint_ros2_dds.proving.governance_lists import regions
+from keymint_ros2_dds.reading import signed_governance
+from keymint_ros2_dds.reading.signed_governance import (
     ACCESS,
     JOIN,
     UNAUTHENTICATED,
@@ -25,7 +25,7 @@ ACTIONS = ("publish", "subscribe")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Governing:
+class EnclaveGovernance:
     """A governance document as it is signed, beside what the sources say.
 
     Attributes:
@@ -45,7 +45,7 @@ class Governing:
     @classmethod
     def of(
         cls, content: bytes, place: tuple[str, int], said: Governance | None, subject: str, distro: str
-    ) -> Governing:
+    ) -> EnclaveGovernance:
         """Read a document.
 
         Args:
@@ -63,8 +63,8 @@ class Governing:
             built, _ = sources.build(said, subject, distro, allow_vendor_specific=True)
         accepted = said is not None and said.accepts_open
         key = hashlib.sha256(repr((content, place, built, accepted)).encode()).digest()
-        own = governance_document.read(built) if built else None
-        return cls(governance_document.read(content, *place), own, accepted, key, content != built)
+        own = signed_governance.read(built) if built else None
+        return cls(signed_governance.read(content, *place), own, accepted, key, content != built)
 
     def source_rule(self, domain: int) -> DocumentDomainRule | None:
         """Return the rule of the sources for a domain."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 import pytest
-from keymint_ros2_dds.discovery import cyclonedds, graph_source
+from keymint_ros2_dds.discovery import cyclonedds_observer, graph_source
 
 from keymint.errors import KeymintError
 
@@ -13,11 +13,11 @@ from keymint.errors import KeymintError
 @pytest.fixture(params=["libno-such-library.so.1", "libc.so.6"])
 def elsewhere(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
     """Look for a library that is not there, or that is another one."""
-    cyclonedds._library.cache_clear()
-    monkeypatch.setattr(cyclonedds, "LIBRARY", request.param)
-    monkeypatch.setattr(cyclonedds, "_OTHER_NAMES", ())
+    cyclonedds_observer._library.cache_clear()
+    monkeypatch.setattr(cyclonedds_observer, "LIBRARY", request.param)
+    monkeypatch.setattr(cyclonedds_observer, "_OTHER_NAMES", ())
     yield
-    cyclonedds._library.cache_clear()
+    cyclonedds_observer._library.cache_clear()
 
 
 @pytest.mark.usefixtures("elsewhere")

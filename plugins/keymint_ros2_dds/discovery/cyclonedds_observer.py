@@ -15,7 +15,7 @@ from typing import Any, Self
 
 from keymint.api import Usable
 from keymint.errors import KeymintError
-from keymint_ros2_dds.discovery.capture import Capture, Endpoint, Participant
+from keymint_ros2_dds.discovery.capture import Capture, DiscoveredEndpoint, DiscoveredParticipant
 
 LIBRARY = "libddsc.so.0debian"
 INSTALL = "apt-get install libddsc0debian"
@@ -152,8 +152,8 @@ class _Observer:
     def __init__(self, dds: Any, domain: int) -> None:
         self._dds = dds
         self._domain = domain
-        self._participants: dict[str, Participant] = {}
-        self._endpoints: dict[Endpoint, None] = {}
+        self._participants: dict[str, DiscoveredParticipant] = {}
+        self._endpoints: dict[DiscoveredEndpoint, None] = {}
         self._readers: list[tuple[int, Callable[[int], None]]] = []
         self._callbacks: list[Any] = []
         self._own = _checked(dds, dds.dds_create_participant(domain, None, None), f"join domain {domain}")
@@ -190,12 +190,12 @@ class _Observer:
         for sample in _taken(self._dds, reader, _Participant):
             guid = str(sample.key)
             name, user_data = _entity_name(self._dds, sample.qos), _user_data(self._dds, sample.qos)
-            self._participants[guid] = Participant(guid, self._domain, name, user_data)
+            self._participants[guid] = DiscoveredParticipant(guid, self._domain, name, user_data)
 
     def _take_endpoints(self, permission: str, reader: int) -> None:
         for sample in _taken(self._dds, reader, _Endpoint):
             partitions = tuple(_partitions(self._dds, sample.qos))
-            endpoint = Endpoint(
+            endpoint = DiscoveredEndpoint(
                 str(sample.participant), permission, _text(sample.topic), _text(sample.type), partitions
             )
             self._endpoints[endpoint] = None
@@ -208,7 +208,7 @@ class _Observer:
         _checked(self._dds, self._dds.dds_get_guid(self._own, byref(own)), "tell its own GUID")
         participants, endpoints = self._participants.copy(), list(self._endpoints.copy())
         for endpoint in endpoints:
-            participants.setdefault(endpoint.participant, Participant(endpoint.participant, self._domain))
+            participants.setdefault(endpoint.participant, DiscoveredParticipant(endpoint.participant, self._domain))
         return Capture(
             tuple(participant for guid, participant in participants.items() if guid != str(own)),
             tuple(endpoint for endpoint in endpoints if endpoint.participant != str(own)),

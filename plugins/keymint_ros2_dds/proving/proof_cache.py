@@ -8,8 +8,8 @@ from collections.abc import Sequence
 from keymint.api import Claim, Proof
 from keymint_ros2_dds import decision
 from keymint_ros2_dds.lowering.lower import Lowered, lower
-from keymint_ros2_dds.proving.claims import ASSUMPTIONS, Held, Question, prove_document
-from keymint_ros2_dds.proving.governing import Governing
+from keymint_ros2_dds.proving.claims import ASSUMPTIONS, ProofQuestion, ProofSpec, prove_document
+from keymint_ros2_dds.proving.enclave_governance import EnclaveGovernance
 
 MOST = 10_000
 """Documents whose claims are remembered."""
@@ -20,11 +20,11 @@ _proven: dict[bytes, tuple[Claim, ...]] = {}
 def prove_content(
     content: bytes,
     place: tuple[str, int],
-    held: Held,
+    held: ProofSpec,
     *,
     models: Sequence[str] | None = None,
     lowered: Lowered | None = None,
-    governing: Governing | None = None,
+    governing: EnclaveGovernance | None = None,
 ) -> tuple[Claim, ...]:
     """Return the claims about a document, by model, action and domains.
 
@@ -50,7 +50,7 @@ def prove_content(
     if known is not None:
         return known
     document = decision.read(content, *place)
-    question = Question(document, held, lower(held.rules, held.distro) if lowered is None else lowered, governing)
+    question = ProofQuestion(document, held, lower(held.rules, held.distro) if lowered is None else lowered, governing)
     claims = prove_document(question, models=names)
     # What is proven is so wherever the document lies; of what is not, the places are said.
     if len(_proven) < MOST and all(claim.proof is Proof.PROVEN for claim in claims):
@@ -58,7 +58,7 @@ def prove_content(
     return claims
 
 
-def _key(content: bytes, held: Held, models: tuple[str, ...], governing: Governing | None) -> bytes:
+def _key(content: bytes, held: ProofSpec, models: tuple[str, ...], governing: EnclaveGovernance | None) -> bytes:
     """Return a digest of all that proven claims depend on."""
     rules = tuple((r.effect, r.kind, r.permissions, r.expressions, r.partitions) for r in held.rules.rules)
     said = repr((held.subject_name, held.rules.subject, rules, held.distro, held.domains, models))

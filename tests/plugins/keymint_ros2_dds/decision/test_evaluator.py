@@ -5,7 +5,15 @@ from __future__ import annotations
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from keymint_ros2_dds.decision import CYCLONEDDS_0_10, FASTDDS_2_9, OMG, Judge, Outcome, decide, read
+from keymint_ros2_dds.decision import (
+    CYCLONEDDS_0_10,
+    FASTDDS_2_9,
+    OMG,
+    DecisionOutcome,
+    DocumentEvaluator,
+    decide,
+    read,
+)
 
 from keymint.errors import KeymintError
 
@@ -15,7 +23,7 @@ from .documents import NOW, SUBJECT, criteria, document, grant, rule
 PUBLISH = criteria("publish", "rt/chatter")
 
 
-def outcome(content: bytes, action: str = "publish", topic: str = "rt/chatter", **more: object) -> Outcome:
+def outcome(content: bytes, action: str = "publish", topic: str = "rt/chatter", **more: object) -> DecisionOutcome:
     arguments = {"subject_name": SUBJECT, "now": NOW, "domain": 0, **more}
     return decide(read(content), action=action, topic=topic, **arguments).outcome  # type: ignore[arg-type]
 
@@ -30,43 +38,45 @@ def test_a_rule_decides_with_its_line() -> None:
 @pytest.mark.parametrize(
     ("request_", "expected"),
     [
-        ({}, Outcome.ALLOWED),
-        ({"topic": "rt/other"}, Outcome.DENIED),
-        ({"action": "subscribe"}, Outcome.DENIED),
-        ({"action": "relay"}, Outcome.DENIED),
-        ({"domain": 1}, Outcome.DENIED),
-        ({"partitions": ["p"]}, Outcome.DENIED),
-        ({"partitions": [""]}, Outcome.ALLOWED),
-        ({"subject_name": "CN=/listener,OU=4f"}, Outcome.ERROR),
-        ({"subject_name": "CN=/talker"}, Outcome.ERROR),
-        ({"now": NOW.replace(year=2028)}, Outcome.ERROR),
-        ({"now": NOW.replace(year=2025)}, Outcome.ERROR),
+        ({}, DecisionOutcome.ALLOWED),
+        ({"topic": "rt/other"}, DecisionOutcome.DENIED),
+        ({"action": "subscribe"}, DecisionOutcome.DENIED),
+        ({"action": "relay"}, DecisionOutcome.DENIED),
+        ({"domain": 1}, DecisionOutcome.DENIED),
+        ({"partitions": ["p"]}, DecisionOutcome.DENIED),
+        ({"partitions": [""]}, DecisionOutcome.ALLOWED),
+        ({"subject_name": "CN=/listener,OU=4f"}, DecisionOutcome.ERROR),
+        ({"subject_name": "CN=/talker"}, DecisionOutcome.ERROR),
+        ({"now": NOW.replace(year=2028)}, DecisionOutcome.ERROR),
+        ({"now": NOW.replace(year=2025)}, DecisionOutcome.ERROR),
     ],
 )
-def test_what_matters(request_: dict[str, object], expected: Outcome) -> None:
+def test_what_matters(request_: dict[str, object], expected: DecisionOutcome) -> None:
     assert outcome(document(grant(rule("allow", PUBLISH))), **request_) is expected
 
 
 def test_the_first_rule_that_matches_decides() -> None:
     allow, deny = rule("allow", criteria("publish", "rt/*")), rule("deny", PUBLISH)
-    assert outcome(document(grant(allow, deny))) is Outcome.ALLOWED
-    assert outcome(document(grant(deny, allow))) is Outcome.DENIED
+    assert outcome(document(grant(allow, deny))) is DecisionOutcome.ALLOWED
+    assert outcome(document(grant(deny, allow))) is DecisionOutcome.DENIED
 
 
-@pytest.mark.parametrize(("default", "expected"), [("ALLOW", Outcome.ALLOWED), ("DENY", Outcome.DENIED)])
-def test_the_default_decides_what_no_rule_does(default: str, expected: Outcome) -> None:
+@pytest.mark.parametrize(
+    ("default", "expected"), [("ALLOW", DecisionOutcome.ALLOWED), ("DENY", DecisionOutcome.DENIED)]
+)
+def test_the_default_decides_what_no_rule_does(default: str, expected: DecisionOutcome) -> None:
     assert outcome(document(grant(default=default))) is expected
 
 
 def test_an_expired_grant_is_passed_over_for_one_that_is_valid() -> None:
     expired = grant(validity=("2020-01-01T00:00:00", "2021-01-01T00:00:00"))
-    assert outcome(document(expired, grant(rule("allow", PUBLISH)))) is Outcome.ALLOWED
+    assert outcome(document(expired, grant(rule("allow", PUBLISH)))) is DecisionOutcome.ALLOWED
 
 
 def test_no_grant_is_an_error_that_says_why() -> None:
     expired = grant(rule("allow", PUBLISH), validity=("2020-01-01T00:00:00", "2021-01-01T00:00:00"))
     found = decide(read(document(expired)), SUBJECT, NOW, 0, "publish", "rt/chatter")
-    assert (found.outcome, found.allowed, found.line) == (Outcome.ERROR, False, 2)
+    assert (found.outcome, found.allowed, found.line) == (DecisionOutcome.ERROR, False, 2)
     assert "has expired (2020-01-01T00:00:00 to 2021-01-01T00:00:00)" in found.reason
     other = decide(read(document(expired)), "CN=/x", NOW, 0, "publish", "rt/chatter")
     assert other.reason == "permissions.xml: no grant is about 'CN=/x'"
@@ -74,21 +84,21 @@ def test_no_grant_is_an_error_that_says_why() -> None:
 
 def test_allow_needs_every_partition_and_deny_one() -> None:
     allow = document(grant(rule("allow", criteria("publish", "rt/chatter", partitions=("a", "b")))))
-    assert outcome(allow, partitions=["a", "b"]) is Outcome.ALLOWED
-    assert outcome(allow, partitions=["a", "c"]) is Outcome.DENIED
+    assert outcome(allow, partitions=["a", "b"]) is DecisionOutcome.ALLOWED
+    assert outcome(allow, partitions=["a", "c"]) is DecisionOutcome.DENIED
     everything = rule("allow", criteria("publish", "*", partitions=("*",)))
     deny = document(grant(rule("deny", criteria("publish", "rt/chatter", partitions=("a",))), everything))
-    assert outcome(deny, partitions=["a", "c"]) is Outcome.DENIED
-    assert outcome(deny, partitions=["c"]) is Outcome.ALLOWED
+    assert outcome(deny, partitions=["a", "c"]) is DecisionOutcome.DENIED
+    assert outcome(deny, partitions=["c"]) is DecisionOutcome.ALLOWED
 
 
 def test_allow_needs_every_data_tag_and_deny_one() -> None:
     allow = document(grant(rule("allow", criteria("publish", "rt/chatter", tags="a"))))
-    assert outcome(allow, tags=[("a", "v")]) is Outcome.ALLOWED
-    assert outcome(allow, tags=[("a", "v"), ("b", "v")]) is Outcome.DENIED
+    assert outcome(allow, tags=[("a", "v")]) is DecisionOutcome.ALLOWED
+    assert outcome(allow, tags=[("a", "v"), ("b", "v")]) is DecisionOutcome.DENIED
     deny = document(grant(rule("deny", criteria("publish", "rt/chatter", tags="a")), rule("allow", PUBLISH)))
-    assert outcome(deny, tags=[("a", "v"), ("b", "v")]) is Outcome.DENIED
-    assert outcome(deny) is Outcome.ALLOWED
+    assert outcome(deny, tags=[("a", "v"), ("b", "v")]) is DecisionOutcome.DENIED
+    assert outcome(deny) is DecisionOutcome.ALLOWED
 
 
 @pytest.mark.parametrize("content", [b"", b"<dds/>", b"<dds><permissions>", b"<!DOCTYPE dds><dds><permissions/></dds>"])
@@ -125,9 +135,9 @@ def test_models_decide_as_the_oracles_do(rules: list[str]) -> None:
         (CYCLONEDDS_0_10, oracles.cyclone),
         (FASTDDS_2_9, oracles.fastdds),
     ):
-        judge = Judge(loaded, SUBJECT, NOW, 0, variation)
+        evaluator = DocumentEvaluator(loaded, SUBJECT, NOW, 0, variation)
         for topic in ("rt/a", "rt/b", "rt/ab", "rt/]", "x"):
             for action in ("publish", "subscribe"):
                 for partitions in ASKED:
-                    found = judge.decide(action, topic, partitions).allowed
+                    found = evaluator.decide(action, topic, partitions).allowed
                     assert found == oracle(content, action, topic, partitions), (variation.name, action, topic)

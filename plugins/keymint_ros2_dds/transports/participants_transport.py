@@ -11,10 +11,10 @@ from keymint.api import Enclave, Surroundings, Tier, Usable, Verdict
 from keymint.errors import KeymintError
 from keymint.graph import Edge
 from keymint_ros2_dds.decision import Variation
-from keymint_ros2_dds.transports import files, real
-from keymint_ros2_dds.transports.exchange import exchange
-from keymint_ros2_dds.transports.simulated import Courts
-from keymint_ros2_dds.vendors import probes
+from keymint_ros2_dds.transports import admission, enclave_files
+from keymint_ros2_dds.transports.delivery import exchange
+from keymint_ros2_dds.transports.simulated import EnclaveModels
+from keymint_ros2_dds.vendors import probe_builds
 from keymint_ros2_dds.vendors.participants import CycloneDDS, FastDDS, Vendor
 
 
@@ -32,8 +32,8 @@ class RealTransport(ABC):
     NAME: ClassVar[str]
     MODEL: ClassVar[Variation]
     VENDOR: ClassVar[type[CycloneDDS | FastDDS]]
-    PROBE: ClassVar[probes.Probe]
-    NONCONFORMING: ClassVar[probes.Probe]
+    PROBE: ClassVar[probe_builds.Probe]
+    NONCONFORMING: ClassVar[probe_builds.Probe]
 
     def __init__(self, surroundings: Surroundings) -> None:
         self._surroundings = surroundings
@@ -54,28 +54,28 @@ class RealTransport(ABC):
         """See :meth:`keymint.api.Transport.label`."""
         usable = self.usable()
         if tier not in usable.tiers:
-            raise real.refused(tier, usable, self.NAME)
-        courts = Courts(enclaves, self._surroundings.now)
+            raise admission.refused(tier, usable, self.NAME)
+        models = EnclaveModels(enclaves, self._surroundings.now)
         if tier is Tier.DECISION:
-            return self._decision(courts, edges)
+            return self._decision(models, edges)
         vendor = self._vendor(nonconforming=tier is Tier.EXCHANGE)
         if tier is Tier.ADMISSION:
-            return real.admission(vendor, self.MODEL, courts, edges)
+            return admission.admission(vendor, self.MODEL, models, edges)
         for enclave in enclaves:
-            files.refuse_encrypted_key(enclave)
-        return exchange(vendor, self.MODEL, courts, enclaves, edges)
+            enclave_files.refuse_encrypted_key(enclave)
+        return exchange(vendor, self.MODEL, models, enclaves, edges)
 
-    def _decision(self, courts: Courts, edges: Iterable[Edge]) -> Iterator[tuple[Edge, Verdict]]:
+    def _decision(self, models: EnclaveModels, edges: Iterable[Edge]) -> Iterator[tuple[Edge, Verdict]]:
         """Ask for decisions alone; of a vendor that cannot be asked without a participant, by admission."""
-        return real.admission(self._vendor(nonconforming=False), self.MODEL, courts, edges)
+        return admission.admission(self._vendor(nonconforming=False), self.MODEL, models, edges)
 
     def _vendor(self, *, nonconforming: bool) -> Vendor:
-        cache, environment = self._surroundings.cache / "probes", probes.inherited(self._surroundings.environment)
+        cache, environment = self._surroundings.cache / "probes", probe_builds.inherited(self._surroundings.environment)
         try:
             return self.VENDOR(
                 self.PROBE.build(cache, environment),
                 environment,
                 self.NONCONFORMING.build(cache, environment) if nonconforming else None,
             )
-        except (probes.MissingVendorError, OSError) as error:
+        except (probe_builds.MissingVendorError, OSError) as error:
             raise KeymintError(str(error), code="transport-unusable") from None

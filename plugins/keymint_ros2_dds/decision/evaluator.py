@@ -16,7 +16,7 @@ from functools import lru_cache
 
 from keymint_ros2_dds.decision import fnmatch
 from keymint_ros2_dds.decision.semantics import OMG, Semantics, Variation
-from keymint_ros2_dds.reading.permissions_document import (
+from keymint_ros2_dds.reading.signed_permissions import (
     DocumentCriteria,
     DocumentGrant,
     DocumentRule,
@@ -27,7 +27,7 @@ Tags = tuple[tuple[str, str], ...]
 DEFAULT_PARTITION = ("",)
 
 
-class Outcome(StrEnum):
+class DecisionOutcome(StrEnum):
     """How a question ends. ``error``: no grant matches, so that there is nothing to decide by."""
 
     ALLOWED = "allowed"
@@ -36,7 +36,7 @@ class Outcome(StrEnum):
 
 
 @dataclass(frozen=True, slots=True)
-class Decision:
+class EndpointDecision:
     """What a document says of an endpoint.
 
     Attributes:
@@ -45,18 +45,18 @@ class Decision:
         reason: one line.
     """
 
-    outcome: Outcome
+    outcome: DecisionOutcome
     line: int
     reason: str
 
     @property
     def allowed(self) -> bool:
         """Whether the endpoint may be; an error denies."""
-        return self.outcome is Outcome.ALLOWED
+        return self.outcome is DecisionOutcome.ALLOWED
 
 
 @dataclass(frozen=True, slots=True)
-class _Patterns:
+class _Expressions:
     """Expressions of one list, ready to be asked."""
 
     plain: frozenset[str]
@@ -75,13 +75,13 @@ class _Step:
 
     allows: bool
     action: str
-    topics: _Patterns
-    partitions: _Patterns | None
+    topics: _Expressions
+    partitions: _Expressions | None
     tags: frozenset[tuple[str, str]] | None
     line: int
 
 
-class Judge:
+class DocumentEvaluator:
     """Decides by one document for one subject in a domain; made once, asked often.
 
     Args:
@@ -109,12 +109,12 @@ class Judge:
         self._default = False
         self._default_line = 0
         refused = semantics.refusal(document) or semantics.unmodelled(document)
-        self.refusal: Decision | None = None
+        self.refusal: EndpointDecision | None = None
         if refused:
-            self.refusal = Decision(Outcome.ERROR, 0, refused)
+            self.refusal = EndpointDecision(DecisionOutcome.ERROR, 0, refused)
             return
         found = _grant(document, subject_name, now, semantics)
-        if isinstance(found, Decision):
+        if isinstance(found, EndpointDecision):
             self.refusal = found
             return
         self._default = semantics.default_counts and found.allows
@@ -134,7 +134,7 @@ class Judge:
         tags: Collection[tuple[str, str]] = (),
         *,
         topic_checked: bool = True,
-    ) -> Decision:
+    ) -> EndpointDecision:
         """Return what is decided about an endpoint.
 
         Args:
@@ -173,15 +173,15 @@ class Judge:
             return False
         return step.partitions is None or need(step.partitions.match(each) for each in asked)
 
-    def _by(self, step: _Step, text: str, *, allowed: bool) -> Decision:
+    def _by(self, step: _Step, text: str, *, allowed: bool) -> EndpointDecision:
         rule = "allow_rule" if step.allows else "deny_rule"
-        outcome = Outcome.ALLOWED if allowed else Outcome.DENIED
-        return Decision(outcome, step.line, f"{self._place(step.line)}: the {rule} {text}")
+        outcome = DecisionOutcome.ALLOWED if allowed else DecisionOutcome.DENIED
+        return EndpointDecision(outcome, step.line, f"{self._place(step.line)}: the {rule} {text}")
 
-    def _by_default(self, topic: str) -> Decision:
-        outcome = Outcome.ALLOWED if self._default else Outcome.DENIED
+    def _by_default(self, topic: str) -> EndpointDecision:
+        outcome = DecisionOutcome.ALLOWED if self._default else DecisionOutcome.DENIED
         text = f"no rule is about {topic!r}, and the grant's default is {'ALLOW' if self._default else 'DENY'}"
-        return Decision(outcome, self._default_line, f"{self._place(self._default_line)}: {text}")
+        return EndpointDecision(outcome, self._default_line, f"{self._place(self._default_line)}: {text}")
 
 
 def decide(
@@ -194,14 +194,14 @@ def decide(
     partitions: Sequence[str] = (),
     tags: Collection[tuple[str, str]] = (),
     variation: Variation = OMG,
-) -> Decision:
-    """Return what a document says of one endpoint; see :class:`Judge`."""
-    return Judge(document, subject_name, now, domain, variation).decide(action, topic, partitions, tags)
+) -> EndpointDecision:
+    """Return what a document says of one endpoint; see :class:`DocumentEvaluator`."""
+    return DocumentEvaluator(document, subject_name, now, domain, variation).decide(action, topic, partitions, tags)
 
 
 def _grant(
     document: PermissionsDocument, subject_name: str, now: datetime, semantics: Semantics
-) -> DocumentGrant | Decision:
+) -> DocumentGrant | EndpointDecision:
     """Return the grant that counts, or why there is none."""
     reason = f"no grant is about {subject_name!r}"
     found_line = 0
@@ -215,7 +215,7 @@ def _grant(
         if not semantics.passes_over_invalid:
             break
     place = document.place(found_line) if found_line else document.file
-    return Decision(Outcome.ERROR, found_line, f"{place}: {reason}")
+    return EndpointDecision(DecisionOutcome.ERROR, found_line, f"{place}: {reason}")
 
 
 def _holds(rule: DocumentRule, domain: int, semantics: Semantics) -> bool:
@@ -257,10 +257,10 @@ def _step(rule: DocumentRule, group: Sequence[DocumentCriteria], semantics: Sema
     )
 
 
-def _patterns(expressions: Iterable[str], semantics: Semantics) -> _Patterns:
+def _patterns(expressions: Iterable[str], semantics: Semantics) -> _Expressions:
     texts = frozenset(fnmatch.in_bytes(semantics.reads_text(each)) for each in expressions)
     plain = frozenset(each for each in texts if fnmatch.is_plain(each))
-    return _Patterns(plain, _compiled(tuple(sorted(texts - plain)), semantics.fnmatch) if texts - plain else None)
+    return _Expressions(plain, _compiled(tuple(sorted(texts - plain)), semantics.fnmatch) if texts - plain else None)
 
 
 @lru_cache(maxsize=4096)

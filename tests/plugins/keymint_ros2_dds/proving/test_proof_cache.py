@@ -6,7 +6,7 @@ from unittest import mock
 
 import pytest
 from keymint_ros2_dds import build_type
-from keymint_ros2_dds.proving import Held, content, prove_content
+from keymint_ros2_dds.proving import ProofSpec, proof_cache, prove_content
 
 from keymint.api import BuildOptions, DomainRange, Proof
 from tests.plugins.keymint_ros2_dds.packages import package, rule
@@ -23,17 +23,17 @@ def proven(document: bytes, *, models=None, **fields):
         "states": 1000,
         "go_on": lambda: True,
     }
-    return prove_content(document, ("permissions.xml", 0), Held(**{**usual, **fields}), models=models)
+    return prove_content(document, ("permissions.xml", 0), ProofSpec(**{**usual, **fields}), models=models)
 
 
 @pytest.fixture
 def document() -> bytes:
-    content._proven.clear()
+    proof_cache._proven.clear()
     return build_type.build(LOADED, BuildOptions()).documents["permissions.xml"]
 
 
 def test_what_was_built_is_known_when_it_is_installed(document: bytes) -> None:
-    with mock.patch.object(content, "prove_document", side_effect=AssertionError("asked again")):
+    with mock.patch.object(proof_cache, "prove_document", side_effect=AssertionError("asked again")):
         claims = proven(document)
     assert {claim.proof for claim in claims} == {Proof.PROVEN}
 
@@ -61,7 +61,7 @@ def test_models_are_asked_each(document: bytes) -> None:
 
 
 def test_what_was_refuted_is_not_remembered(document: bytes) -> None:
-    known = dict(content._proven)
+    known = dict(proof_cache._proven)
     claims = proven(document.replace(b"rt/once", b"rt/twice"))
     assert any(claim.proof is Proof.COUNTEREXAMPLE for claim in claims)
-    assert content._proven == known
+    assert proof_cache._proven == known

@@ -43,7 +43,7 @@ _TIMES = frozenset(("certificate-expired", "certificate-not-yet-valid"))
 def differences(files: Mapping[str, bytes], folder: str, anchors: Anchors) -> tuple[Diagnostic, ...]:
     """Return what does not rest on the workspace's authorities; see :meth:`keymint.api.Prover.differences`."""
     missing = tuple(_missing(anchors))
-    return missing or tuple(_Enclave(files, folder, anchors).found())
+    return missing or tuple(_AnchorCheck(files, folder, anchors).found())
 
 
 def _missing(anchors: Anchors) -> Iterator[Diagnostic]:
@@ -61,7 +61,7 @@ def _missing(anchors: Anchors) -> Iterator[Diagnostic]:
             yield from error.diagnostics
 
 
-class _Enclave:
+class _AnchorCheck:
     """One enclave, held against what it must rest on."""
 
     def __init__(self, files: Mapping[str, bytes], folder: str, anchors: Anchors) -> None:

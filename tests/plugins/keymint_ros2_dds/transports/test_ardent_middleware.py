@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 from keymint_ros2_dds.lowering.endpoints import endpoints
 from keymint_ros2_dds.transports import ardent_omg
-from keymint_ros2_dds.transports.ardent import DEVIATION, ArdentMiddleware, created
+from keymint_ros2_dds.transports.ardent_middleware import DEVIATION, ArdentMiddleware, created
 
 from keymint.api import Enclave, Surroundings, Tier, Usable, Verdict
 from keymint.graph import Edge, Object

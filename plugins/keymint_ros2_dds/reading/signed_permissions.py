@@ -171,13 +171,13 @@ def read(content: bytes, file: str = "permissions.xml", offset: int = 0) -> Perm
         raise KeymintError("this is not a permissions document", where=where, code="document-kind")
     defects = _defects(root, file, offset)
     found = quirks.find(content, valid=not defects)
-    grants = _Reader(file, offset).grants(root)
+    grants = _PermissionsReader(file, offset).grants(root)
     odd = any(domain_ids.is_odd(t) for g in grants for r in g.rules for d in r.domains for t in d.texts)
     views = {}
     if odd or found.first_pieces:
         firsts = {element: found.first_pieces.get(at) for at, element in enumerate(root.iter())}
         for c_numbers, first_piece in ((True, False), (False, True), (True, True)):
-            reader = _Reader(file, offset, c_numbers=c_numbers, firsts=firsts if first_piece else {})
+            reader = _PermissionsReader(file, offset, c_numbers=c_numbers, firsts=firsts if first_piece else {})
             views[c_numbers, first_piece] = reader.grants(root)
     return PermissionsDocument(file, grants, defects, found.peculiarities, offset, MappingProxyType(views))
 
@@ -204,7 +204,7 @@ def _diagnostics(error: ComArmorError, file: str, offset: int) -> tuple[Diagnost
 
 
 @dataclass(frozen=True, slots=True)
-class _Reader:
+class _PermissionsReader:
     """Makes data of elements.
 
     Attributes:

@@ -6,8 +6,8 @@ from collections.abc import Mapping
 
 from keymint.api import Tier, Usable
 from keymint_ros2_dds.decision import FASTDDS_2_9
-from keymint_ros2_dds.transports.real_transport import RealTransport
-from keymint_ros2_dds.vendors import probes
+from keymint_ros2_dds.transports.participants_transport import RealTransport
+from keymint_ros2_dds.vendors import probe_builds
 from keymint_ros2_dds.vendors.participants import FastDDS
 
 
@@ -17,14 +17,14 @@ class FastDDSTransport(RealTransport):
     NAME = "fastdds"
     MODEL = FASTDDS_2_9
     VENDOR = FastDDS
-    PROBE = probes.FASTDDS
-    NONCONFORMING = probes.FASTDDS_NONCONFORMING
+    PROBE = probe_builds.FASTDDS
+    NONCONFORMING = probe_builds.FASTDDS_NONCONFORMING
 
     def _found(self, environment: Mapping[str, str]) -> Usable:
         """It takes a compiler and headers."""
         try:
-            probes.FASTDDS.require(environment)
-        except probes.MissingVendorError as error:
+            probe_builds.FASTDDS.require(environment)
+        except probe_builds.MissingVendorError as error:
             return Usable(usable=False, reason=error.reason, help=error.help)
-        version = probes.FASTDDS.version("fastrtps/config.h", "FASTRTPS_VERSION_STR", environment)
+        version = probe_builds.FASTDDS.version("fastrtps/config.h", "FASTRTPS_VERSION_STR", environment)
         return Usable(usable=True, version=version, tiers=tuple(Tier))

@@ -16,10 +16,10 @@ from keymint_ros2_dds import decision
 from keymint_ros2_dds.decision import CYCLONEDDS_0_10, strictness
 from keymint_ros2_dds.layout import PERMISSIONS_P7S
 from keymint_ros2_dds.lowering.endpoints import endpoints
-from keymint_ros2_dds.transports import files, real
-from keymint_ros2_dds.transports.real_transport import RealTransport
-from keymint_ros2_dds.transports.simulated import Courts
-from keymint_ros2_dds.vendors import probes
+from keymint_ros2_dds.transports import admission, enclave_files
+from keymint_ros2_dds.transports.participants_transport import RealTransport
+from keymint_ros2_dds.transports.simulated import EnclaveModels
+from keymint_ros2_dds.vendors import probe_builds
 from keymint_ros2_dds.vendors.cyclone_access_control import AccessControl, Direction
 from keymint_ros2_dds.vendors.participants import CycloneDDS
 
@@ -30,32 +30,32 @@ class CycloneDDSTransport(RealTransport):
     NAME = "cyclonedds"
     MODEL = CYCLONEDDS_0_10
     VENDOR = CycloneDDS
-    PROBE = probes.CYCLONEDDS
-    NONCONFORMING = probes.CYCLONEDDS_NONCONFORMING
+    PROBE = probe_builds.CYCLONEDDS
+    NONCONFORMING = probe_builds.CYCLONEDDS_NONCONFORMING
 
     def _found(self, environment: Mapping[str, str]) -> Usable:
         """Without a compiler and headers there is the decision alone."""
         try:
-            probes.require_cyclone_plugins()
-        except probes.MissingVendorError as error:
+            probe_builds.require_cyclone_plugins()
+        except probe_builds.MissingVendorError as error:
             return Usable(usable=False, reason=error.reason, help=error.help)
-        version = probes.CYCLONEDDS.version("dds/version.h", "DDS_VERSION", environment) or "0.10"
+        version = probe_builds.CYCLONEDDS.version("dds/version.h", "DDS_VERSION", environment) or "0.10"
         try:
-            probes.CYCLONEDDS.require(environment)
-        except probes.MissingVendorError as error:
+            probe_builds.CYCLONEDDS.require(environment)
+        except probe_builds.MissingVendorError as error:
             return Usable(usable=True, version=version, reason=error.reason, help=error.help, tiers=(Tier.DECISION,))
         return Usable(usable=True, version=version, tiers=tuple(Tier))
 
-    def _decision(self, courts: Courts, edges: Iterable[Edge]) -> Iterator[tuple[Edge, Verdict]]:
-        return _decision(courts, edges)
+    def _decision(self, models: EnclaveModels, edges: Iterable[Edge]) -> Iterator[tuple[Edge, Verdict]]:
+        return _decision(models, edges)
 
 
-def _decision(courts: Courts, edges: Iterable[Edge]) -> Iterator[tuple[Edge, Verdict]]:
+def _decision(models: EnclaveModels, edges: Iterable[Edge]) -> Iterator[tuple[Edge, Verdict]]:
     """Ask the access-control plugin of each subject's enclave; only those of one subject are open at a time."""
     subject, opened = "", dict[int, "AccessControl | str"]()
     with ExitStack() as stack:
         for edge in edges:
-            enclave = courts.enclave(edge.subject)
+            enclave = models.enclave(edge.subject)
             if edge.subject != subject:
                 stack.pop_all().close()
                 subject, opened = edge.subject, {}
@@ -65,9 +65,9 @@ def _decision(courts: Courts, edges: Iterable[Edge]) -> Iterator[tuple[Edge, Ver
             if isinstance(access, str):
                 yield edge, Verdict(allowed=False, reason=access)
                 continue
-            court = courts.of(edge.subject, edge.domain)
+            enclave_model = models.of(edge.subject, edge.domain)
             needed = endpoints(enclave.distro, edge)
-            yield edge, real.verdict(court, CYCLONEDDS_0_10, needed, _answers(access, needed))
+            yield edge, admission.verdict(enclave_model, CYCLONEDDS_0_10, needed, _answers(access, needed))
 
 
 def _open(folder: Path, domain: int, stack: ExitStack) -> AccessControl | str:
@@ -79,10 +79,10 @@ def _open(folder: Path, domain: int, stack: ExitStack) -> AccessControl | str:
         KeymintError: a signed file is in a form that is not read here, so it cannot be seen whether it is such a one.
     """
     try:
-        signed = files.content(folder, PERMISSIONS_P7S)
+        signed = enclave_files.content(folder, PERMISSIONS_P7S)
         stops = strictness.crash(decision.read(smime.signed_content(signed, Origin(PERMISSIONS_P7S))))
     except KeymintError as error:
-        files.raise_if_unread(error, folder)
+        enclave_files.raise_if_unread(error, folder)
         return str(error)
     if stops:
         return f"permissions.xml: {stops}"
@@ -95,6 +95,6 @@ def _open(folder: Path, domain: int, stack: ExitStack) -> AccessControl | str:
 def _answers(access: AccessControl, needed: Iterable[Edge]) -> Iterator[tuple[bool, str]]:
     for endpoint in needed:
         found = endpoint.object
-        reason = real.unsayable(endpoint)
+        reason = admission.unsayable(endpoint)
         allowed = not reason and access.allows(cast("Direction", endpoint.permission), found.name, found.partitions)
         yield allowed, "the access-control plugin allows it" if allowed else reason or access.reason

@@ -18,17 +18,17 @@ from typing import cast
 
 from keymint.api import Enclave, Verdict
 from keymint.errors import KeymintError
-from keymint.graph import Edge as GraphEdge
+from keymint.graph import Edge
 from keymint_ros2_dds.decision import Variation
 from keymint_ros2_dds.lowering.endpoints import endpoints
-from keymint_ros2_dds.transports import real
-from keymint_ros2_dds.transports.simulated import Court, Courts
+from keymint_ros2_dds.transports import admission
+from keymint_ros2_dds.transports.simulated import EnclaveModel, EnclaveModels
 from keymint_ros2_dds.vendors.participants import (
     DeniedError,
     Direction,
-    Edge,
-    Participant,
+    ProbeEndpoint,
     ProbeError,
+    ProbeParticipant,
     RefusedError,
     System,
     Vendor,
@@ -50,7 +50,7 @@ _OTHER_END: Mapping[str, str] = {"publish": "subscribe", "subscribe": "publish"}
 class _Trial:
     """One endpoint of the subject under trial, with the enclave that is its other end."""
 
-    endpoint: GraphEdge
+    endpoint: Edge
     admitted: bool
     said: str
     peer: Enclave | None
@@ -61,12 +61,12 @@ class _Trial:
 class _Peers:
     """Finds enclaves that may be the other end of an endpoint, by the model of the vendor."""
 
-    courts: Courts
+    models: EnclaveModels
     enclaves: Sequence[Enclave]
     model: Variation
-    kept: dict[tuple[str, int], Court] = field(default_factory=dict)
+    kept: dict[tuple[str, int], EnclaveModel] = field(default_factory=dict)
 
-    def of(self, endpoint: GraphEdge) -> Enclave | None:
+    def of(self, endpoint: Edge) -> Enclave | None:
         """Return the first enclave, by name and not the subject's own, that may be the other end."""
         wildcards = set("*?[")
         if endpoint.permission not in _OTHER_END or any(wildcards & set(p) for p in endpoint.object.partitions):
@@ -75,46 +75,51 @@ class _Peers:
         for enclave in self.enclaves:
             if enclave.subject == endpoint.subject:
                 continue
-            other = GraphEdge(enclave.subject, action, endpoint.object, endpoint.domain)
-            if self._court(enclave, endpoint.domain).decide(self.model, other).allowed:
+            other = Edge(enclave.subject, action, endpoint.object, endpoint.domain)
+            if self._model(enclave, endpoint.domain).decide(self.model, other).allowed:
                 return enclave
         return None
 
-    def _court(self, enclave: Enclave, domain: int) -> Court:
+    def _model(self, enclave: Enclave, domain: int) -> EnclaveModel:
         key = (enclave.subject, domain)
         if key not in self.kept:
-            self.kept[key] = self.courts.fresh(enclave, domain)
+            self.kept[key] = self.models.fresh(enclave, domain)
         return self.kept[key]
 
 
 def exchange(
-    vendor: Vendor, model: Variation, courts: Courts, enclaves: Sequence[Enclave], edges: Iterable[GraphEdge]
-) -> Iterator[tuple[GraphEdge, Verdict]]:
+    vendor: Vendor, model: Variation, models: EnclaveModels, enclaves: Sequence[Enclave], edges: Iterable[Edge]
+) -> Iterator[tuple[Edge, Verdict]]:
     """Yield whether data of each edge is delivered.
 
     Args:
         vendor: the vendor, with its probe and the library for participants that do not conform.
         model: the model of the vendor.
-        courts: the enclaves.
+        models: the enclaves.
         enclaves: the same, as those that may be the other end.
         edges: grouped by subject.
 
     Raises:
         KeymintError: an enclave is missing, or a process of the vendor fails.
     """
-    peers = _Peers(courts, sorted(enclaves, key=lambda enclave: enclave.subject), model)
+    peers = _Peers(models, sorted(enclaves, key=lambda enclave: enclave.subject), model)
     for (subject, domain), group in groupby(edges, key=lambda edge: (edge.subject, edge.domain)):
-        enclave = courts.enclave(subject)
+        enclave = models.enclave(subject)
         while batch := list(islice(group, BATCH)):
             try:
-                yield from _batch(vendor, model, courts.of(subject, domain), enclave, peers, batch)
+                yield from _batch(vendor, model, models.of(subject, domain), enclave, peers, batch)
             except ProbeError as error:
                 raise KeymintError(f"{subject}: {error}", code="transport-failed") from None
 
 
 def _batch(
-    vendor: Vendor, model: Variation, court: Court, enclave: Enclave, peers: _Peers, batch: Sequence[GraphEdge]
-) -> Iterator[tuple[GraphEdge, Verdict]]:
+    vendor: Vendor,
+    model: Variation,
+    enclave_model: EnclaveModel,
+    enclave: Enclave,
+    peers: _Peers,
+    batch: Sequence[Edge],
+) -> Iterator[tuple[Edge, Verdict]]:
     trials = _admitted(vendor, enclave, peers, batch)
     with_peer: dict[str, list[_Trial]] = {}
     for trial in trials.values():
@@ -125,21 +130,21 @@ def _batch(
         _intrude(vendor, enclave, group)
     for edge in batch:
         needed = endpoints(enclave.distro, edge)
-        yield edge, real.verdict(court, model, needed, (_answer(trials[endpoint]) for endpoint in needed))
+        yield edge, admission.verdict(enclave_model, model, needed, (_answer(trials[endpoint]) for endpoint in needed))
 
 
-def _admitted(vendor: Vendor, enclave: Enclave, peers: _Peers, batch: Sequence[GraphEdge]) -> dict[GraphEdge, _Trial]:
+def _admitted(vendor: Vendor, enclave: Enclave, peers: _Peers, batch: Sequence[Edge]) -> dict[Edge, _Trial]:
     """Return all endpoints of the edges with what a participant of the subject is told about them."""
     needed = dict.fromkeys(endpoint for edge in batch for endpoint in endpoints(enclave.distro, edge))
-    found: dict[GraphEdge, _Trial] = {}
+    found: dict[Edge, _Trial] = {}
     with System(vendor) as system:
         try:
-            participant: Participant | None = system.open(enclave.folder, batch[0].domain)
+            participant: ProbeParticipant | None = system.open(enclave.folder, batch[0].domain)
             refusal = ""
         except RefusedError as error:
             participant, refusal = None, f"the participant is refused: {error}"
         for endpoint in needed:
-            reason = real.unsayable(endpoint)
+            reason = admission.unsayable(endpoint)
             if participant is None or reason:
                 admitted, said = False, refusal or reason
             else:
@@ -176,10 +181,10 @@ def _intrude(vendor: Vendor, enclave: Enclave, trials: Sequence[_Trial]) -> None
 
 
 @dataclass(frozen=True, slots=True)
-class _Ends:
+class _SentSample:
     """A writer that has written a sample, and the reader that is to have it."""
 
-    reader: Edge
+    reader: ProbeEndpoint
     text: str
 
     def arrives(self, seconds: float) -> bool:
@@ -192,10 +197,10 @@ class _Ends:
 
 def _pairs(
     system: System, enclave: Enclave, trials: Sequence[_Trial], *, conforming: bool
-) -> list[tuple[_Trial, _Ends | None]]:
+) -> list[tuple[_Trial, _SentSample | None]]:
     """Make both ends of each endpoint, in order, and write a sample; None where an end cannot be made."""
     domain, peer = trials[0].endpoint.domain, trials[0].peer
-    found: list[tuple[_Trial, _Ends | None]] = []
+    found: list[tuple[_Trial, _SentSample | None]] = []
     try:
         other = system.open(cast("Enclave", peer).folder, domain)
         own = system.open(enclave.folder, domain, conforming=conforming)
@@ -213,7 +218,7 @@ def _pairs(
         writer, reader = (near, far) if publishes else (far, near)
         text = f"{trial.endpoint.subject} {number}"
         writer.write(text)
-        found.append((trial, _Ends(reader, text)))
+        found.append((trial, _SentSample(reader, text)))
     return found
 
 

@@ -9,9 +9,9 @@ import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from keymint_ros2_dds import decision
-from keymint_ros2_dds.decision import VARIATIONS, Judge, fnmatch
+from keymint_ros2_dds.decision import VARIATIONS, DocumentEvaluator, fnmatch
 from keymint_ros2_dds.lowering.lower import lower
-from keymint_ros2_dds.proving import lists, policy
+from keymint_ros2_dds.proving import permission_lists, policy_evaluator
 from keymint_ros2_dds.proving.dialects import READERS
 
 from comarmor.patterns.evaluate import permits
@@ -53,10 +53,10 @@ def grants(draw):
 def test_lists_of_a_grant_say_what_the_decision_point_says(model, content):
     document = decision.read(content)
     variation = VARIATIONS[model]
-    judge = Judge(document, xml.SUBJECT, xml.NOW, 0, variation)
+    judge = DocumentEvaluator(document, xml.SUBJECT, xml.NOW, 0, variation)
     for action in ("publish", "subscribe"):
-        found = lists.of_grant(document.grants[0], 0, action, variation.semantics, pairs=True)
-        plain = lists.of_grant(document.grants[0], 0, action, variation.semantics, pairs=False)
+        found = permission_lists.of_grant(document.grants[0], 0, action, variation.semantics, pairs=True)
+        plain = permission_lists.of_grant(document.grants[0], 0, action, variation.semantics, pairs=False)
         for name, partition in itertools.product(NAMES, ASKED):
             expected = judge.decide(action, name, (partition,)).allowed
             assert all(permits(each, f"{partition}\0{name}") for each in found) == expected, (action, name, partition)
@@ -69,10 +69,10 @@ def test_lists_of_a_grant_say_what_the_decision_point_says(model, content):
 @example(xml.document(xml.grant(xml.rule("allow", xml.criteria("publish", "*")), default="ALLOW")))
 def test_partitions_are_left_out_only_where_nothing_is_permitted_in_any(content):
     document = decision.read(content)
-    if lists.has_partitions(lower(SubjectRules("/talker", ()), "jazzy"), document.grants):
+    if permission_lists.has_partitions(lower(SubjectRules("/talker", ()), "jazzy"), document.grants):
         return
     for variation in VARIATIONS.values():
-        judge = Judge(document, xml.SUBJECT, xml.NOW, 0, variation)
+        judge = DocumentEvaluator(document, xml.SUBJECT, xml.NOW, 0, variation)
         for action, name, partition in itertools.product(("publish", "subscribe"), NAMES, ASKED[1:]):
             assert not judge.decide(action, name, (partition,)).allowed, (variation.name, action, name, partition)
 
@@ -110,11 +110,11 @@ def test_lists_of_a_policy_say_what_its_rules_say(drawn):
     told = SubjectRules("/talker", tuple(drawn))
     lowered = lower(told, "jazzy")
     for action in ("publish", "subscribe"):
-        found = lists.of_policy(lowered, action, pairs=True)
-        plain = lists.of_policy(lowered, action, pairs=False)
+        found = permission_lists.of_policy(lowered, action, pairs=True)
+        plain = permission_lists.of_policy(lowered, action, pairs=False)
         for topic, partition in itertools.product(TOPICS, ("", "p", "r", "*")):
             expected = oracle(told, action, topic, (partition,) if partition else ())
-            rule = policy.decide(told, "jazzy", action, topic, partition)
+            rule = policy_evaluator.decide(told, "jazzy", action, topic, partition)
             assert (rule is not None and rule.effect == "ALLOW") == expected
             assert permits(found, f"{partition}\0{topic}") == expected
             if not partition:

@@ -25,8 +25,8 @@ from comarmor.patterns.glob import EVERYTHING, Charset, Glob, normalise
 from comarmor.patterns.proofs import escapes
 from keymint_ros2_dds.decision.semantics import Semantics
 from keymint_ros2_dds.proving.dialects import read
-from keymint_ros2_dds.proving.lists import SEPARATOR
-from keymint_ros2_dds.reading.governance_document import DocumentDomainRule
+from keymint_ros2_dds.proving.permission_lists import SEPARATOR
+from keymint_ros2_dds.reading.signed_governance import DocumentDomainRule
 
 WILDCARDS = "*?["
 """Fast DDS takes the name of a topic for an expression about the expressions of topic rules, too. It makes no

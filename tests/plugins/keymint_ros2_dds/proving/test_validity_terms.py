@@ -8,8 +8,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from keymint_ros2_dds import decision, proving
-from keymint_ros2_dds.decision import VARIATIONS, Judge
-from keymint_ros2_dds.proving.validity import joined, of_grants
+from keymint_ros2_dds.decision import VARIATIONS, DocumentEvaluator
+from keymint_ros2_dds.proving.validity_terms import joined, of_grants
 
 from keymint.errors import KeymintError
 from tests.plugins.keymint_ros2_dds.enclaves import anchors, installed
@@ -63,7 +63,11 @@ def test_a_document_is_in_force_exactly_when_the_decision_point_finds_a_grant(da
             except OverflowError:
                 continue
             in_force = any(first <= now <= last for first, last in found[model])
-            assert in_force is (Judge(read, NAME, now, 0, variation).refusal is None), (model, now, found[model])
+            assert in_force is (DocumentEvaluator(read, NAME, now, 0, variation).refusal is None), (
+                model,
+                now,
+                found[model],
+            )
 
 
 def test_models_that_agree_have_one_term_with_its_line():

@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from keymint_ros2_dds import build_type, decision, proving
 from keymint_ros2_dds.lowering.lower import lower
-from keymint_ros2_dds.transports.files import subject_name
+from keymint_ros2_dds.transports.enclave_files import subject_name
 
 from comarmor.errors import Origin
 from keymint.api import BuildOptions, DomainRange, Obligation, Proof
@@ -288,8 +288,8 @@ def test_a_document_that_is_not_signed_yet(old, new):
     content = ENCLAVE["permissions.xml"].decode().replace(old, new).encode()
     rules = PLAIN.permissions.rules
     name = subject_name(ENCLAVE["cert.pem"], Origin("cert.pem"))
-    held = proving.Held(name, rules, PLAIN.distro, PLAIN.permissions.domains, states=200_000, go_on=lambda: True)
-    question = proving.Question(decision.read(content), held, lower(rules, PLAIN.distro))
+    held = proving.ProofSpec(name, rules, PLAIN.distro, PLAIN.permissions.domains, states=200_000, go_on=lambda: True)
+    question = proving.ProofQuestion(decision.read(content), held, lower(rules, PLAIN.distro))
     found = proving.prove_document(question)
     signed = proving.prove(obligation(PLAIN, {**ENCLAVE, "permissions.xml": content, "permissions.p7s": sign(content)}))
     assert [(claim.model, claim.action, claim.proof) for claim in found] == [

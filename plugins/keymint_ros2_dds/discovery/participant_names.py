@@ -24,10 +24,10 @@ from comarmor.errors import Diagnostic, Severity
 from comarmor.text import first_few
 from keymint.errors import ExitCode, KeymintError
 from keymint.graph_json import legal_subject
-from keymint_ros2_dds.discovery.ros_names import ros_name
+from keymint_ros2_dds.discovery.ros_entities import ros_name
 
 if TYPE_CHECKING:
-    from keymint_ros2_dds.discovery.capture import Endpoint, Participant
+    from keymint_ros2_dds.discovery.capture import DiscoveredEndpoint, DiscoveredParticipant
 
 _GUID = re.compile(r"[0-9a-f]{8,32}\Z")
 _PARAMETERS = "/get_parameters"
@@ -37,7 +37,7 @@ _MOST = 4
 
 
 def name_participants(
-    participants: Sequence[Participant], endpoints: Iterable[Endpoint], given: Mapping[str, str]
+    participants: Sequence[DiscoveredParticipant], endpoints: Iterable[DiscoveredEndpoint], given: Mapping[str, str]
 ) -> tuple[dict[str, str], list[Diagnostic]]:
     """Return the subject of each participant by GUID, and how each came by its name.
 
@@ -84,14 +84,14 @@ def name_participants(
 
 
 def _shared(
-    participants: Iterable[Participant], names: Mapping[str, str], given: Mapping[str, str]
+    participants: Iterable[DiscoveredParticipant], names: Mapping[str, str], given: Mapping[str, str]
 ) -> Iterator[Diagnostic]:
     """Yield a finding for each subject that several participants are: what they do is merged.
 
     Processes of one enclave share its rights on purpose; of any other name this may be a restart, or two nodes that
     must not get each other's rights. Names that the user gave are no matter of doubt.
     """
-    merged: dict[tuple[int, str], list[Participant]] = {}
+    merged: dict[tuple[int, str], list[DiscoveredParticipant]] = {}
     for one in sorted(participants):
         merged.setdefault((one.domain, names[one.guid]), []).append(one)
     for (domain, name), together in merged.items():
@@ -109,7 +109,9 @@ def _shared(
         )
 
 
-def _own(one: Participant, serves: Mapping[str, set[str]], meets: Mapping[str, set[str]]) -> tuple[str, str] | None:
+def _own(
+    one: DiscoveredParticipant, serves: Mapping[str, set[str]], meets: Mapping[str, set[str]]
+) -> tuple[str, str] | None:
     """Return how a participant tells its name, and the name; or None when it does not."""
     told = _fields(one.user_data)
     enclave = told.get("enclave", "")
@@ -134,7 +136,7 @@ def _fields(user_data: bytes) -> dict[str, str]:
     return {name: value for name, equals, value in (item.partition("=") for item in text.split(";")) if equals}
 
 
-def _given(participants: Sequence[Participant], given: Mapping[str, str]) -> dict[str, str]:
+def _given(participants: Sequence[DiscoveredParticipant], given: Mapping[str, str]) -> dict[str, str]:
     names: dict[str, str] = {}
     for typed, name in given.items():
         guid = re.sub(r"[.:|\s]", "", typed).lower()

@@ -16,7 +16,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from types import MappingProxyType
 
-from keymint_ros2_dds.vendors import cyclone_access_control, programs
+from keymint_ros2_dds.vendors import cyclone_access_control, program_cache
 
 _SOURCES = Path(__file__).parent
 
@@ -101,8 +101,8 @@ class Probe:
         compiler, included = self.require(environment)
         source = _SOURCES / self.source
         state = hashlib.sha256(source.read_bytes() + included + repr(self).encode())
-        program = programs.place(cache, f"{source.stem}-{state.hexdigest()[:16]}")
-        if not programs.is_ours(program):
+        program = program_cache.place(cache, f"{source.stem}-{state.hexdigest()[:16]}")
+        if not program_cache.is_ours(program):
             with tempfile.TemporaryDirectory(dir=program.parent) as scratch:
                 output = Path(scratch) / program.name
                 command = [compiler, *self.arguments[:1], "-O1", "-o", str(output), str(source)]

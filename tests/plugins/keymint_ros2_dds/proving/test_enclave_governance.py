@@ -12,7 +12,7 @@ from keymint_ros2_dds import build_type
 from keymint.api import BuildOptions, DomainRange, Proof
 from tests.plugins.keymint_ros2_dds.enclaves import installed
 from tests.plugins.keymint_ros2_dds.packages import domain_rule, package, protection, rule
-from tests.plugins.keymint_ros2_dds.proving.test_prove import MODELS, PLAIN, claims, refuted, sign
+from tests.plugins.keymint_ros2_dds.proving.test_enclave_proof import MODELS, PLAIN, claims, refuted, sign
 
 READ, WRITE = "enable_read_access_control", "enable_write_access_control"
 JOIN, UNAUTHENTICATED = "enable_join_access_control", "allow_unauthenticated_participants"

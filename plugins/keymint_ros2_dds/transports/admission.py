@@ -11,9 +11,16 @@ from keymint.errors import KeymintError
 from keymint.graph import Edge
 from keymint_ros2_dds.decision import Variation
 from keymint_ros2_dds.lowering.endpoints import endpoints
-from keymint_ros2_dds.transports import files
-from keymint_ros2_dds.transports.simulated import Court, Courts
-from keymint_ros2_dds.vendors.participants import Direction, Participant, ProbeError, RefusedError, System, Vendor
+from keymint_ros2_dds.transports import enclave_files
+from keymint_ros2_dds.transports.simulated import EnclaveModel, EnclaveModels
+from keymint_ros2_dds.vendors.participants import (
+    Direction,
+    ProbeError,
+    ProbeParticipant,
+    RefusedError,
+    System,
+    Vendor,
+)
 
 
 def unsayable(endpoint: Edge) -> str:
@@ -24,11 +31,13 @@ def unsayable(endpoint: Edge) -> str:
     return "" if endpoint.object.name else "no DDS topic has an empty name"
 
 
-def verdict(court: Court, model: Variation, needed: Sequence[Edge], answers: Iterator[tuple[bool, str]]) -> Verdict:
+def verdict(
+    enclave_model: EnclaveModel, model: Variation, needed: Sequence[Edge], answers: Iterator[tuple[bool, str]]
+) -> Verdict:
     """Put answers of a vendor about the endpoints of an edge together: all of them must be allowed.
 
     Args:
-        court: the enclave, to find the rule that decided, and why the vendor does not decide as the standard does.
+        enclave_model: the enclave, to find the rule that decided and why the vendor deviates from the standard.
         model: the model of the vendor.
         needed: the endpoints.
         answers: whether each is allowed, and what the vendor said; taken as long as they are.
@@ -37,8 +46,8 @@ def verdict(court: Court, model: Variation, needed: Sequence[Edge], answers: Ite
     allowed = bool(needed)
     for endpoint in needed:
         allowed, said = next(answers)
-        deviation = deviation or court.deviation(model, endpoint, allowed=allowed)
-        modelled = court.decide(model, endpoint)
+        deviation = deviation or enclave_model.deviation(model, endpoint, allowed=allowed)
+        modelled = enclave_model.decide(model, endpoint)
         line = modelled.line if modelled.allowed == allowed else 0
         if not allowed:
             break
@@ -54,22 +63,22 @@ def refused(tier: Tier, usable: Usable, name: str) -> KeymintError:
 
 
 def admission(
-    vendor: Vendor, model: Variation, courts: Courts, edges: Iterable[Edge]
+    vendor: Vendor, model: Variation, models: EnclaveModels, edges: Iterable[Edge]
 ) -> Iterator[tuple[Edge, Verdict]]:
     """Yield what a vendor lets real participants have: one for each enclave and domain, one at a time.
 
     Args:
         vendor: the vendor, its probe built.
         model: the model of the vendor.
-        courts: the enclaves.
+        models: the enclaves.
         edges: grouped by subject.
 
     Raises:
         KeymintError: an enclave is missing, or the vendor's process fails.
     """
     for (subject, domain), group in groupby(edges, key=lambda edge: (edge.subject, edge.domain)):
-        enclave, court = courts.enclave(subject), courts.of(subject, domain)
-        files.refuse_encrypted_key(enclave)
+        enclave, enclave_model = models.enclave(subject), models.of(subject, domain)
+        enclave_files.refuse_encrypted_key(enclave)
         try:
             with System(vendor) as system:
                 try:
@@ -80,12 +89,12 @@ def admission(
                     continue
                 for edge in group:
                     needed = endpoints(enclave.distro, edge)
-                    yield edge, verdict(court, model, needed, _asked(participant, needed))
+                    yield edge, verdict(enclave_model, model, needed, _asked(participant, needed))
         except ProbeError as error:
             raise KeymintError(f"{subject}: {error}", code="transport-failed") from None
 
 
-def _asked(participant: Participant, needed: Iterable[Edge]) -> Iterator[tuple[bool, str]]:
+def _asked(participant: ProbeParticipant, needed: Iterable[Edge]) -> Iterator[tuple[bool, str]]:
     for endpoint in needed:
         reason = unsayable(endpoint)
         if reason:
