@@ -80,6 +80,12 @@ class _Verbs(click.Group):
         del ctx
         with formatter.section("Verbs"):
             formatter.write_dl(list(VERBS.items()))
+        from keymint.workspace import SPACES  # noqa: PLC0415 - not needed by a verb
+
+        with formatter.section("Workspace layout (options of every verb that takes --workspace)"):
+            formatter.write_dl(
+                [(f"--{space}-space DIR", f"Directory of the {space} space [{space}/].") for space in SPACES]
+            )
 
 
 @click.group(cls=_Verbs, context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 110})
@@ -211,7 +217,7 @@ def _fail(arguments: Sequence[str], code: str, message: str, exit_code: ExitCode
 
 def _setting() -> Any:
     """Return what only the command line knows; called when a verb runs, so that ``--help`` needs none of it."""
-    from keymint.commands.common import Setting  # noqa: PLC0415 - not needed for --help
+    from keymint.commands.run import Setting  # noqa: PLC0415 - not needed for --help
     from keymint.output.console import Streams  # noqa: PLC0415
 
     plain = bool(os.environ.get("NO_COLOR")) or os.environ.get("TERM") == "dumb"

@@ -2,15 +2,19 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import click
 
 from comarmor.errors import Diagnostic, Severity
-from keymint.commands.build_options import BUILD_OPTIONS, build_options
-from keymint.commands.common import Run, complete_package, verb
+from keymint.commands.build_options import build_options
+from keymint.commands.options import (
+    DocumentOptions,
+    complete_package,
+    document_options,
+    renew_option,
+)
 from keymint.commands.policy_slips import policy_slips
-from keymint.commands.profile_options import add_options
+from keymint.commands.run import Run
+from keymint.commands.verb import verb
 from keymint.output.report import Report
 from keymint.plan.build import plan_build
 from keymint.plan.create import policy_changed
@@ -18,25 +22,17 @@ from keymint.plan.inputs import Inputs, Sources
 from keymint.plan.model import Plan
 
 
-@verb(writes=True)
+@verb(jobs=True, dry_run=True)
 @click.argument("names", nargs=-1, metavar="[NAME]...", shell_complete=complete_package)
 @click.option("-f", "--force", is_flag=True, help="Rebuild everything, and discard edits by hand.")
-@click.option("--renew", is_flag=True, help="Mint new private keys; keys are never replaced otherwise.")
-@click.option(
-    "--unsigned",
-    is_flag=True,
-    help="Stop at the unsigned documents for an edit by hand, as build always does; here for scripts to say so.",
-)
-@add_options(BUILD_OPTIONS)
+@renew_option
+@document_options
 def build(
     run: Run,
     names: tuple[str, ...],
     force: bool,
     renew: bool,
-    unsigned: bool,
-    allow_vendor_specific: bool,
-    optimise: bool,
-    hints: Path | None,
+    document_options: DocumentOptions,
 ) -> Report:
     """Build unsigned documents in build/, and mint a key for each subject that has none.
 
@@ -44,9 +40,8 @@ def build(
     so a document may be edited by hand in between. Permissions are rewritten into a smaller form, which is proven to
     permit what the rules say; its size is shown beside that of the plain form. NAME is a package; by default all.
     """
-    del unsigned  # what it asks for is what this verb does
     workspace = run.workspace()
-    hinted = build_options(run, allow_vendor_specific=allow_vendor_specific, optimise=optimise, hints=hints)
+    hinted = build_options(run, document_options)
 
     def make_plan(inputs: Inputs) -> Plan:
         loaded = inputs.profile()

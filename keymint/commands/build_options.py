@@ -2,38 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
-from pathlib import Path
-from typing import Any
 
 import click
 
 from comarmor.errors import Diagnostic
 from keymint.api import BuildOptions
-from keymint.commands.common import Run
-from keymint.commands.files import read_input
+from keymint.commands.options import DocumentOptions
+from keymint.commands.run import Run
+from keymint.commands.user_files import read_input
 from keymint.hints import load_hints, unknown_subjects
-
-BUILD_OPTIONS: Sequence[Callable[[Any], Any]] = (
-    click.option(
-        "--allow-vendor-specific",
-        is_flag=True,
-        help="Turn into warnings what DDS vendors would decide differently.",
-    ),
-    click.option(
-        "--optimise/--no-optimise",
-        default=True,
-        show_default=True,
-        help="Rewrite permissions into fewer rules and expressions, proven to mean the same.",
-    ),
-    click.option(
-        "--hints",
-        type=click.Path(path_type=Path),
-        metavar="FILE",
-        help="What is asked for more often comes earlier: counts (CSV: subject,permission,object,count) or a graph.",
-    ),
-)
 
 
 @dataclass(frozen=True, slots=True)
@@ -48,14 +27,14 @@ class Hinted:
         return tuple(unknown_subjects(self.options.demand, [f"/{name}" for name in names], self.hints))
 
 
-def build_options(run: Run, *, allow_vendor_specific: bool, optimise: bool, hints: Path | None) -> Hinted:
+def build_options(run: Run, given: DocumentOptions) -> Hinted:
     """Return the options of a build as a user gave them.
 
     Raises:
         KeymintError: the file of hints cannot be read, or is none.
         click.UsageError: there are hints for what is to be left as it is.
     """
-    if hints is not None and not optimise:
+    if given.hints is not None and not given.optimise:
         raise click.UsageError("--hints is about the order of rules, which --no-optimise leaves as it is.")
-    asked = () if hints is None else load_hints(read_input(run, hints), str(hints))
-    return Hinted(BuildOptions(allow_vendor_specific, optimise, asked), str(hints or ""))
+    demand = () if given.hints is None else load_hints(read_input(run, given.hints), str(given.hints))
+    return Hinted(BuildOptions(given.allow_vendor_specific, given.optimise, demand), str(given.hints or ""))

@@ -11,7 +11,9 @@ import click
 from comarmor.errors import Diagnostic, Severity
 from comarmor.text import counted
 from keymint.check import check as find
-from keymint.commands.common import Run, complete_package, verb
+from keymint.commands.options import complete_package
+from keymint.commands.run import Run
+from keymint.commands.verb import verb
 from keymint.errors import KeymintError
 from keymint.output.report import Report, findings_exit, folded
 from keymint.plan.create import recall_policy

@@ -5,11 +5,12 @@ from __future__ import annotations
 import click
 from click.shell_completion import get_completion_class
 
-from keymint.commands.common import Run, verb
+from keymint.commands.run import Run
+from keymint.commands.verb import verb
 from keymint.output.report import Report
 
 
-@verb()
+@verb(workspace=False)
 @click.argument("shell", type=click.Choice(["bash", "zsh", "fish"]))
 def completion(run: Run, shell: str) -> Report:
     """Print the completion script of a SHELL.

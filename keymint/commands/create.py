@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import click
 
-from keymint.commands.common import Run, verb
+from keymint.commands.run import Run
+from keymint.commands.verb import verb
 from keymint.errors import ExitCode, KeymintError
 from keymint.names import package_name
 from keymint.output.report import Report
@@ -13,7 +14,7 @@ from keymint.plan.inputs import Inputs, Sources
 from keymint.plan.model import Plan
 
 
-@verb(writes=True)
+@verb(jobs=True, dry_run=True)
 @click.argument("names", nargs=-1, metavar="[NAME]...")
 @click.option("--all", "all_subjects", is_flag=True, help="Every subject that the policy names exactly.")
 @click.option("-f", "--force", is_flag=True, help="Replace permissions.xml even where it was edited by hand.")

@@ -16,8 +16,10 @@ from keymint.analysis.policy_diff import diff_policies as compare
 from keymint.analysis.policy_diff import has_gains
 from keymint.analysis.query_budget import STATES, QueryBudget
 from keymint.api import LoadedPolicy
-from keymint.commands.common import Run, verb
-from keymint.commands.policies import Policies, place, policy_options, typed
+from keymint.commands.options import PolicyOptions, policy_options
+from keymint.commands.policies import Policies, place, typed
+from keymint.commands.run import Run
+from keymint.commands.verb import verb
 from keymint.errors import ExitCode, KeymintError
 from keymint.git import at_revision, is_revision
 from keymint.output.console import Console
@@ -32,7 +34,7 @@ _UNKNOWN = Diagnostic(
 FORMATS = ("text", "markdown", "json")
 
 
-@verb()
+@verb(workspace=False)
 @click.argument("old", metavar="A")
 @click.argument("new", metavar="B")
 @click.option("-f", "--format", "kind", type=click.Choice(FORMATS), default="text", show_default=True)
@@ -40,9 +42,7 @@ FORMATS = ("text", "markdown", "json")
     "--budget", default=STATES, show_default=True, metavar="STATES", type=click.IntRange(1), help="What it may cost."
 )
 @policy_options
-def diff(
-    run: Run, old: str, new: str, kind: str, budget: int, distro: str | None, profile_type: str, policy_type: str
-) -> Report:
+def diff(run: Run, old: str, new: str, kind: str, budget: int, policy_options: PolicyOptions) -> Report:
     """Compare the policies A and B by meaning: what each subject gains and loses, over all names there are.
 
     A and B are ComArmor files or folders, workspaces, or any of these at a revision of git: REV:PATH. 'equivalent' is
@@ -57,7 +57,7 @@ def diff(
     """
     if kind == "json":
         run.console = Console(run.setting.streams, as_json=True)
-    policies = Policies(run, distro, profile_type, policy_type)
+    policies = Policies(run, policy_options)
     with ExitStack() as stack:
         trees: dict[str, str] = {}
         one, other = (_loaded(run, policies, text, stack, trees) for text in (old, new))

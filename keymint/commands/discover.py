@@ -14,10 +14,11 @@ import click
 from comarmor.errors import Diagnostic, Origin, Severity
 from keymint import graph_json
 from keymint.api import Discovered, GraphSource
-from keymint.commands.common import Run, verb
-from keymint.commands.files import exists, read_input, write_outputs
-from keymint.commands.numbers import Number
+from keymint.commands.options import Number, PluginOption
+from keymint.commands.run import Run
 from keymint.commands.signals import ended_by_signals
+from keymint.commands.user_files import exists, read_input, write_outputs
+from keymint.commands.verb import verb
 from keymint.errors import ExitCode, KeymintError
 from keymint.graph import Graph
 from keymint.output.report import Report
@@ -25,7 +26,7 @@ from keymint.output.report import Report
 _FILE = click.Path(path_type=Path)
 
 
-@verb(writes=True)
+@verb(workspace=False, dry_run=True)
 @click.option("--domain", type=click.IntRange(0, 232), metavar="N", help="DDS domain id [$ROS_DOMAIN_ID, else 0].")
 @click.option(
     "--seconds",
@@ -63,9 +64,10 @@ _FILE = click.Path(path_type=Path)
 @click.option(
     "--source",
     "source_name",
+    cls=PluginOption,
+    group="keymint.graph_sources",
     default="keymint_ros2_dds",
     show_default=True,
-    metavar="NAME",
     help="Plugin that finds graphs ('keymint plugins' lists them).",
 )
 def discover(

@@ -11,11 +11,13 @@ import click
 
 from comarmor.errors import Diagnostic, Origin
 from keymint import graph_json
-from keymint.api import LoadedPolicy, PolicySource
-from keymint.commands.common import Run, verb
-from keymint.commands.files import read_input, write_outputs
+from keymint.api import LoadedPolicy
 from keymint.commands.library import library_rules
-from keymint.commands.numbers import Number
+from keymint.commands.options import Number, PluginOption, PolicyOptions, option_group, policy_options
+from keymint.commands.policies import Policies, typed
+from keymint.commands.run import Run
+from keymint.commands.user_files import read_input, write_outputs
+from keymint.commands.verb import verb
 from keymint.commands.verify_report import sources
 from keymint.drawing.labelled_graph import EdgeOutcome, LabelledGraph, choose_subjects, select_edges
 from keymint.drawing.options import DrawingOptions, Split
@@ -25,7 +27,6 @@ from keymint.errors import ExitCode, KeymintError
 from keymint.graph import Graph
 from keymint.output.report import Report
 from keymint.plan.create import load_policy
-from keymint.workspace import shown
 
 FORMATS = ("svg", "png", "dot", "html")
 _PATH = click.Path(path_type=Path)
@@ -46,50 +47,89 @@ class _Policy:
     common: Callable[[Origin], bool]
 
 
-@verb(writes=True)
+@dataclass(frozen=True, slots=True)
+class _Shown:
+    """Which part of a graph to draw; the fields are those of the command line."""
+
+    everything: bool
+    subjects: tuple[str, ...]
+    namespaces: tuple[str, ...]
+    only: str | None
+
+
+@dataclass(frozen=True, slots=True)
+class _Style:
+    """How to draw; see :class:`keymint.drawing.options.Options`."""
+
+    by: str
+    fold: bool | None
+    group: bool | None
+    common: bool
+    limit: int
+    theme: str
+    scale: float
+    title: str | None
+
+
+@verb(dry_run=True)
 @click.argument("source", metavar="[POLICY|GRAPH]", required=False, type=_PATH)
 @click.option("-o", "--output", type=_PATH, metavar="FILE", help="Write it there; the suffix is the format.")
 @click.option("-f", "--format", "kind", type=click.Choice(FORMATS), help="Format [that of FILE, else svg].")
 @click.option("--policy", type=_PATH, metavar="PATH", help="Label the edges of GRAPH by this policy.")
-@click.option("--all", "everything", is_flag=True, help="Draw the completion: what no rule allows as well.")
-@click.option("--subject", "subjects", multiple=True, metavar="NAME", help="Only this subject; may be given again.")
-@click.option("--namespace", "namespaces", multiple=True, metavar="NAME", help="Only subjects at or below this name.")
-@click.option("--only", type=click.Choice(["allowed", "denied"]), help="Only the edges that the policy labels so.")
-@click.option("--by", type=click.Choice([str(split) for split in Split]), default="none", help="A panel for each.")
-@click.option("--fold/--no-fold", default=None, help="Draw alike objects as one [from 40 objects on].")
-@click.option("--group/--no-group", default=None, help="Draw a namespace as one [beyond 30 subjects].")
-@click.option("--common", is_flag=True, help="Draw what every node may do too (parameters, logging, time, discovery).")
-@click.option("--limit", type=click.IntRange(1), default=600, show_default=True, help="The most lines to draw.")
-@click.option("--theme", type=click.Choice([str(theme) for theme in Theme]), default="auto", show_default=True)
-@click.option("--scale", type=Number(0.1, 10), default=2.0, show_default=True, help="Resolution of a PNG.")
-@click.option("--title", metavar="TEXT", help="Title of the picture.")
-@click.option(
-    "--distro", metavar="NAME", help="ROS 2 distribution of what a policy includes [$ROS_DISTRO, else jazzy]."
+@option_group(
+    "shown",
+    _Shown,
+    click.option("--all", "everything", is_flag=True, help="Draw every possible edge, also those that no rule allows."),
+    click.option(
+        "--subject", "subjects", multiple=True, metavar="NAME", help="Draw only this subject; may be repeated."
+    ),
+    click.option(
+        "--namespace", "namespaces", multiple=True, metavar="NAME", help="Draw only subjects at or below this name."
+    ),
+    click.option("--only", type=click.Choice(["allowed", "denied"]), help="Draw only edges with this label."),
 )
-@click.option("--profile-type", default="keymint_ros", metavar="NAME", help="Plugin that has what a policy includes.")
-@click.option("--policy-type", default="keymint_ros2_comarmor", metavar="NAME", help="Plugin that reads a policy.")
-@click.option("--source-type", default="keymint_ros2_dds", metavar="NAME", help="Plugin that reads a capture.")
+@option_group(
+    "style",
+    _Style,
+    click.option(
+        "--by", type=click.Choice([str(split) for split in Split]), default="none", help="Draw one panel for each."
+    ),
+    click.option("--fold/--no-fold", default=None, help="Merge objects with the same edges [from 40 objects on]."),
+    click.option("--group/--no-group", default=None, help="Merge the subjects of a namespace [beyond 30 subjects]."),
+    click.option(
+        "--common", is_flag=True, help="Draw also what every node may do: parameters, logging, time, discovery."
+    ),
+    click.option(
+        "--limit", type=click.IntRange(1), default=600, show_default=True, help="Draw at most this many lines."
+    ),
+    click.option(
+        "--theme",
+        type=click.Choice([str(theme) for theme in Theme]),
+        default="auto",
+        show_default=True,
+        help="Colours; auto follows the reader's settings.",
+    ),
+    click.option("--scale", type=Number(0.1, 10), default=2.0, show_default=True, help="Resolution of a PNG."),
+    click.option("--title", metavar="TEXT", help="Title of the picture."),
+)
+@policy_options
+@click.option(
+    "--source-type",
+    cls=PluginOption,
+    group="keymint.graph_sources",
+    default="keymint_ros2_dds",
+    show_default=True,
+    help="Plugin that reads a capture.",
+)
 def graph(
     run: Run,
     source: Path | None,
     output: Path | None,
     kind: str | None,
     policy: Path | None,
-    everything: bool,
-    subjects: tuple[str, ...],
-    namespaces: tuple[str, ...],
-    only: str | None,
-    by: str,
-    fold: bool | None,
-    group: bool | None,
-    common: bool,
-    limit: int,
-    theme: str,
-    scale: float,
-    title: str | None,
-    distro: str | None,
-    profile_type: str,
-    policy_type: str,
+    shown: _Shown,
+    style: _Style,
+    policy_options: PolicyOptions,
     source_type: str,
 ) -> Report:
     """Draw a policy, or the graph of a system, as a picture or a page.
@@ -104,13 +144,11 @@ def graph(
     keymint graph graph.json --policy policy.xml --all -o g.png   what the policy says of all that could be done
     """
     chosen_format = _format(output, kind)
+    policies = Policies(run, policy_options)
 
     def policy_at(path: Path) -> _Policy:
-        chosen = distro or run.setting.environment.get("ROS_DISTRO") or "jazzy"
-        library = run.plugins.profile_type(profile_type).library(chosen)
-        named = PolicySource(str(path), run.setting.cwd / path, Origin(str(path)))
-        loaded = run.plugins.policy_type(policy_type).load([named], library)
-        return _Policy(loaded, path.resolve().stem, library_rules(run.setting.cwd, library))
+        loaded = policies.at(run.setting.cwd / path, str(path))
+        return _Policy(loaded, path.resolve().stem, library_rules(run.setting.cwd, policies.shipped()))
 
     found, said = _graph(run, source, source_type) if source else (None, ())
     if found is None:
@@ -123,19 +161,30 @@ def graph(
             )
         drawn = policy_at(source) if source else _policy_of_workspace(run)
         loaded = drawn.loaded
-        named = tuple(sorted({*subjects, *(choose_subjects(loaded.subjects(), (), namespaces) if namespaces else ())}))
+        named = tuple(
+            sorted(
+                {
+                    *shown.subjects,
+                    *(choose_subjects(loaded.subjects(), (), shown.namespaces) if shown.namespaces else ()),
+                }
+            )
+        )
         labelled = policy_graph(
-            title or drawn.name, loaded, named, everything=everything, typed=_typed(run), common=drawn.common
+            style.title or drawn.name, loaded, named, everything=shown.everything, typed=typed(run), common=drawn.common
         )
     else:
         labelling = policy_at(policy) if policy is not None else None
-        labelled = _labelled(run, found, choose_subjects(found.subjects, subjects, namespaces), labelling, everything)
+        labelled = _labelled(
+            run, found, choose_subjects(found.subjects, shown.subjects, shown.namespaces), labelling, shown.everything
+        )
         name = Path(source or "").stem + (f", labelled by {labelling.name}" if labelling else "")
-        labelled = replace(labelled, title=title or name)
-    if only:
-        labelled = select_edges(labelled, only={EdgeOutcome.ALLOW if only == "allowed" else EdgeOutcome.DENY})
-    options = DrawingOptions(Theme(theme), Split(by), None, limit, fold, group, common)
-    content = _drawn(run, labelled, chosen_format, options, scale)
+        labelled = replace(labelled, title=style.title or name)
+    if shown.only:
+        labelled = select_edges(labelled, only={EdgeOutcome.ALLOW if shown.only == "allowed" else EdgeOutcome.DENY})
+    options = DrawingOptions(
+        Theme(style.theme), Split(style.by), None, style.limit, style.fold, style.group, style.common
+    )
+    content = _drawn(run, labelled, chosen_format, options, style.scale)
     return _report(run, labelled, chosen_format, output, content, said)
 
 
@@ -190,7 +239,7 @@ def _labelled(
 ) -> LabelledGraph:
     if policy is not None:
         return label_graph(
-            "", policy.loaded, found, subjects, everything=everything, typed=_typed(run), common=policy.common
+            "", policy.loaded, found, subjects, everything=everything, typed=typed(run), common=policy.common
         )
     if everything:
         raise KeymintError(
@@ -200,10 +249,6 @@ def _labelled(
             exit_code=ExitCode.USAGE,
         )
     return select_edges(LabelledGraph.of_graph("", found), subjects=subjects)
-
-
-def _typed(run: Run) -> Callable[[str], str]:
-    return lambda file: shown(Path(file), run.setting.cwd) if file.startswith("/") else file
 
 
 def _drawn(run: Run, labelled: LabelledGraph, kind: str, options: DrawingOptions, scale: float) -> bytes:

@@ -8,13 +8,10 @@ import click
 
 from comarmor.errors import Origin
 from keymint.api import Bootstrap
-from keymint.commands.common import Run, verb
-from keymint.commands.profile_options import (
-    DEFAULT_PROFILE_TYPE,
-    PROFILE_OPTIONS,
-    add_options,
-    refuse_contradiction,
-)
+from keymint.commands.options import DEFAULT_PROFILE_TYPE, ProfileOptions, profile_options
+from keymint.commands.profile_options import refuse_contradiction
+from keymint.commands.run import Run
+from keymint.commands.verb import verb
 from keymint.errors import KeymintError
 from keymint.output.report import Report
 from keymint.plan.authorities import plan_authorities
@@ -24,7 +21,7 @@ from keymint.plan.model import Action, Plan, Step
 from keymint.workspace import Workspace
 
 
-@verb(writes=True)
+@verb(jobs=True, dry_run=True)
 @click.argument("folder", metavar="[WORKSPACE]", required=False, type=click.Path(path_type=Path))
 @click.option(
     "--policy",
@@ -32,16 +29,12 @@ from keymint.workspace import Workspace
     metavar="PATH",
     help="A ComArmor policy, a file or a folder, to bind the workspace to [the talker/listener example].",
 )
-@add_options(PROFILE_OPTIONS)
+@profile_options
 def init(
     run: Run,
     folder: Path | None,
     policy: Path | None,
-    profile_type: str | None,
-    distro: str | None,
-    domain: int | None,
-    layout: str | None,
-    subject_format: str | None,
+    profile: ProfileOptions,
 ) -> Report:
     """Make a workspace: a profile with conservative defaults, and its two authorities.
 
@@ -50,21 +43,13 @@ def init(
         keymint create --all && keymint build && keymint install
     """
     workspace = run.workspace_at(folder)
-    asked = {
-        "profile-type": profile_type,
-        "distro": distro,
-        "layout": layout,
-        "domain": domain,
-        "subject-format": subject_format,
-        "policy": policy,
-    }
     if workspace.exists():
-        refuse_contradiction(run, workspace, asked)
+        refuse_contradiction(run, workspace, profile, policy)
         return _again(run, workspace)
-    request = bootstrap_request(run, workspace, policy, distro, domain, layout, subject_format)
+    request = bootstrap_request(run, workspace, policy, profile)
 
     def make_plan(inputs: Inputs) -> Plan:
-        plan = plan_init(inputs, profile_type or DEFAULT_PROFILE_TYPE, request)
+        plan = plan_init(inputs, profile.profile_type or DEFAULT_PROFILE_TYPE, request)
         after = inputs.after(plan)
         return plan.then(plan_authorities(after, after.profile())[0])
 
@@ -82,15 +67,7 @@ def _again(run: Run, workspace: Workspace) -> Report:
     return run.carry_out(workspace, make_plan)
 
 
-def bootstrap_request(
-    run: Run,
-    workspace: Workspace,
-    policy: Path | None,
-    distro: str | None,
-    domain: int | None,
-    layout: str | None,
-    subject_format: str | None,
-) -> Bootstrap:
+def bootstrap_request(run: Run, workspace: Workspace, policy: Path | None, profile: ProfileOptions) -> Bootstrap:
     """Return what a profile type is asked for.
 
     Raises:
@@ -107,9 +84,9 @@ def bootstrap_request(
     return Bootstrap(
         name=workspace.root.name or "workspace",
         policy=policy_path(run.setting.cwd / policy, workspace.profile) if policy else "",
-        distro=distro or environment.get("ROS_DISTRO") or "jazzy",
-        domain=domain or 0,
-        layout=layout or "",
-        subject_format=subject_format or "unique",
+        distro=profile.distro or environment.get("ROS_DISTRO") or "jazzy",
+        domain=profile.domain or 0,
+        layout=profile.layout or "",
+        subject_format=profile.subject_format or "unique",
         now=run.setting.now,
     )

@@ -7,9 +7,16 @@ from dataclasses import replace
 import click
 
 from keymint.commands.build import no_packages
-from keymint.commands.common import Run, complete_package, verb
-from keymint.commands.profile_options import add_options, new_authority_option
-from keymint.commands.proving import PROVING_OPTIONS, proven, standard_only_option
+from keymint.commands.options import (
+    complete_package,
+    new_authority_option,
+    prove_option,
+    prune_option,
+    standard_only_option,
+)
+from keymint.commands.proof_gate import proven
+from keymint.commands.run import Run
+from keymint.commands.verb import verb
 from keymint.output.report import Report, findings_exit
 from keymint.plan.authorities import plan_authorities
 from keymint.plan.create import policy_changed, recall_policy
@@ -19,11 +26,11 @@ from keymint.plan.model import Plan
 from keymint.plan.uncreated import UNCREATED, uncreated
 
 
-@verb(writes=True)
+@verb(jobs=True, dry_run=True)
 @click.argument("names", nargs=-1, metavar="[NAME]...", shell_complete=complete_package)
-@click.option("--prune", is_flag=True, help="Remove installed enclaves that have no source package any more.")
+@prune_option
 @new_authority_option
-@add_options(PROVING_OPTIONS)
+@prove_option
 @standard_only_option
 def install(
     run: Run,

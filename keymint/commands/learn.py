@@ -11,9 +11,12 @@ import click
 
 from comarmor.errors import Diagnostic, Origin, Severity
 from keymint import graph_json
-from keymint.api import Learned, LoadedPolicy, PolicyLearner, PolicySource
-from keymint.commands.common import Run, verb
-from keymint.commands.files import read_input, write_outputs
+from keymint.api import Learned, LoadedPolicy, PolicyLearner
+from keymint.commands.options import PolicyOptions, policy_options
+from keymint.commands.policies import Policies
+from keymint.commands.run import Run
+from keymint.commands.user_files import read_input, write_outputs
+from keymint.commands.verb import verb
 from keymint.errors import ExitCode, KeymintError
 from keymint.graph import Edge
 from keymint.output.report import Report, as_typed
@@ -21,37 +24,19 @@ from keymint.output.report import Report, as_typed
 _FILE = click.Path(path_type=Path)
 
 
-@verb(writes=True)
+@verb(workspace=False, dry_run=True)
 @click.argument("graph", type=_FILE)
 @click.option("--policy", type=_FILE, metavar="EXISTING", help="A policy that stays: propose only what it lacks.")
 @click.option("-o", "--output", type=_FILE, metavar="FILE", help="Write the policy there [standard output].")
 @click.option("-f", "--force", is_flag=True, help="Replace a policy that is there and differs.")
-@click.option(
-    "--distro", metavar="NAME", help="ROS 2 distribution of what EXISTING includes [$ROS_DISTRO, else jazzy]."
-)
-@click.option(
-    "--profile-type",
-    default="keymint_ros",
-    show_default=True,
-    metavar="NAME",
-    help="Plugin whose policy fragments EXISTING may include.",
-)
-@click.option(
-    "--policy-type",
-    default="keymint_ros2_comarmor",
-    show_default=True,
-    metavar="NAME",
-    help="Plugin that learns ('keymint plugins' lists them).",
-)
+@policy_options
 def learn(
     run: Run,
     graph: Path,
     policy: Path | None,
     output: Path | None,
     force: bool,
-    distro: str | None,
-    profile_type: str,
-    policy_type: str,
+    policy_options: PolicyOptions,
 ) -> Report:
     """Make the smallest policy that allows what a GRAPH has, and nothing else: aa-genprof for robots.
 
@@ -61,13 +46,14 @@ def learn(
     With --policy the result is an addition: it holds what EXISTING lacks, to be put beside it in one folder. What
     EXISTING allows and the graph does not need is listed. Exit code 3: a DENY rule is in the way.
     """
-    learner = run.plugins.policy_type(policy_type)
+    policies = Policies(run, policy_options)
+    learner = run.plugins.policy_type(policy_options.policy_type)
     if not hasattr(learner, "learn"):
-        raise KeymintError(f"the policy type {policy_type!r} cannot learn", code="learn-unsupported")
-    if distro:
-        run.plugins.profile_type(profile_type).library(distro)  # an unknown one is an error with and without --policy
+        raise KeymintError(f"the policy type {policy_options.policy_type!r} cannot learn", code="learn-unsupported")
+    if policy_options.distro:
+        policies.shipped()  # an unknown distribution is an error with and without --policy
     wanted = graph_json.load(read_input(run, graph), str(graph))
-    existing = _existing(run, policy, policy_type, profile_type, distro) if policy else None
+    existing = policies.at(run.setting.cwd / policy, str(policy)) if policy else None
     if output and existing:
         _refuse_overwriting(run, output, existing)
     folder = f"{output.stem}.d" if output else ""
@@ -112,13 +98,6 @@ def _about_domains(domains: Sequence[int], output: Path | None) -> Iterator[Diag
         message = f"the graph has DDS domains {', '.join(map(str, domains))}; the policy allows all of it in each"
         help_ = "to keep the domains apart, discover and learn each by itself, with a workspace for each"
     yield Diagnostic("learn-domain", Severity.WARNING, message, Origin(str(output)) if output else None, help_)
-
-
-def _existing(run: Run, policy: Path, policy_type: str, profile_type: str, distro: str | None) -> LoadedPolicy:
-    chosen = distro or run.setting.environment.get("ROS_DISTRO") or "jazzy"
-    library = run.plugins.profile_type(profile_type).library(chosen)
-    source = PolicySource(str(policy), run.setting.cwd / policy, Origin(str(policy)))
-    return run.plugins.policy_type(policy_type).load([source], library)
 
 
 def _refuse_overwriting(run: Run, output: Path, existing: LoadedPolicy) -> None:

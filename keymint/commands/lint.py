@@ -12,9 +12,11 @@ from keymint.analysis.lint import lint as look
 from keymint.analysis.portability import portability
 from keymint.analysis.sarif import sarif as as_sarif
 from keymint.analysis.subject_patterns import pattern_examples, rules_of
-from keymint.commands.common import Run, verb
-from keymint.commands.files import write_outputs
-from keymint.commands.policies import Policies, policy_options, typed
+from keymint.commands.options import PluginOption, PolicyOptions, policy_options
+from keymint.commands.policies import Policies, typed
+from keymint.commands.run import Run
+from keymint.commands.user_files import write_outputs
+from keymint.commands.verb import verb
 from keymint.output.report import Report, findings_exit
 
 _PATH = click.Path(path_type=Path)
@@ -23,16 +25,21 @@ _PATH = click.Path(path_type=Path)
 @verb()
 @click.argument("policy", required=False, type=_PATH)
 @click.option("--sarif", type=click.Path(path_type=Path, dir_okay=False), metavar="FILE", help="Write SARIF 2.1.0.")
-@click.option("--build-type", default="keymint_ros2_dds", metavar="NAME", help="Plugin that compiles rules.")
+@click.option(
+    "--build-type",
+    cls=PluginOption,
+    group="keymint.build_types",
+    default="keymint_ros2_dds",
+    show_default=True,
+    help="Plugin that compiles the rules.",
+)
 @policy_options
 def lint(
     run: Run,
     policy: Path | None,
     sarif: Path | None,
     build_type: str,
-    distro: str | None,
-    profile_type: str,
-    policy_type: str,
+    policy_options: PolicyOptions,
 ) -> Report:
     """Report unreachable, redundant and suspicious rules of POLICY.
 
@@ -45,7 +52,7 @@ def lint(
     POLICY is a ComArmor file or folder, or a workspace; by default the policy of the workspace. A finding holds for all
     names there are, and for every subject that the rule applies to. Ends with 3 when there is any.
     """
-    policies = Policies(run, distro, profile_type, policy_type)
+    policies = Policies(run, policy_options)
     loaded = policies.load(policy)
     named = loaded.subjects()
     others = {like: subject for subject, like in pattern_examples(loaded).items()}

@@ -5,12 +5,13 @@ from __future__ import annotations
 from dataclasses import asdict
 
 from comarmor.errors import Diagnostic
-from keymint.commands.common import Run, verb
+from keymint.commands.run import Run
+from keymint.commands.verb import verb
 from keymint.errors import ExitCode, KeymintError
 from keymint.output.report import Report
 
 
-@verb()
+@verb(workspace=False)
 def plugins(run: Run) -> Report:
     """List the plugins that are found: group, name, version, and where each comes from."""
     said: list[Diagnostic] = []

@@ -5,39 +5,15 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from functools import cache
 from pathlib import Path
-from typing import Any, TypeVar
-
-import click
 
 from comarmor.errors import Origin, cited, library_name
 from keymint.api import LoadedPolicy, PolicySource
-from keymint.commands.common import Run
+from keymint.commands.options import PolicyOptions
+from keymint.commands.run import Run
 from keymint.plan.create import load_policy
 from keymint.workspace import Workspace, shown
 
-Function = TypeVar("Function", bound=Callable[..., Any])
 _DEFAULT_DISTRO = "jazzy"
-
-
-def policy_options(function: Function) -> Function:
-    """Add the options that say how a policy outside of a workspace is read."""
-    for option in reversed(
-        (
-            click.option(
-                "--distro",
-                metavar="NAME",
-                help="ROS 2 distribution of what a policy includes [of the workspace, else $ROS_DISTRO, else jazzy].",
-            ),
-            click.option(
-                "--profile-type", default="keymint_ros", metavar="NAME", help="Plugin that has what a policy includes."
-            ),
-            click.option(
-                "--policy-type", default="keymint_ros2_comarmor", metavar="NAME", help="Plugin that reads a policy."
-            ),
-        )
-    ):
-        function = option(function)
-    return function
 
 
 class Policies:
@@ -45,17 +21,13 @@ class Policies:
 
     Args:
         run: the verb under way.
-        distro: ROS 2 distribution, or None.
-        profile_type: plugin that has what a policy includes.
-        policy_type: plugin that reads a policy outside of a workspace.
+        options: how to read a policy outside of a workspace.
     """
 
-    def __init__(self, run: Run, distro: str | None, profile_type: str, policy_type: str) -> None:
+    def __init__(self, run: Run, options: PolicyOptions) -> None:
         self._run = run
-        self._profile_type = profile_type
-        self.policy_type = policy_type
-        self.distro = distro or run.setting.environment.get("ROS_DISTRO") or _DEFAULT_DISTRO
-        self._named = distro
+        self._options = options
+        self.distro = options.distro or run.setting.environment.get("ROS_DISTRO") or _DEFAULT_DISTRO
 
     def load(self, path: Path | None) -> LoadedPolicy:
         """Return the policy at a path, or of the workspace there; of the current workspace where none is named.
@@ -69,6 +41,14 @@ class Policies:
         workspace = Workspace.at(folder, {}, self._run.setting.cwd)
         return self._of_workspace(workspace) if workspace.exists() else self.at(folder, str(path))
 
+    def shipped(self) -> Path:
+        """Return the folder of the policy library that ships with Keymint.
+
+        Raises:
+            KeymintError: the distribution is not known.
+        """
+        return self._run.plugins.profile_type(self._options.profile_type).library(self.distro)
+
     def at(self, path: Path, typed: str) -> LoadedPolicy:
         """Return the policy at a path.
 
@@ -79,14 +59,13 @@ class Policies:
         Raises:
             KeymintError: there is none, or it has defects.
         """
-        library = self._run.plugins.profile_type(self._profile_type).library(self.distro)
         source = PolicySource(typed, path, Origin(typed))
-        return self._run.plugins.policy_type(self.policy_type).load([source], library)
+        return self._run.plugins.policy_type(self._options.policy_type).load([source], self.shipped())
 
     def _of_workspace(self, workspace: Workspace) -> LoadedPolicy:
         inputs = self._run.inputs(workspace)
         loaded = inputs.profile()
-        if self._named is None:
+        if self._options.distro is None:
             self.distro = loaded.profile.distro
         return load_policy(inputs, loaded)
 
@@ -95,7 +74,7 @@ class Policies:
 
         The copy of it that a workspace has counts as long as nobody changed it.
         """
-        shipped = self._run.plugins.profile_type(self._profile_type).library(self.distro)
+        shipped = self.shipped()
         folder = self.places(path)[1]
 
         def name(file: str) -> str | None:
@@ -120,7 +99,7 @@ class Policies:
         """Return where the policies are that :meth:`load` reads, and the library that they include from; resolved."""
         folder = self._run.setting.cwd / path if path is not None else None
         workspace = Workspace.at(folder, {}, self._run.setting.cwd) if folder else self._run.workspace()
-        shipped = self._run.plugins.profile_type(self._profile_type).library(self.distro)
+        shipped = self.shipped()
         if folder and not workspace.exists():
             return (folder.resolve(),), shipped.resolve()
         profile = self._run.inputs(workspace).profile().profile

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from datetime import datetime
 from typing import Any
 
@@ -11,10 +11,10 @@ import click
 from comarmor.errors import Diagnostic, Origin, Severity
 from comarmor.text import counted
 from keymint.api import Claim, Counterexample, Proof
-from keymint.commands.common import Run, complete_package, verb
-from keymint.commands.numbers import Number
-from keymint.commands.proving import standard_only_option
-from keymint.commands.refusals import alike
+from keymint.commands.options import Number, complete_package, standard_only_option
+from keymint.commands.proof_diagnostics import SECONDS, STATES, alike, dated_of, diagnostics_of, effort_of
+from keymint.commands.run import Run
+from keymint.commands.verb import verb
 from keymint.errors import ExitCode
 from keymint.graph import Edge
 from keymint.output.report import Report, as_typed, findings_exit
@@ -23,19 +23,15 @@ from keymint.plan.create import recall_policy
 from keymint.plan.enclaves import unaccounted
 from keymint.plan.inputs import Sources
 from keymint.plan.model import Action, Step
-from keymint.plan.prove import NO_PROVER, STAGE, Effort, Findings, Proven
+from keymint.plan.prove import NO_PROVER, STAGE, Findings, Proven
 from keymint.plan.prove import prove as find
 from keymint.plan.uncreated import uncreated
 
-SECONDS = 10.0
 SHOWN = 5
 """So many of the things that governance opens are named in the summary; ``--json`` has all of them."""
-STATES = 500_000
-OF_DOMAINS = frozenset(("join", "protect"))
-"""What a claim about a domain as a whole is about; see :class:`keymint.api.Claim`."""
 
 
-@verb(writes=True)
+@verb(dry_run=True)
 @click.argument("names", nargs=-1, metavar="[ENCLAVE]...", shell_complete=complete_package)
 @click.option(
     "--seconds",
@@ -108,16 +104,6 @@ def prove(run: Run, names: tuple[str, ...], seconds: float, states: int, allow_v
     )
 
 
-def effort_of(run: Run, states: int = STATES, seconds: float = SECONDS) -> Effort:
-    """Return how much may be spent: states for a question, seconds for an enclave."""
-    return Effort(states, lambda: _deadline(run.setting.monotonic, seconds))
-
-
-def _deadline(clock: Callable[[], float], seconds: float) -> Callable[[], bool]:
-    end = clock() + seconds
-    return lambda: clock() < end
-
-
 def _summary(run: Run, found: Findings) -> None:
     count, say = len(found.enclaves), run.console.line
     total = sum(len(enclave.claims) for enclave in found.enclaves)
@@ -135,12 +121,6 @@ def _summary(run: Run, found: Findings) -> None:
     say(f"proved {enclaves}: {', '.join(parts)}{_when(found)}")
     if excepted := list(dict.fromkeys(_excepted(found))):
         say(f"proven except for the topics that governance opens: {'; '.join(excepted[:SHOWN])}{_more(excepted)}")
-
-
-def dated_of(found: Findings) -> Iterator[Diagnostic]:
-    """Yield what is not in force at the time at which the claims are judged."""
-    for enclave in found.enclaves:
-        yield from terms.findings(enclave.terms, found.now, enclave.subject)
 
 
 def _until(found: Findings) -> datetime | None:
@@ -191,57 +171,9 @@ def _assumptions(found: Findings) -> Iterator[Diagnostic]:
         yield Diagnostic("assumption", Severity.NOTE, f"assumed for {', '.join(models)}: {line}")
 
 
-def diagnostics_of(enclave: Proven) -> Iterator[Diagnostic]:
-    """Yield what is to be said of an enclave; what several models have in common once."""
-    yield from enclave.diagnostics
-    together: dict[tuple[object, ...], list[Claim]] = {}
-    for claim in enclave.claims:
-        if claim.counterexample is not None:
-            found = claim.counterexample
-            key = (found.endpoint, found.policy, found.document.allowed, found.document.line, found.document.reason)
-            together.setdefault(key, []).append(claim)
-        elif claim.proof is Proof.UNKNOWN:
-            together.setdefault((claim.reason,), []).append(claim)
-    for claims in together.values():
-        models = ", ".join(dict.fromkeys(claim.model for claim in claims))
-        counterexample = claims[0].counterexample
-        if counterexample is None:
-            actions = " and ".join(dict.fromkeys(claim.action for claim in claims))
-            message = f"{enclave.subject}, {actions}: not proven for {models}: {claims[0].reason}"
-            spent = "give it more with --seconds or --states, or say the rules in a simpler way"
-            help_ = spent if claims[0].spent else ""
-            yield Diagnostic("not-proven", Severity.ERROR, message, None, help_, enclave.subject)
-        else:
-            yield _refutation(enclave.subject, counterexample, models)
-
-
-def _refutation(subject: str, found: Counterexample, models: str) -> Diagnostic:
-    endpoint, policy, document = found.endpoint, found.policy, found.document
-    where = policy.where or document.where
-    if endpoint.permission in OF_DOMAINS:
-        message = f"{subject}: {policy.reason}; {document.reason} [{models}]"
-        return Diagnostic("counterexample", Severity.ERROR, message, where, found.help, subject)
-    may = "permits" if document.allowed else "does not permit"
-    says = "allows" if policy.allowed else "does not allow"
-    name = f"{endpoint.object.name!r}" + "".join(f" in the partition {p!r}" for p in endpoint.object.partitions)
-    ros = f" ({_entity(found.meaning)})" if found.meaning else ""
-    domain = f" in domain {endpoint.domain}" if endpoint.domain else ""
-    message = (
-        f"{subject}: the document {may} it to {endpoint.permission} {name}{ros}{domain}, the policy {says} it: "
-        f"{policy.reason}; {document.reason} [{models}]"
-    )
-    deviation = f"; docs/vendors.md, {document.deviation}" if document.deviation else ""
-    help_ = f"no shorter name differs{deviation}{f'; {found.help}' if found.help else ''}"
-    return Diagnostic("counterexample", Severity.ERROR, message, where, help_, subject)
-
-
 def legible(name: str) -> str:
     r"""Return a name of bytes as text for JSON: a byte that is no UTF-8, a surrogate in Python, is ``\xNN``."""
     return name.encode("utf-8", "surrogateescape").decode("utf-8", "backslashreplace")
-
-
-def _entity(meaning: Edge) -> str:
-    return f"the {meaning.object.kind.replace('ros_', 'ROS ')} {meaning.object.name}"
 
 
 def _enclave(enclave: Proven, now: datetime, run: Run) -> dict[str, Any]:

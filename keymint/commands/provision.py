@@ -8,18 +8,24 @@ from pathlib import Path
 import click
 
 from comarmor.errors import Origin
-from keymint.commands.build_options import BUILD_OPTIONS, build_options
-from keymint.commands.common import Run, verb
+from keymint.commands.build_options import build_options
 from keymint.commands.init import bootstrap_request
-from keymint.commands.policy_slips import policy_slips
-from keymint.commands.profile_options import (
+from keymint.commands.options import (
     DEFAULT_PROFILE_TYPE,
-    PROFILE_OPTIONS,
-    add_options,
+    DocumentOptions,
+    ProfileOptions,
+    document_options,
     new_authority_option,
-    refuse_contradiction,
+    profile_options,
+    prove_option,
+    prune_option,
+    renew_option,
 )
-from keymint.commands.proving import PROVING_OPTIONS, proven
+from keymint.commands.policy_slips import policy_slips
+from keymint.commands.profile_options import refuse_contradiction
+from keymint.commands.proof_gate import proven
+from keymint.commands.run import Run
+from keymint.commands.verb import verb
 from keymint.errors import KeymintError
 from keymint.output.report import Report
 from keymint.plan.authorities import plan_authorities
@@ -31,29 +37,23 @@ from keymint.plan.install import plan_install
 from keymint.plan.model import Plan
 
 
-@verb(writes=True)
+@verb(jobs=True, dry_run=True)
 @click.argument("policy", type=click.Path(path_type=Path))
-@add_options(PROFILE_OPTIONS)
+@profile_options
 @click.option("-f", "--force", is_flag=True, help="Discard edits by hand of permissions.xml and of built documents.")
-@click.option("--prune", is_flag=True, help="Remove installed enclaves that have no source package any more.")
-@click.option("--renew", is_flag=True, help="Mint new private keys; keys are never replaced otherwise.")
-@add_options(BUILD_OPTIONS)
+@prune_option
+@renew_option
+@document_options
 @new_authority_option
-@add_options(PROVING_OPTIONS)
+@prove_option
 def provision(
     run: Run,
     policy: Path,
-    profile_type: str | None,
-    distro: str | None,
-    domain: int | None,
-    layout: str | None,
-    subject_format: str | None,
+    profile: ProfileOptions,
     force: bool,
     prune: bool,
     renew: bool,
-    allow_vendor_specific: bool,
-    optimise: bool,
-    hints: Path | None,
+    document_options: DocumentOptions,
     new_authority: tuple[str, ...],
     prove: bool,
 ) -> Report:
@@ -64,17 +64,10 @@ def provision(
     unless it is proven to permit exactly what the policy says, for every name there is.
     """
     workspace = run.workspace_at(None)
-    asked = {
-        "profile-type": profile_type,
-        "distro": distro,
-        "domain": domain,
-        "layout": layout,
-        "subject-format": subject_format,
-    }
-    hinted = build_options(run, allow_vendor_specific=allow_vendor_specific, optimise=optimise, hints=hints)
-    request = bootstrap_request(run, workspace, policy, distro, domain, layout, subject_format)
+    hinted = build_options(run, document_options)
+    request = bootstrap_request(run, workspace, policy, profile)
     if workspace.exists():
-        refuse_contradiction(run, workspace, asked)
+        refuse_contradiction(run, workspace, profile)
 
     def make_plan(inputs: Inputs) -> Plan:
         plan = _profile_plan(inputs)
@@ -106,11 +99,13 @@ def provision(
         after = after.after(installed)
         kept = installed.kept()
         within = tuple(name for name in names if name not in kept)
-        return proven(run, after, loaded, within, sources, acquired, plan, standard_only=allow_vendor_specific)
+        return proven(
+            run, after, loaded, within, sources, acquired, plan, standard_only=document_options.allow_vendor_specific
+        )
 
     def _profile_plan(inputs: Inputs) -> Plan:
         if not inputs.workspace.exists():
-            return plan_init(inputs, profile_type or DEFAULT_PROFILE_TYPE, request)
+            return plan_init(inputs, profile.profile_type or DEFAULT_PROFILE_TYPE, request)
         return plan_policy(inputs, inputs.profile(), policy_path(run.setting.cwd / policy, inputs.workspace.profile))
 
     return run.carry_out(workspace, make_plan)

@@ -20,8 +20,10 @@ from keymint.analysis.rule_lists import RAW, allowed, asked, meet, word
 from keymint.analysis.subject_patterns import rules_of, unknown_subject
 from keymint.analysis.who_can import PermissionHolder, who_can
 from keymint.api import LoadedPolicy
-from keymint.commands.common import Run, verb
-from keymint.commands.policies import Policies, place, policy_options
+from keymint.commands.options import PolicyOptions, policy_options
+from keymint.commands.policies import Policies, place
+from keymint.commands.run import Run
+from keymint.commands.verb import verb
 from keymint.errors import ExitCode, KeymintError
 from keymint.output.report import Report
 
@@ -44,9 +46,7 @@ def query(
     but: tuple[str, ...],
     infrastructure: bool,
     partition: str,
-    distro: str | None,
-    profile_type: str,
-    policy_type: str,
+    policy_options: PolicyOptions,
 ) -> Report:
     """Ask a policy a question. SUBJECT and OBJECT may be patterns; a permission may lack its 'ros_'.
 
@@ -73,7 +73,7 @@ def query(
         )
     for expression in but:
         parse_query(["who", "can", "publish", expression])  # an expression like any other
-    policies = Policies(run, distro, profile_type, policy_type)
+    policies = Policies(run, policy_options)
     policy = policies.load(path)
     common = policies.common(path) if question.head in ("flows", "isolated") and not infrastructure else None
     channels = ChannelSearch(policy, but, common) if common else ChannelSearch(policy, but)

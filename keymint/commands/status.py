@@ -6,7 +6,8 @@ from datetime import datetime
 from typing import Any
 
 from comarmor.errors import Diagnostic
-from keymint.commands.common import Run, verb
+from keymint.commands.run import Run
+from keymint.commands.verb import verb
 from keymint.errors import KeymintError
 from keymint.output.report import Report
 from keymint.plan.create import everything, load_policy

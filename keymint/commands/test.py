@@ -11,10 +11,11 @@ from comarmor.errors import Diagnostic, Origin, Severity
 from keymint.analysis.junit import junit as as_junit
 from keymint.analysis.policy_tests import ExpectationChecker, ExpectationResult, Place, diagnostics
 from keymint.api import Expectation
-from keymint.commands.common import Run, verb
-from keymint.commands.files import write_outputs
-from keymint.commands.numbers import Number
-from keymint.commands.policies import Policies, policy_options, typed
+from keymint.commands.options import Number, PolicyOptions, policy_options
+from keymint.commands.policies import Policies, typed
+from keymint.commands.run import Run
+from keymint.commands.user_files import write_outputs
+from keymint.commands.verb import verb
 from keymint.errors import ExitCode, KeymintError
 from keymint.ir import Rule
 from keymint.output.report import Report
@@ -38,9 +39,7 @@ def test(
     policy: Path | None,
     junit: Path | None,
     min_coverage: float,
-    distro: str | None,
-    profile_type: str,
-    policy_type: str,
+    policy_options: PolicyOptions,
 ) -> Report:
     """Run the unit tests of POLICY: NAME.test.xml beside NAME.xml, or all *.test.xml in its folder.
 
@@ -56,10 +55,10 @@ def test(
     name. An allowance holds for every name, and for every subject that the policy names. -v lists the rules that no
     expectation is about. Ends with 3 when an expectation does not hold.
     """
-    policies = Policies(run, distro, profile_type, policy_type)
-    read = getattr(run.plugins.policy_type(policies.policy_type), "expectations", None)
+    policies = Policies(run, policy_options)
+    read = getattr(run.plugins.policy_type(policy_options.policy_type), "expectations", None)
     if read is None:
-        raise KeymintError(f"the policy type {policies.policy_type} has no unit tests", code="tests-none")
+        raise KeymintError(f"the policy type {policy_options.policy_type} has no unit tests", code="tests-none")
     folders, library = policies.places(policy)
     missing = next((folder for folder in folders if not folder.exists()), None)
     if missing is not None:

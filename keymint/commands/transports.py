@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from keymint.commands.common import Run, verb
+from keymint.commands.run import Run
+from keymint.commands.verb import verb
 from keymint.output.report import Report
 
 
-@verb()
+@verb(workspace=False)
 def transports(run: Run) -> Report:
     """List the transports that can be asked, simulated and real: which work here, and how to install the rest."""
     found = [(name, transport.usable()) for name, transport in run.plugins.transports().items()]

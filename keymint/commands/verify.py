@@ -10,10 +10,12 @@ import click
 
 from comarmor.text import counted
 from keymint.api import Tier
-from keymint.commands.common import Run, complete_package, verb
-from keymint.commands.files import read_input, write_outputs
 from keymint.commands.library import library_rules
-from keymint.commands.transport_option import transport_option
+from keymint.commands.options import complete_package, transport_option
+from keymint.commands.policies import typed
+from keymint.commands.run import Run
+from keymint.commands.user_files import read_input, write_outputs
+from keymint.commands.verb import verb
 from keymint.commands.verify_report import labelled_edges, write_report
 from keymint.errors import ExitCode
 from keymint.graph_json import load
@@ -22,18 +24,17 @@ from keymint.plan.anchors import differences
 from keymint.plan.create import load_policy
 from keymint.plan.inputs import Sources
 from keymint.plan.model import Action, Step
-from keymint.verify.choose import choose, models
 from keymint.verify.compare import compare
 from keymint.verify.copies import copied
+from keymint.verify.endpoint_policy import EndpointPolicy, label
 from keymint.verify.explain import Explainer
 from keymint.verify.halves import with_halves
-from keymint.verify.judge import Judge, label
 from keymint.verify.junit import junit as as_junit
-from keymint.verify.model import Outcome
+from keymint.verify.mismatch import Comparison
 from keymint.verify.report import as_result, messages
 from keymint.verify.sarif import sarif as as_sarif
-from keymint.verify.scope import edges_of_graph, edges_of_policy, scope
-from keymint.workspace import shown
+from keymint.verify.scope import edges_of_graph, edges_of_policy, verification_scope
+from keymint.verify.usable_transports import choose, models
 
 _FILE = click.Path(path_type=Path, dir_okay=False)
 
@@ -92,7 +93,7 @@ def verify(
     inputs = run.snapshot(workspace)
     loaded = inputs.profile()
     chosen_names, sources = run.names(inputs, names), Sources(run.plugins)
-    found = scope(inputs, loaded, chosen_names, sources)
+    found = verification_scope(inputs, loaded, chosen_names, sources)
     # A transport trusts the authorities in the enclave. Whether they are the workspace's is asked here.
     strange = differences(inputs, loaded, chosen_names, sources)
     policy = load_policy(inputs, loaded)
@@ -104,9 +105,9 @@ def verify(
             edges = edges_of_policy(policy, replace(found, enclaves=copies.enclaves))
         else:
             subjects, edges = edges_of_graph(load(read_input(run, graph), str(graph)), found, only=bool(names))
-        judge = Judge(policy, found.namings)
+        judge = EndpointPolicy(policy, found.namings)
         explain = Explainer(judge, transports, lambda: copies.read_by(models(run.plugins)), inputs.tree)
-        outcomes: list[Outcome] = []
+        outcomes: list[Comparison] = []
         with run.console.progress((1 + len(transports)) * len(subjects), run.setting.monotonic) as advance:
             said = label(judge, edges(), _advancing(advance, "policy"))
             for name, transport in transports.items():
@@ -123,7 +124,7 @@ def verify(
             title = f"{graph.stem if graph else loaded.profile.name} on {', '.join(transports)}"
             shipped = run.plugins.profile_type(loaded.profile.profile_type).library(loaded.profile.distro)
             common = library_rules(run.setting.cwd, shipped, loaded.profile.library)
-            labelled = labelled_edges(title, outcomes, edges(), said, judge.decide, _typed(run), common)
+            labelled = labelled_edges(title, outcomes, edges(), said, judge.decide, typed(run), common)
             for file in write_report(run, report, labelled):
                 run.console.line(f"{file} written")
     wrong = any(outcome.confusion.errors for outcome in outcomes)
@@ -132,7 +133,7 @@ def verify(
         workspace,
         (),
         (*strange, *messages(outcomes)),
-        as_result(outcomes, subjects, len(said), _typed(run)),
+        as_result(outcomes, subjects, len(said), typed(run)),
         ExitCode.FINDINGS if wrong or strange else ExitCode.DONE,
     )
 
@@ -141,12 +142,7 @@ def _advancing(advance: Callable[[Step], None], transport: str) -> Callable[[str
     return lambda subject: advance(Step(transport, subject, Action.UNCHANGED))
 
 
-def _typed(run: Run) -> Callable[[str], str]:
-    """Return a function that shortens absolute paths to what the user would type."""
-    return lambda file: shown(Path(file), run.setting.cwd) if file.startswith("/") else file
-
-
-def _show(run: Run, outcomes: Sequence[Outcome], subjects: int, edges: int) -> None:
+def _show(run: Run, outcomes: Sequence[Comparison], subjects: int, edges: int) -> None:
     """Show the confusion table."""
     columns = ["TRANSPORT", "VERSION", "TRUE POSITIVE", "FALSE NEGATIVE", "FALSE POSITIVE", "TRUE NEGATIVE"]
     rows = [
@@ -169,12 +165,11 @@ def _show(run: Run, outcomes: Sequence[Outcome], subjects: int, edges: int) -> N
 
 
 def _write(
-    run: Run, outcomes: Sequence[Outcome], subjects: Sequence[str], sarif: Path | None, junit: Path | None
+    run: Run, outcomes: Sequence[Comparison], subjects: Sequence[str], sarif: Path | None, junit: Path | None
 ) -> None:
     """Write the reports that were asked for."""
-    typed = _typed(run)
     documents: Mapping[Path | None, Callable[[], bytes]] = {
-        sarif: lambda: as_sarif(outcomes, typed),
+        sarif: lambda: as_sarif(outcomes, typed(run)),
         junit: lambda: as_junit(outcomes, subjects),
     }
     for path, document in documents.items():

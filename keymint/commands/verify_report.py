@@ -9,8 +9,8 @@ from pathlib import Path
 
 from comarmor.errors import Origin
 from keymint.api import PolicyDecision
-from keymint.commands.common import Run
-from keymint.commands.files import exists, read_input, write_outputs
+from keymint.commands.run import Run
+from keymint.commands.user_files import exists, read_input, write_outputs
 from keymint.drawing.labelled_graph import (
     MISMATCHES,
     Confusion,
@@ -22,7 +22,7 @@ from keymint.drawing.labelled_graph import (
 from keymint.drawing.options import DrawingOptions
 from keymint.drawing.policy_graph import nowhere
 from keymint.graph import Edge
-from keymint.verify.model import Finding, Outcome
+from keymint.verify.mismatch import Comparison, Mismatch
 
 PAGE = "index.html"
 MOST_TRUE = 10_000
@@ -35,7 +35,7 @@ _UNSAFE = re.compile(r"[^A-Za-z0-9._-]+")
 
 def labelled_edges(
     title: str,
-    outcomes: Sequence[Outcome],
+    outcomes: Sequence[Comparison],
     edges: Iterable[Edge],
     allowed: Iterable[int],
     decide: Callable[[Edge], PolicyDecision],
@@ -92,7 +92,7 @@ def labelled_edges(
 
 
 def _with_endpoints(
-    edges: Iterable[tuple[Edge, int]], findings: Sequence[Mapping[Edge, Finding]]
+    edges: Iterable[tuple[Edge, int]], findings: Sequence[Mapping[Edge, Mismatch]]
 ) -> Iterator[tuple[Edge, int]]:
     """Yield edges with their labels, and then findings on endpoints, which are no edges of the graph."""
     left = dict.fromkeys(edge for each in findings for edge in each)
@@ -109,7 +109,7 @@ def _of_policy(decision: PolicyDecision, typed: Callable[[str], str]) -> Label:
     return Label(decision.allowed, reason, _place(decision.where, typed))
 
 
-def _of_finding(finding: Finding, typed: Callable[[str], str]) -> Label:
+def _of_finding(finding: Mismatch, typed: Callable[[str], str]) -> Label:
     verdict = finding.verdict
     reason = "; ".join(filter(None, (finding.reason, verdict.deviation)))
     return Label(verdict.allowed, reason, _place(finding.document, typed))

@@ -3,27 +3,27 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from pathlib import Path
 from typing import Any
 
 import click
 
 from comarmor.errors import Diagnostic, Origin, Severity, cited
 from keymint.api import AppliedProfile, Tier
-from keymint.commands.common import Run, verb
-from keymint.commands.transport_option import transport_option
+from keymint.commands.options import transport_option
+from keymint.commands.policies import typed
+from keymint.commands.run import Run
+from keymint.commands.verb import verb
 from keymint.errors import ExitCode
 from keymint.graph import LABELLED, Edge
 from keymint.output.report import Report
 from keymint.plan.anchors import differences
 from keymint.plan.create import load_policy
 from keymint.plan.inputs import Inputs, LoadedProfile, Sources
-from keymint.verify.choose import choose, models
 from keymint.verify.report import edge_document, place, remedy, transport_document
-from keymint.verify.why import Explanation, Place, explain, request, usual_domain
+from keymint.verify.usable_transports import choose, models
+from keymint.verify.why import Explanation, MatchedRule, explain, request, usual_domain
 from keymint.verify.words import does, in_words, in_words_of_rule, listed, of_document, plain
 from keymint.verify.words import request as shown_request
-from keymint.workspace import shown
 
 _PERMISSIONS = [permission for permissions in LABELLED.values() for permission in permissions]
 
@@ -64,13 +64,11 @@ def why(
     transports = choose(run.plugins, chosen, Tier.DECISION)
     found = explain(inputs, loaded, load_policy(inputs, loaded), edge, transports, lambda: models(run.plugins))
 
-    def typed(file: str) -> str:
-        return shown(Path(file), run.setting.cwd) if file.startswith("/") else file
-
-    for line in _lines(found, typed):
+    as_typed = typed(run)
+    for line in _lines(found, as_typed):
         run.console.line(line.replace(f"{run.setting.cwd}/", ""))
     said = [*_strange(run, inputs, loaded, found), *_findings(found)]
-    result = _document(found, typed)
+    result = _document(found, as_typed)
     return Report(run.verb, workspace, (), said, result, ExitCode.FINDINGS if said else ExitCode.DONE)
 
 
@@ -103,7 +101,7 @@ def _findings(found: Explanation) -> list[Diagnostic]:
 def _lines(found: Explanation, typed: Callable[[str], str]) -> Iterator[str]:
     """Yield the explanation in words, a layer after the other."""
 
-    def rule(each: Place) -> str:
+    def rule(each: MatchedRule) -> str:
         decides = "decides: " if each.where == found.policy.where else ""
         return f"{decides}{in_words_of_rule(each.rule)} ({_at(each.where, typed)})"
 
@@ -156,7 +154,7 @@ def _labels(found: Explanation, typed: Callable[[str], str]) -> Iterator[str]:
 def _document(found: Explanation, typed: Callable[[str], str]) -> dict[str, Any]:
     """Return the explanation as what JSON can hold."""
 
-    def rule(each: Place) -> dict[str, Any]:
+    def rule(each: MatchedRule) -> dict[str, Any]:
         return {
             "effect": str(each.rule.effect),
             "kind": each.rule.kind,

@@ -10,12 +10,12 @@ from operator import attrgetter
 from keymint.api import Enclave, Tier, Transport, Verdict
 from keymint.errors import KeymintError
 from keymint.graph import Edge
-from keymint.verify.model import Confusion, Error, Finding, Outcome
+from keymint.verify.mismatch import Comparison, ConfusionMatrix, Mismatch, MismatchKind
 
 ENCLAVE_REFUSED = "enclave-refused"
 """Code of the error by which a transport says that it refuses an enclave as a whole."""
 
-Explain = Callable[[str, Enclave, list[tuple[Edge, Verdict]]], list[Finding]]
+Explain = Callable[[str, Enclave, list[tuple[Edge, Verdict]]], list[Mismatch]]
 """Returns the findings on edges of one enclave that a transport (given by name) labels differently from the policy."""
 
 
@@ -29,7 +29,7 @@ def compare(
     explain: Explain,
     limit: int,
     on_subject: Callable[[str], None] = lambda _subject: None,
-) -> Outcome:
+) -> Comparison:
     """Hold one transport against the policy.
 
     Args:
@@ -48,7 +48,7 @@ def compare(
     """
     expected = iter(said)
     counts = [[0, 0], [0, 0]]
-    findings: list[Finding] = []
+    findings: list[Mismatch] = []
     by_subject: dict[str, int] = {}
     for subject, labelled in label_by_subject(transport, enclaves, edges, tier):
         wrong: list[tuple[Edge, Verdict]] = []
@@ -63,13 +63,13 @@ def compare(
             findings += explain(name, enclaves[subject], wrong)
         on_subject(subject)
     (true_negative, false_positive), (false_negative, true_positive) = counts
-    confusion = Confusion(true_positive, false_negative, false_positive, true_negative)
-    return Outcome(name, transport.usable().version, tier, confusion, tuple(findings), by_subject)
+    confusion = ConfusionMatrix(true_positive, false_negative, false_positive, true_negative)
+    return Comparison(name, transport.usable().version, tier, confusion, tuple(findings), by_subject)
 
 
-def error_of(allowed_by_transport: bool) -> Error:
+def error_of(allowed_by_transport: bool) -> MismatchKind:
     """Return how an edge is wrong that a transport labels so, and the policy differently."""
-    return Error.FALSE_POSITIVE if allowed_by_transport else Error.FALSE_NEGATIVE
+    return MismatchKind.FALSE_POSITIVE if allowed_by_transport else MismatchKind.FALSE_NEGATIVE
 
 
 def label_by_subject(

@@ -17,7 +17,7 @@ from keymint.api import Enclave, Tier, Transport, Usable, Verdict
 from keymint.errors import KeymintError
 from keymint.graph import Edge
 from keymint.tree import Tree
-from keymint.verify.choose import names_rules
+from keymint.verify.usable_transports import names_rules
 
 
 @dataclass(frozen=True, slots=True)

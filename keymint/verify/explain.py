@@ -11,10 +11,10 @@ from keymint.api import Enclave, Tier, Transport, Verdict
 from keymint.errors import KeymintError
 from keymint.graph import Edge
 from keymint.tree import Tree
-from keymint.verify.choose import names_rules
 from keymint.verify.compare import error_of, label_enclave
-from keymint.verify.judge import Judge
-from keymint.verify.model import Finding
+from keymint.verify.endpoint_policy import EndpointPolicy
+from keymint.verify.mismatch import Mismatch
+from keymint.verify.usable_transports import names_rules
 
 DOCUMENTS = ("permissions.xml", "permissions.p7s")
 """Where an enclave has its rules, in plain and signed."""
@@ -33,7 +33,7 @@ class Explainer:
 
     def __init__(
         self,
-        judge: Judge,
+        judge: EndpointPolicy,
         asked: Mapping[str, Transport],
         find_models: Callable[[], Mapping[str, Transport]],
         tree: Tree,
@@ -47,11 +47,11 @@ class Explainer:
     def _models(self) -> Mapping[str, Transport]:
         return self._find_models()
 
-    def __call__(self, transport: str, enclave: Enclave, wrong: list[tuple[Edge, Verdict]]) -> list[Finding]:
+    def __call__(self, transport: str, enclave: Enclave, wrong: list[tuple[Edge, Verdict]]) -> list[Mismatch]:
         """Return the findings on edges of one enclave that a transport labels wrongly."""
         modelled = self._modelled(transport, enclave, wrong)
         return [
-            Finding(
+            Mismatch(
                 error_of(verdict.allowed),
                 edge,
                 self._judge.decide(edge),

@@ -14,8 +14,8 @@ from operator import attrgetter
 from keymint.api import Enclave, Transport, Verdict
 from keymint.graph import Edge
 from keymint.verify.compare import Explain, label_by_subject
-from keymint.verify.judge import RAW, Judge, Naming
-from keymint.verify.model import Outcome
+from keymint.verify.endpoint_policy import RAW, EndpointPolicy, Naming
+from keymint.verify.mismatch import Comparison
 
 
 @dataclass(frozen=True, slots=True)
@@ -27,15 +27,15 @@ class _Composites:
 
 
 def with_halves(
-    outcome: Outcome,
+    outcome: Comparison,
     transport: Transport,
     enclaves: Mapping[str, Enclave],
     edges: Iterable[Edge],
-    judge: Judge,
+    judge: EndpointPolicy,
     namings: Mapping[str, Naming],
     explain: Explain,
     limit: int,
-) -> Outcome:
+) -> Comparison:
     """Return an outcome with the endpoints that are false positives, each as an edge of its own.
 
     An endpoint is left out where the edge that it belongs to is a false positive already.
@@ -72,7 +72,7 @@ def with_halves(
 
 
 def _endpoints(
-    edges: Iterable[Edge], judge: Judge, namings: Mapping[str, Naming], waiting: dict[str, _Composites]
+    edges: Iterable[Edge], judge: EndpointPolicy, namings: Mapping[str, Naming], waiting: dict[str, _Composites]
 ) -> Iterator[Edge]:
     """Yield the endpoints of edges that the policy denies and that have several, each once, grouped by subject.
 

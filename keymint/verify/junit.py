@@ -8,15 +8,15 @@ from xml.etree import ElementTree as ET  # only writes
 
 from comarmor.text import counted
 from keymint.output.junit import legal, rendered
-from keymint.verify.model import Finding, Outcome
+from keymint.verify.mismatch import Comparison, Mismatch
 from keymint.verify.words import in_words
 
 
-def junit(outcomes: Sequence[Outcome], subjects: Sequence[str]) -> bytes:
+def junit(outcomes: Sequence[Comparison], subjects: Sequence[str]) -> bytes:
     """Return a test suite for each transport, with a test case for each subject; a case lists all its findings."""
     root = ET.Element("testsuites", name="keymint verify")
     for outcome in outcomes:
-        found: defaultdict[str, list[Finding]] = defaultdict(list)
+        found: defaultdict[str, list[Mismatch]] = defaultdict(list)
         for finding in outcome.findings:
             found[finding.edge.subject].append(finding)
         suite = ET.SubElement(

@@ -12,7 +12,7 @@ from comarmor.rules import Effect, parts
 from comarmor.text import nearest_word
 from keymint.graph import Edge
 from keymint.ir import Rule
-from keymint.verify.judge import RAW
+from keymint.verify.endpoint_policy import RAW
 
 
 @lru_cache(maxsize=1 << 12)
@@ -49,20 +49,20 @@ def _in_partitions(rule: Rule, edge: Edge) -> bool:
 
 
 @dataclass(frozen=True, slots=True)
-class Near:
+class NearMiss:
     """A rule that nearly matches: its position, and what it lacks in words."""
 
     at: int
     lacks: str
 
 
-def nearest(rules: Sequence[Rule], edge: Edge) -> Near | None:
+def nearest(rules: Sequence[Rule], edge: Edge) -> NearMiss | None:
     """Return the rule that comes nearest to allowing an edge, or None when none does.
 
     One that names the object with another permission is nearer than one whose name is only similar.
     """
     allows = [(at, rule) for at, rule in enumerate(rules) if rule.effect is Effect.ALLOW]
-    candidates: Iterator[Near | None] = (
+    candidates: Iterator[NearMiss | None] = (
         finder(allows, edge) for finder in (_other_partition, _other_permission, _other_kind, _similar_name)
     )
     return next((found for found in candidates if found), None)
@@ -72,30 +72,30 @@ def _names(rule: Rule, edge: Edge) -> bool:
     return any(_matches(each, edge.object.name) for each in rule.expressions)
 
 
-def _other_partition(allows: Sequence[tuple[int, Rule]], edge: Edge) -> Near | None:
+def _other_partition(allows: Sequence[tuple[int, Rule]], edge: Edge) -> NearMiss | None:
     for at, rule in allows:
         if edge.object.kind == rule.kind == RAW and edge.permission in rule.permissions and _names(rule, edge):
             where = ", ".join(map(repr, rule.partitions)) or "the default partition only"
-            return Near(at, f"it is about {'' if not rule.partitions else 'partitions '}{where}")
+            return NearMiss(at, f"it is about {'' if not rule.partitions else 'partitions '}{where}")
     return None
 
 
-def _other_permission(allows: Sequence[tuple[int, Rule]], edge: Edge) -> Near | None:
+def _other_permission(allows: Sequence[tuple[int, Rule]], edge: Edge) -> NearMiss | None:
     for at, rule in allows:
         if rule.kind == edge.object.kind and edge.permission not in rule.permissions and _names(rule, edge):
-            return Near(at, f"it allows {', '.join(rule.permissions)}, not {edge.permission}")
+            return NearMiss(at, f"it allows {', '.join(rule.permissions)}, not {edge.permission}")
     return None
 
 
-def _other_kind(allows: Sequence[tuple[int, Rule]], edge: Edge) -> Near | None:
+def _other_kind(allows: Sequence[tuple[int, Rule]], edge: Edge) -> NearMiss | None:
     for at, rule in allows:
         literal = any(glob.literal(glob.parse(each)) == edge.object.name for each in rule.expressions)
         if rule.kind != edge.object.kind and literal:
-            return Near(at, f"it is a {rule.kind} rule, and {edge.permission} is about a {edge.object.kind}")
+            return NearMiss(at, f"it is a {rule.kind} rule, and {edge.permission} is about a {edge.object.kind}")
     return None
 
 
-def _similar_name(allows: Sequence[tuple[int, Rule]], edge: Edge) -> Near | None:
+def _similar_name(allows: Sequence[tuple[int, Rule]], edge: Edge) -> NearMiss | None:
     by_expression = {
         each: at
         for at, rule in reversed(allows)
@@ -103,4 +103,4 @@ def _similar_name(allows: Sequence[tuple[int, Rule]], edge: Edge) -> Near | None
         for each in rule.expressions
     }
     near = nearest_word(edge.object.name, by_expression)
-    return Near(by_expression[near], f"it is about {near!r}; did you mean that?") if near else None
+    return NearMiss(by_expression[near], f"it is about {near!r}; did you mean that?") if near else None

@@ -17,7 +17,7 @@ from comarmor.patterns.glob import Charset, Star
 from comarmor.rules import PARTS
 from keymint.graph import LABELLED, Edge, Object
 from keymint.ir import Rule, SubjectRules
-from keymint.verify.judge import RAW
+from keymint.verify.endpoint_policy import RAW
 
 MOST_OF_A_PATTERN = 48
 """Names that one pattern is probed with."""

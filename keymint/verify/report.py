@@ -8,25 +8,25 @@ from typing import Any
 from comarmor.errors import Diagnostic, Origin, Severity
 from keymint.api import Verdict
 from keymint.graph import Edge
-from keymint.verify.model import Confusion, Error, Finding, Outcome
+from keymint.verify.mismatch import Comparison, ConfusionMatrix, Mismatch, MismatchKind
 from keymint.verify.words import in_words, request
 
 _EXAMPLES = 3
 
 
-def remedy(finding: Finding) -> str:
+def remedy(finding: Mismatch) -> str:
     """Return how to mend what a finding is about."""
     name = finding.edge.subject.removeprefix("/")
-    much = "more" if finding.error is Error.FALSE_POSITIVE else "less"
+    much = "more" if finding.error is MismatchKind.FALSE_POSITIVE else "less"
     return (
         f"the enclave permits {much} than the policy; to make it anew: "
         f"keymint create {name}; keymint build -f {name}; keymint install {name}"
     )
 
 
-def messages(outcomes: Sequence[Outcome]) -> Iterator[Diagnostic]:
+def messages(outcomes: Sequence[Comparison]) -> Iterator[Diagnostic]:
     """Yield a diagnostic for each cause: what the same rules explain, on whatever transports, is told together."""
-    merged: dict[tuple[object, ...], tuple[list[str], list[Finding]]] = {}
+    merged: dict[tuple[object, ...], tuple[list[str], list[Mismatch]]] = {}
     for outcome in outcomes:
         for cause, together in _by_cause(outcome.findings).items():
             edges = tuple(finding.edge for finding in together)
@@ -54,9 +54,9 @@ def messages(outcomes: Sequence[Outcome]) -> Iterator[Diagnostic]:
             )
 
 
-def _by_cause(findings: Sequence[Finding]) -> dict[tuple[object, ...], list[Finding]]:
+def _by_cause(findings: Sequence[Mismatch]) -> dict[tuple[object, ...], list[Mismatch]]:
     """Group findings; a reason that names no object, a grant that has expired, say, is one cause for all objects."""
-    causes: dict[tuple[object, ...], list[Finding]] = {}
+    causes: dict[tuple[object, ...], list[Mismatch]] = {}
     for finding in findings:
         edge = finding.edge
         if edge.object.name in finding.reason:
@@ -68,7 +68,7 @@ def _by_cause(findings: Sequence[Finding]) -> dict[tuple[object, ...], list[Find
 
 
 def as_result(
-    outcomes: Sequence[Outcome], subjects: Sequence[str], edges: int, typed: Callable[[str], str]
+    outcomes: Sequence[Comparison], subjects: Sequence[str], edges: int, typed: Callable[[str], str]
 ) -> dict[str, Any]:
     """Return the outcome of ``keymint verify`` as what JSON can hold.
 
@@ -95,7 +95,7 @@ def as_result(
     }
 
 
-def confusion(counts: Confusion) -> dict[str, int]:
+def confusion(counts: ConfusionMatrix) -> dict[str, int]:
     """Return counts by label, allowing being the positive."""
     return {
         "true_positive": counts.true_positive,
@@ -105,7 +105,7 @@ def confusion(counts: Confusion) -> dict[str, int]:
     }
 
 
-def _finding(finding: Finding, typed: Callable[[str], str]) -> dict[str, Any]:
+def _finding(finding: Mismatch, typed: Callable[[str], str]) -> dict[str, Any]:
     return {
         "error": str(finding.error),
         "edge": edge_document(finding.edge),

@@ -6,16 +6,16 @@ from collections.abc import Callable, Sequence
 from typing import Any
 
 from keymint.output.sarif import location, log
-from keymint.verify.model import Error, Finding, Outcome
+from keymint.verify.mismatch import Comparison, Mismatch, MismatchKind
 from keymint.verify.words import in_words, request
 
 _RULES = {
-    Error.FALSE_POSITIVE: "A transport allows what the policy does not.",
-    Error.FALSE_NEGATIVE: "A transport denies what the policy allows.",
+    MismatchKind.FALSE_POSITIVE: "A transport allows what the policy does not.",
+    MismatchKind.FALSE_NEGATIVE: "A transport denies what the policy allows.",
 }
 
 
-def sarif(outcomes: Sequence[Outcome], typed: Callable[[str], str]) -> bytes:
+def sarif(outcomes: Sequence[Comparison], typed: Callable[[str], str]) -> bytes:
     """Return a SARIF log with one result for each finding; the policy's rule is its place, the document's related.
 
     Args:
@@ -31,7 +31,7 @@ def sarif(outcomes: Sequence[Outcome], typed: Callable[[str], str]) -> bytes:
     )
 
 
-def _result(outcome: Outcome, finding: Finding, typed: Callable[[str], str]) -> dict[str, Any]:
+def _result(outcome: Comparison, finding: Mismatch, typed: Callable[[str], str]) -> dict[str, Any]:
     document = location(finding.document, typed)
     where = finding.policy.where
     edge = finding.edge

@@ -14,11 +14,11 @@ from keymint.ir import SubjectRules
 from keymint.plan.enclaves import installed
 from keymint.plan.inputs import Inputs, LoadedProfile, Sources
 from keymint.verify import probes
-from keymint.verify.judge import Naming
+from keymint.verify.endpoint_policy import Naming
 
 
 @dataclass(frozen=True, slots=True)
-class Scope:
+class VerificationScope:
     """What there is to verify.
 
     Attributes:
@@ -32,7 +32,9 @@ class Scope:
     domains: Mapping[str, int]
 
 
-def scope(inputs: Inputs, loaded: LoadedProfile, names: Sequence[str], sources: Sources) -> Scope:
+def verification_scope(
+    inputs: Inputs, loaded: LoadedProfile, names: Sequence[str], sources: Sources
+) -> VerificationScope:
     """Return what there is to verify of some packages.
 
     Raises:
@@ -61,7 +63,7 @@ def scope(inputs: Inputs, loaded: LoadedProfile, names: Sequence[str], sources: 
             namings[package.subject] = naming
         if package.permissions.domains:
             domains[package.subject] = package.permissions.domains[0].first
-    return Scope(dict(sorted(enclaves.items())), namings, domains)
+    return VerificationScope(dict(sorted(enclaves.items())), namings, domains)
 
 
 def naming_of(inputs: Inputs, package: Package) -> Naming | None:
@@ -72,7 +74,9 @@ def naming_of(inputs: Inputs, package: Package) -> Naming | None:
     return None
 
 
-def edges_of_graph(graph: Graph, found: Scope, *, only: bool) -> tuple[tuple[str, ...], Callable[[], Iterator[Edge]]]:
+def edges_of_graph(
+    graph: Graph, found: VerificationScope, *, only: bool
+) -> tuple[tuple[str, ...], Callable[[], Iterator[Edge]]]:
     """Return the subjects of a graph that there is to verify, and a function that yields its completion for them.
 
     Args:
@@ -96,7 +100,7 @@ def edges_of_graph(graph: Graph, found: Scope, *, only: bool) -> tuple[tuple[str
     return kept, lambda: complete(replace(graph, subjects=kept))
 
 
-def edges_of_policy(policy: LoadedPolicy, found: Scope) -> Callable[[], Iterator[Edge]]:
+def edges_of_policy(policy: LoadedPolicy, found: VerificationScope) -> Callable[[], Iterator[Edge]]:
     """Return a function that yields edges on what a policy and the documents mention, and on names that probe it."""
     rules = [policy.rules(subject) or SubjectRules(subject, ()) for subject in found.enclaves]
 

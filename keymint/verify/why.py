@@ -16,10 +16,10 @@ from keymint.plan.enclaves import installed
 from keymint.plan.inputs import Inputs, LoadedProfile, Sources
 from keymint.verify.compare import label_enclave
 from keymint.verify.copies import copied
+from keymint.verify.endpoint_policy import RAW, EndpointPolicy, Naming
 from keymint.verify.explain import Explainer
-from keymint.verify.judge import RAW, Judge, Naming
 from keymint.verify.matching import about, nearest
-from keymint.verify.model import Finding
+from keymint.verify.mismatch import Mismatch
 from keymint.verify.scope import naming_of
 from keymint.workspace import packages
 
@@ -27,7 +27,7 @@ _KIND_OF = {permission: kind for kind, permissions in LABELLED.items() for permi
 
 
 @dataclass(frozen=True, slots=True)
-class Place:
+class MatchedRule:
     """A rule, where it stands, and whether it was found on a layer to be about the request."""
 
     rule: Rule
@@ -56,17 +56,17 @@ class Explanation:
     edge: Edge
     profiles: Sequence[AppliedProfile]
     policy: PolicyDecision
-    rules: Sequence[Place]
-    near: Place | None
+    rules: Sequence[MatchedRule]
+    near: MatchedRule | None
     similar: str
-    package: Sequence[Place]
+    package: Sequence[MatchedRule]
     packaged: bool
     endpoints: Sequence[Edge]
     installed: bool
-    labels: Mapping[str, Finding]
+    labels: Mapping[str, Mismatch]
 
     @property
-    def wrong(self) -> Mapping[str, Finding]:
+    def wrong(self) -> Mapping[str, Mismatch]:
         """The labels that are not what the policy says."""
         return {name: each for name, each in self.labels.items() if each.verdict.allowed != self.policy.allowed}
 
@@ -147,7 +147,7 @@ def explain(
     """
     name = edge.subject.removeprefix("/")
     package, naming = _package(inputs, loaded, name, edge)
-    judge = Judge(policy, {edge.subject: naming} if naming else {})
+    judge = EndpointPolicy(policy, {edge.subject: naming} if naming else {})
     decision = judge.decide(edge)
     profiles = policy.profiles(edge.subject)
     found = policy.rules(edge.subject)
@@ -157,7 +157,7 @@ def explain(
     near = None if matching else nearest(rules, edge)
     subjects = policy.subjects()
     there = name in installed(inputs, loaded)
-    labels: dict[str, Finding] = {}
+    labels: dict[str, Mismatch] = {}
     if there:
         folder = inputs.workspace.enclaves(loaded.profile.layout) / name
         enclave = Enclave(edge.subject, folder, loaded.profile.distro)
@@ -172,8 +172,8 @@ def explain(
         edge=edge,
         profiles=profiles,
         policy=decision,
-        rules=[Place(rules[at], rules[at].origin) for at in matching],
-        near=Place(rules[near.at], rules[near.at].origin, near.lacks) if near else None,
+        rules=[MatchedRule(rules[at], rules[at].origin) for at in matching],
+        near=MatchedRule(rules[near.at], rules[near.at].origin, near.lacks) if near else None,
         similar=nearest_word(edge.subject, subjects) if package is None and edge.subject not in subjects else "",
         package=package or (),
         packaged=package is not None,
@@ -185,7 +185,7 @@ def explain(
 
 def _package(
     inputs: Inputs, loaded: LoadedProfile, name: str, edge: Edge
-) -> tuple[Sequence[Place] | None, Naming | None]:
+) -> tuple[Sequence[MatchedRule] | None, Naming | None]:
     """Return the rules of a source package that are about a request, and how its names are mapped."""
     if name not in packages(inputs.tree, inputs.workspace.src):
         return None, None
@@ -197,7 +197,7 @@ def _package(
     naming = naming_of(inputs, package)
     asked = (edge, *naming.meanings(edge)) if naming and edge.object.kind == RAW else (edge,)
     matching = sorted({at for each in asked for at in about(rules, each)}, key=lambda at: rules[at].effect != "DENY")
-    return [Place(rules[at], places[at]) for at in matching], naming
+    return [MatchedRule(rules[at], places[at]) for at in matching], naming
 
 
 def _places(

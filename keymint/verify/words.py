@@ -7,7 +7,7 @@ from collections.abc import Sequence
 
 from keymint.graph import Edge
 from keymint.ir import Rule
-from keymint.verify.model import Finding
+from keymint.verify.mismatch import Mismatch
 
 _MOST = 4
 _PLACE = re.compile(r"^[\w.]+\.(xml|p7s)(:\d+)?: ")
@@ -19,7 +19,7 @@ def request(edge: Edge) -> str:
     return shown + "".join(f" in partition {name!r}" for name in edge.object.partitions)
 
 
-def in_words(transports: Sequence[str], finding: Finding, *, here: bool = False) -> str:
+def in_words(transports: Sequence[str], finding: Mismatch, *, here: bool = False) -> str:
     """Return a finding on one line: the edge, both labels, and why each is so.
 
     Args:
@@ -35,7 +35,7 @@ def in_words(transports: Sequence[str], finding: Finding, *, here: bool = False)
     )
 
 
-def of_document(finding: Finding) -> str:
+def of_document(finding: Mismatch) -> str:
     """Return what the enclave's document says on an edge, where, and which deviation explains it."""
     document, deviation = finding.document, finding.verdict.deviation
     place = document.file + (f":{document.line}" if document.line else "")

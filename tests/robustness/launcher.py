@@ -81,8 +81,12 @@ def _warm_up() -> None:
     )
     with tempfile.TemporaryDirectory() as folder, contextlib.redirect_stdout(io.StringIO()) as said:
         (Path(folder) / "policy.xml").write_text(policy)
-        for arguments in (["provision", f"{folder}/policy.xml"], ["install", "--prune"], ["check"]):
-            code = cli.main([*arguments, "-w", f"{folder}/ws", "-j", "1"])
+        for arguments in (
+            ["provision", f"{folder}/policy.xml", "-j", "1"],
+            ["install", "--prune", "-j", "1"],
+            ["check"],
+        ):
+            code = cli.main([*arguments, "-w", f"{folder}/ws"])
             assert code == 0, said.getvalue()
 
 

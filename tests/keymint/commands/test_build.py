@@ -18,7 +18,7 @@ def ws(keymint, policy: Path, tmp_path: Path) -> Path:
 
 
 def test_unsigned_documents_and_a_key(keymint, ws: Path) -> None:
-    assert keymint("build", "--unsigned", cwd=ws).code == 0
+    assert keymint("build", cwd=ws).code == 0
     assert "<topic>rt/chatter</topic>" in (ws / "build/talker/permissions.xml").read_text()
     assert (ws / "build/robot1/listener/governance.xml").is_file()
     key = ws / "private/identities/robot1/listener/key.pem"

@@ -10,6 +10,7 @@ from pathlib import Path
 import pytest
 
 from keymint.cli import VERBS
+from keymint.workspace import SPACES
 
 
 def run(*arguments: str, cwd: Path, **environment: str) -> subprocess.CompletedProcess[str]:
@@ -31,15 +32,36 @@ def test_help_lists_every_verb(keymint) -> None:
 
 WRITING = {"init", "create", "build", "install", "prove", "provision", "discover", "learn", "graph"}
 """Verbs that write files, so that they have ``--dry-run``."""
+STAGES = {"init", "create", "build", "install", "provision"}
+"""Verbs that write several packages at a time, so that they have ``--jobs``."""
+ELSEWHERE = {"diff", "discover", "learn", "plugins", "transports", "completion"}
+"""Verbs that use no workspace, so that they have neither ``--workspace`` nor ``--src-space`` and the like."""
 
 
 @pytest.mark.parametrize("verb", VERBS)
 def test_help_of_every_verb_teaches(keymint, verb: str) -> None:
     outcome = keymint(verb, "--help")
     assert outcome.code == 0
-    for option in ("--json", "--workspace", "--quiet", "--jobs"):
+    for option in ("--json", "--verbose", "--quiet"):
         assert option in outcome.out
+    assert ("--workspace" in outcome.out) == (verb not in ELSEWHERE)
     assert ("--dry-run" in outcome.out) == (verb in WRITING)
+    assert ("--jobs" in outcome.out) == (verb in STAGES)
+    assert "-space" not in outcome.out  # 'keymint --help' lists them once
+
+
+def test_the_help_page_lists_the_options_that_move_spaces(keymint) -> None:
+    outcome = keymint("--help")
+    for space in SPACES:
+        assert f"--{space}-space" in outcome.out
+
+
+@pytest.mark.parametrize("verb", ["discover", "diff", "plugins"])
+def test_a_verb_has_no_option_without_effect(keymint, verb: str) -> None:
+    for option in ("--workspace", "--src-space"):
+        outcome = keymint(verb, option, "ws")
+        assert outcome.code == 2
+        assert "No such option" in outcome.err
 
 
 def test_an_unknown_verb(keymint) -> None:
@@ -122,7 +144,7 @@ def test_plugins_are_listed_with_where_they_come_from(keymint) -> None:
 
 def test_an_error_of_our_own_is_one_line(tmp_path: Path) -> None:
     code = (
-        "import keymint.commands.common as c, sys; from keymint import cli\n"
+        "import keymint.commands.run as c, sys; from keymint import cli\n"
         "def broken(*_): raise ZeroDivisionError('oops')\n"
         "c.Run.workspace = broken\nsys.exit(cli.main(['status']))"
     )

@@ -12,7 +12,7 @@ from typing import Any
 
 import pytest
 
-from keymint.commands import common
+from keymint.commands import run
 from keymint.plan.inputs import Inputs
 from keymint.workspace import Workspace
 
@@ -60,17 +60,17 @@ def defective(workspace: Path, keymint: Keymint) -> Path:
 @contextlib.contextmanager
 def after_the_snapshot(monkeypatch: pytest.MonkeyPatch, do: Callable[[Path], None]) -> Iterator[list[Path]]:
     """Do something in the moment in which a verb has read its inputs."""
-    real = common.Run.snapshot
+    real = run.Run.snapshot
     done: list[Path] = []
 
-    def snapshot(self: common.Run, workspace: Workspace) -> Inputs:
+    def snapshot(self: run.Run, workspace: Workspace) -> Inputs:
         inputs = real(self, workspace)
         done.append(workspace.root)
         do(workspace.root)
         return inputs
 
     with monkeypatch.context() as patch:
-        patch.setattr(common.Run, "snapshot", snapshot)
+        patch.setattr(run.Run, "snapshot", snapshot)
         yield done
 
 

@@ -9,23 +9,25 @@ from keymint.api import PolicyDecision, Tier, Verdict
 from keymint.commands.verify_report import labelled_edges
 from keymint.drawing.labelled_graph import Confusion, Label
 from keymint.graph import Edge, Object
-from keymint.verify.model import Confusion as Counts
-from keymint.verify.model import Error, Finding, Outcome
+from keymint.verify.mismatch import Comparison, Mismatch, MismatchKind
+from keymint.verify.mismatch import ConfusionMatrix as Counts
 
 EDGES = [Edge("/a", "ros_publish", Object("ros_topic", f"/t{at}")) for at in range(4)]
 DENIED = PolicyDecision(False, None, "no rule")
 
 
-def finding(edge: Edge) -> Finding:
+def finding(edge: Edge) -> Mismatch:
     verdict = Verdict(True, "allowed", deviation="row 5")
-    return Finding(Error.FALSE_POSITIVE, edge, DENIED, verdict, "allow rule 2", Origin("/ws/permissions.xml", 7), "omg")
+    return Mismatch(
+        MismatchKind.FALSE_POSITIVE, edge, DENIED, verdict, "allow rule 2", Origin("/ws/permissions.xml", 7), "omg"
+    )
 
 
-def outcome(name: str, counts: Counts, *findings: Finding) -> Outcome:
-    return Outcome(name, "1", Tier.DECISION, counts, findings, {})
+def outcome(name: str, counts: Counts, *findings: Mismatch) -> Comparison:
+    return Comparison(name, "1", Tier.DECISION, counts, findings, {})
 
 
-def labels(*outcomes: Outcome):
+def labels(*outcomes: Comparison):
     return labelled_edges("t", outcomes, EDGES, [0] * 4, lambda _edge: DENIED, lambda file: file.removeprefix("/ws/"))
 
 

@@ -16,7 +16,7 @@ from keymint.api import Enclave, PolicyDecision, Tier, Usable, Verdict
 from keymint.errors import KeymintError
 from keymint.graph import Edge, Graph, Object, complete
 from keymint.verify.compare import ENCLAVE_REFUSED, compare, error_of, label_enclave
-from keymint.verify.model import Confusion, Finding
+from keymint.verify.mismatch import ConfusionMatrix, Mismatch
 
 ENCLAVES = {name: Enclave(name, Path("/nowhere") / name[1:], "humble") for name in ("/a", "/b", "/c")}
 
@@ -49,9 +49,9 @@ class Transport:
         return edge, Verdict(edge in self.allowed)
 
 
-def explain(name: str, enclave: Enclave, wrong: list[tuple[Edge, Verdict]]) -> list[Finding]:
+def explain(name: str, enclave: Enclave, wrong: list[tuple[Edge, Verdict]]) -> list[Mismatch]:
     return [
-        Finding(
+        Mismatch(
             error_of(verdict.allowed),
             edge,
             PolicyDecision(not verdict.allowed, None, ""),
@@ -83,7 +83,7 @@ def held(transport: Transport, said: Sequence[int], tier: Tier = Tier.DECISION, 
 )
 def test_counts_and_findings(allowed: set[Edge], said: set[Edge], ahead: int, tier: Tier) -> None:
     outcome = held(Transport(frozenset(allowed), ahead), [edge in said for edge in EDGES], tier)
-    assert outcome.confusion == Confusion(
+    assert outcome.confusion == ConfusionMatrix(
         len(allowed & said), len(said - allowed), len(allowed - said), len(set(EDGES) - allowed - said)
     )
     assert [finding.edge for finding in outcome.findings] == [edge for edge in EDGES if edge in allowed ^ said]

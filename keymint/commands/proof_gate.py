@@ -2,37 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import replace
-from typing import Any
-
-import click
 
 from comarmor.errors import Diagnostic, Origin, Severity
 from keymint.api import LoadedPolicy, Proof
-from keymint.commands import refusals
-from keymint.commands.common import Run
+from keymint.commands import proof_diagnostics
+from keymint.commands.proof_diagnostics import dated_of, diagnostics_of, effort_of
+from keymint.commands.run import Run
 from keymint.errors import ExitCode, KeymintError
 from keymint.plan.inputs import Inputs, LoadedProfile, Sources
 from keymint.plan.install import HAND_EDITED
 from keymint.plan.model import Plan
 from keymint.plan.prove import NO_PROVER, Proven, prove
 from keymint.plan.terms import together
-
-PROVING_OPTIONS: Sequence[Callable[[Any], Any]] = (
-    click.option(
-        "--prove/--no-prove",
-        default=True,
-        show_default=True,
-        help="Install nothing unless every document is proven to permit exactly what the policy says.",
-    ),
-)
-
-standard_only_option = click.option(
-    "--allow-vendor-specific",
-    is_flag=True,
-    help="Prove documents as the standard reads them only, as they were built with --allow-vendor-specific.",
-)
 
 
 def proven(
@@ -61,8 +44,6 @@ def proven(
     Raises:
         KeymintError: a claim about an enclave is refuted or unknown; exit code 3.
     """
-    from keymint.commands.prove import dated_of, diagnostics_of, effort_of  # noqa: PLC0415 - only when it is asked for
-
     found = prove(
         planned, loaded, names, sources, policy, effort_of(run), standard_only=standard_only,
         folder=lambda name: planned.workspace.build / name,
@@ -80,9 +61,9 @@ def proven(
         by_edit = {each.subject for each in edits}
         # Other warnings of the plan often say why, e.g. a policy that changed.
         warned = [each for each in plan.diagnostics if each.code != HAND_EDITED or each.subject not in by_edit]
-        unsigned = (refusals.unsigned(each, planned, loaded) for each in refused)
+        unsigned = (proof_diagnostics.unsigned(each, planned, loaded) for each in refused)
         build = planned.workspace.build
-        once = refusals.alike(unsigned, lambda name: planned.workspace.shown(build / name))
+        once = proof_diagnostics.alike(unsigned, lambda name: planned.workspace.shown(build / name))
         raise KeymintError.of([*warned, *edits, *once], ExitCode.FINDINGS)
     # Time is no reason to install nothing: what is not in force now may be tomorrow, or in a test.
     known = {(each.code, each.subject) for each in plan.diagnostics}

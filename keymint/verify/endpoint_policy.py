@@ -35,7 +35,7 @@ class Naming:
         return self.mapping.meanings(self.distro, endpoint)
 
 
-class Judge:
+class EndpointPolicy:
     """Says what a policy means on the endpoints of its subjects.
 
     Args:
@@ -102,7 +102,9 @@ def _apart(endpoint: Edge) -> Sequence[Edge]:
     return [replace(endpoint, object=replace(endpoint.object, partitions=(name,) if name else ())) for name in names]
 
 
-def label(judge: Judge, edges: Iterable[Edge], on_subject: Callable[[str], None] = lambda _subject: None) -> bytearray:
+def label(
+    judge: EndpointPolicy, edges: Iterable[Edge], on_subject: Callable[[str], None] = lambda _subject: None
+) -> bytearray:
     """Return what the policy says about edges, a byte for each: 1 allowed, 0 not.
 
     Args:

@@ -1,26 +1,22 @@
-"""What all verbs share: their options, how they find the workspace, how they end."""
+"""One run of a verb: the workspace that it works on, and how plans are made and executed."""
 
 from __future__ import annotations
 
-import functools
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from datetime import datetime
 from pathlib import Path
 from typing import Any
 
-import click
-
 from comarmor.errors import Diagnostic, Severity
 from comarmor.text import did_you_mean
 from keymint.api import Surroundings
-from keymint.commands.plugin_options import require_known
 from keymint.errors import ExitCode, KeymintError
 from keymint.execute import RECORD, execute, open_store
 from keymint.locks import LOCK, shared
 from keymint.names import package_name
 from keymint.output.console import Console, Streams
-from keymint.output.report import Report, as_typed, folded
+from keymint.output.report import Report
 from keymint.plan.inputs import Inputs
 from keymint.plan.model import File, Plan
 from keymint.plugins import Plugins
@@ -66,18 +62,18 @@ class Run:
         self.setting = setting
         self.verb = verb
         self.dry_run: bool = options.get("dry_run", False)
-        self.jobs: int = options["jobs"] or setting.cores
+        self.jobs: int = options.get("jobs") or setting.cores
         self.console = Console(
             setting.streams,
             verbosity=-1 if options["quiet"] else options["verbose"],
             as_json=options["as_json"],
         )
         self.plugins = Plugins(surroundings=Surroundings(setting.now, setting.cache, setting.environment))
-        self._named: Path | None = options["workspace"]
+        self._named: Path | None = options.get("workspace")
         self._spaces: dict[str, Path] = {
-            space: options[f"{space}_space"] for space in SPACES if options[f"{space}_space"] is not None
+            space: folder for space in SPACES if (folder := options.get(f"{space}_space")) is not None
         }
-        self._found: Workspace | None = None
+        self.known_workspace: Workspace | None = None
 
     # -- the workspace -------------------------------------------------------------------------------------------
 
@@ -87,20 +83,22 @@ class Run:
         Raises:
             KeymintError: there is none.
         """
-        if self._found is None:
+        if self.known_workspace is None:
             if self._named is None:
-                self._found = find(self.setting.cwd, self._spaces, self.setting.cwd)
+                self.known_workspace = find(self.setting.cwd, self._spaces, self.setting.cwd)
             else:
-                self._found = self.workspace_at(self._named)
-                if not self._found.exists():
+                self.known_workspace = self.workspace_at(self._named)
+                if not self.known_workspace.exists():
                     # Looking upward from a folder that was named helps whoever names a folder inside of it.
-                    self._found = find(self.setting.cwd / self._named, self._spaces, self.setting.cwd)
-        return self._found
+                    self.known_workspace = find(self.setting.cwd / self._named, self._spaces, self.setting.cwd)
+        return self.known_workspace
 
     def workspace_at(self, folder: Path | None) -> Workspace:
         """Return the workspace at a folder (by default the named or the current one), whether or not it exists."""
-        self._found = Workspace.at(self.setting.cwd / (folder or self._named or "."), self._spaces, self.setting.cwd)
-        return self._found
+        self.known_workspace = Workspace.at(
+            self.setting.cwd / (folder or self._named or "."), self._spaces, self.setting.cwd
+        )
+        return self.known_workspace
 
     def inputs(self, workspace: Workspace) -> Inputs:
         """Return what stages plan from, as it is now."""
@@ -197,98 +195,3 @@ def _exit_code(plan: Plan) -> ExitCode:
     """Return the exit code of a plan that was carried out: an error is about an enclave that was left as it is."""
     failed = any(found.severity is Severity.ERROR for found in plan.diagnostics)
     return ExitCode.FAILURE if failed else ExitCode.DONE
-
-
-Verb = Callable[..., Report]
-
-
-def verb(*, writes: bool = False, help: str | None = None) -> Callable[[Verb], click.Command]:  # noqa: A002
-    """Make a click command of a function ``(run, **options) -> Report``: common options, errors, exit codes.
-
-    Args:
-        writes: the verb writes files, so it has ``--dry-run``.
-        help: help text; by default the function's docstring.
-    """
-
-    def decorate(function: Verb) -> click.Command:
-        name = function.__module__.rsplit(".", 1)[-1]
-
-        def command(context: click.Context, /, **options: Any) -> None:
-            common = {key: options.pop(key) for key in list(options) if key in _COMMON or key.endswith("_space")}
-            setting: Setting = context.find_root().obj()
-            run = Run(setting, name, common)
-
-            def work() -> Report:
-                require_known(context, run.plugins)
-                return function(run, **options)
-
-            context.exit(int(_guarded(run, work)))
-
-        functools.update_wrapper(command, function)
-        # Click lists the parameters from the last to the first: the verb's own come before the common ones.
-        own: list[click.Parameter] = list(getattr(function, "__click_params__", []))
-        wrapped: Any = click.pass_context(command)
-        wrapped.__click_params__ = []
-        for option in reversed(_options(writes=writes)):
-            wrapped = option(wrapped)
-        wrapped.__click_params__ += own
-        return click.command(name, help=help)(wrapped)
-
-    return decorate
-
-
-def _guarded(run: Run, function: Callable[[], Report]) -> ExitCode:
-    """Run a verb, show its report or its error, and return the exit code."""
-    try:
-        report = function()
-    except KeymintError as error:
-        found = run._found  # noqa: SLF001 - none is looked for, for a message
-        report = Report(run.verb, found, (), error.diagnostics, exit_code=error.exit_code, dry_run=run.dry_run)
-    typed = tuple(as_typed(diagnostic, run.setting.cwd) for diagnostic in report.diagnostics)
-    run.console.show(replace(report, diagnostics=folded(typed)))
-    return report.exit_code
-
-
-_COMMON = {"workspace", "as_json", "verbose", "quiet", "jobs", "dry_run"}
-
-
-def complete_package(context: click.Context, _parameter: click.Parameter, incomplete: str) -> list[str]:
-    """Complete the name of a package of the workspace, for the shell."""
-    named = context.params.get("workspace")
-    try:
-        workspace = find(Path(named or "."), {}, Path())
-        names = packages(Tree(), workspace.src)
-    except KeymintError:
-        return []
-    slash = "/" if incomplete.startswith("/") else ""
-    return [slash + name for name in names if (slash + name).startswith(incomplete)]
-
-
-def _options(*, writes: bool) -> list[Callable[[Any], Any]]:
-    path = click.Path(path_type=Path)
-    options = [
-        click.option(
-            "-w",
-            "--workspace",
-            type=click.Path(path_type=Path),
-            metavar="DIR",
-            help="The workspace; by default the one that the current folder lies in.",
-        ),
-        click.option("--json", "as_json", is_flag=True, help="One JSON document on standard output (docs/json.md)."),
-        click.option("-v", "--verbose", count=True, help="Show every step, file and note."),
-        click.option("-q", "--quiet", is_flag=True, help="Show errors only."),
-        click.option(
-            "-j",
-            "--jobs",
-            type=click.IntRange(1, 256),
-            metavar="N",
-            help="Write N packages at a time [processors].",
-        ),
-    ]
-    if writes:
-        options.append(click.option("--dry-run", is_flag=True, help="Show what would be done; write nothing."))
-    options += [
-        click.option(f"--{space}-space", type=path, metavar="DIR", help=f"Folder of the {space} space [{space}/].")
-        for space in SPACES
-    ]
-    return options

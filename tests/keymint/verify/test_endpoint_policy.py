@@ -11,7 +11,7 @@ from keymint_ros2_dds import build_type
 from comarmor.errors import Origin
 from keymint.api import LoadedPolicy, PolicySource
 from keymint.graph import LABELLED, Edge, Object
-from keymint.verify.judge import Judge, Naming, label
+from keymint.verify.endpoint_policy import EndpointPolicy, Naming, label
 
 RULES = """
 <ros_topic qualifier="ALLOW"><attachment>/a</attachment><attachment>/b*</attachment>
@@ -35,8 +35,8 @@ def policy(tmp_path: Path) -> LoadedPolicy:
 
 
 @pytest.fixture
-def judge(policy: LoadedPolicy) -> Judge:
-    return Judge(policy, {"/s": Naming(build_type, "humble")})
+def judge(policy: LoadedPolicy) -> EndpointPolicy:
+    return EndpointPolicy(policy, {"/s": Naming(build_type, "humble")})
 
 
 def edge(permission: str, name: str, partitions: tuple[str, ...] = ()) -> Edge:
@@ -64,11 +64,11 @@ def edge(permission: str, name: str, partitions: tuple[str, ...] = ()) -> Edge:
         (("publish", "nothing"), False),
     ],
 )
-def test_deny_first_whoever_says_it(judge: Judge, request_: tuple, allowed: bool) -> None:
+def test_deny_first_whoever_says_it(judge: EndpointPolicy, request_: tuple, allowed: bool) -> None:
     assert judge.decide(edge(*request_)).allowed is allowed
 
 
-def test_the_rule_that_decides_is_named(judge: Judge) -> None:
+def test_the_rule_that_decides_is_named(judge: EndpointPolicy) -> None:
     denied = judge.decide(edge("ros_publish", "/b_secret"))
     assert denied.where
     assert denied.where.line == RULES.split("rt/b_secret", maxsplit=1)[0].count("\n") + 1
@@ -76,10 +76,10 @@ def test_the_rule_that_decides_is_named(judge: Judge) -> None:
 
 
 def test_without_a_naming_names_are_taken_as_they_are(policy: LoadedPolicy) -> None:
-    assert not Judge(policy, {}).decide(edge("publish", "rt/a")).allowed
+    assert not EndpointPolicy(policy, {}).decide(edge("publish", "rt/a")).allowed
 
 
-def test_labels_are_a_byte_for_each_edge(judge: Judge) -> None:
+def test_labels_are_a_byte_for_each_edge(judge: EndpointPolicy) -> None:
     done: list[str] = []
     edges = [edge("ros_publish", "/a"), edge("ros_publish", "/z"), edge("ros_call", "/s")]
     assert label(judge, edges, done.append) == bytes([1, 0, 1])

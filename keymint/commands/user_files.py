@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from pathlib import Path
 
 from comarmor.errors import Origin
-from keymint.commands.common import Run
+from keymint.commands.run import Run
 from keymint.errors import KeymintError
 from keymint.plan.model import File
 from keymint.store import Store

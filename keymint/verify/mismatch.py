@@ -11,7 +11,7 @@ from keymint.api import PolicyDecision, Tier, Verdict
 from keymint.graph import Edge
 
 
-class Error(StrEnum):
+class MismatchKind(StrEnum):
     """How a transport's label of an edge is wrong; allowing is the positive.
 
     ``false-positive``: the transport allows what the policy does not. ``false-negative``: the reverse.
@@ -22,7 +22,7 @@ class Error(StrEnum):
 
 
 @dataclass(frozen=True, slots=True)
-class Confusion:
+class ConfusionMatrix:
     """How many edges the policy and a transport label alike and differently; allowing is the positive."""
 
     true_positive: int = 0
@@ -42,7 +42,7 @@ class Confusion:
 
 
 @dataclass(frozen=True, slots=True)
-class Finding:
+class Mismatch:
     """An edge that a transport labels differently from the policy, and why.
 
     Attributes:
@@ -55,7 +55,7 @@ class Finding:
         model: the simulated transport that explains the verdict of a real one, or empty.
     """
 
-    error: Error
+    error: MismatchKind
     edge: Edge
     policy: PolicyDecision
     verdict: Verdict
@@ -65,7 +65,7 @@ class Finding:
 
 
 @dataclass(frozen=True, slots=True)
-class Outcome:
+class Comparison:
     """What came of holding one transport against the policy.
 
     Attributes:
@@ -80,8 +80,8 @@ class Outcome:
     transport: str
     version: str
     tier: Tier
-    confusion: Confusion
-    findings: tuple[Finding, ...]
+    confusion: ConfusionMatrix
+    findings: tuple[Mismatch, ...]
     wrong: Mapping[str, int]
 
     @property

@@ -1,0 +1,288 @@
+"""The options that several verbs share."""
+
+from __future__ import annotations
+
+import functools
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, fields
+from pathlib import Path
+from typing import Any
+
+import click
+from click.core import ParameterSource
+
+from keymint.errors import KeymintError
+from keymint.plugins import Plugins
+from keymint.tree import Tree
+from keymint.workspace import SPACES, find, packages
+
+Decorator = Callable[[Any], Any]
+DEFAULT_PROFILE_TYPE = "keymint_ros"
+PATH = click.Path(path_type=Path)
+FILE = click.Path(path_type=Path, dir_okay=False)
+
+
+class Number(click.FloatRange):
+    """A number within a range. Refuses "nan", which passes every range check."""
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> float:
+        """Return the number, or fail as click does."""
+        number: float = super().convert(value, param, ctx)
+        if math.isnan(number):
+            self.fail(f"{value!r} is not a number", param, ctx)
+        return number
+
+
+class PluginOption(click.Option):
+    """An option that names a plugin.
+
+    Args:
+        group: the entry-point group of the plugin.
+    """
+
+    def __init__(self, *arguments: Any, group: str, **settings: Any) -> None:
+        super().__init__(*arguments, metavar="NAME", **settings)
+        self.group = group
+
+
+def require_known_plugins(context: click.Context, plugins: Plugins) -> None:
+    """Require that each plugin that the command line names is installed.
+
+    Raises:
+        KeymintError: a plugin is not installed; the exit code is that of a usage error.
+    """
+    for parameter in context.command.params:
+        if not isinstance(parameter, PluginOption) or parameter.name is None:
+            continue
+        if context.get_parameter_source(parameter.name) is ParameterSource.COMMANDLINE:
+            value = context.params[parameter.name]
+            for name in value if isinstance(value, tuple) else (value,):
+                plugins.require(parameter.group, name)
+
+
+def complete_package(context: click.Context, _parameter: click.Parameter, incomplete: str) -> list[str]:
+    """Complete the name of a package of the workspace, for the shell."""
+    try:
+        workspace = find(Path(context.params.get("workspace") or "."), {}, Path())
+        names = packages(Tree(), workspace.src)
+    except KeymintError:
+        return []
+    slash = "/" if incomplete.startswith("/") else ""
+    return [slash + name for name in names if (slash + name).startswith(incomplete)]
+
+
+def option_group(parameter: str, group: type, *options: Decorator) -> Decorator:
+    """Return a decorator that adds options whose values reach the verb together, as one argument.
+
+    Args:
+        parameter: name of the verb's argument.
+        group: dataclass with a field for each option.
+        options: click options, in the order of the help page.
+    """
+
+    def decorate(function: Any) -> Any:
+        @functools.wraps(function)
+        def grouped(*arguments: Any, **values: Any) -> Any:
+            values[parameter] = group(**{field.name: values.pop(field.name) for field in fields(group)})
+            return function(*arguments, **values)
+
+        for option in reversed(options):
+            grouped = option(grouped)
+        return grouped
+
+    return decorate
+
+
+# -- the options of all verbs ----------------------------------------------------------------------------------------
+
+
+def common_options(*, workspace: bool, jobs: bool, dry_run: bool) -> Sequence[Decorator]:
+    """Return the options that are not about what a verb does.
+
+    Args:
+        workspace: the verb may read or write a workspace.
+        jobs: the verb writes several packages at a time.
+        dry_run: the verb writes files.
+    """
+    options = [
+        click.option("--json", "as_json", is_flag=True, help="Print one JSON document (docs/json.md)."),
+        click.option("-v", "--verbose", count=True, help="Show every step, file and note."),
+        click.option("-q", "--quiet", is_flag=True, help="Show errors only."),
+    ]
+    if workspace:
+        options.insert(
+            0,
+            click.option(
+                "-w",
+                "--workspace",
+                type=PATH,
+                metavar="DIR",
+                help="Workspace directory [the one that contains the current directory].",
+            ),
+        )
+        options += [
+            click.option(f"--{space}-space", type=PATH, metavar="DIR", hidden=True)  # 'keymint --help' lists them
+            for space in SPACES
+        ]
+    if jobs:
+        options.append(
+            click.option(
+                "-j", "--jobs", type=click.IntRange(1, 256), metavar="N", help="Write N packages at a time [all cores]."
+            )
+        )
+    if dry_run:
+        options.append(click.option("--dry-run", is_flag=True, help="Show what would change; write nothing."))
+    return options
+
+
+# -- policies outside of a workspace ---------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, slots=True)
+class PolicyOptions:
+    """How to read a policy that lies outside of a workspace.
+
+    Attributes:
+        distro: ROS 2 distribution, or None.
+        profile_type: plugin that ships the policy library.
+        policy_type: plugin that reads the policy.
+    """
+
+    distro: str | None
+    profile_type: str
+    policy_type: str
+
+
+policy_options = option_group(
+    "policy_options",
+    PolicyOptions,
+    click.option(
+        "--distro",
+        metavar="NAME",
+        help="ROS 2 distribution of the policy library [the workspace's, else $ROS_DISTRO, else jazzy].",
+    ),
+    click.option(
+        "--profile-type",
+        cls=PluginOption,
+        group="keymint.profile_types",
+        default=DEFAULT_PROFILE_TYPE,
+        show_default=True,
+        help="Plugin that ships the policy library.",
+    ),
+    click.option(
+        "--policy-type",
+        cls=PluginOption,
+        group="keymint.policy_types",
+        default="keymint_ros2_comarmor",
+        show_default=True,
+        help="Plugin that reads the policy.",
+    ),
+)
+
+
+# -- new workspaces --------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, slots=True)
+class ProfileOptions:
+    """What shapes the profile of a new workspace; None for an option that was not given."""
+
+    profile_type: str | None
+    distro: str | None
+    domain: int | None
+    layout: str | None
+    subject_format: str | None
+
+
+profile_options = option_group(
+    "profile",
+    ProfileOptions,
+    click.option(
+        "--profile-type",
+        cls=PluginOption,
+        group="keymint.profile_types",
+        help=f"Plugin that makes the profile; 'keymint plugins' lists them [{DEFAULT_PROFILE_TYPE}].",
+    ),
+    click.option("--distro", metavar="NAME", help="ROS 2 distribution [$ROS_DISTRO, else jazzy]."),
+    click.option("--domain", type=click.IntRange(0, 230), metavar="N", help="DDS domain id [0]."),
+    click.option(
+        "--layout",
+        type=click.Choice(["sros2", "flat"]),
+        help="Layout of install/: sros2 for Foxy and later, flat for older ones [flat for ardent, else sros2].",
+    ),
+    click.option(
+        "--subject-format",
+        type=click.Choice(["unique", "sros2"]),
+        help="Subject names in certificates: CN and a unique second RDN, or only the CN as SROS2 does [unique].",
+    ),
+)
+
+
+# -- building and installing -----------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, slots=True)
+class DocumentOptions:
+    """What shapes the documents of a build; see :class:`keymint.api.BuildOptions`."""
+
+    allow_vendor_specific: bool
+    optimise: bool
+    hints: Path | None
+
+
+document_options = option_group(
+    "document_options",
+    DocumentOptions,
+    click.option(
+        "--allow-vendor-specific",
+        is_flag=True,
+        help="Report rules that DDS vendors decide differently as warnings, not as errors.",
+    ),
+    click.option(
+        "--optimise/--no-optimise",
+        default=True,
+        show_default=True,
+        help="Rewrite permissions into fewer rules and expressions, proven equivalent.",
+    ),
+    click.option(
+        "--hints",
+        type=PATH,
+        metavar="FILE",
+        help="Put frequent requests first: a CSV of subject,permission,object,count, or a graph.",
+    ),
+)
+
+renew_option = click.option("--renew", is_flag=True, help="Replace private keys; by default keys are kept.")
+prune_option = click.option("--prune", is_flag=True, help="Remove installed enclaves that have no source package.")
+new_authority_option = click.option(
+    "--new-authority",
+    multiple=True,
+    metavar="NAME",
+    help="Replace the key and certificate of this authority. Deployed enclaves reject what the new one signs "
+    "until all are redeployed. May be repeated.",
+)
+prove_option = click.option(
+    "--prove/--no-prove",
+    default=True,
+    show_default=True,
+    help="Install only if each document is proven to permit exactly what the policy allows.",
+)
+standard_only_option = click.option(
+    "--allow-vendor-specific",
+    is_flag=True,
+    help="Prove documents by the DDS Security standard only; for builds with --allow-vendor-specific.",
+)
+
+
+# -- transports ------------------------------------------------------------------------------------------------------
+
+transport_option = click.option(
+    "-t",
+    "--transport",
+    "chosen",
+    cls=PluginOption,
+    group="keymint.transports",
+    multiple=True,
+    help="Ask this transport; may be repeated [all usable ones; 'keymint transports' lists them].",
+)

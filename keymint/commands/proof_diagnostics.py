@@ -1,0 +1,133 @@
+"""How refuted claims are reported: at the unsigned document where none is signed yet, and one cause in one line."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import replace
+
+from comarmor.errors import Diagnostic, Severity
+from keymint.api import Claim, Counterexample, Proof
+from keymint.commands.run import Run
+from keymint.graph import Edge
+from keymint.plan import terms
+from keymint.plan.inputs import Inputs, LoadedProfile
+from keymint.plan.prove import Effort, Findings, Proven
+
+SECONDS = 10.0
+STATES = 500_000
+OF_DOMAINS = frozenset(("join", "protect"))
+"""Actions of claims about a domain, not about a topic; see :class:`keymint.api.Claim`."""
+_FIRST = b"<?xml"
+"""How a document begins; what a signed file has before it are the headers of S/MIME."""
+
+
+def unsigned(found: Diagnostic, planned: Inputs, loaded: LoadedProfile) -> Diagnostic:
+    """Return a finding with places in the unsigned documents for those in the signed files that are only planned.
+
+    Args:
+        found: the finding; it names files of the enclave as if they lay in ``build/``.
+        planned: the workspace as it will be.
+        loaded: its profile.
+    """
+    name = found.subject.removeprefix("/")
+    workspace = planned.workspace
+    folder = workspace.shown(workspace.build / name)
+    enclave = workspace.enclaves(loaded.profile.layout) / name
+
+    def line(file: str, number: int) -> int:
+        head, _, _ = (planned.tree.read(enclave / f"{file}.p7s") or b"").partition(_FIRST)
+        return number - head.count(b"\n")
+
+    def place(match: re.Match[str]) -> str:
+        return f"{folder}/{match[1]}.xml:{line(match[1], int(match[2]))}"
+
+    message = re.sub(re.escape(folder) + r"/(\w+)\.p7s:(\d+)", place, found.message)
+    where = found.where
+    if where and where.file.startswith(f"{folder}/") and where.file.endswith(".p7s"):
+        file = where.file.removeprefix(f"{folder}/").removesuffix(".p7s")
+        shown = f"{folder}/{file}.xml"
+        where = replace(where, file=shown, line=line(file, where.line) if where.line else 0)
+    return replace(found, message=message, where=where)
+
+
+def alike(refused: Iterable[Diagnostic], shown: Callable[[str], str]) -> Iterator[Diagnostic]:
+    """Yield findings; those that say the same of several packages, as their cause is one, once with the number.
+
+    Args:
+        refused: findings, each about a subject.
+        shown: from the name of a package to the folder of its documents, as messages have it.
+    """
+    groups: dict[tuple[str, str, str], list[Diagnostic]] = {}
+    for found in refused:
+        folder = shown(found.subject.removeprefix("/"))
+        text = found.message.removeprefix(found.subject).replace(f"{folder}/", "")
+        place = str(found.where).removeprefix(f"{folder}/") if found.where else ""
+        groups.setdefault((found.code, text, place), []).append(found)
+    for group in groups.values():
+        count = len({found.subject for found in group})
+        yield group[0] if count == 1 else replace(group[0], message=f"{group[0].message} [{count} packages]")
+
+
+def effort_of(run: Run, states: int = STATES, seconds: float = SECONDS) -> Effort:
+    """Return how much may be spent: states for a question, seconds for an enclave."""
+    return Effort(states, lambda: _deadline(run.setting.monotonic, seconds))
+
+
+def _deadline(clock: Callable[[], float], seconds: float) -> Callable[[], bool]:
+    end = clock() + seconds
+    return lambda: clock() < end
+
+
+def dated_of(found: Findings) -> Iterator[Diagnostic]:
+    """Yield what is not in force at the time at which the claims are judged."""
+    for enclave in found.enclaves:
+        yield from terms.findings(enclave.terms, found.now, enclave.subject)
+
+
+def diagnostics_of(enclave: Proven) -> Iterator[Diagnostic]:
+    """Yield what is to be said of an enclave; what several models have in common once."""
+    yield from enclave.diagnostics
+    together: dict[tuple[object, ...], list[Claim]] = {}
+    for claim in enclave.claims:
+        if claim.counterexample is not None:
+            found = claim.counterexample
+            key = (found.endpoint, found.policy, found.document.allowed, found.document.line, found.document.reason)
+            together.setdefault(key, []).append(claim)
+        elif claim.proof is Proof.UNKNOWN:
+            together.setdefault((claim.reason,), []).append(claim)
+    for claims in together.values():
+        models = ", ".join(dict.fromkeys(claim.model for claim in claims))
+        counterexample = claims[0].counterexample
+        if counterexample is None:
+            actions = " and ".join(dict.fromkeys(claim.action for claim in claims))
+            message = f"{enclave.subject}, {actions}: not proven for {models}: {claims[0].reason}"
+            spent = "give it more with --seconds or --states, or say the rules in a simpler way"
+            help_ = spent if claims[0].spent else ""
+            yield Diagnostic("not-proven", Severity.ERROR, message, None, help_, enclave.subject)
+        else:
+            yield _refutation(enclave.subject, counterexample, models)
+
+
+def _refutation(subject: str, found: Counterexample, models: str) -> Diagnostic:
+    endpoint, policy, document = found.endpoint, found.policy, found.document
+    where = policy.where or document.where
+    if endpoint.permission in OF_DOMAINS:
+        message = f"{subject}: {policy.reason}; {document.reason} [{models}]"
+        return Diagnostic("counterexample", Severity.ERROR, message, where, found.help, subject)
+    may = "permits" if document.allowed else "does not permit"
+    says = "allows" if policy.allowed else "does not allow"
+    name = f"{endpoint.object.name!r}" + "".join(f" in the partition {p!r}" for p in endpoint.object.partitions)
+    ros = f" ({_entity(found.meaning)})" if found.meaning else ""
+    domain = f" in domain {endpoint.domain}" if endpoint.domain else ""
+    message = (
+        f"{subject}: the document {may} it to {endpoint.permission} {name}{ros}{domain}, the policy {says} it: "
+        f"{policy.reason}; {document.reason} [{models}]"
+    )
+    deviation = f"; docs/vendors.md, {document.deviation}" if document.deviation else ""
+    help_ = f"no shorter name differs{deviation}{f'; {found.help}' if found.help else ''}"
+    return Diagnostic("counterexample", Severity.ERROR, message, where, help_, subject)
+
+
+def _entity(meaning: Edge) -> str:
+    return f"the {meaning.object.kind.replace('ros_', 'ROS ')} {meaning.object.name}"

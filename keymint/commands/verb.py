@@ -1,0 +1,65 @@
+"""Makes click commands of the functions that carry out verbs."""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Any
+
+import click
+
+from keymint.commands.options import common_options, require_known_plugins
+from keymint.commands.run import Run, Setting
+from keymint.errors import ExitCode, KeymintError
+from keymint.output.report import Report, as_typed, folded
+
+Verb = Callable[..., Report]
+_COMMON = {"workspace", "as_json", "verbose", "quiet", "jobs", "dry_run"}
+
+
+def verb(*, workspace: bool = True, jobs: bool = False, dry_run: bool = False) -> Callable[[Verb], click.Command]:
+    """Return a decorator that makes a click command of a function ``(run, **options) -> Report``.
+
+    The command adds the common options (see :func:`keymint.commands.options.common_options`), shows the report or
+    the error, and ends with the exit code.
+    """
+
+    def decorate(function: Verb) -> click.Command:
+        name = function.__module__.rsplit(".", 1)[-1]
+
+        def command(context: click.Context, /, **options: Any) -> None:
+            common = {key: options.pop(key) for key in list(options) if key in _COMMON or key.endswith("_space")}
+            setting: Setting = context.find_root().obj()
+            run = Run(setting, name, common)
+
+            def work() -> Report:
+                require_known_plugins(context, run.plugins)
+                return function(run, **options)
+
+            context.exit(int(_guarded(run, work)))
+
+        functools.update_wrapper(command, function)
+        # Click lists the parameters from the last to the first: the verb's own come before the common ones.
+        own: list[click.Parameter] = list(getattr(function, "__click_params__", []))
+        wrapped: Any = click.pass_context(command)
+        wrapped.__click_params__ = []
+        for option in reversed(common_options(workspace=workspace, jobs=jobs, dry_run=dry_run)):
+            wrapped = option(wrapped)
+        wrapped.__click_params__ += own
+        return click.command(name)(wrapped)
+
+    return decorate
+
+
+def _guarded(run: Run, function: Callable[[], Report]) -> ExitCode:
+    """Run a verb, show its report or its error, and return the exit code."""
+    try:
+        report = function()
+    except KeymintError as error:
+        report = Report(
+            run.verb, run.known_workspace, (), error.diagnostics, exit_code=error.exit_code, dry_run=run.dry_run
+        )
+    typed = tuple(as_typed(diagnostic, run.setting.cwd) for diagnostic in report.diagnostics)
+    run.console.show(replace(report, diagnostics=folded(typed)))
+    return report.exit_code
