@@ -1,20 +1,22 @@
-"""Semantic access graphs: subjects, objects, and the permissions that subjects have, or want, on objects.
+"""Semantic access graphs: subjects, objects, and the permissions that subjects have, or request, on objects.
 
 The terms are those of White et al. 2018: *G_s* is the graph of what an application does; *G_fc* completes it, every
-subject with every permission on every object of the same kind.
+subject with every permission on every object of the same kind. An edge's label is *true* when the transport decides as
+the policy does. Allowing is the positive.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
+from enum import StrEnum
 
 from comarmor.rules import PERMISSIONS
 
 
 @dataclass(frozen=True, slots=True, order=True)
 class Object:
-    """What permissions are about.
+    """A topic, service, action, parameter server or DDS topic.
 
     Attributes:
         kind: a key of :data:`comarmor.rules.PERMISSIONS`.
@@ -27,6 +29,10 @@ class Object:
     partitions: tuple[str, ...] = ()
 
 
+DomainObject = tuple[int, Object]
+"""An object in a DDS domain."""
+
+
 @dataclass(frozen=True, slots=True, order=True)
 class Edge:
     """A subject with a permission on an object, in a DDS domain."""
@@ -36,6 +42,11 @@ class Edge:
     object: Object
     domain: int = 0
 
+    @property
+    def domain_object(self) -> DomainObject:
+        """The domain and the object."""
+        return self.domain, self.object
+
 
 @dataclass(frozen=True, slots=True)
 class Graph:
@@ -43,7 +54,7 @@ class Graph:
 
     Attributes:
         subjects: names, sorted; also of those without an edge.
-        edges: sorted, without doubles.
+        edges: sorted, without duplicates.
         types: names of DDS or ROS types by object, where they are known.
     """
 
@@ -53,28 +64,74 @@ class Graph:
 
     @classmethod
     def of(cls, edges: Iterable[Edge], subjects: Iterable[str] = (), types: Iterable[tuple[Object, str]] = ()) -> Graph:
-        """Return the graph of these edges; subjects of the edges need not be named again."""
-        found = tuple(sorted(set(edges)))
-        named = {*subjects, *(edge.subject for edge in found)}
-        return cls(tuple(sorted(named)), found, tuple(sorted(set(types))))
+        """Return the graph of these edges; ``subjects`` need only name those without an edge."""
+        ordered = tuple(sorted(set(edges)))
+        names = {*subjects, *(edge.subject for edge in ordered)}
+        return cls(tuple(sorted(names)), ordered, tuple(sorted(set(types))))
 
     @property
-    def objects(self) -> tuple[tuple[int, Object], ...]:
-        """Every domain and object that an edge is about, sorted."""
-        return tuple(sorted({(edge.domain, edge.object) for edge in self.edges}))
+    def objects(self) -> tuple[DomainObject, ...]:
+        """Domain and object of all edges, sorted."""
+        return tuple(sorted({edge.domain_object for edge in self.edges}))
 
 
 LABELLED: dict[str, tuple[str, ...]] = {
     kind: tuple(permission for permission in permissions if not permission.endswith("relay"))
     for kind, permissions in PERMISSIONS.items()
 }
-"""The permissions that a completion has: relaying is no endpoint's doing, so that no transport decides it."""
+"""Permissions in a completion, by kind. Relaying is left out: no transport decides it."""
 
 
 def complete(graph: Graph) -> Iterator[Edge]:
-    """Yield the edges of the completion of a graph, sorted: nothing is kept, so that it may be large."""
+    """Yield the edges of the completion of a graph, sorted and one at a time, as there may be very many."""
     objects = graph.objects
     for subject in graph.subjects:
-        for domain, found in objects:
-            for permission in LABELLED[found.kind]:
-                yield Edge(subject, permission, found, domain)
+        for domain, object_ in objects:
+            for permission in LABELLED[object_.kind]:
+                yield Edge(subject, permission, object_, domain)
+
+
+class EdgeOutcome(StrEnum):
+    """The decision on an edge, compared with the policy.
+
+    ``allow`` is a true positive and ``deny`` a true negative, or the decision of the policy or a transport alone.
+    """
+
+    UNLABELLED = "unlabelled"
+    ALLOW = "allow"
+    DENY = "deny"
+    FALSE_POSITIVE = "false-positive"
+    FALSE_NEGATIVE = "false-negative"
+
+    @property
+    def false(self) -> bool:
+        """Whether policy and transport decide differently."""
+        return self in MISMATCHES
+
+    @property
+    def allowed(self) -> bool:
+        """Whether the transport, or else the policy, allows the edge."""
+        return self in {EdgeOutcome.ALLOW, EdgeOutcome.FALSE_POSITIVE}
+
+
+MISMATCHES = frozenset({EdgeOutcome.FALSE_POSITIVE, EdgeOutcome.FALSE_NEGATIVE})
+
+
+@dataclass(frozen=True, slots=True)
+class ConfusionMatrix:
+    """Number of edges by outcome of the comparison of a transport with the policy."""
+
+    true_positive: int = 0
+    false_negative: int = 0
+    false_positive: int = 0
+    true_negative: int = 0
+
+    @property
+    def edges(self) -> int:
+        """Number of all edges."""
+        return self.true_positive + self.true_negative + self.errors
+
+    @property
+    def errors(self) -> int:
+        """Number of edges on which policy and transport differ."""
+        return self.false_positive + self.false_negative

@@ -19,12 +19,12 @@ from keymint.commands.run import Run
 from keymint.commands.user_files import read_input, write_outputs
 from keymint.commands.verb import verb
 from keymint.commands.verify_report import sources
-from keymint.drawing.labelled_graph import EdgeOutcome, LabelledGraph, choose_subjects, select_edges
+from keymint.drawing.labelled_graph import LabelledGraph, choose_subjects, select_edges
 from keymint.drawing.options import DrawingOptions, Split
 from keymint.drawing.palette import Theme
 from keymint.drawing.policy_graph import label_graph, policy_graph
 from keymint.errors import ExitCode, KeymintError
-from keymint.graph import Graph
+from keymint.graph import EdgeOutcome, Graph
 from keymint.output.report import Report
 from keymint.plan.create import load_policy
 

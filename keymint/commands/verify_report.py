@@ -12,8 +12,6 @@ from keymint.api import PolicyDecision
 from keymint.commands.run import Run
 from keymint.commands.user_files import exists, read_input, write_outputs
 from keymint.drawing.labelled_graph import (
-    MISMATCHES,
-    Confusion,
     Label,
     LabelledEdge,
     LabelledGraph,
@@ -21,7 +19,7 @@ from keymint.drawing.labelled_graph import (
 )
 from keymint.drawing.options import DrawingOptions
 from keymint.drawing.policy_graph import nowhere
-from keymint.graph import Edge
+from keymint.graph import MISMATCHES, Edge
 from keymint.verify.mismatch import Comparison, Mismatch
 
 PAGE = "index.html"
@@ -78,15 +76,7 @@ def labelled_edges(
             for at, end in enumerate(last):
                 known[at] = known[at] and edge != end
 
-    confusions = [
-        Confusion(
-            outcome.confusion.true_positive,
-            outcome.confusion.false_negative,
-            outcome.confusion.false_positive,
-            outcome.confusion.true_negative,
-        )
-        for outcome in outcomes
-    ]
+    confusions = [outcome.confusion for outcome in outcomes]
     names = [outcome.transport for outcome in outcomes]
     return LabelledGraph.of(title, labels(), transports=names, confusions=confusions)
 

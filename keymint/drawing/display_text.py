@@ -1,4 +1,4 @@
-"""Names as they are shown: names come from networks, so nothing in them is trusted to be printable or short."""
+"""Names and labels as display text: names come from networks and may be unprintable or long."""
 
 from __future__ import annotations
 
@@ -6,6 +6,8 @@ import re
 import unicodedata
 from collections.abc import Iterable, Sequence
 
+from comarmor.text import printable
+from keymint.drawing.labelled_graph import Label, LabelledEdge
 from keymint.graph import Object
 
 KINDS = {
@@ -15,43 +17,33 @@ KINDS = {
     "ros_parameter": "parameters",
     "topic": "DDS topic",
 }
-"""What a reader calls the kinds of objects, in the order of legends."""
+"""Display names of the kinds of objects, in the order of legends."""
 
 OUTWARD = ("publish", "execute", "operate", "write", "relay")
 INWARD = ("subscribe", "call", "request", "read", "relay")
-"""Roles by the direction in which their edge is drawn: what a subject offers goes out, what it takes comes in."""
+"""Roles by direction of their edge: from the subject to the object, or back."""
 
-_UNPRINTABLE = {"Cc", "Cf", "Cs", "Co", "Cn", "Zl", "Zp"}
 _LONGEST = 44
 _WORD = re.compile(r"[^/_ ]*[/_ ]|[^/_ ]+\Z", re.DOTALL)
-"""A word with what parts it from the next."""
+"""A word with the separator after it."""
 
 
 def role(permission: str) -> str:
-    """Return a permission without the prefix of ROS: ``publish`` of ``ros_publish``."""
+    """Return a permission without its ROS prefix: ``publish`` of ``ros_publish``."""
     return permission.removeprefix("ros_")
 
 
-def printable(text: str) -> str:
-    r"""Return text in which what cannot be seen, or reorders what is seen (bidirectional controls), is ``\uXXXX``."""
-    if text.isascii() and text.isprintable():
-        return text
-    return "".join(
-        char if unicodedata.category(char) not in _UNPRINTABLE else char.encode("unicode_escape", "replace").decode()
-        for char in text
-    )
-
-
-def object_name(found: Object, domain: int = 0) -> str:
-    """Return an object's name with what tells it from others of that name: ``scan @ a, b (domain 3)``."""
-    partitions = f" @ {', '.join(partition or '(empty)' for partition in found.partitions)}" if found.partitions else ""
-    return printable(f"{found.name}{partitions}" + (f" (domain {domain})" if domain else ""))
+def object_name(object_: Object, domain: int = 0) -> str:
+    """Return an object's name with its partitions and domain: ``scan @ a, b (domain 3)``."""
+    partitions = ", ".join(partition or "(empty)" for partition in object_.partitions)
+    suffix = (f" @ {partitions}" if partitions else "") + (f" (domain {domain})" if domain else "")
+    return printable(object_.name + suffix)
 
 
 def shorten(text: str, longest: int = _LONGEST) -> str:
-    """Return text that is not longer than that many characters; the middle gives way, as ends tell names apart.
+    """Return text with its middle replaced by ``…`` if it has more than ``longest`` characters.
 
-    Words stay whole where one at least fits: the text is cut behind ``/``, ``_`` or a blank.
+    Cuts after ``/``, ``_`` or a space if at least one word fits.
     """
     if len(text) <= longest:
         return text
@@ -65,17 +57,31 @@ def shorten(text: str, longest: int = _LONGEST) -> str:
 
 
 def _fitting(words: Iterable[str], room: int) -> Sequence[str]:
-    """Return the first words that have no more characters together."""
-    found: list[str] = []
+    """Return the first words that together have at most ``room`` characters."""
+    fitting: list[str] = []
     for word in words:
         room -= len(word)
         if room < 0:
             break
-        found.append(word)
-    return found
+        fitting.append(word)
+    return fitting
 
 
 def columns(text: str) -> int:
-    """Return how many columns of a fixed-width font a text takes (Unicode Standard Annex 11)."""
+    """Return the width of a text in columns of a fixed-width font (Unicode Standard Annex 11)."""
     wide = sum(unicodedata.east_asian_width(char) in "WF" for char in text) if not text.isascii() else 0
     return len(text) + wide
+
+
+def sentence(labelled: LabelledEdge, transports: Sequence[str]) -> str:
+    """Return an edge with all its labels on one line."""
+    edge = labelled.edge
+    layers = [("policy", labelled.policy), *zip(transports, labelled.transports, strict=True)]
+    labels = "; ".join(f"{name}: {_label_text(label)}" for name, label in layers if label is not None)
+    text = f"{edge.subject} {edge.permission} {object_name(edge.object, edge.domain)}"
+    return printable(text + (f" - {labels}" if labels else "") + (" (AUDIT)" if labelled.audit else ""))
+
+
+def _label_text(label: Label) -> str:
+    because = ": ".join(filter(None, (str(label.where) if label.where else "", label.reason)))
+    return ("allowed" if label.allowed else "denied") + (f" ({because})" if because else "")

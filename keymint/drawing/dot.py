@@ -1,18 +1,18 @@
-"""Writes labelled graphs in Graphviz' DOT language, for those who lay out graphs themselves."""
+"""Write labelled graphs in Graphviz' DOT language, for other layouts."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import replace
 
-from keymint.drawing.display_text import INWARD, OUTWARD, object_name, printable, role
-from keymint.drawing.labelled_graph import EdgeOutcome, LabelledEdge, LabelledGraph
+from comarmor.text import printable
+from keymint.drawing.display_text import INWARD, OUTWARD, object_name, role, sentence
+from keymint.drawing.labelled_graph import LabelledEdge, LabelledGraph
 from keymint.drawing.legend import edge_classes
 from keymint.drawing.options import DrawingOptions
 from keymint.drawing.palette import LIGHT
 from keymint.drawing.simplify import SimplifiedGraph, simplify
-from keymint.drawing.words import sentence
-from keymint.graph import Object
+from keymint.graph import EdgeOutcome, Object
 
 
 def dot(labelled: LabelledGraph, options: DrawingOptions | None = None) -> bytes:
@@ -20,12 +20,12 @@ def dot(labelled: LabelledGraph, options: DrawingOptions | None = None) -> bytes
 
     Args:
         labelled: the graph.
-        options: which transport, and how many edges; the rest is Graphviz' business.
+        options: the transport and the number of edges; others are ignored.
     """
     options = options or DrawingOptions()
     drawn = simplify(labelled, replace(options, fold=False))
     edges = drawn.edges
-    objects = {key: f"o{at}" for at, key in enumerate(sorted({(one.edge.domain, one.edge.object) for one in edges}))}
+    objects = {key: f"o{at}" for at, key in enumerate(sorted({one.edge.domain_object for one in edges}))}
     subjects = {subject: f"s{at}" for at, subject in enumerate(drawn.groups)}
     lines = [
         "digraph keymint {",
@@ -33,11 +33,11 @@ def dot(labelled: LabelledGraph, options: DrawingOptions | None = None) -> bytes
         "  node [style=filled, fontname=monospace]",
         *(f"  {at} [{_node('subject', _subject(name, drawn))}]" for name, at in subjects.items()),
         *(
-            f"  {at} [{_node(found.kind, object_name(found, domain))}{_expression(found, labelled)}]"
-            for (domain, found), at in objects.items()
+            f"  {at} [{_node(object_.kind, object_name(object_, domain))}{_style(object_, labelled)}]"
+            for (domain, object_), at in objects.items()
         ),
         *(
-            f"  {subjects[one.edge.subject]} -> {objects[one.edge.domain, one.edge.object]} "
+            f"  {subjects[one.edge.subject]} -> {objects[one.edge.domain_object]} "
             f"[{_attributes(one, labelled, options)}]"
             for one in edges
         ),
@@ -52,7 +52,7 @@ def _subject(name: str, drawn: SimplifiedGraph) -> str:
 
 
 def _quoted(text: str) -> str:
-    r"""Return a quoted string of DOT; ``\`` would begin an escape in a label."""
+    r"""Return a quoted string of DOT; an unescaped ``\`` starts an escape in a label."""
     return '"' + printable(text).replace("\\", "\\\\").replace('"', '\\"') + '"'
 
 
@@ -62,22 +62,22 @@ def _node(kind: str, label: str) -> str:
     return f"label={_quoted(label)}, shape={shape}, {colours}"
 
 
-def _expression(found: Object, labelled: LabelledGraph) -> str:
-    return ', style="filled,dashed"' if found in labelled.patterns else ""
+def _style(object_: Object, labelled: LabelledGraph) -> str:
+    return ', style="filled,dashed"' if object_ in labelled.patterns else ""
 
 
 def _attributes(one: LabelledEdge, labelled: LabelledGraph, options: DrawingOptions) -> str:
     outcome = one.outcome(options.transport)
     out, into = role(one.edge.permission) in OUTWARD, role(one.edge.permission) in INWARD
     verdict = edge_classes(outcome, labels=False).partition(" ")[0]
-    wanted: Mapping[str, str] = {
+    attributes: Mapping[str, str] = {
         "dir": "both" if out and into else "forward" if out else "back",
         "color": LIGHT[verdict],
         "style": "solid" if outcome.false or not labelled.transports else "dashed",
-        "penwidth": "4" if outcome is EdgeOutcome.FALSE_ALLOW else "3" if outcome.false else "1",
+        "penwidth": "4" if outcome is EdgeOutcome.FALSE_POSITIVE else "3" if outcome.false else "1",
         "arrowhead": "normal" if verdict != "deny" else "teeempty",
         "arrowtail": "normal" if verdict != "deny" else "teeempty",
-        "label": " ".join(["DANGER"] * (outcome is EdgeOutcome.FALSE_ALLOW) + ["AUDIT"] * one.audit),
+        "label": " ".join(["DANGER"] * (outcome is EdgeOutcome.FALSE_POSITIVE) + ["AUDIT"] * one.audit),
         "tooltip": sentence(one, labelled.transports),
     }
-    return ", ".join(f"{name}={_quoted(value)}" for name, value in wanted.items() if value)
+    return ", ".join(f"{name}={_quoted(value)}" for name, value in attributes.items() if value)

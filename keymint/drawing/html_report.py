@@ -1,8 +1,7 @@
-"""Writes the report on a labelled graph: one HTML file that needs nothing else, neither network nor scripts.
+"""Write the report on a labelled graph: one HTML file that works without network and without scripts.
 
-A script adds search and filters. The content security policy of the page allows its own style sheet and script, by
-their digests, and nothing from anywhere else (Content Security Policy Level 3, 6.7.2.2); whatever a name contains, it
-is printed as text.
+A script adds search and filters. The page's content security policy allows only its own style sheet and script, by
+their digests (Content Security Policy Level 3, 6.7.2.2). Names are always escaped.
 """
 
 from __future__ import annotations
@@ -11,50 +10,50 @@ import base64
 import hashlib
 from collections import Counter, defaultdict
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import astuple, dataclass, replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 from markupsafe import Markup
 
 from comarmor.errors import Origin, cited
-from comarmor.text import counted
-from keymint.drawing.display_text import KINDS, object_name, printable
-from keymint.drawing.labelled_graph import EdgeOutcome, Label, LabelledEdge, LabelledGraph, select_edges
-from keymint.drawing.layout import DomainObject, NodeKey
+from comarmor.text import counted, printable
+from keymint.drawing.display_text import KINDS, object_name
+from keymint.drawing.labelled_graph import Label, LabelledEdge, LabelledGraph, select_edges
+from keymint.drawing.layout import NodeKey
 from keymint.drawing.options import DrawingOptions
 from keymint.drawing.palette import Theme, style_sheet
-from keymint.drawing.simplify import EXPRESS, simplify, weight
+from keymint.drawing.simplify import EXPLICIT, priority, simplify
 from keymint.drawing.svg import PageEmbedding, draw, environment
+from keymint.graph import DomainObject, EdgeOutcome
 
 MOST_ROWS = 10_000
-"""Edges that a report lists; it says how many it leaves out. False labels and express denials are all listed, then what
-is allowed."""
+"""Maximum number of edges in a report; false labels and explicit denials are listed beyond it. Next are allowed edges.
+The report states the number of unlisted edges."""
 _WORDS = {
-    EdgeOutcome.FALSE_ALLOW: "DANGER: allowed against the policy",
-    EdgeOutcome.FALSE_DENY: "denied against the policy",
+    EdgeOutcome.FALSE_POSITIVE: "DANGER: allowed, but the policy denies it (false positive)",
+    EdgeOutcome.FALSE_NEGATIVE: "denied, but the policy allows it (false negative)",
     EdgeOutcome.ALLOW: "allowed",
     EdgeOutcome.DENY: "denied",
-    EdgeOutcome.UNLABELLED: "not labelled",
+    EdgeOutcome.UNLABELLED: "no decision",
 }
 
 
 def html_report(labelled: LabelledGraph, sources: Mapping[str, bytes], picture: DrawingOptions | None = None) -> bytes:
-    """Return a report as an HTML document in UTF-8; the same for the same graph on every machine.
+    """Return a report as an HTML document in UTF-8; deterministic on every machine.
 
     Args:
         labelled: the graph.
-        sources: texts of the files that places in the graph are in, by the path that the places have.
-        picture: how its picture is drawn; the theme follows the reader's preference.
+        sources: contents of the files of the graph's origins, by the path in the origins.
+        picture: drawing options of its picture; the theme follows the reader's preference.
     """
     options = replace(picture or DrawingOptions(), theme=Theme.AUTO)
     page = _Page(labelled, tuple(sources), options)
     style = _text("report.css") + style_sheet(Theme.AUTO)
     script = _text("report.js")
     rows = page.rows()
-    listed = [row for found in rows.values() for row in found]
+    listed = [row for of_subject in rows.values() for row in of_subject]
     counts = Counter(row["outcome"] for row in listed)
-    compared = [sum(astuple(found)) for found in labelled.confusions]
-    total = max(len(labelled.edges), *compared) if compared else len(labelled.edges)
+    total = max(len(labelled.edges), *(matrix.edges for matrix in labelled.confusions), 0)
     context = {
         "title": printable(labelled.title),
         "style": Markup(style),  # noqa: S704 - ours
@@ -88,7 +87,7 @@ def html_report(labelled: LabelledGraph, sources: Mapping[str, bytes], picture: 
 
 
 def _groups(labelled: LabelledGraph, options: DrawingOptions, page: _Page) -> Iterator[Mapping[str, Any]]:
-    """Yield the groups of the picture, each with a picture of its own subjects."""
+    """Yield the groups of the picture, each with a picture of its subjects."""
     for name, members in simplify(labelled, options).groups.items():
         if len(members) > 1:
             part = replace(select_edges(labelled, subjects=set(members)), title=name)
@@ -113,20 +112,20 @@ def _lines(content: bytes) -> Iterator[str]:
 
 @dataclass(frozen=True, slots=True)
 class _Link:
-    """A place in a file; ``target`` is empty when the report does not have the file."""
+    """A link to a line of a file; ``target`` is empty if the report does not contain the file."""
 
     text: str
     target: str
 
 
 class _Page:
-    """What the parts of a report refer to one another by."""
+    """Numbers, rows and links of a report."""
 
     def __init__(self, labelled: LabelledGraph, sources: Sequence[str], options: DrawingOptions) -> None:
         self._labelled = labelled
         self._sources = {name: at for at, name in enumerate(sources)}
         self.transports = [printable(name) for name in labelled.transports]
-        self.objects: list[DomainObject] = sorted({(one.edge.domain, one.edge.object) for one in labelled.edges})
+        self.objects: list[DomainObject] = sorted({one.edge.domain_object for one in labelled.edges})
         self._numbers: dict[NodeKey, int] = {}
         groups = simplify(labelled, options).groups
         keys: list[NodeKey] = [*labelled.subjects, *self.objects, *groups]
@@ -138,15 +137,14 @@ class _Page:
         return self._numbers[key]
 
     def rows(self) -> Mapping[str, Sequence[Mapping[str, Any]]]:
-        """Return the edges that are listed, by subject: those that matter most first."""
+        """Return the listed edges by subject, the most important ones first."""
         edges = self._labelled.edges
-        weights = sorted(((weight(one), at) for at, one in enumerate(edges)))
-        needed = sum(found <= EXPRESS for found, _ in weights)
-        ordered = [edges[at] for _, at in weights[: max(MOST_ROWS, needed)]]
-        found: dict[str, list[Mapping[str, Any]]] = defaultdict(list)
-        for one in ordered:
-            found[one.edge.subject].append(self._row(one))
-        return found
+        ordered = sorted(edges, key=priority)
+        needed = sum(priority(one) <= EXPLICIT for one in edges)
+        rows: dict[str, list[Mapping[str, Any]]] = defaultdict(list)
+        for one in ordered[: max(MOST_ROWS, needed)]:
+            rows[one.edge.subject].append(self._row(one))
+        return rows
 
     def _row(self, one: LabelledEdge) -> Mapping[str, Any]:
         edge, outcome = one.edge, one.outcome()
@@ -158,28 +156,28 @@ class _Page:
             "subject_number": self.number(edge.subject),
             "permission": printable(edge.permission),
             "object": object_name(edge.object, edge.domain),
-            "object_number": self.number((edge.domain, edge.object)),
+            "object_number": self.number(edge.domain_object),
             "kind": KINDS.get(edge.object.kind, edge.object.kind),
             "kind_class": edge.object.kind if edge.object.kind in KINDS else "neutral",
             "pattern": edge.object in self._labelled.patterns,
             "audit": one.audit,
-            "policy": self._said(one.policy),
+            "policy": self._label(one.policy),
             "transports": [
-                self._said(
-                    said, wrong=said is not None and one.policy is not None and said.allowed != one.policy.allowed
+                self._label(
+                    label, wrong=label is not None and one.policy is not None and label.allowed != one.policy.allowed
                 )
-                for said in one.transports
+                for label in one.transports
             ],
         }
 
-    def _said(self, said: Label | None, *, wrong: bool = False) -> Mapping[str, Any] | None:
-        if said is None:
+    def _label(self, label: Label | None, *, wrong: bool = False) -> Mapping[str, Any] | None:
+        if label is None:
             return None
         return {
-            "allowed": said.allowed,
+            "allowed": label.allowed,
             "wrong": wrong,
-            "reason": printable(said.reason),
-            "links": list(self._links(said.where)) if said.where else [],
+            "reason": printable(label.reason),
+            "links": list(self._links(label.where)) if label.where else [],
         }
 
     def _links(self, where: Origin) -> Iterator[_Link]:
@@ -190,14 +188,14 @@ class _Page:
             yield _Link(printable(text), target)
 
     def object_rows(self) -> list[Mapping[str, Any]]:
-        """Return every object with who may do what on it."""
+        """Return every object with the permissions that subjects have on it."""
         allowed: dict[DomainObject, list[tuple[int, str, str]]] = defaultdict(list)
         counts: dict[DomainObject, Counter[str]] = defaultdict(Counter)
         for one in self._labelled.edges:
-            key = (one.edge.domain, one.edge.object)
+            key = one.edge.domain_object
             outcome = one.outcome()
             counts[key]["wrong" if outcome.false else "denied" if outcome is EdgeOutcome.DENY else "other"] += 1
-            if outcome is not EdgeOutcome.DENY and outcome is not EdgeOutcome.FALSE_DENY:
+            if outcome not in {EdgeOutcome.DENY, EdgeOutcome.FALSE_NEGATIVE}:
                 subject = one.edge.subject
                 allowed[key].append((self.number(subject), printable(subject), printable(one.edge.permission)))
         return [

@@ -1,49 +1,20 @@
-"""Labelled graphs: what a policy and transports say about every edge, as data to draw.
-
-The terms are those of White et al. 2018: an edge's label is *true* when the transport decides what the policy says;
-an edge that the transport allows against the policy is a *false positive* (here: false allow), the reverse a *false
-negative* (false deny).
-"""
+"""Labelled graphs: the decisions of a policy and of transports on every edge, as data to draw."""
 
 from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from enum import StrEnum
 
 from comarmor.errors import Origin
 from comarmor.text import did_you_mean, first_few
 from keymint.errors import ExitCode, KeymintError
-from keymint.graph import Edge, Graph, Object
-
-
-class EdgeOutcome(StrEnum):
-    """How an edge is drawn."""
-
-    UNLABELLED = "unlabelled"
-    ALLOW = "allow"
-    DENY = "deny"
-    FALSE_ALLOW = "false-allow"
-    FALSE_DENY = "false-deny"
-
-    @property
-    def false(self) -> bool:
-        """Whether a transport decides otherwise than the policy."""
-        return self in MISMATCHES
-
-    @property
-    def allowed(self) -> bool:
-        """Whether the edge works in the end."""
-        return self in {EdgeOutcome.ALLOW, EdgeOutcome.FALSE_ALLOW}
-
-
-MISMATCHES = frozenset({EdgeOutcome.FALSE_ALLOW, EdgeOutcome.FALSE_DENY})
+from keymint.graph import ConfusionMatrix, Edge, EdgeOutcome, Graph, Object
 
 
 @dataclass(frozen=True, slots=True)
 class Label:
-    """What one layer says about an edge.
+    """The decision of a policy or transport on an edge.
 
     Attributes:
         allowed: the decision.
@@ -58,14 +29,14 @@ class Label:
 
 @dataclass(frozen=True, slots=True)
 class LabelledEdge:
-    """An edge and what is said about it.
+    """An edge with its labels.
 
     Attributes:
         edge: the edge.
-        policy: what the policy says; None when there is none.
-        transports: what each transport of the graph says, in their order; None where one was not asked.
-        audit: the rule that decided is to be watched.
-        common: the rule that decided is one of the shipped library's, which every node includes.
+        policy: the policy's label; None without a policy.
+        transports: labels of the graph's transports, in their order; None where a transport was not queried.
+        audit: the deciding rule asks for monitoring.
+        common: the deciding rule belongs to the shipped library and every node includes it.
     """
 
     edge: Edge
@@ -74,36 +45,24 @@ class LabelledEdge:
     audit: bool = False
     common: bool = False
 
+    @property
+    def decisions(self) -> tuple[bool | None, ...]:
+        """The decision of the policy, then of each transport."""
+        return tuple(None if label is None else label.allowed for label in (self.policy, *self.transports))
+
     def outcome(self, transport: int | None = None) -> EdgeOutcome:
-        """Return how the edge is drawn, for one transport or (None) for all together, where any false label wins."""
-        said = self.transports if transport is None else self.transports[transport : transport + 1]
-        found = [one.allowed for one in said if one is not None]
+        """Return the outcome for one transport, or for all together (None), where any false label wins."""
+        labels = self.transports if transport is None else self.transports[transport : transport + 1]
+        decisions = [label.allowed for label in labels if label is not None]
         if self.policy is None:
-            return _plain(all(found)) if found else EdgeOutcome.UNLABELLED
-        if any(allowed != self.policy.allowed for allowed in found):
-            return EdgeOutcome.FALSE_DENY if self.policy.allowed else EdgeOutcome.FALSE_ALLOW
+            return _plain(all(decisions)) if decisions else EdgeOutcome.UNLABELLED
+        if any(allowed != self.policy.allowed for allowed in decisions):
+            return EdgeOutcome.FALSE_NEGATIVE if self.policy.allowed else EdgeOutcome.FALSE_POSITIVE
         return _plain(self.policy.allowed)
 
 
 def _plain(allowed: bool) -> EdgeOutcome:
     return EdgeOutcome.ALLOW if allowed else EdgeOutcome.DENY
-
-
-@dataclass(frozen=True, slots=True)
-class Confusion:
-    """How the labels of one transport compare with those of the policy, in edges.
-
-    Attributes:
-        true_allow: true positives.
-        false_deny: false negatives.
-        false_allow: false positives.
-        true_deny: true negatives.
-    """
-
-    true_allow: int
-    false_deny: int
-    false_allow: int
-    true_deny: int
 
 
 @dataclass(frozen=True, slots=True)
@@ -116,7 +75,7 @@ class LabelledGraph:
         subjects: names, sorted; also of those without an edge.
         transports: names, in the order of every edge's ``transports``.
         patterns: objects whose name is an expression of the policy rather than a name.
-        confusions: one per transport, when more edges were compared than are kept here; else empty.
+        confusions: one per transport, if more edges were compared than this graph keeps; else empty.
     """
 
     title: str
@@ -124,7 +83,7 @@ class LabelledGraph:
     subjects: tuple[str, ...]
     transports: tuple[str, ...] = ()
     patterns: frozenset[Object] = frozenset()
-    confusions: tuple[Confusion, ...] = ()
+    confusions: tuple[ConfusionMatrix, ...] = ()
 
     @classmethod
     def of(
@@ -134,16 +93,16 @@ class LabelledGraph:
         subjects: Iterable[str] = (),
         transports: Sequence[str] = (),
         patterns: Iterable[Object] = (),
-        confusions: Sequence[Confusion] = (),
+        confusions: Sequence[ConfusionMatrix] = (),
     ) -> LabelledGraph:
-        """Return the graph of these edges; subjects of the edges need not be named again."""
-        found = tuple(sorted(edges, key=lambda labelled: labelled.edge))
-        named = {*subjects, *(labelled.edge.subject for labelled in found)}
-        return cls(title, found, tuple(sorted(named)), tuple(transports), frozenset(patterns), tuple(confusions))
+        """Return the graph of these edges; ``subjects`` need only name those without an edge."""
+        ordered = tuple(sorted(edges, key=lambda labelled: labelled.edge))
+        names = {*subjects, *(labelled.edge.subject for labelled in ordered)}
+        return cls(title, ordered, tuple(sorted(names)), tuple(transports), frozenset(patterns), tuple(confusions))
 
     @classmethod
     def of_graph(cls, title: str, graph: Graph) -> LabelledGraph:
-        """Return a graph about which nothing is said."""
+        """Return a graph whose edges have no labels."""
         return cls.of(title, (LabelledEdge(edge) for edge in graph.edges), graph.subjects)
 
     @property
@@ -151,38 +110,38 @@ class LabelledGraph:
         """Number of edges by outcome."""
         return Counter(labelled.outcome() for labelled in self.edges)
 
-    def confusion(self, transport: int) -> Confusion:
-        """Return how a transport compares with the policy over the edges that both were asked about."""
+    def confusion(self, transport: int) -> ConfusionMatrix:
+        """Return the confusion matrix of a transport, over the edges that both it and the policy labelled."""
         if self.confusions:
             return self.confusions[transport]
-        asked = Counter(
+        counts = Counter(
             one.outcome(transport) for one in self.edges if one.policy is not None and one.transports[transport]
         )
-        return Confusion(
-            asked[EdgeOutcome.ALLOW],
-            asked[EdgeOutcome.FALSE_DENY],
-            asked[EdgeOutcome.FALSE_ALLOW],
-            asked[EdgeOutcome.DENY],
+        return ConfusionMatrix(
+            counts[EdgeOutcome.ALLOW],
+            counts[EdgeOutcome.FALSE_NEGATIVE],
+            counts[EdgeOutcome.FALSE_POSITIVE],
+            counts[EdgeOutcome.DENY],
         )
 
 
 def namespace(name: str) -> str:
-    """Return what stands before the last segment of a name, with the slash: ``/robot1/`` of ``/robot1/arm``."""
+    """Return a name without its last segment, with the slash: ``/robot1/`` of ``/robot1/arm``."""
     return name[: name.rfind("/") + 1]
 
 
 def choose_subjects(
     known: Sequence[str], subjects: Sequence[str] = (), namespaces: Sequence[str] = ()
 ) -> tuple[str, ...]:
-    """Return the subjects that a user asked for, sorted; all of them when nothing was asked for.
+    """Return the subjects that a user selected, sorted; all of them without a selection.
 
     Args:
         known: names of all subjects.
-        subjects: names of some.
-        namespaces: names at or below which subjects lie.
+        subjects: selected names.
+        namespaces: names at or below which all subjects are selected.
 
     Raises:
-        KeymintError: no subject has such a name, or none lies there.
+        KeymintError: no subject has such a name, or none is below such a namespace.
     """
     if not (subjects or namespaces):
         return tuple(sorted(known))
@@ -195,7 +154,7 @@ def choose_subjects(
         prefix = name.rstrip("/")
         below = {one for one in known if one == prefix or one.startswith(f"{prefix}/")}
         if not below:
-            _refuse(f"no subject lies in the namespace {name!r}", name, sorted({*map(namespace, known)}))
+            _refuse(f"no subject in the namespace {name!r}", name, sorted({*map(namespace, known)}))
         kept |= below
     return tuple(sorted(kept))
 
@@ -208,8 +167,7 @@ def select_edges(
     Args:
         labelled: the graph.
         subjects: only these subjects; None for all.
-        only: only edges with one of these outcomes, and subjects that have such; empty for all. What differs from the
-            policy is ``only=DIFFERENCES``.
+        only: only edges with one of these outcomes, and their subjects; empty for all.
     """
     edges = tuple(
         one

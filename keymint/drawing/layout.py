@@ -1,9 +1,9 @@
-"""Where everything stands: subjects and objects of a bipartite graph in columns, with few crossings.
+"""Lay out a bipartite graph: subjects and objects in columns, with few crossings.
 
-Every label stands inside its own box and every edge has a port of its own, so that no two labels overlap whatever
-the graph; boxes grow with their edges. The order of rows follows the barycentre heuristic of layered drawing
-(Sugiyama, Tagawa, Toda 1981), the places of subjects beside their objects are a least-squares fit with minimal
-distances (isotonic regression by pooling adjacent violators).
+Every label is inside its own box and every edge has its own port, so labels never overlap; boxes grow with their edges.
+The order of rows follows the barycentre heuristic of layered drawing (Sugiyama, Tagawa, Toda 1981). The position of
+subjects beside their objects is a least-squares fit with minimal distances (isotonic regression by pooling adjacent
+violators).
 """
 
 from __future__ import annotations
@@ -14,25 +14,25 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from types import MappingProxyType
 
+from comarmor.text import printable
 from keymint.drawing.display_text import (
     INWARD,
     KINDS,
     OUTWARD,
     columns,
     object_name,
-    printable,
     role,
     shorten,
 )
 from keymint.drawing.labelled_graph import LabelledEdge
-from keymint.graph import Object
+from keymint.graph import DomainObject, Object
 
 CHARACTER = 7.3
-"""Width of a character of the labels, in pixels: a fixed-width font of 12 px has 7.2 at the most."""
+"""Width of a character of the labels, in pixels: at most 7.2 in a fixed-width font of 12 px."""
 BOX_HEIGHT = 24.0
 PORT_DISTANCE = 9.0
 GAP = 10.0
-"""Between two boxes above one another."""
+"""Vertical distance between two boxes."""
 _PADDING = 10.0
 _BULLET = 14.0
 _ROUNDS = 16
@@ -40,12 +40,11 @@ _MARKED_HEIGHT = 40.0
 _NARROWEST, _WIDEST = 150.0, 460.0
 
 _SHARED_BY = 4
-"""The fewest subjects that make an object one of those which many share."""
+"""Objects of at least that many subjects get a column of their own."""
 
-DomainObject = tuple[int, Object]
 NodeKey = str | DomainObject
 _Side = tuple[NodeKey, bool]
-"""The right (True) or left side of a box as its edges see it: towards their object lies to the right."""
+"""A node, and whether (True) its edges on this side go right from subject to object."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -55,7 +54,7 @@ class NodeBox:
     Attributes:
         key: a subject's name, or an object's domain and the object.
         kind: ``subject``, or the object's kind.
-        label: text inside of it.
+        label: text inside the box.
         mark: a second line of text, or empty.
         title: full text.
         x: left edge, in pixels.
@@ -77,7 +76,7 @@ class NodeBox:
 
 @dataclass(frozen=True, slots=True)
 class EdgeLine:
-    """An edge between its two ports; it leaves and meets both horizontally.
+    """An edge between its two ports; it leaves and reaches both horizontally.
 
     Attributes:
         labelled: the edge.
@@ -85,8 +84,8 @@ class EdgeLine:
         y1: at the subject.
         x2: at the object.
         y2: at the object.
-        outward: it has an arrowhead at the object.
-        inward: it has an arrowhead at the subject.
+        outward: has an arrowhead at the object.
+        inward: has an arrowhead at the subject.
     """
 
     labelled: LabelledEdge
@@ -100,7 +99,7 @@ class EdgeLine:
 
 @dataclass(frozen=True, slots=True)
 class Panel:
-    """One graph, laid out from (0, 0)."""
+    """The layout of one graph, from (0, 0)."""
 
     heading: str
     boxes: tuple[NodeBox, ...]
@@ -118,25 +117,25 @@ def lay_out(
 ) -> Panel:
     """Return the layout of a graph.
 
-    Two subjects stand on both sides of their objects. More stand between the objects that many of them share, to
-    the left, and all others, to the right.
+    Two subjects are placed on both sides of their objects. More than two are placed between the objects that many of
+    them share, to the left, and all other objects, to the right.
 
     Args:
-        heading: of the panel; may be empty.
+        heading: heading of the panel; may be empty.
         edges: its edges.
-        subjects: its subjects, also those without an edge.
-        names: labels of objects, in place of their names.
+        subjects: its subjects, including those without an edge.
+        names: labels of objects that replace their names.
         marks: a second line of text for some subjects.
     """
-    objects = sorted({_object(one) for one in edges}, key=_rank)
+    objects = sorted({one.edge.domain_object for one in edges}, key=_rank)
     stacks = _columns(list(subjects), objects, edges)
     column_of = {key: at for at, stack in enumerate(stacks) for key in stack}
     sides: dict[_Side, list[LabelledEdge]] = defaultdict(list)
     for one in edges:
-        subject, found = one.edge.subject, _object(one)
-        rightward = column_of[subject] < column_of[found]
+        subject, object_ = one.edge.subject, one.edge.domain_object
+        rightward = column_of[subject] < column_of[object_]
         sides[subject, rightward].append(one)
-        sides[found, rightward].append(one)
+        sides[object_, rightward].append(one)
     seconds: dict[NodeKey, str] = dict(marks.items())
     heights = {
         key: max(
@@ -164,10 +163,6 @@ def lay_out(
     return Panel(heading, tuple(boxes.values()), _lines(edges, boxes, sides), max(0.0, x - gap), height)
 
 
-def _object(one: LabelledEdge) -> DomainObject:
-    return one.edge.domain, one.edge.object
-
-
 def _kind(key: NodeKey) -> str:
     return "subject" if isinstance(key, str) else key[1].kind
 
@@ -187,11 +182,11 @@ def _rank(key: DomainObject) -> tuple[int, DomainObject]:
 
 
 def _columns(subjects: list[str], objects: list[DomainObject], edges: Sequence[LabelledEdge]) -> list[list[NodeKey]]:
-    """Return the columns from left to right, each in order from above."""
+    """Return the columns from left to right, each from top to bottom."""
     beside: dict[NodeKey, set[NodeKey]] = defaultdict(set)
     for one in edges:
-        beside[one.edge.subject].add(_object(one))
-        beside[_object(one)].add(one.edge.subject)
+        beside[one.edge.subject].add(one.edge.domain_object)
+        beside[one.edge.domain_object].add(one.edge.subject)
     if len(subjects) == 2:  # noqa: PLR2004 - one on each side
         both = sorted(objects, key=lambda key: (len(beside[key]) < 2, _rank(key)))  # noqa: PLR2004
         return [[subjects[0]], list(both), [subjects[1]]]
@@ -206,7 +201,7 @@ def _columns(subjects: list[str], objects: list[DomainObject], edges: Sequence[L
 def _ordered(
     subjects: list[str], objects: list[DomainObject], beside: Mapping[NodeKey, set[NodeKey]]
 ) -> tuple[list[NodeKey], list[NodeKey]]:
-    """Return two columns in the order with the fewest crossings that some rounds of the heuristic meet."""
+    """Return two columns in the order with the fewest crossings in some rounds of the heuristic."""
     left: list[NodeKey] = list(subjects)
     right: list[NodeKey] = list(objects)
     best = (_crossings(left, right, beside), left, right)
@@ -215,50 +210,50 @@ def _ordered(
             break
         right = _by_mean(right, left, beside)
         left = _by_mean(left, right, beside)
-        found = _crossings(left, right, beside)
-        if found >= best[0]:
+        crossings = _crossings(left, right, beside)
+        if crossings >= best[0]:
             break
-        best = (found, left, right)
+        best = (crossings, left, right)
     return best[1], best[2]
 
 
 def _by_mean(
     column: Sequence[NodeKey], other: Sequence[NodeKey], beside: Mapping[NodeKey, set[NodeKey]]
 ) -> list[NodeKey]:
-    """Return a column in the order of the mean place of what each is joined to; equal ones stay as they are."""
+    """Return a column sorted by the mean position of each node's neighbours; the sort is stable."""
     places = {key: at for at, key in enumerate(other)}
 
     def mean(key: NodeKey) -> float:
-        found = [places[one] for one in beside.get(key, ()) if one in places]
-        return sum(found) / len(found) if found else len(other)
+        neighbours = [places[one] for one in beside.get(key, ()) if one in places]
+        return sum(neighbours) / len(neighbours) if neighbours else len(other)
 
     return sorted(column, key=mean)
 
 
 def _crossings(left: Sequence[NodeKey], right: Sequence[NodeKey], beside: Mapping[NodeKey, set[NodeKey]]) -> int:
-    """Count the pairs of edges that cross: the inversions of their ends."""
+    """Return the number of pairs of edges that cross: the inversions of their ends."""
     at = {key: place for place, key in enumerate(right)}
     seen: list[int] = []
-    found = 0
+    crossings = 0
     for subject in left:
         ends = sorted(at[key] for key in beside.get(subject, ()) if key in at)
-        found += sum(len(seen) - bisect_right(seen, end) for end in ends)
+        crossings += sum(len(seen) - bisect_right(seen, end) for end in ends)
         for end in ends:
             insort(seen, end)
-    return found
+    return crossings
 
 
-# -- places ----------------------------------------------------------------------------------------------------------
+# -- positions ---------------------------------------------------------------------------------------------------------
 
 
 def _tops(
     stacks: Sequence[Sequence[NodeKey]], heights: Mapping[NodeKey, float], edges: Sequence[LabelledEdge]
 ) -> dict[NodeKey, float]:
-    """Return the upper edges of all boxes: the longest column is stacked, others come to stand beside it."""
+    """Return the upper edges of all boxes: the longest column is stacked, the others are fitted beside it."""
     beside: dict[NodeKey, list[NodeKey]] = defaultdict(list)
     for one in edges:
-        beside[one.edge.subject].append(_object(one))
-        beside[_object(one)].append(one.edge.subject)
+        beside[one.edge.subject].append(one.edge.domain_object)
+        beside[one.edge.domain_object].append(one.edge.subject)
     longest = max(range(len(stacks)), key=lambda at: sum(heights[key] + GAP for key in stacks[at]))
     tops = _stacked(stacks[longest], heights)
     for at in sorted(range(len(stacks)), key=lambda at: abs(at - longest)):
@@ -283,7 +278,7 @@ def _fitted(
     heights: Mapping[NodeKey, float],
     beside: Mapping[NodeKey, list[NodeKey]],
 ) -> dict[NodeKey, float]:
-    """Return the tops next to the middle of what each is joined to (least squares) that keep the order and the gaps."""
+    """Return the tops nearest to the middle of each node's neighbours (least squares) that keep order and gaps."""
     shifts = _stacked(column, heights)
     blocks: list[tuple[float, int]] = []
     wanted = 0.0
@@ -302,29 +297,29 @@ def _fitted(
 def _lines(
     edges: Sequence[LabelledEdge], boxes: Mapping[NodeKey, NodeBox], sides: Mapping[_Side, list[LabelledEdge]]
 ) -> tuple[EdgeLine, ...]:
-    """Give every edge its ports: in the order of what is at the other end, so that they do not cross at a box."""
+    """Assign ports to every edge, in the order of the boxes at the other end so that edges do not cross at a box."""
     at: dict[tuple[NodeKey, LabelledEdge], float] = {}
-    for (key, _), found in sides.items():
+    for (key, _), side in sides.items():
 
         def place(one: LabelledEdge, key: NodeKey = key) -> tuple[float, str]:
-            return boxes[_object(one) if key == one.edge.subject else one.edge.subject].y, one.edge.permission
+            return boxes[one.edge.domain_object if key == one.edge.subject else one.edge.subject].y, one.edge.permission
 
         middle = boxes[key].y + boxes[key].height / 2
-        for number, one in enumerate(sorted(found, key=place)):
-            at[key, one] = middle + (number - (len(found) - 1) / 2) * PORT_DISTANCE
-    return tuple(_line(one, boxes[one.edge.subject], boxes[_object(one)], at) for one in edges)
+        for number, one in enumerate(sorted(side, key=place)):
+            at[key, one] = middle + (number - (len(side) - 1) / 2) * PORT_DISTANCE
+    return tuple(_line(one, boxes[one.edge.subject], boxes[one.edge.domain_object], at) for one in edges)
 
 
 def _line(
-    one: LabelledEdge, subject: NodeBox, found: NodeBox, at: Mapping[tuple[NodeKey, LabelledEdge], float]
+    one: LabelledEdge, subject: NodeBox, object_: NodeBox, at: Mapping[tuple[NodeKey, LabelledEdge], float]
 ) -> EdgeLine:
-    rightward = subject.x < found.x
+    rightward = subject.x < object_.x
     return EdgeLine(
         one,
         subject.x + subject.width if rightward else subject.x,
         at[subject.key, one],
-        found.x if rightward else found.x + found.width,
-        at[found.key, one],
+        object_.x if rightward else object_.x + object_.width,
+        at[object_.key, one],
         role(one.edge.permission) in OUTWARD,
         role(one.edge.permission) in INWARD,
     )

@@ -1,4 +1,4 @@
-"""The legend of a picture: what a reader needs to know of it, and no more."""
+"""The legend of a picture: entries for what the picture contains, and no others."""
 
 from __future__ import annotations
 
@@ -6,9 +6,10 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 from keymint.drawing.display_text import INWARD, KINDS, OUTWARD, columns, role
-from keymint.drawing.labelled_graph import EdgeOutcome, LabelledGraph
+from keymint.drawing.labelled_graph import LabelledGraph
 from keymint.drawing.layout import CHARACTER, Panel
 from keymint.drawing.simplify import SimplifiedGraph
+from keymint.graph import EdgeOutcome
 
 LINE = 22.0
 """Height of a line of text, in pixels."""
@@ -19,9 +20,9 @@ class LegendEntry:
     """An entry of the legend.
 
     Attributes:
-        text: what it says.
+        text: its text.
         classes: of the style sheet.
-        form: ``box``, ``dot``, ``arrow``, ``barred``, ``both`` or ``mark``: what is drawn beside it.
+        form: what is drawn beside the text: ``box``, ``dot``, ``arrow``, ``barred``, ``both`` or ``mark``.
         x: in pixels.
         y: in pixels.
     """
@@ -40,28 +41,27 @@ def legend(
 
     Args:
         labelled: the graph.
-        drawn: what is drawn of it.
-        panels: what is drawn.
+        drawn: the part of it that is drawn.
+        panels: its layout.
         transport: index of the transport whose labels are drawn; None for all together.
     """
     yield from _boxes(labelled, drawn, panels)
     roles = {role(one.edge.permission) for one in drawn.edges}
-    for direction, form in ((OUTWARD, "out"), (INWARD, "in")):
-        named = [name for name in direction if name in roles and name != "relay"]
+    for target, directed in (("object", OUTWARD), ("subject", INWARD)):
+        named = [name for name in directed if name in roles and name != "relay"]
         if named:
-            towards = "object" if form == "out" else "subject"
-            yield LegendEntry(f"to the {towards}: {', '.join(named)}", "plain", "arrow")
+            yield LegendEntry(f"to the {target}: {', '.join(named)}", "plain", "arrow")
     if "relay" in roles:
         yield LegendEntry("both ways: relay", "plain", "both")
     outcomes = {one.outcome(transport) for one in drawn.edges}
     labels = bool(labelled.transports)
-    words = {
-        EdgeOutcome.ALLOW: "allowed, as the policy says" if labels else "allowed",
-        EdgeOutcome.DENY: "denied, as the policy says" if labels else "denied",
-        EdgeOutcome.FALSE_ALLOW: "DANGER: allowed against the policy (false positive)",
-        EdgeOutcome.FALSE_DENY: "denied against the policy (false negative)",
+    texts = {
+        EdgeOutcome.ALLOW: "allowed (true positive)" if labels else "allowed",
+        EdgeOutcome.DENY: "denied (true negative)" if labels else "denied",
+        EdgeOutcome.FALSE_POSITIVE: "DANGER: allowed, but the policy denies it (false positive)",
+        EdgeOutcome.FALSE_NEGATIVE: "denied, but the policy allows it (false negative)",
     }
-    for outcome, text in words.items():
+    for outcome, text in texts.items():
         if outcome in outcomes:
             yield LegendEntry(text, edge_classes(outcome, labels=labels), "arrow" if outcome.allowed else "barred")
     if any(one.audit for one in drawn.edges):
@@ -83,24 +83,24 @@ def _boxes(labelled: LabelledGraph, drawn: SimplifiedGraph, panels: Sequence[Pan
         yield LegendEntry("expression", "pattern neutral", "box")
 
 
-def flowed(samples: Sequence[LegendEntry], width: float) -> tuple[list[LegendEntry], float]:
-    """Place entries in lines of that width, in pixels; return them, and the height of all."""
+def flowed(entries: Sequence[LegendEntry], width: float) -> tuple[list[LegendEntry], float]:
+    """Place entries in lines of a width in pixels; return them and their total height."""
     x = y = 0.0
     placed = []
-    for sample in samples:
-        needed = 40 + columns(sample.text) * CHARACTER + 18
+    for entry in entries:
+        needed = 40 + columns(entry.text) * CHARACTER + 18
         if x and x + needed > width:
             x, y = 0.0, y + LINE
-        placed.append(replace(sample, x=round(x, 1), y=y))
+        placed.append(replace(entry, x=round(x, 1), y=y))
         x += needed
     return placed, y + LINE
 
 
 def edge_classes(outcome: EdgeOutcome, *, labels: bool) -> str:
-    """Return the classes of an edge in the style sheet; with ``labels`` of transports they are true or false."""
+    """Return the style sheet classes of an edge; with ``labels`` of transports also ``true`` or ``false``."""
     if outcome is EdgeOutcome.UNLABELLED:
         return "plain"
-    if outcome is EdgeOutcome.FALSE_ALLOW:
+    if outcome is EdgeOutcome.FALSE_POSITIVE:
         return "danger false"
     verdict = "allow" if outcome.allowed else "deny"
     return f"{verdict} {'false' if outcome.false else 'true'}" if labels else verdict

@@ -1,4 +1,4 @@
-"""How a graph is drawn."""
+"""Options for drawing a graph."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from keymint.drawing.palette import Theme
 
 
 class Split(StrEnum):
-    """Into which panels a picture is divided."""
+    """How a picture is split into panels."""
 
     NONE = "none"
     SUBJECT = "subject"
@@ -18,16 +18,16 @@ class Split(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class DrawingOptions:
-    """How a graph is drawn.
+    """Options for drawing a graph.
 
     Attributes:
         theme: colours.
         split: one panel, or one per subject or namespace of subjects.
         transport: index of the transport whose labels are drawn; None for all together.
-        limit: the most edges that are drawn; see :func:`keymint.drawing.simplify.shown_edges`.
-        fold: draw objects that nothing tells apart as one; None does so in large graphs.
-        group: draw the subjects of a namespace as one; None does so in large graphs.
-        common: draw what every node may do; False puts a mark at the subject in its place.
+        limit: the maximum number of edges; see :func:`keymint.drawing.simplify.shown_edges`.
+        fold: draw objects with the same edges as one; None does so in large graphs only.
+        group: draw the subjects of a namespace as one; None does so in large graphs only.
+        common: draw the edges of common rules; False puts a mark at the subject instead.
     """
 
     theme: Theme = Theme.AUTO

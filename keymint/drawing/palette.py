@@ -1,9 +1,8 @@
-"""Colours and line styles of pictures, for light and for dark backgrounds, as one style sheet.
+"""Colours and line styles of pictures, for light and dark backgrounds, as one style sheet.
 
-Nothing is told by colour alone: arrowheads of denied edges are hollow and barred, false labels are solid and heavy,
-what is allowed against the policy has a hazard band and a warning sign, and every kind of object has its name in the
-legend. Text has a contrast of at least 4.5 to 1 to what it stands on, and
-lines one of at least 3 to 1 (WCAG 2.2, 1.4.3 and 1.4.11).
+Nothing depends on colour alone: arrowheads of denied edges are hollow and barred, false labels are solid and heavy,
+false positives have a hazard band and a warning sign, and the legend names every kind of object. The contrast to the
+background is at least 4.5 to 1 for text and 3 to 1 for lines (WCAG 2.2, 1.4.3 and 1.4.11).
 """
 
 from __future__ import annotations
@@ -13,7 +12,7 @@ from enum import StrEnum
 
 
 class Theme(StrEnum):
-    """Background of a picture; ``auto`` follows the reader's preference where a browser shows it, and is else light."""
+    """Background of a picture; ``auto`` follows the browser's preference and is light elsewhere."""
 
     AUTO = "auto"
     LIGHT = "light"
@@ -71,7 +70,7 @@ DARK: Mapping[str, str] = {
 KIND_NAMES = ("subject", "ros_topic", "ros_service", "ros_action", "ros_parameter", "topic")
 
 FONTS = "'DejaVu Sans Mono','Liberation Mono',Menlo,Consolas,'Noto Sans Mono',monospace"
-"""Fonts of a fixed width of 0.55 to 0.61 em, which boxes are made for."""
+"""Fixed-width fonts of 0.55 to 0.61 em, for which boxes are sized."""
 
 _SHAPES = (
     f".keymint text{{font-family:{FONTS};font-size:12px}}\n"
@@ -95,7 +94,7 @@ _SHAPES = (
 
 
 def style_sheet(theme: Theme) -> str:
-    """Return the style sheet of a picture; renderers that know no media queries read it as well."""
+    """Return the style sheet of a picture; renderers without media queries can read it, too."""
     if theme is Theme.AUTO:
         return f"{_SHAPES}{_colours(LIGHT)}@media (prefers-color-scheme:dark){{\n{_colours(DARK)}}}\n"
     return _SHAPES + _colours(LIGHT if theme is Theme.LIGHT else DARK)

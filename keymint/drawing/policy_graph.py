@@ -1,4 +1,4 @@
-"""The graph of a policy: every subject that it names, the objects of its rules, and what it decides about them."""
+"""Make the graph of a policy: the subjects that it names, the objects of its rules, and its decisions."""
 
 from __future__ import annotations
 
@@ -15,19 +15,18 @@ from keymint.api import LoadedPolicy, PolicyDecision
 from keymint.drawing.labelled_graph import Label, LabelledEdge, LabelledGraph
 from keymint.errors import KeymintError
 from keymint.graph import LABELLED, Edge, Graph, Object, complete
-from keymint.ir import Rule
 
 MOST_EDGES = 250_000
-"""Edges that are kept to be drawn: about 250 MB."""
+"""Maximum number of edges to draw: about 250 MB."""
 
 
 def unchanged(file: str) -> str:
-    """Return a path as it is."""
+    """Return a path unchanged."""
     return file
 
 
 def nowhere(_where: Origin) -> bool:
-    """Tell that no rule is a common one."""
+    """Return False: no rule is a common one."""
     return False
 
 
@@ -41,25 +40,25 @@ def label_graph(
     typed: Callable[[str], str] = unchanged,
     common: Callable[[Origin], bool] = nowhere,
 ) -> LabelledGraph:
-    """Return a graph, or its completion, labelled by a policy.
+    """Return a graph, or its completion, with the labels of a policy.
 
     Args:
         title: one line.
         policy: the policy.
         graph: the graph, e.g. of a running system.
-        subjects: which of its subjects; the objects are those of all.
+        subjects: the subjects to keep; all objects are kept.
         everything: label the completion: every subject with every permission on every object.
         typed: returns a path as the user would type it.
-        common: tells of the place of a rule whether it is one that every node includes.
+        common: returns True for the origin of a rule that every node includes.
 
     Raises:
-        KeymintError: the completion is too large to be drawn; also as :meth:`keymint.api.LoadedPolicy.decide`.
+        KeymintError: the completion is too large to be drawn, or see :meth:`keymint.api.LoadedPolicy.decide`.
     """
     if everything:
-        _refuse_large(len(subjects) * sum(len(LABELLED[found.kind]) for _, found in graph.objects))
+        _refuse_large(len(subjects) * sum(len(LABELLED[object_.kind]) for _, object_ in graph.objects))
     edges = complete(replace(graph, subjects=tuple(subjects))) if everything else graph.edges
-    said = _Labels(typed, common)
-    labelled = (said.labelled(edge, policy.decide(edge)) for edge in edges if edge.subject in subjects)
+    labels = _Labels(typed, common)
+    labelled = (labels.labelled(edge, policy.decide(edge)) for edge in edges if edge.subject in subjects)
     return LabelledGraph.of(title, labelled, subjects)
 
 
@@ -74,26 +73,26 @@ def policy_graph(
 ) -> LabelledGraph:
     """Return the graph of a policy.
 
-    Its objects are the names in the rules of its subjects. An expression that is no name stands for itself: only the
-    subjects whose rules have it are joined to it, by what is decided about a name that hardly anything else matches.
+    Its objects are the names in the rules of its subjects. An expression with wildcards is an object of its own: it has
+    edges only to subjects with that expression in a rule, labelled by the decision on an unusual name that it matches.
 
     Args:
         title: one line.
         policy: the policy.
-        subjects: which subjects; empty for all that it names exactly.
-        everything: also draw what is denied because no rule matches.
+        subjects: the subjects to draw; empty for all that it names exactly.
+        everything: also draw denials without a matching rule.
         typed: returns a path as the user would type it.
-        common: tells of the place of a rule whether it is one that every node includes.
+        common: returns True for the origin of a rule that every node includes.
 
     Raises:
-        KeymintError: the policy names no subject exactly, no profile applies to one of these, or the graph is too
-            large to be drawn.
+        KeymintError: the policy names no subject exactly, no profile applies to a subject, or the graph is too large to
+            be drawn.
     """
     chosen = tuple(subjects) or policy.subjects()
     if not chosen:
         raise KeymintError(
             "the policy names no subject exactly",
-            help="name subjects with --subject, e.g. --subject /robot1/camera",
+            help="select subjects with --subject, e.g. --subject /robot1/camera",
             code="subjects-none",
         )
     names: set[Object] = set()
@@ -104,22 +103,23 @@ def policy_graph(
         if rules is None:
             hint = did_you_mean(subject, policy.subjects(), "attach a profile to it")
             raise KeymintError(f"no profile of the policy applies to {subject}", help=hint, code="subject-unknown")
-        mine = own.setdefault(subject, {})
+        permissions = own.setdefault(subject, {})
         for rule in rules.rules:
-            for found in _objects(rule):
-                if _literal(found):
-                    names.add(_witness(found))
+            partitions = tuple(sorted(rule.partitions))
+            for object_ in (Object(rule.kind, expression, partitions) for expression in rule.expressions):
+                if _literal(object_):
+                    names.add(_witness(object_))
                 else:
-                    expressions[found] = _witness(found)
-                    mine.setdefault(found, set()).update(rule.permissions)
+                    expressions[object_] = _witness(object_)
+                    permissions.setdefault(object_, set()).update(rule.permissions)
     if everything:
-        _refuse_large(len(chosen) * sum(len(LABELLED[found.kind]) for found in names))
-    said = _Labels(typed, common)
-    decided = itertools.chain(
-        _decided(policy, chosen, sorted(names), said, everything=everything),
-        _expressed(policy, own, expressions, said),
+        _refuse_large(len(chosen) * sum(len(LABELLED[object_.kind]) for object_ in names))
+    labels = _Labels(typed, common)
+    labelled = itertools.chain(
+        _edges_to_names(policy, chosen, sorted(names), labels, everything=everything),
+        _edges_to_expressions(policy, own, expressions, labels),
     )
-    edges = list(itertools.islice(decided, MOST_EDGES + 1))
+    edges = list(itertools.islice(labelled, MOST_EDGES + 1))
     _refuse_large(len(edges))
     return LabelledGraph.of(title, edges, chosen, patterns=expressions)
 
@@ -127,40 +127,40 @@ def policy_graph(
 def _refuse_large(edges: int) -> None:
     if edges > MOST_EDGES:
         raise KeymintError(
-            f"the graph has more than {MOST_EDGES} edges, which no picture shows",
-            help="choose some of it with --subject or --namespace, or leave out --all",
+            f"the graph has more than {MOST_EDGES} edges, too many to draw",
+            help="select a part with --subject or --namespace, or omit --all",
             code="graph-large",
         )
 
 
-def _decided(
-    policy: LoadedPolicy, subjects: Sequence[str], objects: Sequence[Object], said: _Labels, *, everything: bool
+def _edges_to_names(
+    policy: LoadedPolicy, subjects: Sequence[str], objects: Sequence[Object], labels: _Labels, *, everything: bool
 ) -> Iterator[LabelledEdge]:
     for subject in subjects:
-        for found in objects:
-            for permission in PERMISSIONS[found.kind]:
-                edge = Edge(subject, permission, found)
+        for object_ in objects:
+            for permission in PERMISSIONS[object_.kind]:
+                edge = Edge(subject, permission, object_)
                 decision = policy.decide(edge)
-                wanted = everything and permission in LABELLED[found.kind]
-                if decision.allowed or decision.where is not None or wanted:
-                    yield said.labelled(edge, decision)
+                completes = everything and permission in LABELLED[object_.kind]
+                if decision.allowed or decision.where is not None or completes:
+                    yield labels.labelled(edge, decision)
 
 
-def _expressed(
+def _edges_to_expressions(
     policy: LoadedPolicy,
     own: Mapping[str, Mapping[Object, set[str]]],
     expressions: Mapping[Object, Object],
-    said: _Labels,
+    labels: _Labels,
 ) -> Iterator[LabelledEdge]:
-    for subject, found in own.items():
-        for expression, permissions in found.items():
+    for subject, objects in own.items():
+        for expression, permissions in objects.items():
             for permission in sorted(permissions):
-                asked = Edge(subject, permission, expressions[expression])
-                yield said.labelled(replace(asked, object=expression), policy.decide(asked))
+                edge = Edge(subject, permission, expressions[expression])
+                yield labels.labelled(replace(edge, object=expression), policy.decide(edge))
 
 
 class _Labels:
-    """Makes labels of decisions; the many that are alike are one object."""
+    """Makes labels of decisions, one object for all equal ones to save memory."""
 
     def __init__(self, typed: Callable[[str], str], common: Callable[[Origin], bool]) -> None:
         self._typed = functools.cache(typed)
@@ -170,7 +170,7 @@ class _Labels:
     def labelled(self, edge: Edge, decision: PolicyDecision) -> LabelledEdge:
         """Return a labelled edge."""
         if decision not in self._known:
-            # The place of the rule is said beside the reason.
+            # The origin of the rule is shown beside the reason.
             reason = decision.reason.replace(f" at {decision.where}", "") if decision.where else decision.reason
             where = self._place(decision.where) if decision.where else None
             self._known[decision] = Label(decision.allowed, reason, where)
@@ -181,28 +181,23 @@ class _Labels:
         return replace(origin, file=self._typed(origin.file), chain=tuple(map(self._place, origin.chain)))
 
 
-def _objects(rule: Rule) -> Iterator[Object]:
-    for expression in rule.expressions:
-        yield Object(rule.kind, expression, tuple(sorted(rule.partitions)))
+def _literal(object_: Object) -> bool:
+    return all(isinstance(token, str) for text in (object_.name, *object_.partitions) for token in glob.parse(text))
 
 
-def _literal(found: Object) -> bool:
-    return all(isinstance(token, str) for text in (found.name, *found.partitions) for token in glob.parse(text))
-
-
-def _witness(found: Object) -> Object:
-    """Return an object that matches an object of expressions, and hardly any other expression."""
-    return Object(found.kind, _member(found.name), tuple(sorted(map(_member, found.partitions))))
+def _witness(expression: Object) -> Object:
+    """Return an object that an object with expressions matches, and that hardly any other expression matches."""
+    return Object(expression.kind, _member(expression.name), tuple(sorted(map(_member, expression.partitions))))
 
 
 def _member(expression: str) -> str:
-    """Return a text that an expression matches; a literal's own (``\\`` escapes taken off)."""
-    found = []
+    """Return a text that an expression matches; for a literal itself, without ``\\`` escapes."""
+    parts = []
     for token in glob.parse(expression):
         if isinstance(token, str):
-            found.append(token)
+            parts.append(token)
         elif isinstance(token, glob.Star):
-            found.append("any__name")
+            parts.append("any__name")
         else:
-            found.append("x" if "x" in token else next(token.chars()))
-    return "".join(found)
+            parts.append("x" if "x" in token else next(token.chars()))
+    return "".join(parts)

@@ -1,4 +1,4 @@
-"""Turns SVG into PNG with resvg, which is an optional dependency: a wheel without system libraries."""
+"""Convert SVG to PNG with resvg, an optional dependency: a wheel without system libraries."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from keymint.errors import KeymintError
 from keymint.plugins import how_to_add
 
 _MOST_PIXELS = 100_000_000
-"""Of a picture: 400 MB while it is drawn."""
+"""Maximum pixels of a picture: 400 MB while it is drawn."""
 _NOTHING = '<svg xmlns="http://www.w3.org/2000/svg" width="20" height="20"></svg>'
 _LETTER = _NOTHING.replace("></", f'><text x="2" y="16" font-family="{FONTS}">x</text></')
 
@@ -18,7 +18,7 @@ def png(document: bytes, scale: float = 2.0) -> bytes:
     """Return a picture as PNG.
 
     Args:
-        document: an SVG document in UTF-8, as :func:`keymint.drawing.svg.svg` makes it.
+        document: an SVG document in UTF-8 by :func:`keymint.drawing.svg.svg`.
         scale: pixels of the picture per pixel of the document; less if it would have more than 100 million.
 
     Raises:
@@ -38,7 +38,7 @@ def png(document: bytes, scale: float = 2.0) -> bytes:
     try:
         if resvg_py.svg_to_bytes(svg_string=_LETTER) == resvg_py.svg_to_bytes(svg_string=_NOTHING):
             raise KeymintError(
-                "no font of a fixed width is installed, so that the picture would have no names",
+                "no fixed-width font is installed; the picture would have no names",
                 help="install one (fonts-dejavu-core on Debian and Ubuntu), or write .svg",
                 code="png-fonts",
             )

@@ -1,34 +1,37 @@
-"""What a picture draws of a graph: common rules as marks, large graphs in groups, no more lines than there is room.
+"""Reduce a graph to what a picture has room for.
 
-What is allowed against the policy, and what a rule denies expressly, is always drawn.
+Common rules become a mark, subjects of a namespace become a group, and objects with the same edges become one. Then
+edges are left out, but never false positives or what a rule denies explicitly.
 """
 
 from __future__ import annotations
 
 from collections import defaultdict
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
-from keymint.drawing.fold import fold
-from keymint.drawing.grouping import GROUP_FROM, grouped, groups
-from keymint.drawing.labelled_graph import EdgeOutcome, LabelledEdge, LabelledGraph
-from keymint.drawing.layout import DomainObject
+from comarmor.text import counted, printable
+from keymint.drawing.display_text import KINDS
+from keymint.drawing.labelled_graph import LabelledEdge, LabelledGraph, namespace
 from keymint.drawing.options import DrawingOptions, Split
+from keymint.graph import DomainObject, EdgeOutcome
 
 FOLD_FROM = 40
-"""Objects of a graph from which on they are folded unless the reader wants otherwise."""
+"""Objects from which on a graph's objects are folded by default."""
+GROUP_FROM = 30
+"""Subjects beyond which a graph's subjects are grouped by default, and the most groups if names have enough levels."""
 
 
 @dataclass(frozen=True, slots=True)
 class SimplifiedGraph:
-    """What is drawn of a graph.
+    """The part of a graph that is drawn.
 
     Attributes:
-        edges: the lines, in their own order.
-        groups: the subjects by what stands for them, which is the subject itself where nothing is grouped.
-        marks: the common edges that are not drawn, by what stands for their subject.
-        members: the objects that each object that is drawn stands for.
-        left_out: lines that there was no room for.
+        edges: the lines, sorted.
+        groups: the subjects of each group by its name; a subject that is not grouped is its own group.
+        marks: the common edges that are not drawn, by group of their subject.
+        members: the objects of each drawn object.
+        left_out: number of lines without room.
     """
 
     edges: tuple[LabelledEdge, ...]
@@ -39,76 +42,142 @@ class SimplifiedGraph:
 
 
 def simplify(labelled: LabelledGraph, options: DrawingOptions) -> SimplifiedGraph:
-    """Return what is drawn of a graph."""
-    folded = [one for one in labelled.edges if not options.common and is_folded(one, options)]
-    hidden = set(folded)
+    """Return the part of a graph that is drawn."""
+    marked = [one for one in labelled.edges if not options.common and _is_common(one, options)]
+    hidden = set(marked)
     edges: Sequence[LabelledEdge] = [one for one in labelled.edges if one not in hidden]
-    members: Mapping[str, tuple[str, ...]] = {subject: (subject,) for subject in labelled.subjects}
-    if _wants_groups(labelled, options) and len(found := groups(labelled.subjects)) > 1:
-        members, edges = found, grouped(edges, found)
-    drawn, objects = _folded(edges, options)
-    shown = shown_edges(drawn, options)
+    groups: Mapping[str, tuple[str, ...]] = {subject: (subject,) for subject in labelled.subjects}
+    if _uses_groups(labelled, options) and len(by_namespace := _groups(labelled.subjects)) > 1:
+        groups, edges = by_namespace, _group_edges(edges, by_namespace)
+    members: Mapping[DomainObject, tuple[DomainObject, ...]] = {
+        key: (key,) for key in {one.edge.domain_object for one in edges}
+    }
+    if options.fold or (options.fold is None and len(members) >= FOLD_FROM):
+        edges, members = _fold(edges)
+    shown = shown_edges(edges, options)
     marks: dict[str, list[LabelledEdge]] = defaultdict(list)
-    group_of = {subject: name for name, subjects in members.items() for subject in subjects}
-    for one in folded:
+    group_of = {subject: name for name, subjects in groups.items() for subject in subjects}
+    for one in marked:
         marks[group_of[one.edge.subject]].append(one)
     return SimplifiedGraph(
-        shown, members, {name: tuple(found) for name, found in marks.items()}, objects, len(drawn) - len(shown)
+        shown, groups, {name: tuple(common) for name, common in marks.items()}, members, len(edges) - len(shown)
     )
 
 
-def is_folded(one: LabelledEdge, options: DrawingOptions) -> bool:
-    """Tell whether an edge is left to a mark: a common rule allows it, and so does the transport."""
+def _is_common(one: LabelledEdge, options: DrawingOptions) -> bool:
+    """Return True if a common rule allows an edge, and so does the transport."""
     return one.common and one.outcome(options.transport) is EdgeOutcome.ALLOW
 
 
-def _wants_groups(labelled: LabelledGraph, options: DrawingOptions) -> bool:
+# -- groups of subjects ----------------------------------------------------------------------------------------------
+
+
+def _uses_groups(labelled: LabelledGraph, options: DrawingOptions) -> bool:
     if options.group is None:
         return options.split is Split.NONE and len(labelled.subjects) > GROUP_FROM
     return options.group
 
 
-def _folded(
-    edges: Sequence[LabelledEdge], options: DrawingOptions
-) -> tuple[tuple[LabelledEdge, ...], Mapping[DomainObject, tuple[DomainObject, ...]]]:
-    objects = {(one.edge.domain, one.edge.object) for one in edges}
-    if options.fold or (options.fold is None and len(objects) >= FOLD_FROM):
-        return fold(edges)
-    return tuple(edges), {key: (key,) for key in objects}
+def _groups(subjects: Sequence[str]) -> Mapping[str, tuple[str, ...]]:
+    """Return the subjects of each group by the group's label; a subject alone in its namespace keeps its name.
 
+    The groups are the namespaces of the deepest level that has at most :data:`GROUP_FROM` of them.
 
-def shown_edges(edges: Sequence[LabelledEdge], options: DrawingOptions) -> tuple[LabelledEdge, ...]:
-    """Return the edges that a picture has room for, in their own order.
-
-    Beyond the limit what no rule allows goes first, and all of it: some of it would look as if the rest were allowed.
-    Then goes what is allowed. False labels and express denials stay, however many there are.
+    Args:
+        subjects: names, sorted.
     """
-    if len(edges) <= options.limit:
-        return tuple(edges)
-    weights = {one: weight(one, options.transport) for one in edges}
-    needed = sum(found <= EXPRESS for found in weights.values())
-    room = max(0, options.limit - needed)
-    kept = []
+    deepest = max((namespace(subject).count("/") for subject in subjects), default=1)
+    groups: Mapping[str, Sequence[str]] = {}
+    for depth in range(deepest, 0, -1):
+        groups = _by_namespace(depth, subjects)
+        if len(groups) <= GROUP_FROM:
+            break
+    return {
+        members[0] if len(members) == 1 else f"{prefix}… ({counted(len(members), 'subject')})": tuple(members)
+        for prefix, members in groups.items()
+    }
+
+
+def _by_namespace(depth: int, subjects: Sequence[str]) -> Mapping[str, Sequence[str]]:
+    """Return subjects by the first levels of their namespaces; ``/`` alone is one level."""
+    groups: dict[str, list[str]] = defaultdict(list)
+    for subject in subjects:
+        levels = namespace(subject).split("/")[:depth]
+        groups["/".join([*levels, ""])].append(subject)
+    return groups
+
+
+def _group_edges(edges: Sequence[LabelledEdge], groups: Mapping[str, Sequence[str]]) -> tuple[LabelledEdge, ...]:
+    """Return the edges of groups: one for all members that have it with the same labels."""
+    group_of = {subject: name for name, subjects in groups.items() for subject in subjects}
+    grouped: dict[tuple[object, ...], LabelledEdge] = {}
     for one in edges:
-        if weights[one] <= EXPRESS:
-            kept.append(one)
-        elif weights[one] < DEFAULT_DENIAL and room:
-            room -= 1
-            kept.append(one)
-    return tuple(kept)
+        edge = replace(one.edge, subject=group_of[one.edge.subject])
+        grouped.setdefault((edge, one.decisions, one.audit), replace(one, edge=edge))
+    return tuple(sorted(grouped.values(), key=lambda one: one.edge))
 
 
-EXPRESS = 1
-"""Weight of what is never left out, and above: false labels, and what a rule denies expressly."""
-DEFAULT_DENIAL = 3
-"""Weight of what matters least to a reader: no rule allows it."""
+# -- folded objects --------------------------------------------------------------------------------------------------
 
 
-def weight(one: LabelledEdge, transport: int | None = None) -> int:
-    """Return how much an edge matters to a reader; least first."""
+def _fold(
+    edges: Sequence[LabelledEdge],
+) -> tuple[tuple[LabelledEdge, ...], dict[DomainObject, tuple[DomainObject, ...]]]:
+    """Fold objects of one kind and namespace whose edges have the same subjects, permissions and labels.
+
+    Returns:
+        The edges of the first object of each fold, by name, and the objects of each fold.
+    """
+    signatures: dict[DomainObject, set[object]] = defaultdict(set)
+    for one in edges:
+        signatures[one.edge.domain_object].add((one.edge.subject, one.edge.permission, one.audit, one.decisions))
+    folds: dict[object, list[DomainObject]] = defaultdict(list)
+    for (domain, object_), signature in signatures.items():
+        place = (domain, object_.kind, namespace(object_.name), object_.partitions)
+        folds[(*place, frozenset(signature))].append((domain, object_))
+    members = {min(fold): tuple(sorted(fold)) for fold in folds.values()}
+    return tuple(one for one in edges if one.edge.domain_object in members), members
+
+
+def folded_name(members: Sequence[DomainObject]) -> str:
+    """Return the label of folded objects: ``/talker/… (6 services)``."""
+    first = members[0][1]
+    noun = KINDS.get(first.kind, first.kind)
+    return printable(f"{namespace(first.name)}… ({len(members)} {noun}{'' if noun.endswith('s') else 's'})")
+
+
+# -- left out edges --------------------------------------------------------------------------------------------------
+
+EXPLICIT = 1
+"""Priority of explicit denials; edges up to this priority are never left out."""
+_DEFAULT_DENIAL = 3
+
+
+def priority(one: LabelledEdge, transport: int | None = None) -> int:
+    """Return the priority of an edge, most important first: false labels, explicit denials, others, default denials."""
     outcome = one.outcome(transport)
     if outcome.false:
         return 0
     if outcome is not EdgeOutcome.DENY:
         return 2
-    return EXPRESS if one.policy is not None and one.policy.where is not None else DEFAULT_DENIAL
+    return EXPLICIT if one.policy is not None and one.policy.where is not None else _DEFAULT_DENIAL
+
+
+def shown_edges(edges: Sequence[LabelledEdge], options: DrawingOptions) -> tuple[LabelledEdge, ...]:
+    """Return the edges that a picture has room for, in the same order.
+
+    Beyond the limit all default denials are left out first: showing only some would suggest that the others are
+    allowed. Next are allowed edges. False labels and explicit denials stay, however many there are.
+    """
+    if len(edges) <= options.limit:
+        return tuple(edges)
+    priorities = {one: priority(one, options.transport) for one in edges}
+    room = max(0, options.limit - sum(each <= EXPLICIT for each in priorities.values()))
+    kept = []
+    for one in edges:
+        if priorities[one] <= EXPLICIT:
+            kept.append(one)
+        elif priorities[one] < _DEFAULT_DENIAL and room:
+            room -= 1
+            kept.append(one)
+    return tuple(kept)

@@ -1,4 +1,4 @@
-"""Draws labelled graphs as SVG, as the paper does: subjects green, topics blue, services purple, edges by role."""
+"""Draw labelled graphs as SVG, as the paper does: subjects green, topics blue, services purple, edges by role."""
 
 from __future__ import annotations
 
@@ -11,16 +11,15 @@ from dataclasses import dataclass
 from functools import cache
 from typing import TYPE_CHECKING
 
-from comarmor.text import counted
-from keymint.drawing.display_text import columns, object_name, printable, shorten
-from keymint.drawing.fold import folded_name
-from keymint.drawing.labelled_graph import EdgeOutcome, LabelledEdge, LabelledGraph, namespace
+from comarmor.text import counted, printable
+from keymint.drawing.display_text import columns, object_name, sentence, shorten
+from keymint.drawing.labelled_graph import LabelledEdge, LabelledGraph, namespace
 from keymint.drawing.layout import CHARACTER, EdgeLine, NodeBox, NodeKey, Panel, lay_out
 from keymint.drawing.legend import LINE, edge_classes, flowed, legend
 from keymint.drawing.options import DrawingOptions, Split
 from keymint.drawing.palette import style_sheet
-from keymint.drawing.simplify import SimplifiedGraph, simplify, weight
-from keymint.drawing.words import sentence
+from keymint.drawing.simplify import SimplifiedGraph, folded_name, priority, simplify
+from keymint.graph import EdgeOutcome
 
 if TYPE_CHECKING:
     from jinja2 import Environment
@@ -29,17 +28,17 @@ if TYPE_CHECKING:
 MARGIN = 24.0
 _PANEL_GAP = 48.0
 _SHEET = 1500.0
-"""Panels stand beside one another up to that width, in pixels."""
+"""Maximum width of a row of panels, in pixels."""
 _LEAST_WIDTH = 760.0
 _HEAD = 8.0
 
 
 @dataclass(frozen=True, slots=True)
 class PageEmbedding:
-    """How a picture becomes part of a page, which has the style sheet.
+    """A picture inside a page, which has the style sheet.
 
     Attributes:
-        number: returns the number of a subject, group or object in the page, which tells more at ``#n<number>``.
+        number: returns the number of a subject, group or object; the page describes it at ``#n<number>``.
     """
 
     number: Callable[[NodeKey], int]
@@ -47,10 +46,10 @@ class PageEmbedding:
 
 @cache
 def environment() -> Environment:
-    """Return the templates; everything that they print is escaped."""
+    """Return the template environment, with autoescape."""
     from jinja2 import Environment, PackageLoader, StrictUndefined  # noqa: PLC0415 - slow, only for pictures
 
-    found = Environment(
+    templates = Environment(
         loader=PackageLoader("keymint.drawing"),
         autoescape=True,
         undefined=StrictUndefined,
@@ -58,32 +57,32 @@ def environment() -> Environment:
         lstrip_blocks=True,
         keep_trailing_newline=True,
     )
-    found.filters["breakable"] = _breakable
-    return found
+    templates.filters["breakable"] = _breakable
+    return templates
 
 
 def _breakable(name: str) -> Markup:
-    """Return a name for a page in which a line can break behind ``/`` and ``_``, and not within a word."""
+    """Return a name as HTML in which lines can break only after ``/`` and ``_``."""
     from markupsafe import Markup  # noqa: PLC0415 - slow, only for pages
 
     return Markup("<wbr>").join(re.split("(?<=[^/_][/_])(?=[^/_])", name, flags=re.DOTALL))
 
 
 def svg(labelled: LabelledGraph, options: DrawingOptions | None = None) -> bytes:
-    """Return a picture as an SVG 1.1 document in UTF-8; the same for the same graph on every machine.
+    """Return a picture as an SVG 1.1 document in UTF-8; deterministic on every machine.
 
     Args:
         labelled: the graph.
-        options: how it is drawn.
+        options: drawing options.
     """
     return draw(labelled, options or DrawingOptions(), None).encode()
 
 
 def draw(labelled: LabelledGraph, options: DrawingOptions, embedding: PageEmbedding | None) -> str:
-    """Return a picture as a document, or as an element to embed."""
+    """Return a picture as a document, or as an element to embed in a page."""
     drawn = simplify(labelled, options)
-    names = {key[1]: folded_name(found) for key, found in drawn.members.items() if len(found) > 1}
-    marks = {name: f"+{len(found)} common" for name, found in drawn.marks.items()}
+    names = {key[1]: folded_name(members) for key, members in drawn.members.items() if len(members) > 1}
+    marks = {name: f"+{len(common)} common" for name, common in drawn.marks.items()}
     panels = [lay_out(*part, names, marks) for part in _parts(drawn, options.split)]
     samples = list(legend(labelled, drawn, panels, options.transport))
     width = max(_LEAST_WIDTH, *(panel.width for panel in panels)) if panels else _LEAST_WIDTH
@@ -118,7 +117,7 @@ def draw(labelled: LabelledGraph, options: DrawingOptions, embedding: PageEmbedd
                     "x": _number(left + x),
                     "y": _number(panel_top + y),
                     "lines": [
-                        _line(line, labelled, options, drawn, embedding) for line in _by_weight(panel.lines, options)
+                        _line(line, labelled, options, drawn, embedding) for line in _by_priority(panel.lines, options)
                     ],
                     "boxes": [_box(box, labelled, drawn, embedding) for box in panel.boxes],
                 }
@@ -128,9 +127,9 @@ def draw(labelled: LabelledGraph, options: DrawingOptions, embedding: PageEmbedd
     )
 
 
-def _by_weight(lines: Sequence[EdgeLine], options: DrawingOptions) -> list[EdgeLine]:
-    """Return lines so that those that matter are drawn over the others."""
-    return sorted(lines, key=lambda line: -weight(line.labelled, options.transport))
+def _by_priority(lines: Sequence[EdgeLine], options: DrawingOptions) -> list[EdgeLine]:
+    """Return lines sorted so that the most important ones are drawn on top."""
+    return sorted(lines, key=lambda line: -priority(line.labelled, options.transport))
 
 
 def _parts(drawn: SimplifiedGraph, split: Split) -> Iterator[tuple[str, tuple[LabelledEdge, ...], tuple[str, ...]]]:
@@ -141,15 +140,15 @@ def _parts(drawn: SimplifiedGraph, split: Split) -> Iterator[tuple[str, tuple[La
     for subject in drawn.groups:
         members[subject if split is Split.SUBJECT else namespace(subject)].append(subject)
     part_of = {subject: part for part, subjects in members.items() for subject in subjects}
-    found: dict[str, list[LabelledEdge]] = defaultdict(list)
+    edges: dict[str, list[LabelledEdge]] = defaultdict(list)
     for one in drawn.edges:
-        found[part_of[one.edge.subject]].append(one)
+        edges[part_of[one.edge.subject]].append(one)
     for part, subjects in members.items():
-        yield printable(part), tuple(found[part]), tuple(subjects)
+        yield printable(part), tuple(edges[part]), tuple(subjects)
 
 
 def _placed(panels: Sequence[Panel], most: float) -> tuple[list[tuple[Panel, float, float]], float, float]:
-    """Place panels in rows; return them with their places, and the size of all."""
+    """Place panels in rows; return them with their positions, and the total width and height."""
     placed = []
     x = y = tallest = widest = 0.0
     for panel in panels:
@@ -168,25 +167,25 @@ def _placed(panels: Sequence[Panel], most: float) -> tuple[list[tuple[Panel, flo
 
 
 def _subtitle(labelled: LabelledGraph, options: DrawingOptions, drawn: SimplifiedGraph) -> str:
-    objects = {(one.edge.domain, one.edge.object) for one in labelled.edges}
+    objects = {one.edge.domain_object for one in labelled.edges}
     sizes = ((labelled.subjects, "subject"), (objects, "object"), (labelled.edges, "edge"))
-    said = [", ".join(counted(len(found), noun) for found, noun in sizes)]
+    notes = [", ".join(counted(len(items), noun) for items, noun in sizes)]
     if labelled.transports:
         which = "all transports" if options.transport is None else labelled.transports[options.transport]
         if options.transport is None and len(labelled.transports) == 1:
             which = labelled.transports[0]
         false = sum(one.outcome(options.transport).false for one in labelled.edges)
-        said.append(f"{printable(which)} against the policy: {counted(false, 'false label')}")
+        notes.append(f"{printable(which)} compared with the policy: {counted(false, 'false label')}")
     if marks := sum(map(len, drawn.marks.values())):
-        said.append(f"{counted(marks, 'common edge')} as marks")
-    if any(len(found) > 1 for found in drawn.groups.values()):
-        said.append("subjects are grouped by namespace")
-    if any(len(found) > 1 for found in drawn.members.values()):
-        said.append("objects that are alike are drawn as one")
+        notes.append(f"{counted(marks, 'common edge')} as marks")
+    if any(len(members) > 1 for members in drawn.groups.values()):
+        notes.append("subjects are grouped by namespace")
+    if any(len(members) > 1 for members in drawn.members.values()):
+        notes.append("objects with the same edges are drawn as one")
     if drawn.left_out:
         total = drawn.left_out + len(drawn.edges)
-        said.append(f"{drawn.left_out} of {total} lines left out, first what no rule allows")
-    return "; ".join(said)
+        notes.append(f"{drawn.left_out} of {total} lines left out, starting with default denials")
+    return "; ".join(notes)
 
 
 # -- shapes ----------------------------------------------------------------------------------------------------------
@@ -196,12 +195,12 @@ def _box(
     box: NodeBox, labelled: LabelledGraph, drawn: SimplifiedGraph, embedding: PageEmbedding | None
 ) -> dict[str, object]:
     key = box.key
-    stands_for: Sequence[NodeKey] = drawn.groups[key] if isinstance(key, str) else drawn.members[key]
+    members: Sequence[NodeKey] = drawn.groups[key] if isinstance(key, str) else drawn.members[key]
     title = box.title
-    if len(stands_for) > 1:
-        title = "\n".join(printable(one) if isinstance(one, str) else object_name(one[1], one[0]) for one in stands_for)
+    if len(members) > 1:
+        title = "\n".join(printable(one) if isinstance(one, str) else object_name(one[1], one[0]) for one in members)
     pattern = not isinstance(key, str) and key[1] in labelled.patterns
-    group = isinstance(key, str) and len(stands_for) > 1
+    group = isinstance(key, str) and len(members) > 1
     common = [sentence(one, labelled.transports) for one in drawn.marks.get(key, ())] if isinstance(key, str) else []
     return {
         "classes": f"box {box.kind}" + (" pattern" if pattern else "") + (" group" if group else ""),
@@ -220,7 +219,7 @@ def _box(
         "mark_title": "\n".join(common),
         "middle": _number(box.y + box.height / 2),
         "number": embedding.number(box.key) if embedding else None,
-        "numbers": _numbers(stands_for, embedding),
+        "numbers": _numbers(members, embedding),
     }
 
 
@@ -256,21 +255,21 @@ def _line(
         "audit": line.labelled.audit,
         "dot_x": _number(start + (end - start) * (at**3 + 3 * at**2 * (1 - at) * 0.55 + 3 * at * (1 - at) ** 2 * 0.45)),
         "dot_y": _number(line.y1 + (line.y2 - line.y1) * (at**3 + 3 * at**2 * (1 - at))),
-        "danger": outcome is EdgeOutcome.FALSE_ALLOW,
+        "danger": outcome is EdgeOutcome.FALSE_POSITIVE,
         "middle_x": _number((start + end) / 2),
         "middle_y": _number((line.y1 + line.y2) / 2),
         "subject": _numbers(drawn.groups[edge.subject], embedding),
-        "object": _numbers(drawn.members[edge.domain, edge.object], embedding),
+        "object": _numbers(drawn.members[edge.domain_object], embedding),
     }
 
 
 def _numbers(keys: Sequence[NodeKey], embedding: PageEmbedding | None) -> str | None:
-    """Return the numbers in the page of what a box stands for."""
+    """Return the page's numbers of the members of a box."""
     return " ".join(str(embedding.number(key)) for key in keys) if embedding else None
 
 
 def _head(x: float, y: float, size: float, *, barred: bool) -> str:
-    """Return an arrowhead with its tip at (x, y); ``size`` is its length, negative when it points to the left."""
+    """Return an arrowhead with its tip at (x, y); ``size`` is its length, negative if it points left."""
     half = abs(size) * 0.45
     head = f"M{_number(x)} {_number(y)}l{_number(-size)} {_number(-half)}v{_number(2 * half)}z"
     if barred:

@@ -9,8 +9,8 @@ from operator import attrgetter
 
 from keymint.api import Enclave, Tier, Transport, Verdict
 from keymint.errors import KeymintError
-from keymint.graph import Edge
-from keymint.verify.mismatch import Comparison, ConfusionMatrix, Mismatch, MismatchKind
+from keymint.graph import ConfusionMatrix, Edge, EdgeOutcome
+from keymint.verify.mismatch import Comparison, Mismatch
 
 ENCLAVE_REFUSED = "enclave-refused"
 """Code of the error by which a transport says that it refuses an enclave as a whole."""
@@ -67,9 +67,9 @@ def compare(
     return Comparison(name, transport.usable().version, tier, confusion, tuple(findings), by_subject)
 
 
-def error_of(allowed_by_transport: bool) -> MismatchKind:
+def error_of(allowed_by_transport: bool) -> EdgeOutcome:
     """Return how an edge is wrong that a transport labels so, and the policy differently."""
-    return MismatchKind.FALSE_POSITIVE if allowed_by_transport else MismatchKind.FALSE_NEGATIVE
+    return EdgeOutcome.FALSE_POSITIVE if allowed_by_transport else EdgeOutcome.FALSE_NEGATIVE
 
 
 def label_by_subject(

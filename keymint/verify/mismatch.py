@@ -4,41 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from enum import StrEnum
 
 from comarmor.errors import Origin
 from keymint.api import PolicyDecision, Tier, Verdict
-from keymint.graph import Edge
-
-
-class MismatchKind(StrEnum):
-    """How a transport's label of an edge is wrong; allowing is the positive.
-
-    ``false-positive``: the transport allows what the policy does not. ``false-negative``: the reverse.
-    """
-
-    FALSE_POSITIVE = "false-positive"
-    FALSE_NEGATIVE = "false-negative"
-
-
-@dataclass(frozen=True, slots=True)
-class ConfusionMatrix:
-    """How many edges the policy and a transport label alike and differently; allowing is the positive."""
-
-    true_positive: int = 0
-    false_negative: int = 0
-    false_positive: int = 0
-    true_negative: int = 0
-
-    @property
-    def edges(self) -> int:
-        """All edges."""
-        return self.true_positive + self.true_negative + self.errors
-
-    @property
-    def errors(self) -> int:
-        """Edges that are labelled differently."""
-        return self.false_positive + self.false_negative
+from keymint.graph import ConfusionMatrix, Edge, EdgeOutcome
 
 
 @dataclass(frozen=True, slots=True)
@@ -55,7 +24,7 @@ class Mismatch:
         model: the simulated transport that explains the verdict of a real one, or empty.
     """
 
-    error: MismatchKind
+    error: EdgeOutcome
     edge: Edge
     policy: PolicyDecision
     verdict: Verdict

@@ -7,8 +7,8 @@ from typing import Any
 
 from comarmor.errors import Diagnostic, Origin, Severity
 from keymint.api import Verdict
-from keymint.graph import Edge
-from keymint.verify.mismatch import Comparison, ConfusionMatrix, Mismatch, MismatchKind
+from keymint.graph import ConfusionMatrix, Edge, EdgeOutcome
+from keymint.verify.mismatch import Comparison, Mismatch
 from keymint.verify.words import in_words, request
 
 _EXAMPLES = 3
@@ -17,7 +17,7 @@ _EXAMPLES = 3
 def remedy(finding: Mismatch) -> str:
     """Return how to mend what a finding is about."""
     name = finding.edge.subject.removeprefix("/")
-    much = "more" if finding.error is MismatchKind.FALSE_POSITIVE else "less"
+    much = "more" if finding.error is EdgeOutcome.FALSE_POSITIVE else "less"
     return (
         f"the enclave permits {much} than the policy; to make it anew: "
         f"keymint create {name}; keymint build -f {name}; keymint install {name}"

@@ -5,13 +5,14 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from typing import Any
 
+from keymint.graph import EdgeOutcome
 from keymint.output.sarif import location, log
-from keymint.verify.mismatch import Comparison, Mismatch, MismatchKind
+from keymint.verify.mismatch import Comparison, Mismatch
 from keymint.verify.words import in_words, request
 
 _RULES = {
-    MismatchKind.FALSE_POSITIVE: "A transport allows what the policy does not.",
-    MismatchKind.FALSE_NEGATIVE: "A transport denies what the policy allows.",
+    EdgeOutcome.FALSE_POSITIVE: "A transport allows what the policy does not.",
+    EdgeOutcome.FALSE_NEGATIVE: "A transport denies what the policy allows.",
 }
 
 

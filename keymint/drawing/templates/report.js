@@ -12,12 +12,12 @@
   for (const row of objects) names.set(row.dataset.n, row.querySelector(".node").textContent);
   const total = rows.filter((row) => row.closest(".subject-part")).length;
 
-  // What is typed is a node's whole name, or a part of names.
+  // The text is the full name of a node, or a part of names.
   const matching = (text) => {
     if (!text) return null;
-    const whole = [...names].filter(([, name]) => name === text);
-    const found = whole.length ? whole : [...names].filter(([, name]) => name.toLowerCase().includes(text.toLowerCase()));
-    return new Set(found.map(([number]) => number));
+    const exact = [...names].filter(([, name]) => name === text);
+    const matches = exact.length ? exact : [...names].filter(([, name]) => name.toLowerCase().includes(text.toLowerCase()));
+    return new Set(matches.map(([number]) => number));
   };
 
   const apply = () => {
@@ -45,7 +45,7 @@
     status.textContent = `${shown} of ${total} edges`;
   };
 
-  // A part that a filter hides cannot be gone to: what is linked to is shown.
+  // A link to a part that a filter hides resets the filter.
   const reveal = () => {
     const target = document.getElementById(decodeURIComponent(location.hash.slice(1)));
     if (target && target.closest("details")) {

@@ -7,10 +7,9 @@ from pathlib import Path
 from comarmor.errors import Origin
 from keymint.api import PolicyDecision, Tier, Verdict
 from keymint.commands.verify_report import labelled_edges
-from keymint.drawing.labelled_graph import Confusion, Label
-from keymint.graph import Edge, Object
-from keymint.verify.mismatch import Comparison, Mismatch, MismatchKind
-from keymint.verify.mismatch import ConfusionMatrix as Counts
+from keymint.drawing.labelled_graph import Label
+from keymint.graph import ConfusionMatrix, Edge, EdgeOutcome, Object
+from keymint.verify.mismatch import Comparison, Mismatch
 
 EDGES = [Edge("/a", "ros_publish", Object("ros_topic", f"/t{at}")) for at in range(4)]
 DENIED = PolicyDecision(False, None, "no rule")
@@ -19,11 +18,11 @@ DENIED = PolicyDecision(False, None, "no rule")
 def finding(edge: Edge) -> Mismatch:
     verdict = Verdict(True, "allowed", deviation="row 5")
     return Mismatch(
-        MismatchKind.FALSE_POSITIVE, edge, DENIED, verdict, "allow rule 2", Origin("/ws/permissions.xml", 7), "omg"
+        EdgeOutcome.FALSE_POSITIVE, edge, DENIED, verdict, "allow rule 2", Origin("/ws/permissions.xml", 7), "omg"
     )
 
 
-def outcome(name: str, counts: Counts, *findings: Mismatch) -> Comparison:
+def outcome(name: str, counts: ConfusionMatrix, *findings: Mismatch) -> Comparison:
     return Comparison(name, "1", Tier.DECISION, counts, findings, {})
 
 
@@ -32,7 +31,9 @@ def labels(*outcomes: Comparison):
 
 
 def test_edges_without_findings_are_labelled_as_the_policy_does() -> None:
-    graph = labels(outcome("x", Counts(0, 0, 1, 3), finding(EDGES[1])), outcome("y", Counts(0, 0, 0, 4)))
+    graph = labels(
+        outcome("x", ConfusionMatrix(0, 0, 1, 3), finding(EDGES[1])), outcome("y", ConfusionMatrix(0, 0, 0, 4))
+    )
     why = "allow rule 2; row 5"
     assert [one.transports for one in graph.edges] == [
         (Label(False), Label(False)),
@@ -40,22 +41,24 @@ def test_edges_without_findings_are_labelled_as_the_policy_does() -> None:
         (Label(False), Label(False)),
         (Label(False), Label(False)),
     ]
-    assert [graph.confusion(at) for at in (0, 1)] == [Confusion(0, 0, 1, 3), Confusion(0, 0, 0, 4)]
+    assert [graph.confusion(at) for at in (0, 1)] == [ConfusionMatrix(0, 0, 1, 3), ConfusionMatrix(0, 0, 0, 4)]
 
 
 def test_nothing_is_said_after_the_last_finding_that_was_kept() -> None:
-    graph = labels(outcome("x", Counts(0, 0, 2, 2), finding(EDGES[1])))
+    graph = labels(outcome("x", ConfusionMatrix(0, 0, 2, 2), finding(EDGES[1])))
     assert [one.transports[0] and one.transports[0].allowed for one in graph.edges] == [False, True, None, None]
 
 
 def test_no_finding_was_kept() -> None:
-    graph = labels(outcome("x", Counts(0, 0, 2, 2)))
+    graph = labels(outcome("x", ConfusionMatrix(0, 0, 2, 2)))
     assert [one.transports for one in graph.edges] == [(None,)] * 4
 
 
 def test_a_finding_on_an_endpoint_follows_the_edges_of_the_graph() -> None:
     endpoint = Edge("/a", "publish", Object("topic", "rq/sRequest"))
-    graph = labels(outcome("x", Counts(0, 0, 1, 4), finding(endpoint)), outcome("y", Counts(0, 0, 0, 4)))
+    graph = labels(
+        outcome("x", ConfusionMatrix(0, 0, 1, 4), finding(endpoint)), outcome("y", ConfusionMatrix(0, 0, 0, 4))
+    )
     assert [one.edge for one in graph.edges] == sorted([endpoint, *EDGES])
     (found,) = [one for one in graph.edges if one.edge == endpoint]
     assert [said and said.allowed for said in found.transports] == [True, False]
@@ -66,7 +69,7 @@ def test_the_report_of_a_workspace(keymint, provisioned: Path) -> None:
     assert found.code == 0, found.err
     folder = provisioned / "report"
     assert {path.name for path in folder.iterdir()} == {"index.html", "graph.svg", "graph-omg.svg", "differences.svg"}
-    assert "allowed, as the policy says" in (folder / "graph.svg").read_text()
+    assert "allowed (true positive)" in (folder / "graph.svg").read_text()
     assert "policy.xml</h3>" in (folder / "index.html").read_text()
 
 
@@ -75,7 +78,7 @@ def test_a_finding_is_in_the_report(keymint, provisioned: Path, policy: Path) ->
     found = keymint("verify", "-t", "omg", "--report", "report", cwd=provisioned)
     assert found.code == 3
     text = (provisioned / "report/index.html").read_text()
-    assert 'class="false-allow"' in text
-    assert 'class="false-deny"' in text
+    assert 'class="false-positive"' in text
+    assert 'class="false-negative"' in text
     assert "permissions.xml" in text
     assert "false positive" in (provisioned / "report/differences.svg").read_text()

@@ -10,8 +10,9 @@ from hypothesis import given, settings
 from lxml import html
 
 from keymint.drawing.html_report import MOST_ROWS, html_report
-from keymint.drawing.labelled_graph import Confusion, LabelledGraph
+from keymint.drawing.labelled_graph import LabelledGraph
 from keymint.drawing.palette import KIND_NAMES
+from keymint.graph import ConfusionMatrix
 
 from .graphs import ALLOWED, DENIED, HOSTILE, graphs, hostile, labelled, one_of_each
 from .test_svg import contrast
@@ -30,16 +31,16 @@ def test_what_a_subject_may_do_and_why() -> None:
     }
     assert len(rows) == 2
     row = next(row for text, row in rows.items() if "ros_subscribe" in text)
-    assert row.get("data-v") == "false-deny"
+    assert row.get("data-v") == "false-negative"
     assert "✓ allowed" in row.text_content()
-    assert "✗ denied (against the policy)" in row.text_content()
+    assert "✗ denied (unlike the policy)" in row.text_content()
     assert row.xpath(".//a[text()='policy.xml:3']/@href") == ["#f0-3"]
 
 
-def test_what_is_allowed_against_the_policy_looks_dangerous_in_every_table() -> None:
+def test_false_positives_look_dangerous_in_every_table() -> None:
     document = page(one_of_each())
     found = [
-        one for one in document.xpath("//span[contains(., 'allowed')]") if "against the policy" in one.text_content()
+        one for one in document.xpath("//span[contains(., 'allowed')]") if "unlike the policy" in one.text_content()
     ]
     assert found
     for one in found:
@@ -65,13 +66,13 @@ def test_the_source_is_there_line_by_line() -> None:
 def test_the_confusion_of_each_transport() -> None:
     cells = page(one_of_each()).xpath("//section[@id='summary']//tbody/tr/*/text()")
     assert cells == ["omg", "1", "1", "1", "1"]
-    counted = LabelledGraph.of("t", one_of_each().edges, transports=["omg"], confusions=[Confusion(7, 1, 1, 9)])
+    counted = LabelledGraph.of("t", one_of_each().edges, transports=["omg"], confusions=[ConfusionMatrix(7, 1, 1, 9)])
     assert page(counted).xpath("//section[@id='summary']//tbody/tr/*/text()") == ["omg", "7", "9", "1", "1"]
 
 
 def test_differences_are_listed_apart() -> None:
     found = page(one_of_each()).xpath("//section[@id='differences']//tr/@data-v")
-    assert sorted(found) == ["false-allow", "false-deny"]
+    assert sorted(found) == ["false-negative", "false-positive"]
     same = LabelledGraph.of("t", [labelled("/a", "ros_publish", "/t", ALLOWED, ALLOWED)], transports=["omg"])
     assert not page(same).xpath("//section[@id='differences']")
 
@@ -117,7 +118,7 @@ def test_a_large_graph_says_what_it_leaves_out() -> None:
     allowed = [labelled("/b", "ros_publish", f"/t{at}", ALLOWED) for at in range(5)]
     document = page(LabelledGraph.of("t", [*denied, *allowed]))
     assert len(document.xpath("//section[h3//text()='/b']//tr[@data-v]")) == 5
-    assert "5 edges that matter least" in document.xpath("string(//p[@class='note'])")
+    assert "5 edges are not listed" in document.xpath("string(//p[@class='note'])")
 
 
 def test_contrast_of_the_page() -> None:

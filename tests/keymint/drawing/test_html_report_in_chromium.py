@@ -159,7 +159,7 @@ def test_what_is_not_there(page: Page) -> None:
 
 def test_filter_by_verdict_with_the_keyboard(page: Page) -> None:
     page.keys("/", "\ue004", " ")  # Tab to the first verdict, and Space
-    assert page.focused("value") == "false-allow"
+    assert page.focused("value") == "false-positive"
     assert page.rows() == ALL[1:]
     page.keys("\ue004", " ")
     assert page.rows() == ALL[2:]

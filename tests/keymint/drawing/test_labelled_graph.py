@@ -5,13 +5,12 @@ from __future__ import annotations
 import pytest
 
 from keymint.drawing.labelled_graph import (
-    Confusion,
-    EdgeOutcome,
     LabelledGraph,
     choose_subjects,
     select_edges,
 )
 from keymint.errors import KeymintError
+from keymint.graph import ConfusionMatrix, EdgeOutcome
 
 from .graphs import ALLOWED, DENIED, labelled, one_of_each
 
@@ -24,8 +23,8 @@ from .graphs import ALLOWED, DENIED, labelled, one_of_each
         (ALLOWED, (), EdgeOutcome.ALLOW),
         (DENIED, (None,), EdgeOutcome.DENY),
         (ALLOWED, (ALLOWED, None), EdgeOutcome.ALLOW),
-        (ALLOWED, (ALLOWED, DENIED), EdgeOutcome.FALSE_DENY),
-        (DENIED, (DENIED, ALLOWED), EdgeOutcome.FALSE_ALLOW),
+        (ALLOWED, (ALLOWED, DENIED), EdgeOutcome.FALSE_NEGATIVE),
+        (DENIED, (DENIED, ALLOWED), EdgeOutcome.FALSE_POSITIVE),
     ],
 )
 def test_outcome(policy, transports, outcome) -> None:
@@ -34,19 +33,19 @@ def test_outcome(policy, transports, outcome) -> None:
 
 def test_outcome_of_one_transport() -> None:
     found = labelled("/a", "ros_publish", "/t", ALLOWED, ALLOWED, DENIED)
-    assert [found.outcome(0), found.outcome(1)] == [EdgeOutcome.ALLOW, EdgeOutcome.FALSE_DENY]
+    assert [found.outcome(0), found.outcome(1)] == [EdgeOutcome.ALLOW, EdgeOutcome.FALSE_NEGATIVE]
 
 
 def test_confusion_is_counted_or_given() -> None:
-    assert one_of_each().confusion(0) == Confusion(1, 1, 1, 1)
-    counted = Confusion(100, 0, 0, 900)
+    assert one_of_each().confusion(0) == ConfusionMatrix(1, 1, 1, 1)
+    counted = ConfusionMatrix(100, 0, 0, 900)
     given = LabelledGraph.of("t", one_of_each().edges, transports=["omg"], confusions=[counted])
     assert given.confusion(0) == counted
 
 
 def test_an_edge_that_was_not_asked_is_not_counted() -> None:
     graph = LabelledGraph.of("t", [labelled("/a", "ros_publish", "/t", ALLOWED, None)], transports=["omg"])
-    assert graph.confusion(0) == Confusion(0, 0, 0, 0)
+    assert graph.confusion(0) == ConfusionMatrix(0, 0, 0, 0)
 
 
 def test_choose() -> None:
@@ -64,7 +63,7 @@ def test_choose_an_unknown_subject(asked: list[str], hint: str) -> None:
 
 
 def test_choose_an_unknown_namespace() -> None:
-    with pytest.raises(KeymintError, match="no subject lies in the namespace"):
+    with pytest.raises(KeymintError, match="no subject in the namespace"):
         choose_subjects(["/fleet/a"], namespaces=["/flee"])
 
 

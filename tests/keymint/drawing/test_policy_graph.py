@@ -11,10 +11,10 @@ from keymint_ros2_comarmor import policy_type
 from comarmor.errors import Origin
 from keymint.api import LoadedPolicy, PolicySource
 from keymint.drawing import policy_graph as room
-from keymint.drawing.labelled_graph import EdgeOutcome, LabelledGraph
+from keymint.drawing.labelled_graph import LabelledGraph
 from keymint.drawing.policy_graph import label_graph, policy_graph
 from keymint.errors import KeymintError
-from keymint.graph import Edge, Graph, Object, complete
+from keymint.graph import Edge, EdgeOutcome, Graph, Object, complete
 
 RULE = """<{kind} qualifier="{effect}"{more}><attachment>{name}</attachment><permissions><{permission}/></permissions>
 </{kind}>"""

@@ -51,8 +51,8 @@ def test_without_resvg(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def test_without_fonts(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(raster, "_LETTER", raster._NOTHING)
-    with pytest.raises(KeymintError, match="no font"):
+    monkeypatch.setattr("resvg_py.svg_to_bytes", lambda **_: b"a picture without text")
+    with pytest.raises(KeymintError, match="no fixed-width font"):
         png(svg(one_of_each()))
 
 

@@ -10,14 +10,15 @@ from hypothesis import given
 from hypothesis import strategies as st
 from lxml import etree
 
-from keymint.drawing.display_text import printable, shorten
+from comarmor.text import printable
+from keymint.drawing.display_text import shorten
 from keymint.drawing.dot import dot
-from keymint.drawing.labelled_graph import MISMATCHES, Label, LabelledEdge, LabelledGraph, select_edges
+from keymint.drawing.labelled_graph import Label, LabelledEdge, LabelledGraph, select_edges
 from keymint.drawing.options import DrawingOptions, Split
 from keymint.drawing.palette import DARK, KIND_NAMES, LIGHT, Theme
 from keymint.drawing.simplify import shown_edges, simplify
 from keymint.drawing.svg import svg
-from keymint.graph import Object
+from keymint.graph import MISMATCHES, Object
 
 from .graphs import ALLOWED, DENIED, EXPRESSLY_DENIED, HOSTILE, edge, fleet, graphs, hostile, labelled, one_of_each
 
@@ -74,10 +75,10 @@ def test_the_legend_says_what_is_drawn_and_no_more() -> None:
         "service",
         "to the object: publish",
         "to the subject: subscribe, call",
-        "allowed, as the policy says",
-        "denied, as the policy says",
-        "DANGER: allowed against the policy (false positive)",
-        "denied against the policy (false negative)",
+        "allowed (true positive)",
+        "denied (true negative)",
+        "DANGER: allowed, but the policy denies it (false positive)",
+        "denied, but the policy allows it (false negative)",
     ]
     plain = LabelledGraph.of("t", [labelled("/a", "ros_request", "/go", None)])
     assert legend(tree(svg(plain))) == ["subject", "action", "to the subject: request"]

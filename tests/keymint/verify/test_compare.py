@@ -14,9 +14,9 @@ from hypothesis import strategies as st
 from comarmor.errors import Origin
 from keymint.api import Enclave, PolicyDecision, Tier, Usable, Verdict
 from keymint.errors import KeymintError
-from keymint.graph import Edge, Graph, Object, complete
+from keymint.graph import ConfusionMatrix, Edge, Graph, Object, complete
 from keymint.verify.compare import ENCLAVE_REFUSED, compare, error_of, label_enclave
-from keymint.verify.mismatch import ConfusionMatrix, Mismatch
+from keymint.verify.mismatch import Mismatch
 
 ENCLAVES = {name: Enclave(name, Path("/nowhere") / name[1:], "humble") for name in ("/a", "/b", "/c")}
 
