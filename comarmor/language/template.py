@@ -14,7 +14,8 @@ from itertools import product
 from math import prod
 
 from comarmor.errors import ComArmorError
-from comarmor.patterns.expression import Bracket, escape, next_token, unparse
+from comarmor.patterns.printing import canonical, escape
+from comarmor.patterns.tokens import COMARMOR, Bracket, next_token
 from comarmor.text import did_you_mean, quoted
 
 
@@ -85,14 +86,14 @@ def parse(text: str) -> tuple[Piece | Reference, ...]:
             pieces.append(Placeholder(found))
             at += len(found)
         else:
-            token, end = next_token(text, at)
+            token, end = next_token(text, at, COMARMOR)
             if isinstance(token, Bracket) and _BARE_BRACE.search(text, at, end):
                 raise ComArmorError(
                     f"a brace inside of the bracket expression {quoted(text[at:end])}",
                     help="write \\{ or \\} for a brace, or \\[ if the '[' stands for itself",
                     code="brace",
                 )
-            _add(pieces, unparse((token,)))
+            _add(pieces, canonical((token,)))
             at = end
     return tuple(pieces)
 

@@ -16,7 +16,8 @@ from comarmor.patterns.decision_lists import DecisionList, Universe
 from comarmor.patterns.derivatives import Derivatives
 from comarmor.patterns.evaluate import Evaluator, Index, shortest
 from comarmor.patterns.glob import Glob, literal
-from comarmor.patterns.relations import disjoint, matcher
+from comarmor.patterns.matching import matcher
+from comarmor.patterns.relations import disjoint
 
 ROUNDS = 16
 """Searches of a cube with some of the patterns that must not match, before all of them are taken."""

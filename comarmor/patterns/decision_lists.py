@@ -7,8 +7,9 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import lru_cache
 
-from comarmor.patterns.glob import ANY, Charset, Glob
+from comarmor.patterns.glob import Glob
 from comarmor.patterns.steps import spend
+from comarmor.patterns.tokens import ANY, Charset
 
 
 @dataclass(frozen=True, slots=True)

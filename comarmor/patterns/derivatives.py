@@ -11,7 +11,8 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 
 from comarmor.patterns.decision_lists import Universe
-from comarmor.patterns.glob import ANY, MAX_CODE, Charset, Glob, Star, units
+from comarmor.patterns.glob import Glob, units
+from comarmor.patterns.tokens import ANY, MAX_CODE, Charset, Star
 
 END = 0
 """The node that matches the empty word alone."""

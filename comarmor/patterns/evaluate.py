@@ -6,8 +6,9 @@ from collections.abc import Callable, Iterable, Iterator
 from functools import cached_property
 
 from comarmor.patterns.decision_lists import DecisionList
-from comarmor.patterns.glob import Glob, Star, literal
-from comarmor.patterns.relations import matcher, matches
+from comarmor.patterns.glob import Glob, literal
+from comarmor.patterns.matching import matcher, matches
+from comarmor.patterns.tokens import Star
 
 Test = Callable[[str], bool]
 FEW = 8

@@ -15,8 +15,9 @@ from itertools import product
 
 from comarmor.patterns.decision_lists import Block, DecisionList, Universe
 from comarmor.patterns.evaluate import Evaluator
-from comarmor.patterns.glob import EVERYTHING, STAR, Charset, Glob, is_empty
+from comarmor.patterns.glob import EVERYTHING, Glob, is_empty
 from comarmor.patterns.relations import disjoint
+from comarmor.patterns.tokens import STAR, Charset
 
 WORDS = 20_000
 """Words that the patterns of a list are spelled out to, at most."""

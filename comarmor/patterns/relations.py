@@ -7,25 +7,12 @@ without harm, and :func:`surely_covers` raises. All of them count their steps (:
 
 from __future__ import annotations
 
-import re
-from collections.abc import Callable, Iterable, Iterator
-from functools import lru_cache
+from collections.abc import Iterable, Iterator
 
-from comarmor.patterns.glob import (
-    ANY,
-    EVERYTHING,
-    MAX_CODE,
-    STAR,
-    Charset,
-    Glob,
-    Star,
-    Token,
-    is_empty,
-    literal,
-    normalise,
-    units,
-)
+from comarmor.patterns.glob import EVERYTHING, Glob, is_empty, literal, normalise, units
+from comarmor.patterns.matching import matcher
 from comarmor.patterns.steps import StepLimitError, cached, spend, step_limit
+from comarmor.patterns.tokens import ANY, MAX_CODE, STAR, Charset, Star, Token
 
 BUDGET = 2_000
 """States that a question about covering may visit."""
@@ -35,57 +22,6 @@ INTERSECTION = 200_000
 
 class TooComplexError(Exception):
     """An intersection has more pieces than a caller can use."""
-
-
-@lru_cache(maxsize=1 << 14)
-def matcher(glob: Glob) -> Callable[[str], bool]:
-    """Return the function that tells whether a glob matches a whole name, in polynomial time."""
-    if (text := literal(glob)) is not None:
-        return text.__eq__
-    match glob:
-        case (Star(),):
-            return lambda _: True
-        case (str(head), Star()):
-            return lambda name: name.startswith(head)
-        case (Star(), str(tail)):
-            return lambda name: name.endswith(tail)
-        case (str(head), Star(), str(tail)):
-            least = len(head) + len(tail)
-            return lambda name: len(name) >= least and name.startswith(head) and name.endswith(tail)
-    expression = re.compile(_regex(glob), re.DOTALL)
-    return lambda name: expression.fullmatch(name) is not None
-
-
-def matches(glob: Glob, name: str) -> bool:
-    """Tell whether a glob matches a whole name."""
-    return matcher(glob)(name)
-
-
-def _regex(glob: Glob) -> str:
-    """Return a regular expression that never backtracks into an earlier ``*``.
-
-    Between two ``*`` stands a text of fixed length, for which the leftmost place is always the best one, so that
-    each such step can be atomic.
-    """
-    steps = [""]
-    for token in glob:
-        if isinstance(token, Star):
-            steps.append("")
-        elif isinstance(token, str):
-            steps[-1] += re.escape(token)
-        elif not token.ranges:
-            steps[-1] += "(?!)"
-        elif token == ANY:
-            steps[-1] += "."
-        else:
-            # A set that goes on to the last code point takes long to compile, its complement does not.
-            negated = token.ranges[-1][1] == MAX_CODE
-            ranges = (token.complement() if negated else token).ranges
-            members = "".join(rf"\U{low:08x}-\U{high:08x}" for low, high in ranges)
-            steps[-1] += f"[{'^' * negated}{members}]"
-    if len(steps) == 1:
-        return steps[0]
-    return steps[0] + "".join(f"(?>.*?{step})" for step in steps[1:-1]) + ".*" + steps[-1]
 
 
 def _prefix(glob: Glob) -> str:

@@ -9,7 +9,8 @@ from __future__ import annotations
 import re
 from collections.abc import Iterator
 
-from comarmor.patterns.glob import Charset, Glob, GlobError, Star, parse, units
+from comarmor.patterns.glob import Glob, parse, units
+from comarmor.patterns.tokens import Charset, PatternError, Star
 
 _START, _SLASH, _SEGMENT = range(3)
 """What stands before: nothing, a ``/``, or a character of a segment. A name ends in a segment."""
@@ -78,5 +79,5 @@ def advice(expression: str) -> str:
 def _can_be(expression: str) -> bool:
     try:
         return is_possible(parse(expression))
-    except GlobError:
+    except PatternError:
         return False

@@ -11,9 +11,10 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 from comarmor.errors import Diagnostic, Severity
-from comarmor.patterns.glob import Glob, Star, literal, parse
+from comarmor.patterns.glob import Glob, literal, parse
 from comarmor.patterns.pattern_index import PatternIndex
 from comarmor.patterns.steps import StepLimitError, step_limit
+from comarmor.patterns.tokens import Star
 from comarmor.rules import Effect
 from keymint.api import AttachedProfile, Clause, Structure
 

@@ -13,7 +13,8 @@ from dataclasses import dataclass
 from comarmor.errors import Origin
 from comarmor.patterns.decision_lists import Block, Equal, Unknown
 from comarmor.patterns.glob import Glob
-from comarmor.patterns.relations import disjoint, matches
+from comarmor.patterns.matching import matches
+from comarmor.patterns.relations import disjoint
 from comarmor.rules import PERMISSIONS, Effect
 from keymint.analysis.query_budget import QueryBudget
 from keymint.analysis.rule_lists import PermissionKey, is_composite, listed, meet, negated

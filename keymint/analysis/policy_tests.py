@@ -8,7 +8,8 @@ from dataclasses import dataclass, replace
 from comarmor.errors import Diagnostic, Origin, Severity, Spot
 from comarmor.patterns.decision_lists import Block, Equal, Witness
 from comarmor.patterns.glob import EVERYTHING, Glob, literal, parse, surround
-from comarmor.patterns.relations import disjoint, matches
+from comarmor.patterns.matching import matches
+from comarmor.patterns.relations import disjoint
 from comarmor.rules import Effect, parts
 from keymint.analysis.query import parse_permission
 from keymint.analysis.rule_lists import allowed, asked, keys, meet, part_lists, patterns, word

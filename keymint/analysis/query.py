@@ -5,7 +5,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from comarmor.patterns.glob import GlobError, parse
+from comarmor.patterns.glob import parse
+from comarmor.patterns.tokens import PatternError
 from comarmor.rules import PERMISSIONS
 from comarmor.text import did_you_mean
 from keymint.errors import ExitCode, KeymintError
@@ -109,8 +110,9 @@ def _subject(text: str) -> str:
 def _expression(text: str) -> str:
     try:
         parse(text)
-    except GlobError as error:
-        raise _wrong(str(error), "write \\\\ for a backslash") from None
+    except PatternError as error:
+        diagnostic = error.diagnostics[0]
+        raise _wrong(f"{text!r}: {diagnostic.message}", diagnostic.help) from None
     return text
 
 

@@ -11,23 +11,10 @@ from collections.abc import Iterable, Iterator
 from functools import lru_cache
 
 from comarmor.patterns.decision_lists import Block, DecisionList, ProofResult, SearchBudget, Universe
-from comarmor.patterns.glob import (
-    ANY,
-    EVERYTHING,
-    MAX_CODE,
-    STAR,
-    Charset,
-    Glob,
-    Star,
-    after,
-    charset,
-    literal,
-    normalise,
-    parse,
-    surround,
-    units,
-)
+from comarmor.patterns.glob import EVERYTHING, Glob, after, literal, normalise, parse, surround, units
+from comarmor.patterns.printing import exact
 from comarmor.patterns.proofs import difference
+from comarmor.patterns.tokens import ANY, MAX_CODE, STAR, charset
 from comarmor.rules import PARTS, Effect, parts
 from keymint.ir import Rule
 
@@ -163,7 +150,7 @@ def is_composite(kind: str, permission: str) -> bool:
 
 def text(pattern: Glob) -> str:
     """Return a pattern as an expression."""
-    return "".join(map(_text, pattern))
+    return exact(pattern, unescaped="_/.")
 
 
 def shown(kind: str, pattern: Glob) -> str:
@@ -180,20 +167,3 @@ def word(kind: str, found: str) -> str:
     """Return a word for a person: the name, and the partition if it is not the default one."""
     partition, _, name = found.rpartition(SEPARATOR)
     return f"{name} in partition {partition!r}" if kind == RAW and partition else name
-
-
-def _text(token: str | Charset | Star) -> str:
-    if isinstance(token, Star):
-        return "*"
-    if isinstance(token, Charset):
-        if token == ANY:
-            return "?"
-        negated = bool(token.ranges) and token.ranges[-1][1] == ANY.ranges[0][1]
-        members = token.complement() if negated else token
-        ends = ((_escaped(chr(low)), _escaped(chr(high))) for low, high in members.ranges)
-        return "[" + "!" * negated + "".join(low if low == high else f"{low}-{high}" for low, high in ends) + "]"
-    return "".join(f"\\{char}" if char in "*?[\\" else char for char in token)
-
-
-def _escaped(char: str) -> str:
-    return char if char.isalnum() or char in "_/." else f"\\{char}"

@@ -12,11 +12,13 @@ from collections.abc import Iterable, Iterator, Sequence
 from operator import itemgetter
 
 from comarmor.patterns.decision_lists import Block, DecisionList, Equal
-from comarmor.patterns.glob import Charset, Glob, Star, literal, normalise, parse, units
+from comarmor.patterns.glob import Glob, literal, normalise, parse, units
+from comarmor.patterns.matching import matches
 from comarmor.patterns.pattern_index import PatternIndex
 from comarmor.patterns.proofs import difference
-from comarmor.patterns.relations import TooComplexError, covers, intersection, matches
+from comarmor.patterns.relations import TooComplexError, covers, intersection
 from comarmor.patterns.steps import StepLimitError, cached, spend, step_limit
+from comarmor.patterns.tokens import Charset, Star
 from comarmor.rules import Effect
 from comarmor.text import did_you_mean
 from keymint.analysis.rule_lists import (

@@ -11,8 +11,9 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import lru_cache
 
-from comarmor.patterns.glob import STAR, Glob, Star, Token, literal, normalise, units
+from comarmor.patterns.glob import Glob, literal, normalise, units
 from comarmor.patterns.relations import disjoint
+from comarmor.patterns.tokens import STAR, Star, Token
 from keymint.analysis.rule_lists import PermissionKey, patterns
 from keymint.api import Clause
 

@@ -7,8 +7,9 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 from comarmor.errors import Origin
-from comarmor.patterns.glob import STAR, Glob, literal, parse
+from comarmor.patterns.glob import Glob, literal, parse
 from comarmor.patterns.relations import TooComplexError, disjoint
+from comarmor.patterns.tokens import STAR
 from comarmor.rules import Effect
 from keymint.analysis.rule_lists import PermissionKey, keys
 from keymint.analysis.subject_patterns import EVERY, profile_subjects

@@ -15,9 +15,11 @@ from functools import lru_cache
 from itertools import product
 
 from comarmor.patterns.decision_lists import Block, DecisionList, Equal, Universe, Unknown
-from comarmor.patterns.glob import STAR, Charset, Glob, Star, after, charset, literal, normalise, parse
+from comarmor.patterns.glob import Glob, after, literal, normalise, parse
+from comarmor.patterns.matching import matches
 from comarmor.patterns.proofs import difference
-from comarmor.patterns.relations import TooComplexError, intersection, matches
+from comarmor.patterns.relations import TooComplexError, intersection
+from comarmor.patterns.tokens import STAR, Charset, Star, charset
 from keymint.analysis.query_budget import QueryBudget
 from keymint.analysis.rule_lists import RAW, SEPARATOR, universe
 from keymint.analysis.subject_patterns import namespace_name_splits

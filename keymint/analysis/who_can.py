@@ -8,7 +8,8 @@ from dataclasses import dataclass
 from comarmor.errors import Origin
 from comarmor.patterns.decision_lists import Equal, Unknown, Witness
 from comarmor.patterns.glob import Glob, literal
-from comarmor.patterns.relations import TooComplexError, intersection, matches
+from comarmor.patterns.matching import matches
+from comarmor.patterns.relations import TooComplexError, intersection
 from comarmor.rules import Effect, parts
 from keymint.analysis.query_budget import QueryBudget
 from keymint.analysis.rule_lists import allowed, keys, meet, part_lists, patterns, text, without

@@ -9,6 +9,7 @@ from dataclasses import replace
 
 from comarmor.errors import Origin
 from comarmor.patterns import glob
+from comarmor.patterns.tokens import Star
 from comarmor.rules import PERMISSIONS
 from comarmor.text import did_you_mean
 from keymint.api import LoadedPolicy, PolicyDecision
@@ -196,7 +197,7 @@ def _member(expression: str) -> str:
     for token in glob.parse(expression):
         if isinstance(token, str):
             parts.append(token)
-        elif isinstance(token, glob.Star):
+        elif isinstance(token, Star):
             parts.append("any__name")
         else:
             parts.append("x" if "x" in token else next(token.chars()))

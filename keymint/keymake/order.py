@@ -11,7 +11,8 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 
 from comarmor.patterns.glob import Glob, literal
-from comarmor.patterns.relations import TooComplexError, covers, disjoint, intersection, matcher, maximal
+from comarmor.patterns.matching import matcher
+from comarmor.patterns.relations import TooComplexError, covers, disjoint, intersection, maximal
 from comarmor.patterns.steps import spend
 
 MAX_PIECES = 1000

@@ -12,7 +12,7 @@ from itertools import groupby
 from operator import attrgetter
 
 from comarmor.patterns import glob
-from comarmor.patterns.relations import matcher
+from comarmor.patterns.matching import matcher
 from keymint.api import LoadedPolicy, NameMapping, PolicyDecision
 from keymint.graph import Edge
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from functools import lru_cache
 
 from comarmor.patterns import glob
-from comarmor.patterns.relations import matcher
+from comarmor.patterns.matching import matcher
 from comarmor.rules import Effect, parts
 from comarmor.text import nearest_word
 from keymint.graph import Edge

@@ -13,7 +13,7 @@ from functools import lru_cache
 from itertools import islice
 
 from comarmor.patterns import glob
-from comarmor.patterns.glob import Charset, Star
+from comarmor.patterns.tokens import Charset, PatternError, Star
 from comarmor.rules import PARTS
 from keymint.graph import LABELLED, Edge, Object
 from keymint.ir import Rule, SubjectRules
@@ -67,7 +67,7 @@ def raw_edges(subject: str, expression: str, partitions: Sequence[str], domain: 
         text = glob.literal(glob.parse(expression))
         found = (text,) if text else names(expression)
         lists = tuple(dict.fromkeys(_partitions(partitions, RAW, probe=True))) if partitions else ((),)
-    except glob.GlobError:
+    except PatternError:
         return  # no policy can say this; a transport has its own reading
     for name in filter(None, found):
         for each in lists:

@@ -6,7 +6,7 @@ from collections.abc import Iterable, Mapping
 
 from comarmor.errors import Origin
 from comarmor.language.syntax import Expression, Rule
-from comarmor.patterns.expression import escape
+from comarmor.patterns.printing import escape
 from comarmor.rules import PERMISSIONS, Effect
 from keymint.graph import Edge
 

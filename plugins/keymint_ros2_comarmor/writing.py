@@ -9,7 +9,7 @@ from lxml import etree
 
 import comarmor
 from comarmor.language.syntax import Expression, Profile, Rule
-from comarmor.patterns.expression import escape
+from comarmor.patterns.printing import escape
 from keymint_ros2_comarmor.learned_rules import NOWHERE, Needs, fold, literal, literal_needs
 
 if TYPE_CHECKING:

@@ -6,7 +6,7 @@ from collections.abc import Iterator
 
 from comarmor.errors import Diagnostic, Origin, Severity
 from comarmor.patterns.decision_lists import SearchBudget, Universe
-from comarmor.patterns.glob import GlobError
+from comarmor.patterns.tokens import PatternError
 from keymint.api import Inspection
 from keymint.errors import KeymintError
 from keymint.pki import smime
@@ -55,7 +55,7 @@ def _drifted(inspection: Inspection, governing: EnclaveGovernance) -> Iterator[D
         own = governing.source_rule(domains.first) or STRICT
         try:
             all_found = list(weaker(rule, own, STANDARD, _NAMES, SearchBudget(governance_warnings.STATES), access=True))
-        except GlobError as error:
+        except PatternError as error:
             yield Diagnostic("governance-unread", Severity.ERROR, str(error), document.place(rule.line), again, subject)
             continue
         for found in all_found:

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 
 from comarmor.errors import Diagnostic, Severity
 from comarmor.patterns.glob import Glob
+from comarmor.patterns.printing import exact
 from comarmor.patterns.relations import disjoint, sort_key
 from comarmor.patterns.steps import StepLimitError, step_limit
 from keymint.api import BuildOptions, Demand, Permissions
@@ -22,7 +23,7 @@ from keymint_ros2_dds.compiling.rules import Block, OrderError, blocks, one_by_o
 from keymint_ros2_dds.lowering.endpoints import endpoints
 from keymint_ros2_dds.lowering.lower import Lowered, lower
 from keymint_ros2_dds.lowering.mapping import Action, check_distro, knows
-from keymint_ros2_dds.lowering.portable import InexpressibleError, faithful, spell
+from keymint_ros2_dds.lowering.portable import InexpressibleError, spell
 
 DIFFERING = "Cyclone DDS and Fast DDS"
 STEPS = 4_000_000
@@ -173,7 +174,7 @@ class _Collector:
                     texts.update(spell(pattern))
                 except InexpressibleError as error:
                     self.add("portability-expression", action, pattern, str(error))
-                    texts.add(faithful(pattern))
+                    texts.add(exact(pattern))
             if texts:
                 yield action, tuple(sorted(texts))
 

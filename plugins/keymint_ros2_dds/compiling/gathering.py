@@ -10,7 +10,7 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from itertools import product
 
 from comarmor.patterns import glob
-from comarmor.patterns.relations import matcher
+from comarmor.patterns.matching import matcher
 from comarmor.rules import Effect
 from keymint.keymake.gather import Pattern, gather
 from keymint_ros2_dds.compiling.criteria import Criteria, is_name

@@ -16,7 +16,8 @@ from functools import lru_cache
 from typing import Self
 
 from comarmor.patterns import glob as globs
-from comarmor.patterns.glob import EVERYTHING, STAR, Glob, Star, literal
+from comarmor.patterns.glob import EVERYTHING, Glob, literal
+from comarmor.patterns.printing import exact
 from comarmor.patterns.relations import (
     TooComplexError,
     covers,
@@ -26,9 +27,9 @@ from comarmor.patterns.relations import (
     sort_key,
     surely_covers,
 )
+from comarmor.patterns.tokens import STAR, Star
 from comarmor.rules import Effect
 from keymint_ros2_dds.lowering.lower import Partitions
-from keymint_ros2_dds.lowering.portable import faithful
 
 DEFAULT: Partitions = ("",)
 EVERY: Partitions = ("*",)
@@ -116,7 +117,7 @@ def _plain(partitions: Partitions) -> Partitions:
 @lru_cache(maxsize=4096)
 def _reduced(partitions: Collection[str]) -> Partitions:
     """Leave out the partitions that another one covers; sorted, in normal form."""
-    names = sorted({faithful(globs.parse(expression)) for expression in partitions})
+    names = sorted({exact(globs.parse(expression)) for expression in partitions})
     wild = [(name, globs.parse(name)) for name in names if "*" in name]
     return tuple(
         name for name in names if not any(other != name and covers(glob, globs.parse(name)) for other, glob in wild)

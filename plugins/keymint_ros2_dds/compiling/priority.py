@@ -10,7 +10,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 from comarmor.patterns import glob
-from comarmor.patterns.relations import all_disjoint, matcher, matches
+from comarmor.patterns.matching import matcher, matches
+from comarmor.patterns.relations import all_disjoint
 from keymint_ros2_dds.compiling.criteria import Criteria, is_name
 from keymint_ros2_dds.compiling.gathering import GUARD
 from keymint_ros2_dds.lowering.mapping import Action

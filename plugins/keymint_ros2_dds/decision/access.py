@@ -105,8 +105,10 @@ class DomainAccess:
         name, dialect = fnmatch.in_bytes(topic), self.semantics.fnmatch
         for rule in domain_rule.topic_rules:
             expression = fnmatch.in_bytes(rule.expression)
-            if expression == "*" or re.fullmatch(dialect(expression), name, re.DOTALL):
+            if expression == "*" or re.fullmatch(fnmatch.translate(expression, dialect), name, re.DOTALL):
                 return rule
-            if self.semantics.topic_rules_both_ways and re.fullmatch(dialect(name), expression, re.DOTALL):
+            if self.semantics.topic_rules_both_ways and re.fullmatch(
+                fnmatch.translate(name, dialect), expression, re.DOTALL
+            ):
                 return rule
         return None

@@ -14,6 +14,7 @@ from datetime import datetime
 from enum import StrEnum
 from functools import lru_cache
 
+from comarmor.patterns.tokens import Dialect
 from keymint_ros2_dds.decision import fnmatch
 from keymint_ros2_dds.decision.semantics import OMG, Semantics, Variation
 from keymint_ros2_dds.reading.signed_permissions import (
@@ -264,5 +265,5 @@ def _patterns(expressions: Iterable[str], semantics: Semantics) -> _Expressions:
 
 
 @lru_cache(maxsize=4096)
-def _compiled(patterns: tuple[str, ...], dialect: fnmatch.Dialect) -> re.Pattern[str]:
-    return re.compile("|".join(f"(?:{dialect(pattern)})" for pattern in patterns), re.DOTALL)
+def _compiled(patterns: tuple[str, ...], dialect: Dialect) -> re.Pattern[str]:
+    return re.compile("|".join(f"(?:{fnmatch.translate(pattern, dialect)})" for pattern in patterns), re.DOTALL)

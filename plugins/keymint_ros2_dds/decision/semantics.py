@@ -13,6 +13,7 @@ from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
 from typing import Any
 
+from comarmor.patterns.tokens import Dialect
 from keymint_ros2_dds.decision import fnmatch, strictness, subject_names
 from keymint_ros2_dds.decision.strictness import Parser
 from keymint_ros2_dds.reading import dates
@@ -78,7 +79,7 @@ class Semantics:
     default_counts: bool = True
     min_only_is_exact: bool = False
     domains_count: bool = True
-    fnmatch: fnmatch.Dialect = fnmatch.posix
+    fnmatch: Dialect = fnmatch.STANDARD
     pools_criteria: bool = False
     first_topic_decides: bool = False
     deny_default: bool = False
@@ -184,7 +185,7 @@ CYCLONE_DEVIATIONS = (
         date=dates.cyclone, no_beginning_holds=True),
     _on("16", "trimmed-text", "white space around a text is no part of it", reads_text=trimmed),
     _on("17", "fnmatch", "no escapes; only '!' negates a set; the ']' that ends a set is a member of it",
-        fnmatch=fnmatch.cyclone),
+        fnmatch=fnmatch.CYCLONE_DDS),
     _on("23", "numbers", "domain ids are read as in C, where 010 is 8", c_numbers=True),
     _on("data tags", "tags-ignored", "data tags are not looked at", tags_count=False),
 )  # fmt: skip
@@ -204,7 +205,7 @@ FAST_DEVIATIONS = (
     _on("12", "min-only", "a range of domains with a minimum alone is that one domain", min_only_is_exact=True),
     _on("14", "zone-ignored", "the zone of a date is ignored", date=dates.fast),
     _on("16", "blank-text", "a text of white space alone is empty", reads_text=unless_blank),
-    _on("17", "fnmatch", "expressions have no escapes", fnmatch=fnmatch.noescape),
+    _on("17", "fnmatch", "expressions have no escapes", fnmatch=fnmatch.FAST_DDS),
     _on("19", "rule-to-join", "a participant needs an allow_rule, also where joining is not controlled",
         needs_rule_to_join=True),
     _on("20", "topic-rules-both-ways",

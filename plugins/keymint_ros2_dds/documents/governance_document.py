@@ -11,7 +11,9 @@ from lxml import etree
 from comarmor.errors import Diagnostic, Origin, Severity
 from comarmor.patterns import glob
 from comarmor.patterns.glob import EVERYTHING, Glob
+from comarmor.patterns.printing import exact
 from comarmor.patterns.relations import covers, union_covers
+from comarmor.patterns.tokens import PatternError
 from comarmor.rules import PARTS
 from comarmor.text import did_you_mean
 from keymint.api import DomainRule, Governance, TopicProtection
@@ -20,7 +22,7 @@ from keymint_ros2_dds.documents import dds_xml
 from keymint_ros2_dds.domains import check_domains
 from keymint_ros2_dds.layout import GOVERNANCE
 from keymint_ros2_dds.lowering.mapping import ARDENT, IMAGES, images
-from keymint_ros2_dds.lowering.portable import InexpressibleError, faithful, spell
+from keymint_ros2_dds.lowering.portable import InexpressibleError, spell
 
 KINDS = ("NONE", "SIGN", "ENCRYPT", "SIGN_WITH_ORIGIN_AUTHENTICATION", "ENCRYPT_WITH_ORIGIN_AUTHENTICATION")
 DATA_KINDS = ("NONE", "SIGN", "ENCRYPT")
@@ -188,8 +190,9 @@ def patterns(topic: TopicProtection, distro: str) -> list[Glob]:
     """
     try:
         tokens = glob.parse(topic.expression)
-    except glob.GlobError as error:
-        raise KeymintError(str(error), where=topic.origin, code="expression") from None
+    except PatternError as error:
+        diagnostic = error.diagnostics[0]
+        raise KeymintError(diagnostic.message, where=topic.origin, help=diagnostic.help, code="expression") from None
     found = [
         pattern
         for permission in _PERMISSIONS[topic.kind]
@@ -208,7 +211,7 @@ def _spelled(pattern: Glob, topic: TopicProtection, lenient: bool) -> tuple[tupl
         severity = Severity.WARNING if lenient else Severity.ERROR
         message = f"this {topic.kind} rule cannot be said alike for all vendors: {error}"
         hint = "write the names out, or build with --allow-vendor-specific"
-        return (faithful(pattern),), Diagnostic("portability-expression", severity, message, topic.origin, hint)
+        return (exact(pattern),), Diagnostic("portability-expression", severity, message, topic.origin, hint)
 
 
 def _topic_rule(parent: etree._Element, expression: str, topic: TopicProtection) -> None:

@@ -11,8 +11,9 @@ from collections.abc import Iterable, Iterator
 from itertools import product
 
 from comarmor.patterns import glob
-from comarmor.patterns.glob import STAR, Charset, Glob, Star, Token
+from comarmor.patterns.glob import Glob
 from comarmor.patterns.relations import covers
+from comarmor.patterns.tokens import STAR, Charset, Star, Token
 from keymint_ros2_dds.lowering.entities import Image
 
 MAX_ALTERNATIVES = 64

@@ -12,13 +12,14 @@ from dataclasses import dataclass
 from comarmor.errors import Diagnostic, Severity
 from comarmor.patterns import glob
 from comarmor.patterns.glob import Glob
+from comarmor.patterns.printing import exact
 from comarmor.patterns.ros_names import advice, is_possible
+from comarmor.patterns.tokens import PatternError
 from comarmor.rules import Effect, parts
 from comarmor.text import did_you_mean
 from keymint.errors import KeymintError
 from keymint.ir import Rule, SubjectRules
 from keymint_ros2_dds.lowering.mapping import IMAGES, Action, images, knows
-from keymint_ros2_dds.lowering.portable import faithful
 
 Partitions = tuple[str, ...]
 """Partition expressions as a policy has them, sorted; empty: not narrowed."""
@@ -86,7 +87,7 @@ def _images(expression: str, rule: Rule, distro: str) -> list[tuple[Action, Glob
             for mapped in IMAGES[part]:
                 for pattern, partition in images(distro, tokens, mapped, suffix, rule.effect):
                     if pattern and not glob.is_empty(pattern) and not (partition and glob.is_empty(partition)):
-                        listed = () if partition is None else (faithful(partition),)
+                        listed = () if partition is None else (exact(partition),)
                         found.append((mapped.action, pattern, listed))
     return found
 
@@ -94,8 +95,9 @@ def _images(expression: str, rule: Rule, distro: str) -> list[tuple[Action, Glob
 def _parse(expression: str, rule: Rule) -> Glob:
     try:
         return glob.parse(expression)
-    except glob.GlobError as error:
-        raise KeymintError(str(error), where=rule.origin, code="expression") from None
+    except PatternError as error:
+        diagnostic = error.diagnostics[0]
+        raise KeymintError(diagnostic.message, where=rule.origin, help=diagnostic.help, code="expression") from None
 
 
 def _unknown(rule: Rule, distro: str, subject: str) -> Diagnostic:

@@ -13,7 +13,8 @@ import re
 from functools import lru_cache
 from itertools import pairwise, product
 
-from comarmor.patterns.glob import ANY, Charset, Glob, Star, literal
+from comarmor.patterns.glob import Glob, literal
+from comarmor.patterns.tokens import ANY, Charset, Star
 
 MAX_ALTERNATIVES = 64
 """How many expressions one glob may become."""
@@ -50,28 +51,6 @@ def spell(glob: Glob) -> tuple[str, ...]:
     for expression in found:
         _check_ends(expression)
     return found
-
-
-def faithful(glob: Glob) -> str:
-    """Return the expression that the standard's ``fnmatch`` reads exactly, whatever vendors make of it."""
-    return "".join(_faithful(token) for token in glob)
-
-
-def _faithful(token: str | Charset | Star) -> str:
-    if isinstance(token, Star):
-        return "*"
-    if isinstance(token, Charset):
-        if token == ANY:
-            return "?"
-        negated = token.ranges[-1][1] == ANY.ranges[0][1]
-        members = token.complement() if negated else token
-        ends = ((_escaped(chr(low)), _escaped(chr(high))) for low, high in members.ranges)
-        return "[" + "!" * negated + "".join(low if low == high else f"{low}-{high}" for low, high in ends) + "]"
-    return "".join(f"\\{char}" if char in "*?[\\" else char for char in token)
-
-
-def _escaped(char: str) -> str:
-    return char if char.isalnum() else f"\\{char}"
 
 
 def _literal(text: str) -> str:

@@ -17,8 +17,8 @@ from comarmor.patterns.decision_lists import (
     Unknown,
     Witness,
 )
-from comarmor.patterns.glob import GlobError
 from comarmor.patterns.proofs import difference
+from comarmor.patterns.tokens import PatternError
 from comarmor.rules import Effect
 from keymint.api import Claim, Counterexample, DomainRange, PolicyDecision, Proof, Verdict
 from keymint.graph import Edge
@@ -284,7 +284,7 @@ class _Model:
         domain = domains[0].first
         try:
             found = [(era, self._compare(era, action, domain, inside=inside)) for era in self._eras or (None,)]
-        except GlobError as error:
+        except PatternError as error:
             return claim(Proof.UNKNOWN, f"{self._question.document.file}: {error}")
         witnesses = [(era, outcome) for era, outcome in found if isinstance(outcome, Witness)]
         if witnesses:

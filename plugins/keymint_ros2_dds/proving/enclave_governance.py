@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from itertools import pairwise
 
-from comarmor.patterns.glob import GlobError
+from comarmor.patterns.tokens import PatternError
 from keymint.api import DomainRange, Governance
 from keymint_ros2_dds.decision.semantics import STANDARD
 from keymint_ros2_dds.documents import governance_document as sources
@@ -92,7 +92,7 @@ class EnclaveGovernance:
                 and all(regions(rule, action, STANDARD, pairs=False).closed for action in ACTIONS)
                 for rule in document.domain_rules
             )
-        except GlobError:
+        except PatternError:
             return False
         exact = all(
             each.last is not None and each.first is not None for rule in document.domain_rules for each in rule.domains

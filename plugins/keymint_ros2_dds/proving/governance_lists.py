@@ -21,8 +21,9 @@ from comarmor.patterns.decision_lists import (
     Unknown,
     Witness,
 )
-from comarmor.patterns.glob import EVERYTHING, Charset, Glob, normalise
+from comarmor.patterns.glob import EVERYTHING, Glob, normalise
 from comarmor.patterns.proofs import escapes
+from comarmor.patterns.tokens import Charset
 from keymint_ros2_dds.decision.semantics import Semantics
 from keymint_ros2_dds.proving.dialects import read
 from keymint_ros2_dds.proving.permission_lists import SEPARATOR

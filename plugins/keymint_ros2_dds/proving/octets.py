@@ -15,7 +15,8 @@ from __future__ import annotations
 import re
 from collections.abc import Iterable, Iterator
 
-from comarmor.patterns.glob import Glob, charset
+from comarmor.patterns.glob import Glob
+from comarmor.patterns.tokens import charset
 from keymint.ir import SubjectRules
 from keymint_ros2_dds.decision import fnmatch
 from keymint_ros2_dds.decision.semantics import Semantics
@@ -75,7 +76,7 @@ def by_locale(
     """
     own = tuple(_expressions(grants, semantics))
     for expression, line in own:
-        if semantics.fnmatch is not fnmatch.cyclone and _CLASS.search(expression):
+        if semantics.fnmatch is not fnmatch.CYCLONE_DDS and _CLASS.search(expression):
             return f"{document.place(line)}: {expression!r} has a class of characters: what it matches {_DEPENDS}"
     every = tuple(_all(document, grants, rules, semantics))
     if all(_MANY.isdisjoint(expression) for expression, _ in every):

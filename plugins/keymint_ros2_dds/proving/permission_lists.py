@@ -11,7 +11,7 @@ from itertools import chain
 
 from comarmor.patterns.decision_lists import Block, DecisionList
 from comarmor.patterns.glob import EVERYTHING, Glob, normalise, parse
-from comarmor.patterns.relations import matches
+from comarmor.patterns.matching import matches
 from comarmor.rules import Effect
 from keymint_ros2_dds.decision.semantics import Semantics
 from keymint_ros2_dds.lowering.lower import Lowered, Partitions

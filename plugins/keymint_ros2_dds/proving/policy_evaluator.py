@@ -9,7 +9,7 @@ import re
 from collections.abc import Iterator
 
 from comarmor.patterns import glob
-from comarmor.patterns.relations import matches
+from comarmor.patterns.matching import matches
 from comarmor.rules import Effect, parts
 from keymint.graph import Edge, Object
 from keymint.ir import Rule, SubjectRules

@@ -13,6 +13,7 @@ import comarmor
 from comarmor import PERMISSIONS, Effect, Expression, Origin, Policy, Profile, Rule, data
 from comarmor.language import template
 from comarmor.patterns import expression
+from comarmor.patterns.printing import escape
 
 HERE = Origin("generated.xml", 1)
 PIECES = (
@@ -136,7 +137,7 @@ def test_canonical_form(load) -> None:
 
 @given(st.text(alphabet=" \t\n\\a*[]{}", max_size=6))
 def test_text_of_a_name_survives_the_notation(text: str) -> None:
-    written = expression.escape(text)
+    written = escape(text)
     assert template.strip(f"\n {written}\t ") == written
     (value,) = template.expand(template.parse(written), lambda _: ())
     assert expression.literal("".join(value)) == text

@@ -8,7 +8,8 @@ from hypothesis import strategies as st
 
 from comarmor.patterns.decision_lists import Block, DecisionList, Universe
 from comarmor.patterns.evaluate import permits
-from comarmor.patterns.glob import Glob, charset, parse
+from comarmor.patterns.glob import Glob, parse
+from comarmor.patterns.tokens import charset
 
 LETTERS = "ab"
 UNIVERSE = Universe(charset([(97, 98)]))

@@ -9,8 +9,9 @@ from automata.fa.nfa import NFA
 from hypothesis import given, settings
 
 from comarmor.patterns.decision_lists import DecisionList, Equal, Witness
-from comarmor.patterns.glob import Charset, Glob, Star, units
+from comarmor.patterns.glob import Glob, units
 from comarmor.patterns.proofs import difference
+from comarmor.patterns.tokens import Charset, Star
 
 from .small import LETTERS, UNIVERSE, lists
 

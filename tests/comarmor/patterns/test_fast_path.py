@@ -13,9 +13,9 @@ from comarmor.patterns.counterexample_search import CounterexampleSearch
 from comarmor.patterns.decision_lists import PRINTABLE, Block, Equal, SearchBudget, Universe, Unknown
 from comarmor.patterns.derivatives import Derivatives
 from comarmor.patterns.evaluate import permits
-from comarmor.patterns.glob import charset
 from comarmor.patterns.product_search import ProductSearch
 from comarmor.patterns.proofs import difference, implies
+from comarmor.patterns.tokens import charset
 
 from .small import UNIVERSE, WORDS, allow, deny, first_difference, globs, lists, patterns_of
 

@@ -15,9 +15,10 @@ import pytest
 from comarmor.patterns.decision_lists import Block, DecisionList, Equal, SearchBudget, Universe, Witness
 from comarmor.patterns.derivatives import Derivatives
 from comarmor.patterns.evaluate import Evaluator
-from comarmor.patterns.glob import charset, normalise, parse
+from comarmor.patterns.glob import normalise, parse
 from comarmor.patterns.product_search import ProductSearch
 from comarmor.patterns.proofs import difference
+from comarmor.patterns.tokens import charset
 
 PAIRS = Universe(charset([(65, 65), (97, 98), (47, 47)]), fields=2)
 TOPICS = ["".join(word) for length in range(4) for word in product("abA/", repeat=length)]

@@ -11,13 +11,13 @@ from hypothesis import strategies as st
 
 from comarmor.patterns import glob
 from comarmor.patterns.glob import EVERYTHING, parse
+from comarmor.patterns.matching import matches
 from comarmor.patterns.relations import (
     TooComplexError,
     all_disjoint,
     covers,
     disjoint,
     intersection,
-    matches,
     maximal,
     union_covers,
 )

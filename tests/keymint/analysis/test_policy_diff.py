@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from comarmor.errors import Origin
 from comarmor.patterns.glob import parse
-from comarmor.patterns.relations import matches
+from comarmor.patterns.matching import matches
 from comarmor.rules import Effect
 from keymint.analysis.differences import summary
 from keymint.analysis.policy_diff import diff_policies, has_gains

@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from comarmor.patterns.glob import parse
-from comarmor.patterns.relations import matches
+from comarmor.patterns.matching import matches
 from comarmor.rules import PARTS, parts
 from keymint.keymake.order import arrange, early_rules
 from tests.effort import calls_of

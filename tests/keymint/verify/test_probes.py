@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from comarmor.errors import Origin
 from comarmor.patterns import glob
-from comarmor.patterns.relations import matcher
+from comarmor.patterns.matching import matcher
 from comarmor.rules import Effect
 from keymint.graph import Edge, Object
 from keymint.ir import Rule, SubjectRules

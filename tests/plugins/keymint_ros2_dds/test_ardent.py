@@ -12,12 +12,12 @@ from keymint_ros2_dds import build_type
 from keymint_ros2_dds.lowering import ardent_names
 from keymint_ros2_dds.lowering.endpoints import endpoints, meanings
 from keymint_ros2_dds.lowering.mapping import IMAGES
-from keymint_ros2_dds.lowering.portable import faithful
 from lxml import etree
 
 from comarmor.errors import Severity
 from comarmor.patterns import expression
 from comarmor.patterns.glob import parse
+from comarmor.patterns.printing import exact
 from comarmor.rules import Effect
 from keymint.api import BuildOptions
 from keymint.errors import KeymintError
@@ -31,7 +31,7 @@ TOPIC = IMAGES["ros_publish"][0]
 
 
 def pairs(text: str, **options) -> set[tuple[str, str]]:
-    return {(faithful(where), faithful(what)) for where, what in ardent_names.image(parse(text), TOPIC, **options)}
+    return {(exact(where), exact(what)) for where, what in ardent_names.image(parse(text), TOPIC, **options)}
 
 
 @pytest.mark.parametrize(

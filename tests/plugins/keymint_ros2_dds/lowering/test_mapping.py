@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import pytest
 from keymint_ros2_dds.lowering.mapping import DISTROS, IMAGES, Action, Image, check_distro, image
-from keymint_ros2_dds.lowering.portable import faithful
 
 from comarmor.patterns.glob import parse
+from comarmor.patterns.printing import exact
 from keymint.errors import KeymintError
 
 TOPIC = IMAGES["ros_publish"][0]
@@ -28,7 +28,7 @@ TOPIC = IMAGES["ros_publish"][0]
     ],
 )
 def test_the_image_of_a_topic(expression, images):
-    assert {faithful(found) for found in image(parse(expression), TOPIC)} == images
+    assert {exact(found) for found in image(parse(expression), TOPIC)} == images
 
 
 def test_a_service_is_two_topics():
@@ -41,7 +41,7 @@ def test_a_service_is_two_topics():
 
 def test_a_part_of_a_composite_follows_the_name():
     assert image(parse("/fib"), TOPIC, "/_action/status") == (("rt/fib/_action/status",),)
-    assert {faithful(found) for found in image(parse("*"), TOPIC, "/_action/status")} == {
+    assert {exact(found) for found in image(parse("*"), TOPIC, "/_action/status")} == {
         "rt/*/_action/status",
         "rt/_action/status",
     }

@@ -1,0 +1,296 @@
+r"""Split ``fnmatch`` expressions into tokens; the dialects are data.
+
+All dialects share the notation of POSIX (IEEE Std 1003.1, 2.13; 1003.2-1992, B.6 and 3.13) without flags: ``*`` and
+``?`` also match ``/`` and a leading ``.``, and ``[…]`` is a bracket expression. Characters are compared by code point,
+classes are those of the C locale. Where POSIX leaves the meaning open, tokens follow the GNU C library: a ``[`` that is
+never closed is an ordinary character, and ``[^…]`` means ``[!…]``. What POSIX calls undefined (:class:`Undefined`) is
+an error in some dialects; the others read it as described there.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
+from enum import Enum, auto
+
+from comarmor.errors import ComArmorError
+from comarmor.text import did_you_mean
+
+MAX_CODE = 0x10FFFF
+SPECIAL = re.compile(r"[*?\[\\]")
+"""Characters that some dialect does not read as themselves."""
+
+
+class PatternError(ComArmorError):
+    """The text is not an expression of the dialect."""
+
+
+class Undefined(Enum):
+    """Notation whose meaning POSIX leaves undefined."""
+
+    LONE_BACKSLASH = auto()
+    r"""A ``\`` at the end, which escapes nothing: the expression matches nothing."""
+    UNKNOWN_CLASS = auto()
+    """``[:name:]`` where no class has the name: ordinary characters."""
+    COLLATION = auto()
+    """A collating element ``[.x.]`` or an equivalence class ``[=x=]``: ordinary characters."""
+    EMPTY_RANGE = auto()
+    """A range whose ends are in the wrong order: it has no members."""
+    CLASS_IN_RANGE = auto()
+    """A range that ends in a class: it ends in the ``[``."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Dialect:
+    """How an implementation reads expressions.
+
+    Attributes:
+        escapes: a backslash escapes the next character; otherwise it is an ordinary character.
+        negators: characters that negate a set if they come first in it.
+        classes: sets may have classes such as ``[:alpha:]``.
+        errors: undefined notation that raises :class:`PatternError`.
+        closing_bracket_is_member: the ``]`` that ends a set is also a member of it and may begin a range, so that the
+            set goes on; an unclosed set matches nothing (Cyclone DDS 0.10, ``ac_fnmatch``).
+    """
+
+    escapes: bool = True
+    negators: tuple[str, ...] = ("!", "^")
+    classes: bool = True
+    errors: frozenset[Undefined] = frozenset()
+    closing_bracket_is_member: bool = False
+
+
+COMARMOR = Dialect(errors=frozenset(Undefined))
+"""Expressions in policies: whatever POSIX leaves undefined is an error, because it only ever hides a mistake."""
+POSIX = Dialect(errors=frozenset({Undefined.LONE_BACKSLASH, Undefined.UNKNOWN_CLASS, Undefined.COLLATION}))
+"""``fnmatch`` with no flags; an error is what implementations read differently."""
+
+
+@dataclass(frozen=True, slots=True)
+class Star:
+    """``*``: any number of characters."""
+
+
+@dataclass(frozen=True, slots=True)
+class Charset:
+    """One character of a set.
+
+    Attributes:
+        ranges: closed ranges of code points, sorted; they neither touch nor overlap.
+    """
+
+    ranges: tuple[tuple[int, int], ...]
+
+    def __contains__(self, char: str) -> bool:
+        """Return whether a character is in the set."""
+        code = ord(char)
+        return any(low <= code <= high for low, high in self.ranges)
+
+    def __len__(self) -> int:
+        """Return the number of characters."""
+        return sum(high - low + 1 for low, high in self.ranges)
+
+    def chars(self) -> Iterator[str]:
+        """Yield the characters in the order of their code points."""
+        for low, high in self.ranges:
+            yield from map(chr, range(low, high + 1))
+
+    def complement(self) -> Charset:
+        """Return the set of all other characters."""
+        edges = [-1, *(edge for pair in self.ranges for edge in pair), MAX_CODE + 1]
+        gaps = ((edges[i] + 1, edges[i + 1] - 1) for i in range(0, len(edges), 2))
+        return Charset(tuple((low, high) for low, high in gaps if low <= high))
+
+    def intersection(self, other: Charset) -> Charset:
+        """Return the set of the characters that both have."""
+        both = ((max(low, low2), min(high, high2)) for low, high in self.ranges for low2, high2 in other.ranges)
+        return Charset(tuple((low, high) for low, high in both if low <= high))
+
+
+def charset(ranges: Iterable[tuple[int, int]]) -> Charset:
+    """Return the set of closed ranges of code points, given in any order; empty ranges are ignored."""
+    merged: list[tuple[int, int]] = []
+    for low, high in sorted(pair for pair in ranges if pair[0] <= pair[1]):
+        if merged and low <= merged[-1][1] + 1:
+            merged[-1] = (merged[-1][0], max(high, merged[-1][1]))
+        else:
+            merged.append((low, high))
+    return Charset(tuple(merged))
+
+
+Token = str | Charset | Star
+"""A part of a pattern: literal text, one character of a set, or any text."""
+
+STAR = Star()
+ANY = Charset(((0, MAX_CODE),))
+"""``?``: any one character."""
+_WILDCARDS: dict[str, Token] = {"*": STAR, "?": ANY}
+NOTHING = Charset(())
+"""A set without members: a pattern that contains it matches nothing."""
+
+_DIGIT, _UPPER, _LOWER = (48, 57), (65, 90), (97, 122)
+CLASSES = {
+    "alnum": (_DIGIT, _UPPER, _LOWER),
+    "alpha": (_UPPER, _LOWER),
+    "blank": ((9, 9), (32, 32)),
+    "cntrl": ((0, 31), (127, 127)),
+    "digit": (_DIGIT,),
+    "graph": ((33, 126),),
+    "lower": (_LOWER,),
+    "print": ((32, 126),),
+    "punct": ((33, 47), (58, 64), (91, 96), (123, 126)),
+    "space": ((9, 13), (32, 32)),
+    "upper": (_UPPER,),
+    "xdigit": (_DIGIT, (65, 70), (97, 102)),
+}
+"""The character classes in the C locale (IEEE Std 1003.1, 7.3.1)."""
+
+
+@dataclass(frozen=True, slots=True)
+class Bracket:
+    """A bracket expression as it is written.
+
+    Attributes:
+        negated: it matches the characters that are not members.
+        members: names of classes, and ranges as pairs of their ends; a single character is a range of one.
+    """
+
+    negated: bool
+    members: tuple[str | tuple[str, str], ...]
+
+    def charset(self) -> Charset:
+        """Return the characters that it matches."""
+        ranges: list[tuple[int, int]] = []
+        for member in self.members:
+            if isinstance(member, str):
+                ranges.extend(CLASSES[member])
+            else:
+                ranges.append((ord(member[0]), ord(member[1])))
+        members = charset(ranges)
+        return members.complement() if self.negated else members
+
+
+def tokenize(expression: str, dialect: Dialect) -> Iterator[Token | Bracket]:
+    """Yield the tokens of an expression: single characters, ``?`` as :data:`ANY`, ``*``, and bracket expressions.
+
+    Raises:
+        PatternError: the expression contains undefined notation that is an error in the dialect.
+    """
+    index = 0
+    while index < len(expression):
+        token, index = next_token(expression, index, dialect)
+        yield token
+
+
+def next_token(expression: str, index: int, dialect: Dialect) -> tuple[Token | Bracket, int]:
+    """Return the token that begins at an index, and the index after it.
+
+    Raises:
+        PatternError: as of :func:`tokenize`.
+    """
+    char = expression[index]
+    index += 1
+    if char == "\\" and dialect.escapes:
+        if index < len(expression):
+            return expression[index], index + 1
+        if Undefined.LONE_BACKSLASH in dialect.errors:
+            raise _error("the expression ends with a lone '\\'", "write \\\\ for the character")
+        return NOTHING, index
+    if char == "[" and dialect.closing_bracket_is_member:
+        return _open_bracket(expression, index, dialect) or (NOTHING, len(expression))
+    if char == "[" and (bracket := _bracket(expression, index, dialect)):
+        return bracket
+    return _WILDCARDS.get(char, char), index
+
+
+def _bracket(expression: str, index: int, dialect: Dialect) -> tuple[Bracket, int] | None:
+    """Return the bracket expression after a ``[`` and the index after it; None if it is never closed."""
+    negated = expression.startswith(dialect.negators, index)
+    index += negated
+    begin = index
+    members: list[str | tuple[str, str]] = []
+    error: PatternError | None = None  # raised only if the bracket is closed: else it is ordinary text
+    while index < len(expression):
+        if expression[index] == "]" and index > begin:
+            if error:
+                raise error
+            return Bracket(negated, tuple(members)), index + 1
+        if name := _class(expression, index, dialect):
+            members.append(name)
+            index += len(name) + 4
+            continue
+        if Undefined.COLLATION in dialect.errors and expression.startswith(("[.", "[="), index):
+            error = error or _collation(expression[index : index + 2])
+        first, index = _member(expression, index, dialect)
+        last = first
+        if expression.startswith("-", index) and expression[index + 1 : index + 2] not in ("", "]"):
+            if Undefined.CLASS_IN_RANGE in dialect.errors and _class(expression, index + 1, dialect):
+                raise _error("a character class cannot end a range", "escape the '-' as \\-")
+            last, index = _member(expression, index + 1, dialect)
+            if last < first and Undefined.EMPTY_RANGE in dialect.errors:
+                error = error or _error(
+                    f"the range {first}-{last} is empty", f"write {last}-{first}, or escape the '-' as \\-"
+                )
+        members.append((first, last))
+    return None
+
+
+_CLASS = re.compile(r"\[:([A-Za-z0-9]+):\]")
+_COLLATION = re.compile(r"\[([.=])[^\]]*\1\]")
+
+
+def _class(expression: str, index: int, dialect: Dialect) -> str | None:
+    """Return the name of the class at an index, or None if there is none."""
+    if not dialect.classes or expression[index] != "[":
+        return None
+    if Undefined.COLLATION in dialect.errors and _COLLATION.match(expression, index):
+        raise _collation(expression[index : index + 2])
+    match = _CLASS.match(expression, index)
+    if match and match[1] in CLASSES:
+        return match[1]
+    if match and Undefined.UNKNOWN_CLASS in dialect.errors:
+        raise _error(
+            f"unknown character class {match[0]}",
+            did_you_mean(match[1].lower(), tuple(CLASSES)) or f"known are {', '.join(CLASSES)}",
+        )
+    return None
+
+
+def _collation(mark: str) -> PatternError:
+    return _error(
+        f"'{mark}' begins a collating element or equivalence class, which names do not have",
+        "list the characters, or escape the '[' as \\[",
+    )
+
+
+def _member(expression: str, index: int, dialect: Dialect) -> tuple[str, int]:
+    """Return one end of a range and the index after it."""
+    if dialect.escapes and expression[index] == "\\" and index + 1 < len(expression):
+        index += 1
+    return expression[index], index + 1
+
+
+def _open_bracket(expression: str, index: int, dialect: Dialect) -> tuple[Bracket | Charset, int] | None:
+    """Return a set whose closing bracket is a member of it and the index after it; None if it is never closed."""
+    negated = expression.startswith(dialect.negators, index)
+    index += negated
+    if expression.startswith("]", index):  # a set without members; the bracket is then read again, as itself
+        return (ANY, index) if negated else None
+    members: list[str | tuple[str, str]] = []
+    while index < len(expression):
+        first = last = expression[index]
+        index += 1
+        if expression.startswith("-", index):
+            last = expression[index + 1 : index + 2]
+            if last in {"", "]"}:
+                return None
+            index += 2
+        members.append((first, last))
+        if first == "]":
+            return Bracket(negated, tuple(members)), index
+    return None
+
+
+def _error(message: str, help_: str) -> PatternError:
+    return PatternError(message, help=help_, code="expression")
