@@ -68,7 +68,7 @@ def regions(rule: DocumentDomainRule, action: str, semantics: Semantics, *, pair
         pairs: words have partitions; the governance knows none, so a topic is open in all of them.
 
     Raises:
-        GlobError: an expression means nothing.
+        PatternError: implementations read an expression differently.
     """
     opened, either, covered = [], [], []
     for each in rule.topic_rules:
@@ -86,7 +86,7 @@ def patterns(expression: str, semantics: Semantics, *, pairs: bool) -> tuple[Glo
     """Return the words that a topic expression of the governance is about.
 
     Raises:
-        GlobError: it means nothing.
+        PatternError: implementations read it differently.
     """
     found = read((semantics.reads_text(expression),), semantics.fnmatch)
     return tuple(normalise((*EVERYTHING, SEPARATOR, *topic)) for topic in found) if pairs else found

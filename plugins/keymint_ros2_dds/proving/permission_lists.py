@@ -70,7 +70,7 @@ def of_grant(
         pairs: words have partitions.
 
     Raises:
-        GlobError: an expression means nothing.
+        PatternError: implementations read an expression differently.
     """
     rules = [rule for rule in semantics.rules(grant) if holds(rule, domain, semantics)]
     default = (Block(True, (EVERYTHING,)),) if semantics.default_counts and grant.allows else ()

@@ -173,7 +173,7 @@ def weaker(
         access: access control counts as protection, too.
 
     Raises:
-        GlobError: an expression means nothing.
+        PatternError: implementations read an expression differently.
     """
     yield from _weaker_domain(signed, said, access=access)
     found: dict[tuple[int, str], Weaker] = {}
