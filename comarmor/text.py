@@ -71,8 +71,9 @@ def quoted(text: str, limit: int = 60) -> str:
 
 
 def counted(number: int, noun: str) -> str:
-    """Return a number with its noun: ``no edges``, ``1 edge``, ``2 edges``."""
-    return f"{number or 'no'} {noun}{'' if number == 1 else 's'}"
+    """Return a number with its noun: ``no edges``, ``1 edge``, ``2 mismatches``."""
+    ending = "" if number == 1 else "es" if noun.endswith("ch") else "s"
+    return f"{number or 'no'} {noun}{ending}"
 
 
 def first_few(items: Sequence[str], most: int) -> str:

@@ -11,7 +11,6 @@ from typing import Any
 import click
 
 from comarmor.errors import Diagnostic, Origin, Severity, library_name
-from keymint.analysis.differences import as_data, as_markdown, as_text, summary
 from keymint.analysis.policy_diff import diff_policies as compare
 from keymint.analysis.policy_diff import has_gains
 from keymint.analysis.query_budget import STATES, QueryBudget
@@ -23,6 +22,9 @@ from keymint.commands.verb import verb
 from keymint.errors import ExitCode, KeymintError
 from keymint.git import at_revision, is_revision
 from keymint.output.console import Console
+from keymint.output.differences import as_text, summary
+from keymint.output.json import differences_json
+from keymint.output.markdown import markdown
 from keymint.output.report import Report
 
 _UNKNOWN = Diagnostic(
@@ -70,7 +72,7 @@ def diff(run: Run, old: str, new: str, kind: str, budget: int, policy_options: P
         in_tree = where.file.startswith(tuple(trees))
         return _renamed(str(where.alone()) if in_tree else place(run, where), trees)
 
-    lines = as_markdown(found, said, library, (old, new)) if kind == "markdown" else as_text(found, said)
+    lines = markdown(found, said, library, (old, new)) if kind == "markdown" else as_text(found, said)
     for line in lines:
         run.console.line(line)
     if kind != "markdown":
@@ -82,7 +84,7 @@ def diff(run: Run, old: str, new: str, kind: str, budget: int, policy_options: P
         in_tree = where.file.startswith(tuple(trees))
         return {"file": _renamed(where.file if in_tree else typed(run)(where.file), trees), "line": where.line or None}
 
-    result = {"equivalent": not found, "subjects": as_data(found, placed)}
+    result = {"equivalent": not found, "subjects": differences_json(found, placed)}
     doubts = [_UNKNOWN] if any(change.unknown for each in found for change in each.changes) else []
     return Report(run.verb, None, (), doubts, result, ExitCode.FINDINGS if has_gains(found) else ExitCode.DONE)
 

@@ -10,7 +10,6 @@ from comarmor.text import counted
 from keymint.analysis.lint import CODES, sorted_diagnostics
 from keymint.analysis.lint import lint as look
 from keymint.analysis.portability import portability
-from keymint.analysis.sarif import sarif as as_sarif
 from keymint.analysis.subject_patterns import pattern_examples, rules_of
 from keymint.commands.options import PluginOption, PolicyOptions, policy_options
 from keymint.commands.policies import Policies, typed
@@ -18,6 +17,8 @@ from keymint.commands.run import Run
 from keymint.commands.user_files import write_outputs
 from keymint.commands.verb import verb
 from keymint.output.report import Report, findings_exit
+from keymint.output.sarif import of_diagnostics
+from keymint.output.sarif import sarif as sarif_log
 
 _PATH = click.Path(path_type=Path)
 
@@ -69,7 +70,7 @@ def lint(
     ]
     found = sorted_diagnostics(found)
     if sarif is not None:
-        write_outputs(run, sarif, as_sarif("keymint lint", CODES, found, typed(run)))
+        write_outputs(run, sarif, sarif_log("keymint lint", CODES, of_diagnostics(found), typed(run)))
     number = len(found)
     like = f" and {counted(len(others), 'pattern')} of subjects" if others else ""
     run.console.line(f"{counted(number, 'finding')} in the rules of {counted(len(named), 'subject')}{like}")

@@ -8,7 +8,6 @@ from pathlib import Path
 import click
 
 from comarmor.errors import Diagnostic, Origin, Severity
-from keymint.analysis.junit import junit as as_junit
 from keymint.analysis.policy_tests import ExpectationChecker, ExpectationResult, Place, diagnostics
 from keymint.api import Expectation
 from keymint.commands.options import Number, PolicyOptions, policy_options
@@ -18,6 +17,8 @@ from keymint.commands.user_files import write_outputs
 from keymint.commands.verb import verb
 from keymint.errors import ExitCode, KeymintError
 from keymint.ir import Rule
+from keymint.output.junit import JUnitCase, JUnitFailure, JUnitSuite
+from keymint.output.junit import junit as junit_document
 from keymint.output.report import Report
 
 _PATH = click.Path(path_type=Path)
@@ -86,7 +87,9 @@ def test(
         message = f"{percent:.0f} % of the rules are exercised, expected are {min_coverage:g} %"
         said.append(Diagnostic("coverage-low", Severity.ERROR, message, help="'keymint test -v' lists the others"))
     if junit is not None:
-        write_outputs(run, junit, as_junit(found))
+        write_outputs(
+            run, junit, junit_document("keymint test", [_suite(file, results) for file, results in found.items()])
+        )
     broken = sum(bool(each.failure) for each in every)
     run.console.line(
         f"{len(every) - broken} of {len(every)} expectations hold; "
@@ -141,3 +144,19 @@ def _idle(rules: Sequence[Rule]) -> list[Diagnostic]:
         )
         for rule in rules
     ]
+
+
+def _suite(file: str, results: Sequence[ExpectationResult]) -> JUnitSuite:
+    """Return the results of a file: a test case for each of its tests."""
+    tests: dict[str, list[ExpectationResult]] = {}
+    for result in results:
+        tests.setdefault(result.expectation.test, []).append(result)
+    return JUnitSuite(file, [JUnitCase(file, name, _failure(file, test)) for name, test in tests.items()])
+
+
+def _failure(file: str, test: Sequence[ExpectationResult]) -> JUnitFailure | None:
+    failed = [result for result in test if result.failure]
+    if not failed:
+        return None
+    lines = [f"{file}:{result.expectation.where.line}: {result.failure}" for result in failed]
+    return JUnitFailure("expectation", failed[0].failure, "\n".join(lines))

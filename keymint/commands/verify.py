@@ -8,6 +8,7 @@ from pathlib import Path
 
 import click
 
+from comarmor.errors import Severity
 from comarmor.text import counted
 from keymint.api import Tier
 from keymint.commands.library import library_rules
@@ -19,7 +20,11 @@ from keymint.commands.verb import verb
 from keymint.commands.verify_report import labelled_edges, write_report
 from keymint.errors import ExitCode
 from keymint.graph_json import load
+from keymint.output.json import comparisons_json
+from keymint.output.junit import junit as junit_document
+from keymint.output.mismatches import SARIF_RULES, diagnostics, junit_suites, sarif_results
 from keymint.output.report import Report
+from keymint.output.sarif import sarif as sarif_log
 from keymint.plan.anchors import differences
 from keymint.plan.create import load_policy
 from keymint.plan.inputs import Sources
@@ -29,10 +34,7 @@ from keymint.verify.copies import copied
 from keymint.verify.endpoint_policy import EndpointPolicy, label
 from keymint.verify.explain import Explainer
 from keymint.verify.halves import with_halves
-from keymint.verify.junit import junit as as_junit
 from keymint.verify.mismatch import Comparison
-from keymint.verify.report import as_result, messages
-from keymint.verify.sarif import sarif as as_sarif
 from keymint.verify.scope import edges_of_graph, edges_of_policy, verification_scope
 from keymint.verify.usable_transports import choose, models
 
@@ -132,8 +134,8 @@ def verify(
         run.verb,
         workspace,
         (),
-        (*strange, *messages(outcomes)),
-        as_result(outcomes, subjects, len(said), typed(run)),
+        (*strange, *diagnostics(outcomes)),
+        comparisons_json(outcomes, subjects, len(said), typed(run)),
         ExitCode.FINDINGS if wrong or strange else ExitCode.DONE,
     )
 
@@ -169,8 +171,8 @@ def _write(
 ) -> None:
     """Write the reports that were asked for."""
     documents: Mapping[Path | None, Callable[[], bytes]] = {
-        sarif: lambda: as_sarif(outcomes, typed(run)),
-        junit: lambda: as_junit(outcomes, subjects),
+        sarif: lambda: sarif_log("keymint verify", SARIF_RULES, sarif_results(outcomes), typed(run), Severity.ERROR),
+        junit: lambda: junit_document("keymint verify", junit_suites(outcomes, subjects)),
     }
     for path, document in documents.items():
         if path is not None:

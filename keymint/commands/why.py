@@ -15,15 +15,22 @@ from keymint.commands.run import Run
 from keymint.commands.verb import verb
 from keymint.errors import ExitCode
 from keymint.graph import LABELLED, Edge
+from keymint.output.json import decision_json, edge_json, place_json, verdict_json
+from keymint.output.mismatches import (
+    document_reason,
+    enumerated,
+    mismatch_text,
+    remedy,
+    request_text,
+    rule_text,
+    verb_of,
+)
 from keymint.output.report import Report
 from keymint.plan.anchors import differences
 from keymint.plan.create import load_policy
 from keymint.plan.inputs import Inputs, LoadedProfile, Sources
-from keymint.verify.report import edge_document, place, remedy, transport_document
 from keymint.verify.usable_transports import choose, models
 from keymint.verify.why import Explanation, MatchedRule, explain, request, usual_domain
-from keymint.verify.words import does, in_words, in_words_of_rule, listed, of_document, plain
-from keymint.verify.words import request as shown_request
 
 _PERMISSIONS = [permission for permissions in LABELLED.values() for permission in permissions]
 
@@ -83,12 +90,12 @@ def _findings(found: Explanation) -> list[Diagnostic]:
     """Return what transports decide otherwise than the policy, told together where it is the same."""
     together: dict[tuple[str, int], list[str]] = {}
     for name, label in found.wrong.items():
-        together.setdefault((of_document(label), label.document.line), []).append(name)
+        together.setdefault((document_reason(label), label.document.line), []).append(name)
     return [
         Diagnostic(
             str(label.error),
             Severity.ERROR,
-            in_words(names, label, here=True),
+            mismatch_text(names, label, at_rule=True),
             label.policy.where or label.document,
             remedy(label),
             found.edge.subject,
@@ -103,7 +110,7 @@ def _lines(found: Explanation, typed: Callable[[str], str]) -> Iterator[str]:
 
     def rule(each: MatchedRule) -> str:
         decides = "decides: " if each.where == found.policy.where else ""
-        return f"{decides}{in_words_of_rule(each.rule)} ({_at(each.where, typed)})"
+        return f"{decides}{rule_text(each.rule)} ({_at(each.where, typed)})"
 
     layers: dict[str, list[str]] = {"profiles": [_profile(each, typed) for each in found.profiles]}
     if not found.profiles:
@@ -119,7 +126,7 @@ def _lines(found: Explanation, typed: Callable[[str], str]) -> Iterator[str]:
     layers["needs"] = [_need(each) for each in found.endpoints]
     layers["enclave"] = list(_labels(found, typed))
     in_domain = f" in domain {found.edge.domain}" if found.edge.domain else ""
-    yield f"{shown_request(found.edge)}{in_domain}: the policy {does(found.policy.allowed)} it"
+    yield f"{request_text(found.edge)}{in_domain}: the policy {verb_of(found.policy.allowed)} it"
     for title, lines in layers.items():
         for index, line in enumerate(lines):
             yield f"{title if index == 0 else '':<10}{line}"
@@ -145,10 +152,10 @@ def _labels(found: Explanation, typed: Callable[[str], str]) -> Iterator[str]:
     together: dict[tuple[bool, str], list[str]] = {}
     for name, label in found.labels.items():
         deviation = f"; deviates from the standard: {label.verdict.deviation}" if label.verdict.deviation else ""
-        said = f"{_at(label.document, typed)}: {plain(label.reason) or 'no reason is given'}{deviation}"
+        said = f"{_at(label.document, typed)}: {label.reason or 'no reason is given'}{deviation}"
         together.setdefault((label.verdict.allowed, said), []).append(name)
     for (allowed, said), names in together.items():
-        yield f"{'allowed' if allowed else 'denied'} by {listed(names)} ({said})"
+        yield f"{'allowed' if allowed else 'denied'} by {enumerated(names)} ({said})"
 
 
 def _document(found: Explanation, typed: Callable[[str], str]) -> dict[str, Any]:
@@ -162,21 +169,16 @@ def _document(found: Explanation, typed: Callable[[str], str]) -> dict[str, Any]
             "expressions": list(each.rule.expressions),
             "partitions": list(each.rule.partitions),
             "audit": each.rule.audit,
-            "rule": place(each.where, typed),
+            "rule": place_json(each.where, typed),
             "note": each.note or None,
         }
 
     return {
-        "edge": edge_document(found.edge),
+        "edge": edge_json(found.edge),
         "profiles": [
-            {"name": each.name, "audit": each.audit, "rule": place(each.where, typed)} for each in found.profiles
+            {"name": each.name, "audit": each.audit, "rule": place_json(each.where, typed)} for each in found.profiles
         ],
-        "policy": {
-            "allowed": found.policy.allowed,
-            "reason": found.policy.reason,
-            "rule": place(found.policy.where, typed),
-            "audit": found.policy.audit,
-        },
+        "policy": decision_json(found.policy, typed),
         "rules": [rule(each) for each in found.rules],
         "nearest": rule(found.near) if found.near else None,
         "similar_subject": found.similar or None,
@@ -191,7 +193,7 @@ def _document(found: Explanation, typed: Callable[[str], str]) -> dict[str, Any]
         ],
         "installed": found.installed,
         "transports": [
-            {"name": name, **transport_document(label.verdict, label.reason, label.document, label.model, typed)}
+            {"name": name, **verdict_json(label.verdict, label.reason, label.document, label.model, typed)}
             for name, label in found.labels.items()
         ],
     }

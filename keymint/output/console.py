@@ -11,7 +11,8 @@ from typing import IO, TYPE_CHECKING, Any
 
 from comarmor.errors import Diagnostic, Severity
 from comarmor.text import counted, encodable, printable, printable_lines
-from keymint.output.report import Report, as_document
+from keymint.output.json import report_json
+from keymint.output.report import Report
 from keymint.plan.model import Action, Size, Step
 from keymint.process import Output
 
@@ -95,7 +96,7 @@ class Console:
     def show(self, report: Report) -> None:
         """Show a report: the whole of it as JSON, or its steps and diagnostics in words."""
         if self._json:
-            document = json.dumps(encodable(as_document(report)), indent=2, ensure_ascii=True)
+            document = json.dumps(encodable(report_json(report)), indent=2, ensure_ascii=True)
             self._streams.out.write(f"{document}\n")
             return
         for diagnostic in report.diagnostics:

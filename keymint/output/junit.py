@@ -1,20 +1,68 @@
-"""What all JUnit XML has in common, the format that CI servers show test results from."""
+"""JUnit XML, the format in which CI servers read test results."""
 
 from __future__ import annotations
 
 import re
+from collections.abc import Sequence
+from dataclasses import dataclass
 from xml.etree import ElementTree as ET  # only writes
 
 _CONTROL = re.compile(r"[^\t\n\r\x20-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]")
 
 
-def rendered(root: ET.Element) -> bytes:
-    """Return a document, indented."""
+@dataclass(frozen=True, slots=True)
+class JUnitFailure:
+    """Why a test case failed: the type of the failure, one line, and the details."""
+
+    kind: str
+    message: str
+    details: str
+
+
+@dataclass(frozen=True, slots=True)
+class JUnitCase:
+    """A test case; without a failure it passed."""
+
+    class_name: str
+    name: str
+    failure: JUnitFailure | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class JUnitSuite:
+    """Test cases that belong together."""
+
+    name: str
+    cases: Sequence[JUnitCase]
+
+
+def junit(title: str, suites: Sequence[JUnitSuite]) -> bytes:
+    """Return the results of a run, e.g. of ``keymint test``, as a document."""
+    root = ET.Element("testsuites", name=title)
+    for suite in suites:
+        element = ET.SubElement(
+            root,
+            "testsuite",
+            name=suite.name,
+            tests=str(len(suite.cases)),
+            failures=str(sum(case.failure is not None for case in suite.cases)),
+            errors="0",
+            skipped="0",
+        )
+        for case in suite.cases:
+            _add_case(element, case)
     ET.indent(root)
     text: bytes = ET.tostring(root, encoding="utf-8", xml_declaration=True)
     return text + b"\n"
 
 
-def legal(text: str) -> str:
-    """Return what XML can hold of a text (XML 1.0, 2.2)."""
+def _add_case(suite: ET.Element, case: JUnitCase) -> None:
+    element = ET.SubElement(suite, "testcase", classname=_legal(case.class_name), name=_legal(case.name))
+    if case.failure is not None:
+        failure = ET.SubElement(element, "failure", type=case.failure.kind, message=_legal(case.failure.message))
+        failure.text = _legal(case.failure.details)
+
+
+def _legal(text: str) -> str:
+    """Replace the characters that XML cannot contain (XML 1.0, 2.2)."""
     return _CONTROL.sub("\ufffd", text)

@@ -1,8 +1,7 @@
-"""The outcome of a verb, and its one documented shape for machines (``docs/json.md``)."""
+"""The outcome of a verb."""
 
 from __future__ import annotations
 
-from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -12,9 +11,6 @@ from comarmor.errors import Diagnostic, Origin, Severity
 from keymint.errors import ExitCode
 from keymint.plan.model import Step
 from keymint.workspace import Workspace, shown
-
-FORMAT = "keymint-report"
-VERSION = 1
 
 
 @dataclass(frozen=True, slots=True)
@@ -81,49 +77,3 @@ def findings_exit(diagnostics: Sequence[Diagnostic]) -> ExitCode:
     """Return the exit code of a verb that looks for findings: notes are none."""
     found = any(diagnostic.severity is not Severity.NOTE for diagnostic in diagnostics)
     return ExitCode.FINDINGS if found else ExitCode.DONE
-
-
-def as_document(report: Report) -> dict[str, Any]:
-    """Return a report as what JSON can hold."""
-    workspace = report.workspace
-    return {
-        "format": FORMAT,
-        "version": VERSION,
-        "verb": report.verb,
-        "workspace": str(workspace.root) if workspace else None,
-        "dry_run": report.dry_run,
-        "exit_code": int(report.exit_code),
-        "summary": dict(sorted(Counter(str(step.action) for step in report.steps).items())),
-        "steps": [_step(step, workspace) for step in report.steps],
-        "diagnostics": [_diagnostic(diagnostic) for diagnostic in report.diagnostics],
-        "result": dict(report.result),
-    }
-
-
-def _step(step: Step, workspace: Workspace | None) -> dict[str, Any]:
-    def typed(folder: Path, name: str) -> str:
-        return workspace.shown(folder / name) if workspace else str(folder / name)
-
-    return {
-        "stage": step.stage,
-        "package": step.package,
-        "action": str(step.action),
-        "written": [typed(change.folder, name) for change in step.changes for name in change.files],
-        "removed": [typed(change.folder, name) for change in step.changes for name in change.removed],
-        "detail": step.detail,
-        "sizes": [{"file": size.file, "bytes": size.bytes, "plain_bytes": size.plain_bytes} for size in step.sizes],
-    }
-
-
-def _diagnostic(diagnostic: Diagnostic) -> dict[str, Any]:
-    where = diagnostic.where
-    return {
-        "code": diagnostic.code,
-        "severity": str(diagnostic.severity),
-        "message": diagnostic.message,
-        "file": where.file if where else None,
-        "line": where.line or None if where else None,
-        "included_from": [{"file": outer.file, "line": outer.line} for outer in (where.chain if where else ())],
-        "help": diagnostic.help,
-        "subject": diagnostic.subject,
-    }

@@ -1,40 +1,105 @@
-"""The frame of a SARIF 2.1.0 log (OASIS, "Static Analysis Results Interchange Format"), for code review."""
+"""SARIF 2.1.0 logs (OASIS, "Static Analysis Results Interchange Format"), for code review and security dashboards."""
 
 from __future__ import annotations
 
 import json
 import os
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
 from typing import Any
 from urllib.parse import quote
 
-from comarmor.errors import Origin
+from comarmor.errors import Diagnostic, Origin, Severity
 from keymint import __version__
 
 _SCHEMA = "https://docs.oasis-open.org/sarif/sarif/v2.1.0/errata01/os/schemas/sarif-schema-2.1.0.json"
+_LEVELS = {Severity.ERROR: "error", Severity.WARNING: "warning", Severity.NOTE: "note"}
 
 
-def log(tool: str, rules: Sequence[Mapping[str, Any]], results: Sequence[Mapping[str, Any]]) -> bytes:
+@dataclass(frozen=True, slots=True)
+class SarifResult:
+    """A result object (SARIF 3.27).
+
+    Attributes:
+        rule: identifier of the rule that it violates.
+        severity: its level.
+        message: one line.
+        where: its place, or None.
+        related: further places, each with a message; only of a result with a place.
+        fingerprints: partial fingerprints (SARIF 3.27.17).
+    """
+
+    rule: str
+    severity: Severity
+    message: str
+    where: Origin | None
+    related: Sequence[tuple[Origin, str]] = ()
+    fingerprints: Mapping[str, str] = field(default_factory=dict)
+
+
+def of_diagnostics(diagnostics: Sequence[Diagnostic]) -> list[SarifResult]:
+    """Return a result for each diagnostic; places that include it are related."""
+    return [
+        SarifResult(
+            each.code,
+            each.severity,
+            f"{each.message} ({each.help})" if each.help else each.message,
+            each.where,
+            [(outer, "included from here") for outer in each.where.chain] if each.where else (),
+        )
+        for each in diagnostics
+    ]
+
+
+def sarif(
+    tool: str,
+    rules: Mapping[str, str],
+    results: Sequence[SarifResult],
+    typed: Callable[[str], str],
+    default_level: Severity | None = None,
+) -> bytes:
     """Return a log of one run.
 
     Args:
-        tool: name of what looked, e.g. ``keymint lint``.
-        rules: reportingDescriptor objects (SARIF 3.49).
-        results: result objects (SARIF 3.27), which name the rules by ``ruleIndex``.
+        tool: name of the tool, e.g. ``keymint lint``.
+        rules: description by identifier; a rule that is missing is described by the message of its last result.
+        results: the results.
+        typed: returns a path as it is to be written, relative to the root of the repository if possible.
+        default_level: level of every rule, written if given.
     """
-    driver = {"name": tool, "version": __version__, "semanticVersion": __version__, "rules": rules}
-    runs = [{"tool": {"driver": driver}, "columnKind": "unicodeCodePoints", "results": results}]
-    document = {"$schema": _SCHEMA, "version": "2.1.0", "runs": runs}
+    described = {**rules, **{each.rule: rules.get(each.rule, each.message) for each in results}}
+    level = {} if default_level is None else {"defaultConfiguration": {"level": _LEVELS[default_level]}}
+    descriptors = [{"id": rule, "shortDescription": {"text": text}} | level for rule, text in described.items()]
+    index = {rule: number for number, rule in enumerate(described)}
+    driver = {"name": tool, "version": __version__, "semanticVersion": __version__, "rules": descriptors}
+    log = {
+        "tool": {"driver": driver},
+        "columnKind": "unicodeCodePoints",
+        "results": [_result(each, index[each.rule], typed) for each in results],
+    }
+    document = {"$schema": _SCHEMA, "version": "2.1.0", "runs": [log]}
     return (json.dumps(document, indent=1, ensure_ascii=True) + "\n").encode()
 
 
-def location(where: Origin, typed: Callable[[str], str]) -> dict[str, Any]:
-    """Return a place as a location object (SARIF 3.28).
+def _result(each: SarifResult, index: int, typed: Callable[[str], str]) -> dict[str, Any]:
+    result: dict[str, Any] = {
+        "ruleId": each.rule,
+        "ruleIndex": index,
+        "level": _LEVELS[each.severity],
+        "message": {"text": each.message},
+    }
+    if each.where:
+        result["locations"] = [_location(each.where, typed)]
+        result["relatedLocations"] = [
+            {**_location(where, typed), "message": {"text": message}} for where, message in each.related
+        ]
+    if each.fingerprints:
+        result["partialFingerprints"] = dict(each.fingerprints)
+    return result
 
-    Args:
-        where: the place.
-        typed: returns a path as it is to be written, relative to the root of the repository if possible.
-    """
+
+def _location(where: Origin, typed: Callable[[str], str]) -> dict[str, Any]:
+    """Return a place as a location object (SARIF 3.28)."""
     path = typed(where.file)
     place: dict[str, Any] = {
         "artifactLocation": {"uri": ("file://" if path.startswith("/") else "") + quote(os.fsencode(path))}

@@ -13,11 +13,11 @@ from comarmor.errors import Origin
 from comarmor.patterns.glob import parse
 from comarmor.patterns.matching import matches
 from comarmor.rules import Effect
-from keymint.analysis.differences import summary
 from keymint.analysis.policy_diff import diff_policies, has_gains
 from keymint.analysis.query_budget import STATES, QueryBudget
 from keymint.analysis.rule_diff import rule_changes
 from keymint.ir import Rule
+from keymint.output.differences import summary
 from tests.keymint.analysis.policies import deny, loaded, profile, rule
 
 PUB = ("ros_topic", "ros_publish")

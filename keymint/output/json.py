@@ -1,0 +1,205 @@
+"""The JSON of all verbs, as Python objects; ``docs/json.md`` describes it."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from comarmor.errors import Diagnostic, Origin
+from keymint.analysis.policy_diff import SubjectChanges
+from keymint.api import PolicyDecision, Verdict
+from keymint.graph import ConfusionMatrix, Edge
+from keymint.output.mismatches import request_text
+from keymint.output.report import Report
+from keymint.plan.model import Step
+from keymint.verify.mismatch import Comparison, Mismatch
+from keymint.workspace import Workspace
+
+FORMAT = "keymint-report"
+VERSION = 1
+Typed = Callable[[str], str]
+"""Returns a path as the user would type it."""
+
+
+def report_json(report: Report) -> dict[str, Any]:
+    """Return the JSON document of a verb."""
+    workspace = report.workspace
+    return {
+        "format": FORMAT,
+        "version": VERSION,
+        "verb": report.verb,
+        "workspace": str(workspace.root) if workspace else None,
+        "dry_run": report.dry_run,
+        "exit_code": int(report.exit_code),
+        "summary": dict(sorted(Counter(str(step.action) for step in report.steps).items())),
+        "steps": [_step(step, workspace) for step in report.steps],
+        "diagnostics": [_diagnostic(diagnostic) for diagnostic in report.diagnostics],
+        "result": dict(report.result),
+    }
+
+
+def _step(step: Step, workspace: Workspace | None) -> dict[str, Any]:
+    def typed(folder: Path, name: str) -> str:
+        return workspace.shown(folder / name) if workspace else str(folder / name)
+
+    return {
+        "stage": step.stage,
+        "package": step.package,
+        "action": str(step.action),
+        "written": [typed(change.folder, name) for change in step.changes for name in change.files],
+        "removed": [typed(change.folder, name) for change in step.changes for name in change.removed],
+        "detail": step.detail,
+        "sizes": [{"file": size.file, "bytes": size.bytes, "plain_bytes": size.plain_bytes} for size in step.sizes],
+    }
+
+
+def _diagnostic(diagnostic: Diagnostic) -> dict[str, Any]:
+    where = diagnostic.where
+    return {
+        "code": diagnostic.code,
+        "severity": str(diagnostic.severity),
+        "message": diagnostic.message,
+        "file": where.file if where else None,
+        "line": where.line or None if where else None,
+        "included_from": [{"file": outer.file, "line": outer.line} for outer in (where.chain if where else ())],
+        "help": diagnostic.help,
+        "subject": diagnostic.subject,
+    }
+
+
+# -- places, edges and decisions -------------------------------------------------------------------------------------
+
+
+def place_json(where: Origin | None, typed: Typed) -> Mapping[str, Any] | None:
+    """Return a place, with the places that include it."""
+    if where is None:
+        return None
+    return {
+        "file": typed(where.file),
+        "line": where.line or None,
+        "included_from": [{"file": typed(outer.file), "line": outer.line} for outer in where.chain],
+    }
+
+
+def edge_json(edge: Edge) -> dict[str, Any]:
+    """Return an edge."""
+    return {
+        "subject": edge.subject,
+        "permission": edge.permission,
+        "kind": edge.object.kind,
+        "object": edge.object.name,
+        "partitions": list(edge.object.partitions),
+        "domain": edge.domain,
+    }
+
+
+def decision_json(decision: PolicyDecision, typed: Typed) -> dict[str, Any]:
+    """Return the decision of a policy."""
+    return {
+        "allowed": decision.allowed,
+        "reason": decision.reason,
+        "rule": place_json(decision.where, typed),
+        "audit": decision.audit,
+    }
+
+
+def verdict_json(verdict: Verdict, reason: str, document: Origin | None, model: str, typed: Typed) -> dict[str, Any]:
+    """Return the decision of a transport.
+
+    Args:
+        verdict: the decision, with the transport's own words.
+        reason: the reason, in the words of the simulated transport that explains it, if there is one.
+        document: the rule in the enclave's document that decides.
+        model: the simulated transport that explains it, or empty.
+        typed: returns a path as the user would type it.
+    """
+    return {
+        "allowed": verdict.allowed,
+        "reason": reason,
+        "said": verdict.reason,
+        "rule": place_json(document, typed),
+        "deviation": verdict.deviation or None,
+        "explained_by": model or None,
+    }
+
+
+# -- verify ----------------------------------------------------------------------------------------------------------
+
+
+def comparisons_json(
+    comparisons: Sequence[Comparison], subjects: Sequence[str], edges: int, typed: Typed
+) -> dict[str, Any]:
+    """Return the result of ``keymint verify``.
+
+    Args:
+        comparisons: one for each transport.
+        subjects: the subjects that were verified.
+        edges: the number of edges that each transport was asked for.
+        typed: returns a path as the user would type it.
+    """
+    return {
+        "subjects": list(subjects),
+        "edges": edges,
+        "transports": [
+            {
+                "name": comparison.transport,
+                "version": comparison.version,
+                "tier": str(comparison.tier),
+                "confusion": _confusion(comparison.confusion),
+                "findings": [_mismatch(mismatch, typed) for mismatch in comparison.findings],
+                "findings_omitted": comparison.omitted,
+            }
+            for comparison in comparisons
+        ],
+    }
+
+
+def _confusion(counts: ConfusionMatrix) -> dict[str, int]:
+    return {
+        "true_positive": counts.true_positive,
+        "false_negative": counts.false_negative,
+        "false_positive": counts.false_positive,
+        "true_negative": counts.true_negative,
+    }
+
+
+def _mismatch(mismatch: Mismatch, typed: Typed) -> dict[str, Any]:
+    return {
+        "error": str(mismatch.error),
+        "edge": edge_json(mismatch.edge),
+        "request": request_text(mismatch.edge),
+        "policy": decision_json(mismatch.policy, typed),
+        "transport": verdict_json(mismatch.verdict, mismatch.reason, mismatch.document, mismatch.model, typed),
+    }
+
+
+# -- diff ------------------------------------------------------------------------------------------------------------
+
+
+def differences_json(
+    differences: Sequence[SubjectChanges], place: Callable[[Origin | None], dict[str, Any] | None]
+) -> list[dict[str, Any]]:
+    """Return the differences of two policies."""
+    return [
+        {
+            "subject": each.subject or None,
+            "stands_for": each.like or None,
+            "applies": {"before": each.before, "after": each.after},
+            "changes": [
+                {
+                    "change": "gains" if change.gains else "loses",
+                    "kind": change.kind or None,
+                    "permission": change.permission or None,
+                    "pattern": change.pattern,
+                    "whole": change.whole,
+                    "example": change.example or None,
+                    "rule": place(change.where),
+                    "unknown": change.unknown or None,
+                }
+                for change in each.changes
+            ],
+        }
+        for each in differences
+    ]

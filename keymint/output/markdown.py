@@ -1,0 +1,80 @@
+"""The differences of two policies as Markdown, for a comment on a code review."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+
+from comarmor.errors import Origin, Spot
+from keymint.analysis.policy_diff import SubjectChanges
+from keymint.analysis.rule_diff import PermissionChange
+from keymint.output.differences import object_text, permission_text, subject_line, summary
+
+
+def markdown(
+    differences: Sequence[SubjectChanges],
+    place: Callable[[Origin | None], str],
+    library: Callable[[str], str | None],
+    titles: tuple[str, str],
+) -> Iterator[str]:
+    """Yield the lines of a comment on a code review.
+
+    For a node that is new or gone, the rules of the library take one line for each file that the policy includes.
+
+    Args:
+        differences: the changes of each subject.
+        place: returns a place as the user would type it.
+        library: returns the name of a file in the library; None of any other file.
+        titles: names of the older and of the newer policy.
+    """
+    yield f"### Access control: {_code(titles[0])} → {_code(titles[1])}"
+    yield ""
+    if not differences:
+        yield "**Equivalent**: no subject gains or loses anything."
+        return
+    yield f"{summary(differences)}."
+    for each in differences:
+        yield ""
+        yield f"#### {subject_line(each, _code).rstrip(':')}"
+        own, folded = _folded(each, library)
+        if own:
+            yield ""
+            yield "| | permission | objects | rule |"
+            yield "|---|---|---|---|"
+        for change in own:
+            sign = _verb(change)
+            objects = object_text(change, _code)
+            where = _code(place(change.where)) if change.where else ""
+            yield f"| {sign} | {permission_text(change, _code).rstrip()} | {objects} | {where} |"
+        for at, (name, number) in enumerate(folded.items()):
+            if at == 0:
+                yield ""
+            rules = f"the {number} rules" if number > 1 else "the rule"
+            yield f"… and {rules} of {_code(name)} (library)"
+
+
+def _folded(
+    each: SubjectChanges, library: Callable[[str], str | None]
+) -> tuple[list[PermissionChange], dict[str, int]]:
+    """Return the changes to list, and for each file of the library the number of rules behind the other changes."""
+    if each.before and each.after:
+        return [*each.changes], {}
+    own: list[PermissionChange] = []
+    rules: dict[str, set[Spot]] = {}
+    for change in each.changes:
+        where = change.where
+        if where is None or change.unknown or library(where.file) is None:
+            own.append(change)
+            continue
+        names = [name for place in (where, *where.chain) if (name := library(place.file))]
+        rules.setdefault(names[-1], set()).add(where.spot)
+    return own, {name: len(spots) for name, spots in rules.items()}
+
+
+def _verb(change: PermissionChange) -> str:
+    verb = "gains" if change.gains else "loses"
+    return f"perhaps {verb}" if change.unknown else verb
+
+
+def _code(text: str) -> str:
+    fence = "``" if "`" in text else "`"
+    return f"{fence}{text}{fence}".replace("|", "\\|")

@@ -1,0 +1,174 @@
+"""Requests, rules and mismatches between policy and transports, in words and as diagnostics."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+
+from comarmor.errors import Diagnostic, Severity
+from comarmor.text import counted
+from keymint.graph import Edge, EdgeOutcome
+from keymint.ir import Rule
+from keymint.output.junit import JUnitCase, JUnitFailure, JUnitSuite
+from keymint.output.sarif import SarifResult
+from keymint.verify.mismatch import Comparison, Mismatch
+
+SARIF_RULES = {
+    str(EdgeOutcome.FALSE_POSITIVE): "A transport allows what the policy does not.",
+    str(EdgeOutcome.FALSE_NEGATIVE): "A transport denies what the policy allows.",
+}
+_MOST_EXPRESSIONS = 4
+_EXAMPLES = 3
+
+
+# -- in words --------------------------------------------------------------------------------------------------------
+
+
+def request_text(edge: Edge) -> str:
+    """Return an edge in the notation of the command line: ``/talker ros_publish /chatter``."""
+    text = f"{edge.subject} {edge.permission} {edge.object.name}"
+    return text + "".join(f" in partition {name!r}" for name in edge.object.partitions)
+
+
+def mismatch_text(transports: Sequence[str], mismatch: Mismatch, *, at_rule: bool = False) -> str:
+    """Return a mismatch on one line: the edge, both labels, and the reason of each.
+
+    Args:
+        transports: names of the transports with this mismatch.
+        mismatch: the mismatch.
+        at_rule: the line is shown at the policy's rule, if there is one.
+    """
+    policy, verdict = mismatch.policy, mismatch.verdict
+    by_policy = "by this rule" if at_rule and policy.where else policy.reason
+    return (
+        f"{mismatch.error}: {request_text(mismatch.edge)}: the policy {verb_of(policy.allowed)} it ({by_policy}), "
+        f"but {enumerated(transports)} {verb_of(verdict.allowed, many=len(transports) > 1)} it "
+        f"({document_reason(mismatch)})"
+    )
+
+
+def document_reason(mismatch: Mismatch) -> str:
+    """Return the place in the enclave's document, the transport's reason, and the deviation that explains it."""
+    document, deviation = mismatch.document, mismatch.verdict.deviation
+    place = document.file + (f":{document.line}" if document.line else "")
+    deviates = f"; deviates from the standard: {deviation}" if deviation else ""
+    return f"{place}: {mismatch.reason or 'no reason is given'}{deviates}"
+
+
+def verb_of(allowed: bool, *, many: bool = False) -> str:
+    """Return the verb of a decision."""
+    return ("allow" if allowed else "deny") if many else ("allows" if allowed else "denies")
+
+
+def enumerated(names: Sequence[str]) -> str:
+    """Return names as in a sentence: ``a, b and c``."""
+    return " and ".join(filter(None, (", ".join(names[:-1]), names[-1])))
+
+
+def rule_text(rule: Rule) -> str:
+    """Return a rule on one line: ``ALLOW ros_topic ros_publish of '/a', '/b' and 3 more``."""
+    names = [repr(each) for each in rule.expressions[:_MOST_EXPRESSIONS]]
+    more = len(rule.expressions) - len(names)
+    partitions = f" in partitions {', '.join(map(repr, rule.partitions))}" if rule.partitions else ""
+    audit = " (AUDIT)" if rule.audit else ""
+    shown = ", ".join(names) + (f" and {more} more" if more else "")
+    return f"{rule.effect} {rule.kind} {'+'.join(rule.permissions)} of {shown}{partitions}{audit}"
+
+
+# -- as diagnostics --------------------------------------------------------------------------------------------------
+
+
+def remedy(mismatch: Mismatch) -> str:
+    """Return how to fix a mismatch."""
+    name = mismatch.edge.subject.removeprefix("/")
+    much = "more" if mismatch.error is EdgeOutcome.FALSE_POSITIVE else "less"
+    return (
+        f"the enclave permits {much} than the policy; rebuild it: "
+        f"keymint create {name}; keymint build -f {name}; keymint install {name}"
+    )
+
+
+def diagnostics(comparisons: Sequence[Comparison]) -> Iterator[Diagnostic]:
+    """Yield one diagnostic for each cause: for all edges and transports that the same rules explain."""
+    merged: dict[tuple[object, ...], tuple[list[str], list[Mismatch]]] = {}
+    for comparison in comparisons:
+        for cause, mismatches in _by_cause(comparison.findings).items():
+            edges = tuple(mismatch.edge for mismatch in mismatches)
+            merged.setdefault((cause, edges), ([], mismatches))[0].append(comparison.transport)
+    for transports, mismatches in merged.values():
+        first, *others = mismatches
+        some = [f"{each.edge.permission} {each.edge.object.name}" for each in others[:_EXAMPLES]]
+        also = f"; also {len(others)} more: {', '.join(some)}{' …' if len(others) > len(some) else ''}"
+        yield Diagnostic(
+            str(first.error),
+            Severity.ERROR,
+            mismatch_text(transports, first, at_rule=True) + (also if others else ""),
+            first.policy.where or first.document,
+            remedy(first),
+            first.edge.subject,
+        )
+    for comparison in comparisons:
+        if comparison.omitted:
+            yield Diagnostic(
+                "findings-omitted",
+                Severity.WARNING,
+                f"{counted(comparison.omitted, 'more mismatch')} on {comparison.transport} not listed",
+                None,
+                "raise --limit, or verify fewer packages at a time",
+            )
+
+
+def _by_cause(mismatches: Sequence[Mismatch]) -> dict[tuple[object, ...], list[Mismatch]]:
+    """Group mismatches by cause; a reason that names no object, e.g. an expired grant, is one cause for all objects."""
+    causes: dict[tuple[object, ...], list[Mismatch]] = {}
+    for mismatch in mismatches:
+        edge = mismatch.edge
+        if edge.object.name in mismatch.reason:
+            cause = (mismatch.policy.where, mismatch.document.line, mismatch.verdict.deviation)
+        else:
+            cause = (None, mismatch.document.line, mismatch.reason)
+        causes.setdefault((edge.subject, mismatch.error, *cause), []).append(mismatch)
+    return causes
+
+
+# -- for SARIF and JUnit ---------------------------------------------------------------------------------------------
+
+
+def sarif_results(comparisons: Sequence[Comparison]) -> list[SarifResult]:
+    """Return a result for each mismatch: its place is the policy's rule, the document's rule is related."""
+    return [
+        SarifResult(
+            str(mismatch.error),
+            Severity.ERROR,
+            mismatch_text([comparison.transport], mismatch),
+            mismatch.policy.where or mismatch.document,
+            [(mismatch.document, mismatch.reason or "the enclave's document")],
+            {"keymintEdge/v1": f"{comparison.transport}|{request_text(mismatch.edge)}|{mismatch.edge.domain}"},
+        )
+        for comparison in comparisons
+        for mismatch in comparison.findings
+    ]
+
+
+def junit_suites(comparisons: Sequence[Comparison], subjects: Sequence[str]) -> list[JUnitSuite]:
+    """Return a test suite for each transport, with a test case for each subject that lists its mismatches."""
+    return [
+        JUnitSuite(
+            f"{comparison.transport} ({comparison.tier})",
+            [
+                JUnitCase(f"keymint.{comparison.transport}", subject, _failure(comparison, subject))
+                for subject in subjects
+            ],
+        )
+        for comparison in comparisons
+    ]
+
+
+def _failure(comparison: Comparison, subject: str) -> JUnitFailure | None:
+    count = comparison.wrong.get(subject, 0)
+    if not count:
+        return None
+    lines = [
+        mismatch_text([comparison.transport], each) for each in comparison.findings if each.edge.subject == subject
+    ]
+    message = f"{counted(count, 'mismatch')} between policy and transport"
+    return JUnitFailure("verify", message, "\n".join(lines) or "not listed: there are too many mismatches")
