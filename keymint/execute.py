@@ -6,8 +6,8 @@ from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from itertools import groupby
 
+from keymint.changes import File, Plan, Step
 from keymint.plan import ignored, known_keys
-from keymint.plan.model import File, Plan, Step
 from keymint.state import State, dump_mark
 from keymint.store import Store
 from keymint.workspace import Workspace

@@ -11,7 +11,7 @@ from keymint.errors import KeymintError
 from keymint.plan import build, create, install
 from keymint.plan.authorities import trusted_chains
 from keymint.plan.enclaves import hidden, installed, installed_certificate, orphans
-from keymint.plan.inputs import Inputs, LoadedProfile, Sources
+from keymint.session import Session
 from keymint.workspace import packages
 
 
@@ -37,74 +37,67 @@ class Row:
     problem: str = ""
 
 
-def overview(inputs: Inputs, loaded: LoadedProfile, policy: LoadedPolicy | None, sources: Sources) -> tuple[Row, ...]:
+def overview(session: Session, policy: LoadedPolicy | None) -> tuple[Row, ...]:
     """Return a row for every source package and every installed enclave, sorted by name.
 
     Args:
-        inputs: the workspace.
-        loaded: its profile.
+        session: the workspace and its profile.
         policy: its policy, or None when it cannot be loaded: then nothing is held against it.
-        sources: the packages' files.
     """
-    names = packages(inputs.tree, inputs.workspace.src)
-    enclaves = set(installed(inputs, loaded))
-    chains = trusted_chains(inputs, loaded)
-    stale = _differing(inputs, loaded, policy, names, sources)
-    rows = [_row(inputs, loaded, stale, sources, name, chains, installed=name in enclaves) for name in names]
+    names = packages(session.tree, session.workspace.src)
+    enclaves = set(installed(session))
+    chains = trusted_chains(session)
+    stale = _differing(session, policy, names)
+    rows = [_row(session, stale, name, chains, installed=name in enclaves) for name in names]
     rows += [
-        Row(name, "orphaned", "install --prune", _certificate_end(inputs, loaded, name), None)
-        for name in orphans(inputs, loaded)
+        Row(name, "orphaned", "install --prune", _certificate_end(session, name), None) for name in orphans(session)
     ]
-    rows += [Row(name, "ignored", "", _certificate_end(inputs, loaded, name), None) for name in hidden(inputs, loaded)]
+    rows += [Row(name, "ignored", "", _certificate_end(session, name), None) for name in hidden(session)]
     return tuple(sorted(rows, key=lambda row: row.package))
 
 
-def _certificate_end(inputs: Inputs, loaded: LoadedProfile, name: str) -> datetime | None:
-    certificate = installed_certificate(inputs, loaded, name)
+def _certificate_end(session: Session, name: str) -> datetime | None:
+    certificate = installed_certificate(session, name)
     return certificate.not_valid_after_utc if certificate else None
 
 
 def _row(
-    inputs: Inputs,
-    loaded: LoadedProfile,
+    session: Session,
     differing: Mapping[str, str],
-    sources: Sources,
     name: str,
     chains: Mapping[str, bytes],
     *,
     installed: bool,
 ) -> Row:
-    end = _certificate_end(inputs, loaded, name)
+    end = _certificate_end(session, name)
     stale, problem, permissions_end = "", "", None
     try:
-        documents = install.built_documents(inputs, name)
-        files = sources.files(inputs, name)
+        documents = install.built_documents(session, name)
+        files = session.package_files(name)
     except KeymintError as error:  # a file that is no file, or too large
         return Row(name, "installed" if installed else "source", "", end, None, str(error.diagnostics[0]))
     stage = "installed" if installed else "built" if documents else "source"
     try:
-        package = sources.load(inputs, loaded, name, files)
+        package = session.package(name)
         permissions_end = package.permissions.validity.not_after
         if name in differing:
             stale, problem = "create", differing[name]
     except KeymintError as error:
         stale, problem = "create", str(error.diagnostics[0])
     if not stale:
-        if not documents or not build.is_current(inputs, loaded, name, files):
+        if not documents or not build.is_current(session, name, files):
             stale = "build"
-        elif not installed or not install.is_current(inputs, loaded, name, files, chains):
+        elif not installed or not install.is_current(session, name, files, chains):
             stale = "install"
     return Row(name, stage, stale, end, permissions_end, problem)
 
 
-def _differing(
-    inputs: Inputs, loaded: LoadedProfile, policy: LoadedPolicy | None, names: Sequence[str], sources: Sources
-) -> Mapping[str, str]:
+def _differing(session: Session, policy: LoadedPolicy | None, names: Sequence[str]) -> Mapping[str, str]:
     """Return the packages that differ from what the policy says, each with a problem or an empty text."""
     if policy is None:
         return {}
     try:
-        found = create.stale(inputs, loaded, policy, names, sources)
+        found = create.stale(session, policy, names)
     except KeymintError as error:
         return dict.fromkeys(names, str(error.diagnostics[0]))
     return {name: str(errors[0]) if errors else "" for name, errors in found.items()}

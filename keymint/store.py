@@ -43,7 +43,7 @@ __all__ = ["MAX_COMPONENT", "Store", "WritableFile", "WritableFolder"]
 
 
 class WritableFolder(Protocol):
-    """Files to write into a folder and names to remove from it; see :class:`keymint.plan.model.FolderChange`."""
+    """Files to write into a folder and names to remove from it; see :class:`keymint.changes.FolderChange`."""
 
     @property
     def folder(self) -> Path:

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 from functools import lru_cache
 from pathlib import Path
 
-from comarmor.errors import Origin
+from comarmor.errors import Diagnostic, Origin
 from keymint.errors import ExitCode, KeymintError
 from keymint.names import RESERVED, package_name
 from keymint.tree import Tree
@@ -114,6 +114,14 @@ def shown(path: Path, start: Path) -> str:
         folder, _, name = text.rpartition("/")
         relative = os.path.join(_beside(folder or "/", root), name)  # noqa: PTH118 - of texts
     return relative if relative.count("..") <= 2 else text  # noqa: PLR2004 - beyond, nobody counts the dots
+
+
+def placed(diagnostic: Diagnostic, space: Path) -> Diagnostic:
+    """Return a diagnostic whose file, which a plugin gives relative to a space, has its full path."""
+    where = diagnostic.where
+    if where is None or where.file.startswith("/"):
+        return diagnostic
+    return replace(diagnostic, where=replace(where, file=str(space / where.file)))
 
 
 @lru_cache(maxsize=1 << 14)

@@ -28,7 +28,7 @@ _serial = itertools.count()
 
 
 class WritableFile(Protocol):
-    """A file to write; see :class:`keymint.plan.model.File`."""
+    """A file to write; see :class:`keymint.changes.File`."""
 
     @property
     def content(self) -> bytes:

@@ -21,35 +21,30 @@ from keymint.check.places import places
 from keymint.errors import KeymintError
 from keymint.plan.enclaves import unaccounted
 from keymint.plan.identity_keys import Keyring
-from keymint.plan.inputs import Inputs, LoadedProfile, Sources
+from keymint.session import Session
 
 
-def check(
-    inputs: Inputs, loaded: LoadedProfile, names: Sequence[str], sources: Sources, within: timedelta
-) -> tuple[Diagnostic, ...]:
+def check(session: Session, names: Sequence[str], within: timedelta) -> tuple[Diagnostic, ...]:
     """Return all findings on some packages' enclaves, and on the workspace that they come from.
 
     Args:
-        inputs: the workspace.
-        loaded: its profile.
+        session: the workspace and its profile.
         names: names of packages.
-        sources: the packages' files.
         within: report what expires within this time.
     """
-    of_authorities = tuple(authorities(inputs, loaded, within))
-    keyring = Keyring(inputs, loaded, authority_keys(inputs, loaded))
+    of_authorities = tuple(authorities(session, within))
+    keyring = Keyring(session, authority_keys(session))
     fingerprints: dict[str, str] = {}
     findings: list[Diagnostic] = []
     inspections: dict[str, list[Inspection]] = {}
     for name in names:
         try:
-            files = sources.files(inputs, name)
-            package = sources.load(inputs, loaded, name, files)
-            seen, unread = inspection(inputs, loaded, package, within)
+            package = session.package(name)
+            seen, unread = inspection(session, package, within)
         except KeymintError as error:
             findings += error.diagnostics
             continue
-        fingerprint, found = identity_key(inputs, package, keyring)
+        fingerprint, found = identity_key(session, package, keyring)
         findings += found
         if fingerprint:
             fingerprints[name] = fingerprint
@@ -66,18 +61,18 @@ def check(
                 )
             )
             continue
-        findings += on_disk(inputs, loaded, name, seen.files)
-        judged = inputs.plugins.build_type(package.build_type, inputs.package_marker(package.name)).check(seen)
+        findings += on_disk(session, name, seen.files)
+        judged = session.plugins.build_type(package.build_type, session.package_marker(package.name)).check(seen)
         there = {found.where for found in unread}
         findings += (found for found in judged if found.code != "file-missing" or found.where not in there)
         inspections.setdefault(package.build_type, []).append(seen)
     for build_type, together in sorted(inspections.items()):
-        findings += inputs.plugins.build_type(build_type).check_all(together)
-    findings += unaccounted(inputs, loaded)
-    findings += shared_keys(inputs, fingerprints)
-    findings += shared(inputs, loaded)
+        findings += session.plugins.build_type(build_type).check_all(together)
+    findings += unaccounted(session)
+    findings += shared_keys(session, fingerprints)
+    findings += shared(session)
     later = _to_be_mended_later(findings, in_defect(of_authorities))
-    return (*of_authorities, *places(inputs), *exposed(inputs), *later)
+    return (*of_authorities, *places(session), *exposed(session), *later)
 
 
 def _to_be_mended_later(findings: Iterable[Diagnostic], defect: Diagnostic | None) -> Iterator[Diagnostic]:

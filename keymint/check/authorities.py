@@ -16,18 +16,18 @@ from keymint.plan import authority_places
 from keymint.plan.authorities import in_order, satisfies
 from keymint.plan.authority_places import Place
 from keymint.plan.enclaves import deployed_authorities
-from keymint.plan.inputs import Inputs, LoadedProfile
 from keymint.plan.secrets import load_key
+from keymint.session import Inputs, Session
 
 
-def authorities(inputs: Inputs, loaded: LoadedProfile, within: timedelta) -> Iterator[Diagnostic]:
+def authorities(session: Session, within: timedelta) -> Iterator[Diagnostic]:
     """Yield what is found on the keys and certificates of all authorities."""
-    deployed = functools.cache(functools.partial(deployed_authorities, inputs, loaded))
+    deployed = functools.cache(functools.partial(deployed_authorities, session))
     issuers: dict[str, x509.Certificate] = {}
     fingerprints: dict[str, str] = {}
-    for authority in in_order(loaded.profile.authorities):
-        place = authority_places.look(inputs, authority, deployed)
-        key, found = _key(inputs, place)
+    for authority in in_order(session.profile.authorities):
+        place = authority_places.look(session, authority, deployed)
+        key, found = _key(session, place)
         yield from found
         if key is not None:
             fingerprints[authority.name] = keys.fingerprint(key)
@@ -47,13 +47,13 @@ def authorities(inputs: Inputs, loaded: LoadedProfile, within: timedelta) -> Ite
             issuers[authority.name] = place.certificate
             fingerprints.setdefault(authority.name, keys.fingerprint(certificates.public_key(place.certificate)))
             yield from _certificate(place, place.certificate, key, issuers)
-            yield from _validity(inputs, place, place.certificate, within)
-    yield from _refused(lambda: authority_places.require_own_keys(inputs, fingerprints))
+            yield from _validity(session, place, place.certificate, within)
+    yield from _refused(lambda: authority_places.require_own_keys(session, fingerprints))
 
 
-def authority_keys(inputs: Inputs, loaded: LoadedProfile) -> Mapping[str, str]:
+def authority_keys(session: Session) -> Mapping[str, str]:
     """Return the names of the authorities by the fingerprints of the keys that their certificates certify."""
-    places = (authority_places.look(inputs, authority, tuple) for authority in loaded.profile.authorities)
+    places = (authority_places.look(session, authority, tuple) for authority in session.profile.authorities)
     return {
         keys.fingerprint(certificates.public_key(place.certificate)): place.authority.name
         for place in places

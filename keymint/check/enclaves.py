@@ -14,31 +14,29 @@ from keymint.pki import keys
 from keymint.plan import identity_keys, install
 from keymint.plan.authorities import trusted_chains
 from keymint.plan.enclaves import enclave_files
-from keymint.plan.inputs import Inputs, LoadedProfile
+from keymint.session import Inputs, Session
 from keymint.state import digest
 
 
-def inspection(
-    inputs: Inputs, loaded: LoadedProfile, package: Package, within: timedelta
-) -> tuple[Inspection, tuple[Diagnostic, ...]]:
+def inspection(session: Session, package: Package, within: timedelta) -> tuple[Inspection, tuple[Diagnostic, ...]]:
     """Return what a build type needs to judge the enclave of a package, and a finding for each unreadable file."""
-    workspace = inputs.workspace
-    folder = workspace.enclaves(loaded.profile.layout) / package.name
-    chains = trusted_chains(inputs, loaded)
+    workspace = session.workspace
+    folder = workspace.enclaves(session.profile.layout) / package.name
+    chains = trusted_chains(session)
     # What the policy says that vendors read differently was said, and accepted, when it was built.
-    built = inputs.plugins.build_type(package.build_type, inputs.package_marker(package.name)).build(
+    built = session.plugins.build_type(package.build_type, session.package_marker(package.name)).build(
         package, BuildOptions(allow_vendor_specific=True)
     )
-    files, unread = enclave_files(inputs, folder, f"/{package.name}")
+    files, unread = enclave_files(session, folder, f"/{package.name}")
     seen = Inspection(
         package=package,
         documents=built.documents,
         files=files,
         folder=workspace.shown(folder),
-        layout=loaded.profile.layout,
+        layout=session.profile.layout,
         identity_ca=chains.get(package.identity.issuer, b""),
         permissions_ca=chains.get(package.permissions.issuer, b""),
-        now=inputs.now,
+        now=session.now,
         within_days=within / timedelta(days=1),
     )
     return seen, tuple(found for found in unread if found.code != "symlink-refused")  # said with the modes
@@ -88,19 +86,19 @@ def shared_keys(inputs: Inputs, fingerprints: Mapping[str, str]) -> Iterator[Dia
             )
 
 
-def on_disk(inputs: Inputs, loaded: LoadedProfile, name: str, files: Mapping[str, bytes]) -> Iterator[Diagnostic]:
+def on_disk(session: Session, name: str, files: Mapping[str, bytes]) -> Iterator[Diagnostic]:
     """Judge modes, links and recorded digests of one enclave."""
-    workspace = inputs.workspace
-    folder = workspace.enclaves(loaded.profile.layout) / name
-    stamp = inputs.state.stamp(install.STAGE, name)
+    workspace = session.workspace
+    folder = workspace.enclaves(session.profile.layout) / name
+    stamp = session.state.stamp(install.STAGE, name)
     secret = stamp.secret if stamp else ("key.pem",)
-    yield from modes(inputs, folder, 0o700, f"/{name}")
-    for file, is_folder in inputs.tree.names(folder):
+    yield from modes(session, folder, 0o700, f"/{name}")
+    for file, is_folder in session.tree.names(folder):
         if not is_folder:
             mode = 0o600 if file in secret else 0o644
-            yield from modes(inputs, folder / file, mode, f"/{name}")
+            yield from modes(session, folder / file, mode, f"/{name}")
             if file in secret:
-                yield from linked_twice(inputs, folder / file, f"/{name}")
+                yield from linked_twice(session, folder / file, f"/{name}")
     if stamp is None:
         yield Diagnostic(
             "record-missing",

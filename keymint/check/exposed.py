@@ -10,7 +10,7 @@ from comarmor.errors import Diagnostic, Origin, Severity
 from keymint.errors import KeymintError
 from keymint.git import GIT_MISSING, run_git
 from keymint.plan import ignored
-from keymint.plan.inputs import Inputs
+from keymint.session import Inputs
 
 _MOST = 64 * 1024
 """Bytes of a file with a private key; larger ones are not read."""

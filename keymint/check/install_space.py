@@ -11,27 +11,27 @@ from keymint.check.places import modes
 from keymint.errors import KeymintError
 from keymint.plan import ignored
 from keymint.plan.enclaves import enclave_files, installed
-from keymint.plan.inputs import Inputs, LoadedProfile
+from keymint.session import Inputs, Session
 from keymint.workspace import packages
 
 
-def shared(inputs: Inputs, loaded: LoadedProfile) -> Iterator[Diagnostic]:
+def shared(session: Session) -> Iterator[Diagnostic]:
     """Judge what lies in the install space outside of the enclaves."""
-    workspace, layout = inputs.workspace, loaded.profile.layout
-    enclaves = {workspace.enclaves(layout) / name for name in installed(inputs, loaded)}
+    workspace, layout = session.workspace, session.profile.layout
+    enclaves = {workspace.enclaves(layout) / name for name in installed(session)}
     expected: dict[str, bytes] = {}
-    known = set(packages(inputs.tree, workspace.src))
+    known = set(packages(session.tree, workspace.src))
     names = {str(folder.relative_to(workspace.enclaves(layout))): folder for folder in enclaves}
     artifacts = {
-        f"/{name}": {file: Artifact(content) for file, content in enclave_files(inputs, folder, "")[0].items()}
+        f"/{name}": {file: Artifact(content) for file, content in enclave_files(session, folder, "")[0].items()}
         for name, folder in names.items()
         if name in known or known.isdisjoint(names)  # where all are hidden or orphaned, they still need what they share
     }
-    for info in inputs.plugins.infos:
+    for info in session.plugins.infos:
         if info.group == "keymint.build_types" and artifacts:
-            shared = inputs.plugins.build_type(info.name).shared(artifacts, layout)
+            shared = session.plugins.build_type(info.name).shared(artifacts, layout)
             expected |= {path: artifact.content for path, artifact in shared.items()}
-    for path in _files_below(inputs, workspace.install):
+    for path in _files_below(session, workspace.install):
         relative = str(path.relative_to(workspace.install))
         if path.parent in enclaves or path == workspace.install / ignored.NAME:
             continue
@@ -44,8 +44,8 @@ def shared(inputs: Inputs, loaded: LoadedProfile) -> Iterator[Diagnostic]:
                 "remove it",
             )
         else:
-            yield from modes(inputs, path, 0o644, "")
-            if inputs.tree.has_file(path) and _content(inputs, path) != expected[relative]:
+            yield from modes(session, path, 0o644, "")
+            if session.tree.has_file(path) and _content(session, path) != expected[relative]:
                 yield Diagnostic(
                     "file-changed",
                     Severity.ERROR,
@@ -53,11 +53,11 @@ def shared(inputs: Inputs, loaded: LoadedProfile) -> Iterator[Diagnostic]:
                     Origin(workspace.shown(path)),
                     "'keymint install' restores it",
                 )
-    for folder in _empty_folders(inputs, workspace.install):
+    for folder in _empty_folders(session, workspace.install):
         message = "is an empty folder in the install space, that Keymint did not put there"
         yield Diagnostic("folder-unexpected", Severity.WARNING, message, Origin(workspace.shown(folder)), "remove it")
     for relative in expected:
-        if inputs.tree.status(workspace.install / relative) is None:
+        if session.tree.status(workspace.install / relative) is None:
             yield Diagnostic(
                 "file-missing",
                 Severity.ERROR,

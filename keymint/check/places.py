@@ -17,7 +17,7 @@ from pathlib import Path
 
 from comarmor.errors import Diagnostic, Origin, Severity
 from keymint.errors import KeymintError
-from keymint.plan.inputs import Inputs
+from keymint.session import Inputs
 
 _GROUP, _OTHERS = stat.S_IWGRP, stat.S_IWOTH
 

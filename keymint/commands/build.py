@@ -5,6 +5,7 @@ from __future__ import annotations
 import click
 
 from comarmor.errors import Diagnostic, Severity
+from keymint.changes import Plan
 from keymint.commands.build_options import build_options
 from keymint.commands.options import (
     DocumentOptions,
@@ -17,9 +18,8 @@ from keymint.commands.run import Run
 from keymint.commands.verb import verb
 from keymint.output.report import Report
 from keymint.plan.build import plan_build
-from keymint.plan.create import policy_changed
-from keymint.plan.inputs import Inputs, Sources
-from keymint.plan.model import Plan
+from keymint.plan.policy_drift import policy_changed
+from keymint.session import Inputs
 
 
 @verb(jobs=True, dry_run=True)
@@ -44,11 +44,11 @@ def build(
     hinted = build_options(run, document_options)
 
     def make_plan(inputs: Inputs) -> Plan:
-        loaded = inputs.profile()
+        session = inputs.session()
         chosen = run.names(inputs, names)
-        plan = plan_build(inputs, loaded, chosen, Sources(run.plugins), hinted.options, force=force, renew=renew)
-        said = policy_changed(inputs, loaded, Sources(run.plugins)) if chosen else (no_packages(inputs),)
-        said = (*said, *policy_slips(inputs, loaded, plan.steps))
+        plan = plan_build(session, chosen, hinted.options, force=force, renew=renew)
+        said = policy_changed(session) if chosen else (no_packages(inputs),)
+        said = (*said, *policy_slips(session, plan.steps))
         return Plan(plan.steps, plan.state, (*plan.diagnostics, *said, *hinted.unknown(run.names(inputs, ()))))
 
     return run.carry_out(workspace, make_plan)

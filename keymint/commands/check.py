@@ -16,9 +16,9 @@ from keymint.commands.run import Run
 from keymint.commands.verb import verb
 from keymint.errors import KeymintError
 from keymint.output.report import Report, findings_exit, folded
-from keymint.plan.create import recall_policy
-from keymint.plan.inputs import Inputs, LoadedProfile, Sources
-from keymint.plan.uncreated import uncreated
+from keymint.plan.policy import lazy_policy
+from keymint.plan.policy_drift import uncreated
+from keymint.session import Session
 
 _UNITS = {"h": timedelta(hours=1), "d": timedelta(days=1), "w": timedelta(weeks=1)}
 _MOST_DAYS = 365 * 200
@@ -52,9 +52,9 @@ def check(run: Run, names: tuple[str, ...], within: timedelta) -> Report:
     workspace = run.workspace()
     inputs = run.snapshot(workspace)
     chosen = run.names(inputs, names)
-    loaded = inputs.profile()
-    said = find(inputs, loaded, chosen, Sources(run.plugins), within)
-    findings = folded((*said, *(() if names else _uncreated(inputs, loaded, chosen))))
+    session = inputs.session()
+    said = find(session, chosen, within)
+    findings = folded((*said, *(() if names else _uncreated(session, chosen))))
     number = sum(finding.severity is not Severity.NOTE for finding in findings)
     run.console.line(f"checked {counted(len(chosen), 'enclave')}: {counted(number, 'finding')}")
     return Report(
@@ -67,9 +67,9 @@ def check(run: Run, names: tuple[str, ...], within: timedelta) -> Report:
     )
 
 
-def _uncreated(inputs: Inputs, loaded: LoadedProfile, known: Sequence[str]) -> Sequence[Diagnostic]:
+def _uncreated(session: Session, known: Sequence[str]) -> Sequence[Diagnostic]:
     """Return the finding on subjects without a package; that the policy cannot be read is one as well."""
     try:
-        return uncreated(inputs, recall_policy(inputs, loaded), known)
+        return uncreated(session, lazy_policy(session), known)
     except KeymintError as error:
         return error.diagnostics

@@ -4,14 +4,15 @@ from __future__ import annotations
 
 import click
 
+from keymint.changes import Plan
 from keymint.commands.run import Run
 from keymint.commands.verb import verb
 from keymint.errors import ExitCode, KeymintError
 from keymint.names import package_name
 from keymint.output.report import Report
-from keymint.plan.create import everything, plan_create, recall_policy
-from keymint.plan.inputs import Inputs, Sources
-from keymint.plan.model import Plan
+from keymint.plan.create import everything, plan_create
+from keymint.plan.policy import lazy_policy
+from keymint.session import Inputs
 
 
 @verb(jobs=True, dry_run=True)
@@ -32,8 +33,8 @@ def create(run: Run, names: tuple[str, ...], all_subjects: bool, force: bool) ->
     wanted = [package_name(name) for name in names]
 
     def make_plan(inputs: Inputs) -> Plan:
-        loaded = inputs.profile()
-        policy = recall_policy(inputs, loaded)
+        session = inputs.session()
+        policy = lazy_policy(session)
         subjects = dict.fromkeys([*wanted, *(everything(inputs, policy) if all_subjects else ())])
         if not subjects:
             raise KeymintError(
@@ -41,6 +42,6 @@ def create(run: Run, names: tuple[str, ...], all_subjects: bool, force: bool) ->
                 help="name the subjects: keymint create /robot1/talker",
                 code="subjects-none",
             )
-        return plan_create(inputs, loaded, policy, tuple(subjects), Sources(run.plugins), force=force)
+        return plan_create(session, policy, tuple(subjects), force=force)
 
     return run.carry_out(workspace, make_plan)

@@ -26,7 +26,7 @@ from keymint.drawing.policy_graph import label_graph, policy_graph
 from keymint.errors import ExitCode, KeymintError
 from keymint.graph import EdgeOutcome, Graph
 from keymint.output.report import Report
-from keymint.plan.create import load_policy
+from keymint.plan.policy import load_policy
 
 FORMATS = ("svg", "png", "dot", "html")
 _PATH = click.Path(path_type=Path)
@@ -227,11 +227,11 @@ def _graph(run: Run, source: Path, source_type: str) -> tuple[Graph | None, tupl
 
 def _policy_of_workspace(run: Run) -> _Policy:
     inputs = run.inputs(run.workspace())
-    loaded = inputs.profile()
-    profile = loaded.profile
+    session = inputs.session()
+    profile = session.profile
     shipped = run.plugins.profile_type(profile.profile_type).library(profile.distro)
     common = library_rules(run.setting.cwd, shipped, profile.library)
-    return _Policy(load_policy(inputs, loaded), profile.name, common)
+    return _Policy(load_policy(session), profile.name, common)
 
 
 def _labelled(

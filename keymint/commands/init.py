@@ -8,6 +8,7 @@ import click
 
 from comarmor.errors import Origin
 from keymint.api import Bootstrap
+from keymint.changes import Action, Plan, Step
 from keymint.commands.options import DEFAULT_PROFILE_TYPE, ProfileOptions, profile_options
 from keymint.commands.profile_options import refuse_contradiction
 from keymint.commands.run import Run
@@ -16,8 +17,7 @@ from keymint.errors import KeymintError
 from keymint.output.report import Report
 from keymint.plan.authorities import plan_authorities
 from keymint.plan.bootstrap import plan_init, policy_path
-from keymint.plan.inputs import Inputs
-from keymint.plan.model import Action, Plan, Step
+from keymint.session import Inputs
 from keymint.workspace import Workspace
 
 
@@ -50,8 +50,7 @@ def init(
 
     def make_plan(inputs: Inputs) -> Plan:
         plan = plan_init(inputs, profile.profile_type or DEFAULT_PROFILE_TYPE, request)
-        after = inputs.after(plan)
-        return plan.then(plan_authorities(after, after.profile())[0])
+        return plan.then(plan_authorities(inputs.after(plan).session())[0])
 
     return run.carry_out(workspace, make_plan)
 
@@ -60,7 +59,7 @@ def _again(run: Run, workspace: Workspace) -> Report:
     """Complete the authorities of a workspace that exists."""
 
     def make_plan(inputs: Inputs) -> Plan:
-        plan = plan_authorities(inputs, inputs.profile())[0]
+        plan = plan_authorities(inputs.session())[0]
         done = Step("init", "", Action.UNCHANGED, (), "workspace profile")
         return Plan((done, *plan.steps), plan.state, plan.diagnostics)
 

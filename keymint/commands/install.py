@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import click
 
+from keymint.changes import Plan
 from keymint.commands.build import no_packages
 from keymint.commands.options import (
     complete_package,
@@ -19,11 +20,10 @@ from keymint.commands.run import Run
 from keymint.commands.verb import verb
 from keymint.output.report import Report, findings_exit
 from keymint.plan.authorities import plan_authorities
-from keymint.plan.create import policy_changed, recall_policy
-from keymint.plan.inputs import Inputs, Sources
 from keymint.plan.install import plan_install
-from keymint.plan.model import Plan
-from keymint.plan.uncreated import UNCREATED, uncreated
+from keymint.plan.policy import lazy_policy
+from keymint.plan.policy_drift import UNCREATED, policy_changed, uncreated
+from keymint.session import Inputs
 
 
 @verb(jobs=True, dry_run=True)
@@ -52,22 +52,21 @@ def install(
         raise click.UsageError("--new-authority concerns all enclaves; leave the names of packages out.")
 
     def make_plan(inputs: Inputs) -> Plan:
-        loaded = inputs.profile()
-        plan, authorities = plan_authorities(inputs, loaded, new_authority)
-        after = inputs.after(plan)
+        session = inputs.session()
+        plan, authorities = plan_authorities(session, new_authority)
+        after = session.after(plan)
         chosen = run.names(inputs, names)
-        installed = plan_install(after, loaded, chosen, Sources(run.plugins), authorities, prune=prune)
-        said = policy_changed(inputs, loaded, Sources(run.plugins)) if chosen else (no_packages(inputs),)
-        missing = () if names or (chosen and not prove) else uncreated(inputs, recall_policy(inputs, loaded), chosen)
+        installed = plan_install(after, chosen, authorities, prune=prune)
+        said = policy_changed(session) if chosen else (no_packages(inputs),)
+        missing = () if names or (chosen and not prove) else uncreated(inputs, lazy_policy(session), chosen)
         done = plan.then(installed)
         done = replace(done, diagnostics=(*done.diagnostics, *said, *missing))
         if prove:
-            sources = Sources(run.plugins)
-            policy = recall_policy(inputs, loaded)
+            policy = lazy_policy(session)
             after = after.after(installed)
             kept = installed.kept()
             within = tuple(name for name in chosen if name not in kept)
-            done = proven(run, after, loaded, within, sources, policy, done, standard_only=allow_vendor_specific)
+            done = proven(run, after, within, policy, done, standard_only=allow_vendor_specific)
         return done
 
     report = run.carry_out(workspace, make_plan)

@@ -10,7 +10,7 @@ from comarmor.errors import Origin, cited, library_name
 from keymint.api import LoadedPolicy, PolicySource
 from keymint.commands.options import PolicyOptions
 from keymint.commands.run import Run
-from keymint.plan.create import load_policy
+from keymint.plan.policy import load_policy
 from keymint.workspace import Workspace, shown
 
 _DEFAULT_DISTRO = "jazzy"
@@ -63,11 +63,10 @@ class Policies:
         return self._run.plugins.policy_type(self._options.policy_type).load([source], self.shipped())
 
     def _of_workspace(self, workspace: Workspace) -> LoadedPolicy:
-        inputs = self._run.inputs(workspace)
-        loaded = inputs.profile()
+        session = self._run.inputs(workspace).session()
         if self._options.distro is None:
-            self.distro = loaded.profile.distro
-        return load_policy(inputs, loaded)
+            self.distro = session.profile.distro
+        return load_policy(session)
 
     def library(self, path: Path | None) -> Callable[[str], str | None]:
         """Return a function that names a file of the library that ships with Keymint; None of any other file.
@@ -102,7 +101,7 @@ class Policies:
         shipped = self.shipped()
         if folder and not workspace.exists():
             return (folder.resolve(),), shipped.resolve()
-        profile = self._run.inputs(workspace).profile().profile
+        profile = self._run.inputs(workspace).session().profile
         return tuple(source.path.resolve() for source in profile.policies), (profile.library or shipped).resolve()
 
 

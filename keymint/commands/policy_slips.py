@@ -7,24 +7,23 @@ from collections.abc import Iterable
 from comarmor.errors import Diagnostic
 from keymint.analysis.attachment_mistakes import attachment_mistakes
 from keymint.analysis.subject_patterns import structure
+from keymint.changes import Action, Step
 from keymint.errors import KeymintError
-from keymint.plan.create import load_policy
-from keymint.plan.inputs import Inputs, LoadedProfile
-from keymint.plan.model import Action, Step
+from keymint.plan.policy import load_policy
+from keymint.session import Session
 
 
-def policy_slips(inputs: Inputs, loaded: LoadedProfile, steps: Iterable[Step]) -> tuple[Diagnostic, ...]:
+def policy_slips(session: Session, steps: Iterable[Step]) -> tuple[Diagnostic, ...]:
     """Return likely slips in the policy of a workspace, if any step does something.
 
     Args:
-        inputs: the workspace.
-        loaded: its profile.
+        session: the workspace and its profile.
         steps: what is planned.
     """
     if all(step.action is Action.UNCHANGED for step in steps):
         return ()
     try:
-        written = structure(load_policy(inputs, loaded))
+        written = structure(load_policy(session))
     except KeymintError:
         return ()  # 'create' reads the policy, and says what is wrong with it; a build takes what was created
     return tuple(attachment_mistakes(written)) if written else ()

@@ -36,7 +36,7 @@ def refuse_contradiction(run: Run, workspace: Workspace, given: ProfileOptions, 
     values = {name.replace("_", "-"): str(value) for name, value in options.items() if value is not None}
     if not values:
         return
-    profile = run.inputs(workspace).profile().profile
+    profile = run.inputs(workspace).session().profile
     profile_type = run.plugins.profile_type(profile.profile_type)
     present = {"profile-type": profile.profile_type}
     if isinstance(profile_type, ProfileSettings):

@@ -11,8 +11,8 @@ from keymint.api import Claim, Counterexample, Proof
 from keymint.commands.run import Run
 from keymint.graph import Edge
 from keymint.plan import terms
-from keymint.plan.inputs import Inputs, LoadedProfile
 from keymint.plan.prove import Effort, Findings, Proven
+from keymint.session import Session
 
 SECONDS = 10.0
 STATES = 500_000
@@ -22,21 +22,20 @@ _FIRST = b"<?xml"
 """How a document begins; what a signed file has before it are the headers of S/MIME."""
 
 
-def unsigned(found: Diagnostic, planned: Inputs, loaded: LoadedProfile) -> Diagnostic:
+def unsigned(found: Diagnostic, session: Session) -> Diagnostic:
     """Return a finding with places in the unsigned documents for those in the signed files that are only planned.
 
     Args:
         found: the finding; it names files of the enclave as if they lay in ``build/``.
-        planned: the workspace as it will be.
-        loaded: its profile.
+        session: the workspace as it will be, and its profile.
     """
     name = found.subject.removeprefix("/")
-    workspace = planned.workspace
+    workspace = session.workspace
     folder = workspace.shown(workspace.build / name)
-    enclave = workspace.enclaves(loaded.profile.layout) / name
+    enclave = workspace.enclaves(session.profile.layout) / name
 
     def line(file: str, number: int) -> int:
-        head, _, _ = (planned.tree.read(enclave / f"{file}.p7s") or b"").partition(_FIRST)
+        head, _, _ = (session.tree.read(enclave / f"{file}.p7s") or b"").partition(_FIRST)
         return number - head.count(b"\n")
 
     def place(match: re.Match[str]) -> str:

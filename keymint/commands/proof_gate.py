@@ -7,23 +7,21 @@ from dataclasses import replace
 
 from comarmor.errors import Diagnostic, Origin, Severity
 from keymint.api import LoadedPolicy, Proof
+from keymint.changes import Plan
 from keymint.commands import proof_diagnostics
 from keymint.commands.proof_diagnostics import dated_of, diagnostics_of, effort_of
 from keymint.commands.run import Run
 from keymint.errors import ExitCode, KeymintError
-from keymint.plan.inputs import Inputs, LoadedProfile, Sources
 from keymint.plan.install import HAND_EDITED
-from keymint.plan.model import Plan
 from keymint.plan.prove import NO_PROVER, Proven, prove
 from keymint.plan.terms import together
+from keymint.session import Session
 
 
 def proven(
     run: Run,
-    planned: Inputs,
-    loaded: LoadedProfile,
+    session: Session,
     names: Sequence[str],
-    sources: Sources,
     policy: LoadedPolicy,
     plan: Plan,
     *,
@@ -33,10 +31,8 @@ def proven(
 
     Args:
         run: the verb under way.
-        planned: the workspace as it will be.
-        loaded: its profile.
+        session: the workspace as it will be, and its profile.
         names: the packages that are installed.
-        sources: the packages' files.
         policy: what the enclaves are held against.
         plan: what will be done.
         standard_only: vendors may differ from the standard.
@@ -45,8 +41,8 @@ def proven(
         KeymintError: a claim about an enclave is refuted or unknown; exit code 3.
     """
     found = prove(
-        planned, loaded, names, sources, policy, effort_of(run), standard_only=standard_only,
-        folder=lambda name: planned.workspace.build / name,
+        session, names, policy, effort_of(run), standard_only=standard_only,
+        folder=lambda name: session.workspace.build / name,
     )  # fmt: skip
     said = list(dict.fromkeys(diagnostic for enclave in found.enclaves for diagnostic in diagnostics_of(enclave)))
     standard = next(iter(found.assumptions), "")
@@ -57,13 +53,13 @@ def proven(
         if each.code != NO_PROVER
     ]
     if refused:
-        edits = _refused_edits(planned, loaded, sources, plan, {each.subject for each in refused})
+        edits = _refused_edits(session, plan, {each.subject for each in refused})
         by_edit = {each.subject for each in edits}
         # Other warnings of the plan often say why, e.g. a policy that changed.
         warned = [each for each in plan.diagnostics if each.code != HAND_EDITED or each.subject not in by_edit]
-        unsigned = (proof_diagnostics.unsigned(each, planned, loaded) for each in refused)
-        build = planned.workspace.build
-        once = proof_diagnostics.alike(unsigned, lambda name: planned.workspace.shown(build / name))
+        unsigned = (proof_diagnostics.unsigned(each, session) for each in refused)
+        build = session.workspace.build
+        once = proof_diagnostics.alike(unsigned, lambda name: session.workspace.shown(build / name))
         raise KeymintError.of([*warned, *edits, *once], ExitCode.FINDINGS)
     # Time is no reason to install nothing: what is not in force now may be tomorrow, or in a test.
     known = {(each.code, each.subject) for each in plan.diagnostics}
@@ -78,14 +74,12 @@ def _subject_of(found: Diagnostic) -> str:
     return "" if found.code.startswith("authority-") else found.subject
 
 
-def _refused_edits(
-    planned: Inputs, loaded: LoadedProfile, sources: Sources, plan: Plan, subjects: Collection[str]
-) -> list[Diagnostic]:
+def _refused_edits(session: Session, plan: Plan, subjects: Collection[str]) -> list[Diagnostic]:
     """Return an error for each document that was edited by hand, of subjects whose proof fails."""
     found: dict[Origin, Diagnostic] = {}
     for subject in sorted(subjects):
         name = subject.removeprefix("/")
-        package = sources.load(planned, loaded, name, sources.files(planned, name))
+        package = session.package(name)
         built = [each.where for each in plan.diagnostics if each.code == HAND_EDITED and each.subject == subject]
         discard = {where: f"keymint build -f {name}" for where in built if where}
         if package.permissions.edited:

@@ -11,6 +11,7 @@ import click
 from comarmor.errors import Diagnostic, Origin, Severity
 from comarmor.text import counted
 from keymint.api import Claim, Counterexample, Proof
+from keymint.changes import Action, Step
 from keymint.commands.options import Number, complete_package, standard_only_option
 from keymint.commands.proof_diagnostics import SECONDS, STATES, alike, dated_of, diagnostics_of, effort_of
 from keymint.commands.run import Run
@@ -19,13 +20,11 @@ from keymint.errors import ExitCode
 from keymint.graph import Edge
 from keymint.output.report import Report, as_typed, findings_exit
 from keymint.plan import terms
-from keymint.plan.create import recall_policy
 from keymint.plan.enclaves import unaccounted
-from keymint.plan.inputs import Sources
-from keymint.plan.model import Action, Step
+from keymint.plan.policy import lazy_policy
+from keymint.plan.policy_drift import uncreated
 from keymint.plan.prove import NO_PROVER, STAGE, Findings, Proven
 from keymint.plan.prove import prove as find
-from keymint.plan.uncreated import uncreated
 
 SHOWN = 5
 """So many of the things that governance opens are named in the summary; ``--json`` has all of them."""
@@ -62,17 +61,17 @@ def prove(run: Run, names: tuple[str, ...], seconds: float, states: int, allow_v
     """
     workspace = run.workspace()
     inputs = run.snapshot(workspace)
-    loaded = inputs.profile()
+    session = inputs.session()
     chosen = run.names(inputs, names)
     with run.console.progress(len(chosen), run.setting.monotonic) as advance:
-        policy = recall_policy(inputs, loaded)  # loaded only if something is to be proven
+        policy = lazy_policy(session)  # loaded only if something is to be proven
         found = find(
-            inputs, loaded, chosen, Sources(run.plugins), policy, effort_of(run, states, seconds),
+            session, chosen, policy, effort_of(run, states, seconds),
             lambda name: advance(Step(STAGE, name, Action.UNCHANGED)), standard_only=allow_vendor_specific,
         )  # fmt: skip
-    unknown = () if names else (*unaccounted(inputs, loaded), *uncreated(inputs, policy, chosen))
+    unknown = () if names else (*unaccounted(session), *uncreated(inputs, policy, chosen))
     unrecorded = run.keep(inputs, found.state)
-    enclaves = workspace.enclaves(loaded.profile.layout)
+    enclaves = workspace.enclaves(session.profile.layout)
 
     def folder(name: str) -> str:
         return workspace.shown(enclaves / name)

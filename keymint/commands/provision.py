@@ -8,6 +8,7 @@ from pathlib import Path
 import click
 
 from comarmor.errors import Origin
+from keymint.changes import Plan
 from keymint.commands.build_options import build_options
 from keymint.commands.init import bootstrap_request
 from keymint.commands.options import (
@@ -31,10 +32,10 @@ from keymint.output.report import Report
 from keymint.plan.authorities import plan_authorities
 from keymint.plan.bootstrap import plan_init, plan_policy, policy_path
 from keymint.plan.build import plan_build
-from keymint.plan.create import everything, plan_create, recall_policy
-from keymint.plan.inputs import Inputs, Sources
+from keymint.plan.create import everything, plan_create
 from keymint.plan.install import plan_install
-from keymint.plan.model import Plan
+from keymint.plan.policy import lazy_policy
+from keymint.session import Inputs
 
 
 @verb(jobs=True, dry_run=True)
@@ -71,11 +72,9 @@ def provision(
 
     def make_plan(inputs: Inputs) -> Plan:
         plan = _profile_plan(inputs)
-        after = inputs.after(plan)
-        loaded = after.profile()
-        sources = Sources(run.plugins)
-        acquired = recall_policy(after, loaded)
-        names = everything(after, acquired)
+        session = inputs.after(plan).session()
+        acquired = lazy_policy(session)
+        names = everything(session, acquired)
         if not names:
             raise KeymintError(
                 "the policy names no subject exactly",
@@ -83,29 +82,27 @@ def provision(
                 help="attach a profile to a name without wildcards, or use 'keymint create NAME'",
                 code="subjects-none",
             )
-        created = plan_create(after, loaded, acquired, names, sources, force=force)
-        after = after.after(created)
-        built = plan_build(after, loaded, names, sources, hinted.options, force=force, renew=renew)
-        after = after.after(built)
-        minted, authorities = plan_authorities(after, loaded, new_authority)
-        after = after.after(minted)
-        installed = plan_install(after, loaded, names, sources, authorities, prune=prune)
+        created = plan_create(session, acquired, names, force=force)
+        session = session.after(created)
+        built = plan_build(session, names, hinted.options, force=force, renew=renew)
+        session = session.after(built)
+        minted, authorities = plan_authorities(session, new_authority)
+        session = session.after(minted)
+        installed = plan_install(session, names, authorities, prune=prune)
         for stage in (created, built, minted, installed):
             plan = plan.then(stage)
-        slips = policy_slips(after, loaded, (*created.steps, *built.steps))
+        slips = policy_slips(session, (*created.steps, *built.steps))
         plan = replace(plan, diagnostics=(*plan.diagnostics, *slips, *hinted.unknown(names)))
         if not prove:
             return plan
-        after = after.after(installed)
+        session = session.after(installed)
         kept = installed.kept()
         within = tuple(name for name in names if name not in kept)
-        return proven(
-            run, after, loaded, within, sources, acquired, plan, standard_only=document_options.allow_vendor_specific
-        )
+        return proven(run, session, within, acquired, plan, standard_only=document_options.allow_vendor_specific)
 
     def _profile_plan(inputs: Inputs) -> Plan:
         if not inputs.workspace.exists():
             return plan_init(inputs, profile.profile_type or DEFAULT_PROFILE_TYPE, request)
-        return plan_policy(inputs, inputs.profile(), policy_path(run.setting.cwd / policy, inputs.workspace.profile))
+        return plan_policy(inputs.session(), policy_path(run.setting.cwd / policy, inputs.workspace.profile))
 
     return run.carry_out(workspace, make_plan)

@@ -11,15 +11,15 @@ from typing import Any
 from comarmor.errors import Diagnostic, Severity
 from comarmor.text import did_you_mean
 from keymint.api import Surroundings
+from keymint.changes import File, Plan
 from keymint.errors import ExitCode, KeymintError
 from keymint.execute import RECORD, execute, open_store
 from keymint.locks import LOCK, shared
 from keymint.names import package_name
 from keymint.output.console import Console, Streams
 from keymint.output.report import Report
-from keymint.plan.inputs import Inputs
-from keymint.plan.model import File, Plan
 from keymint.plugins import Plugins
+from keymint.session import Inputs
 from keymint.state import MAX_RECORD, State
 from keymint.state import load as load_state
 from keymint.tree import Tree, read_file

@@ -10,8 +10,8 @@ from keymint.commands.run import Run
 from keymint.commands.verb import verb
 from keymint.errors import KeymintError
 from keymint.output.report import Report
-from keymint.plan.create import everything, load_policy
-from keymint.plan.inputs import Sources
+from keymint.plan.create import everything
+from keymint.plan.policy import load_policy
 from keymint.status import Row, overview
 
 
@@ -20,14 +20,14 @@ def status(run: Run) -> Report:
     """Show a table of all packages: how far each has come, what is stale, and when it expires."""
     workspace = run.workspace()
     inputs = run.snapshot(workspace)
-    loaded = inputs.profile()
+    session = inputs.session()
     said: list[Diagnostic] = []
     missing: list[str] = []
     try:
-        policy = load_policy(inputs, loaded)
+        policy = load_policy(session)
     except KeymintError as error:
         policy, said = None, list(error.diagnostics)
-    rows = overview(inputs, loaded, policy, Sources(run.plugins))
+    rows = overview(session, policy)
     if policy:
         known = {row.package for row in rows}
         missing = [name for name in everything(inputs, policy) if name not in known]

@@ -6,9 +6,9 @@ from collections.abc import Mapping
 from pathlib import Path
 
 from comarmor.errors import Origin
+from keymint.changes import File
 from keymint.commands.run import Run
 from keymint.errors import KeymintError
-from keymint.plan.model import File
 from keymint.store import Store
 from keymint.tree import read_file
 

@@ -11,6 +11,7 @@ import click
 from comarmor.errors import Severity
 from comarmor.text import counted
 from keymint.api import Tier
+from keymint.changes import Action, Step
 from keymint.commands.library import library_rules
 from keymint.commands.options import complete_package, transport_option
 from keymint.commands.policies import typed
@@ -26,9 +27,7 @@ from keymint.output.mismatches import SARIF_RULES, diagnostics, junit_suites, sa
 from keymint.output.report import Report
 from keymint.output.sarif import sarif as sarif_log
 from keymint.plan.anchors import differences
-from keymint.plan.create import load_policy
-from keymint.plan.inputs import Sources
-from keymint.plan.model import Action, Step
+from keymint.plan.policy import load_policy
 from keymint.verify.compare import compare
 from keymint.verify.copies import copied
 from keymint.verify.endpoint_policy import EndpointPolicy, label
@@ -93,15 +92,15 @@ def verify(
     """
     workspace = run.workspace()
     inputs = run.snapshot(workspace)
-    loaded = inputs.profile()
-    chosen_names, sources = run.names(inputs, names), Sources(run.plugins)
-    found = verification_scope(inputs, loaded, chosen_names, sources)
+    session = inputs.session()
+    chosen_names = run.names(inputs, names)
+    found = verification_scope(session, chosen_names)
     # A transport trusts the authorities in the enclave. Whether they are the workspace's is asked here.
-    strange = differences(inputs, loaded, chosen_names, sources)
-    policy = load_policy(inputs, loaded)
+    strange = differences(session, chosen_names)
+    policy = load_policy(session)
     subjects = tuple(found.enclaves)
     transports = choose(run.plugins, chosen, Tier(tier))
-    with copied(inputs.tree, workspace.enclaves(loaded.profile.layout), found.enclaves, transports) as copies:
+    with copied(inputs.tree, workspace.enclaves(session.profile.layout), found.enclaves, transports) as copies:
         transports = copies.read_by(transports)
         if graph is None:
             edges = edges_of_policy(policy, replace(found, enclaves=copies.enclaves))
@@ -123,9 +122,9 @@ def verify(
         _show(run, outcomes, len(subjects), len(said))
         _write(run, outcomes, subjects, sarif, junit)
         if report is not None:
-            title = f"{graph.stem if graph else loaded.profile.name} on {', '.join(transports)}"
-            shipped = run.plugins.profile_type(loaded.profile.profile_type).library(loaded.profile.distro)
-            common = library_rules(run.setting.cwd, shipped, loaded.profile.library)
+            title = f"{graph.stem if graph else session.profile.name} on {', '.join(transports)}"
+            shipped = run.plugins.profile_type(session.profile.profile_type).library(session.profile.distro)
+            common = library_rules(run.setting.cwd, shipped, session.profile.library)
             labelled = labelled_edges(title, outcomes, edges(), said, judge.decide, typed(run), common)
             for file in write_report(run, report, labelled):
                 run.console.line(f"{file} written")

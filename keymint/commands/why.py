@@ -27,8 +27,8 @@ from keymint.output.mismatches import (
 )
 from keymint.output.report import Report
 from keymint.plan.anchors import differences
-from keymint.plan.create import load_policy
-from keymint.plan.inputs import Inputs, LoadedProfile, Sources
+from keymint.plan.policy import load_policy
+from keymint.session import Session
 from keymint.verify.usable_transports import choose, models
 from keymint.verify.why import Explanation, MatchedRule, explain, request, usual_domain
 
@@ -65,25 +65,25 @@ def why(
     """
     workspace = run.workspace()
     inputs = run.snapshot(workspace)
-    loaded = inputs.profile()
-    asked = usual_domain(inputs, loaded, subject) if domain is None else domain
+    session = inputs.session()
+    asked = usual_domain(session, subject) if domain is None else domain
     edge = request(subject, permission, object_name, partitions, asked)
     transports = choose(run.plugins, chosen, Tier.DECISION)
-    found = explain(inputs, loaded, load_policy(inputs, loaded), edge, transports, lambda: models(run.plugins))
+    found = explain(session, load_policy(session), edge, transports, lambda: models(run.plugins))
 
     as_typed = typed(run)
     for line in _lines(found, as_typed):
         run.console.line(line.replace(f"{run.setting.cwd}/", ""))
-    said = [*_strange(run, inputs, loaded, found), *_findings(found)]
+    said = [*_strange(session, found), *_findings(found)]
     result = _document(found, as_typed)
     return Report(run.verb, workspace, (), said, result, ExitCode.FINDINGS if said else ExitCode.DONE)
 
 
-def _strange(run: Run, inputs: Inputs, loaded: LoadedProfile, found: Explanation) -> tuple[Diagnostic, ...]:
+def _strange(session: Session, found: Explanation) -> tuple[Diagnostic, ...]:
     """Return what in the subject's enclave does not rest on the workspace's authorities."""
     if not (found.installed and found.packaged):
         return ()
-    return differences(inputs, loaded, (found.edge.subject.removeprefix("/"),), Sources(run.plugins))
+    return differences(session, (found.edge.subject.removeprefix("/"),))
 
 
 def _findings(found: Explanation) -> list[Diagnostic]:

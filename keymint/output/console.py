@@ -11,9 +11,9 @@ from typing import IO, TYPE_CHECKING, Any
 
 from comarmor.errors import Diagnostic, Severity
 from comarmor.text import counted, encodable, printable, printable_lines
+from keymint.changes import Action, DocumentSize, Step
 from keymint.output.json import report_json
 from keymint.output.report import Report
-from keymint.plan.model import Action, Size, Step
 from keymint.process import Output
 
 if TYPE_CHECKING:
@@ -188,7 +188,7 @@ def _counted(steps: Any) -> str:
     return counted(len(packages), "package") if packages else "everything"
 
 
-def _gain(sizes: Sequence[Size]) -> str:
+def _gain(sizes: Sequence[DocumentSize]) -> str:
     """Return how much smaller the documents became that were built in this run, or nothing."""
     now, plain = sum(size.bytes for size in sizes), sum(size.plain_bytes for size in sizes)
     if now == plain:

@@ -10,10 +10,10 @@ from typing import Any
 from comarmor.errors import Diagnostic, Origin
 from keymint.analysis.policy_diff import SubjectChanges
 from keymint.api import PolicyDecision, Verdict
+from keymint.changes import Step
 from keymint.graph import ConfusionMatrix, Edge
 from keymint.output.mismatches import request_text
 from keymint.output.report import Report
-from keymint.plan.model import Step
 from keymint.verify.mismatch import Comparison, Mismatch
 from keymint.workspace import Workspace
 

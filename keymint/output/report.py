@@ -8,8 +8,8 @@ from pathlib import Path
 from typing import Any
 
 from comarmor.errors import Diagnostic, Origin, Severity
+from keymint.changes import Step
 from keymint.errors import ExitCode
-from keymint.plan.model import Step
 from keymint.workspace import Workspace, shown
 
 

@@ -11,19 +11,18 @@ from keymint.api import Anchor, Anchors, Package, Prover
 from keymint.plan import vouching
 from keymint.plan.authorities import trusted_chains
 from keymint.plan.enclaves import TAKEN, enclave_files
-from keymint.plan.inputs import Inputs, LoadedProfile, Sources
+from keymint.session import Session
 
 
-def anchors_of(inputs: Inputs, loaded: LoadedProfile, package: Package, chains: Mapping[str, bytes]) -> Anchors:
+def anchors_of(session: Session, package: Package, chains: Mapping[str, bytes]) -> Anchors:
     """Return what the enclave of a package must rest on.
 
     Args:
-        inputs: the workspace.
-        loaded: its profile.
+        session: the workspace and its profile.
         package: the package.
         chains: certificates of the authorities by name; see :func:`keymint.plan.authorities.trusted_chains`.
     """
-    workspace = inputs.workspace
+    workspace = session.workspace
 
     def anchor(name: str) -> Anchor:
         return Anchor(name, workspace.shown(workspace.authority_certificate(name)), chains.get(name, b""))
@@ -32,13 +31,11 @@ def anchors_of(inputs: Inputs, loaded: LoadedProfile, package: Package, chains: 
         anchor(package.identity.issuer),
         anchor(package.permissions.issuer),
         package.identity.subject_name,
-        loaded.profile.layout,
+        session.profile.layout,
     )
 
 
-def differences(
-    inputs: Inputs, loaded: LoadedProfile, names: Sequence[str], sources: Sources
-) -> tuple[Diagnostic, ...]:
+def differences(session: Session, names: Sequence[str]) -> tuple[Diagnostic, ...]:
     """Return what in the enclaves of some packages does not rest on the workspace's authorities.
 
     An enclave that is not installed, and one whose build type cannot tell, has none.
@@ -47,18 +44,18 @@ def differences(
         KeymintError: a package has defects.
     """
     found: list[Diagnostic] = []
-    chains, doubts = trusted_chains(inputs, loaded), vouching.doubts(inputs, loaded)
+    chains, doubts = trusted_chains(session), vouching.doubts(session)
     for name in names:
-        folder = inputs.workspace.enclaves(loaded.profile.layout) / name
-        files, unread = enclave_files(inputs, folder, f"/{name}")
+        folder = session.workspace.enclaves(session.profile.layout) / name
+        files, unread = enclave_files(session, folder, f"/{name}")
         found += (each for each in unread if each.where is not None and each.where.file.endswith(TAKEN))
         if not files:
             continue
-        package = sources.load(inputs, loaded, name, sources.files(inputs, name))
+        package = session.package(name)
         found += vouching.about(doubts, package)
-        build_type = inputs.plugins.build_type(package.build_type, inputs.package_marker(name))
+        build_type = session.plugins.build_type(package.build_type, session.package_marker(name))
         if hasattr(build_type, "differences"):
-            anchors = anchors_of(inputs, loaded, package, chains)
-            told = cast("Prover", build_type).differences(files, inputs.workspace.shown(folder), anchors)
+            anchors = anchors_of(session, package, chains)
+            told = cast("Prover", build_type).differences(files, session.workspace.shown(folder), anchors)
             found += (replace(each, subject=package.subject) for each in told)
     return tuple(dict.fromkeys(found))

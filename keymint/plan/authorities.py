@@ -12,14 +12,14 @@ from cryptography import x509
 from comarmor.errors import Diagnostic, Origin, Severity
 from comarmor.text import did_you_mean
 from keymint.api import Authority, CertificateSpec, Signer
+from keymint.changes import Action, File, FolderChange, Plan, Step, changed
 from keymint.errors import ExitCode, KeymintError
 from keymint.pki import certificates, keys
 from keymint.plan import authority_places, known_keys
 from keymint.plan.authority_places import Place
 from keymint.plan.enclaves import deployed_authorities
-from keymint.plan.inputs import Inputs, LoadedProfile, changed
-from keymint.plan.model import Action, File, FolderChange, Plan, Step
 from keymint.plan.secrets import load_key, password
+from keymint.session import Inputs, Session
 
 STAGE = "authorities"
 
@@ -61,17 +61,14 @@ class MintedAuthority:
         return self._keyed
 
 
-def plan_authorities(
-    inputs: Inputs, loaded: LoadedProfile, new: Sequence[str] = ()
-) -> tuple[Plan, Mapping[str, MintedAuthority]]:
+def plan_authorities(session: Session, new: Sequence[str] = ()) -> tuple[Plan, Mapping[str, MintedAuthority]]:
     """Plan the keys and certificates of all authorities that the profile names.
 
     A key that is there is kept, and one whose certificate is there without it is kept elsewhere: it is not replaced. A
     certificate is issued again, for the same key, when the profile asks for another validity, issuer or extension.
 
     Args:
-        inputs: the workspace.
-        loaded: its profile.
+        session: the workspace and its profile.
         new: authorities that get a new key and certificate, whatever lies in their place.
 
     Returns:
@@ -82,18 +79,18 @@ def plan_authorities(
             profile asks for, is that of another authority, or is needed and elsewhere; the defects of all authorities
             together.
     """
-    _require_named(loaded, new)
-    deployed = functools.cache(functools.partial(deployed_authorities, inputs, loaded))
+    _require_named(session, new)
+    deployed = functools.cache(functools.partial(deployed_authorities, session))
     minted: dict[str, MintedAuthority] = {}
     steps: list[Step] = []
     said: list[Diagnostic] = []
     errors: list[Diagnostic] = []
-    for authority in in_order(loaded.profile.authorities):
+    for authority in in_order(session.profile.authorities):
         if authority.certificate.issuer and authority.certificate.issuer not in minted:
             continue  # its issuer has a defect
-        place = authority_places.look(inputs, authority, deployed)
+        place = authority_places.look(session, authority, deployed)
         try:
-            result, changes, diagnostics = _plan_authority(inputs, place, minted, renew=authority.name in new)
+            result, changes, diagnostics = _plan_authority(session, place, minted, renew=authority.name in new)
         except KeymintError as error:
             errors += error.diagnostics
             continue
@@ -104,13 +101,13 @@ def plan_authorities(
     if errors:
         raise KeymintError.of(errors)
     fingerprints = {name: keys.fingerprint(certificates.public_key(each.certificate)) for name, each in minted.items()}
-    authority_places.require_own_keys(inputs, fingerprints)
-    state = known_keys.record(inputs.state, known_keys.AUTHORITIES, fingerprints)
+    authority_places.require_own_keys(session, fingerprints)
+    state = known_keys.record(session.state, known_keys.AUTHORITIES, fingerprints)
     return Plan(tuple(steps), state, tuple(said)), minted
 
 
-def _require_named(loaded: LoadedProfile, new: Sequence[str]) -> None:
-    known = [authority.name for authority in loaded.profile.authorities]
+def _require_named(session: Session, new: Sequence[str]) -> None:
+    known = [authority.name for authority in session.profile.authorities]
     for name in new:
         if name not in known:
             raise KeymintError(
@@ -140,11 +137,11 @@ def in_order(authorities: Sequence[Authority]) -> tuple[Authority, ...]:
     return tuple(ordered.values())
 
 
-def trusted_chains(inputs: Inputs, loaded: LoadedProfile) -> Mapping[str, bytes]:
+def trusted_chains(session: Session) -> Mapping[str, bytes]:
     """Return the certificate of each authority as it is on the disk, with the chain above it (PEM)."""
     chains: dict[str, bytes] = {}
-    for authority in in_order(loaded.profile.authorities):
-        own = inputs.tree.read(inputs.workspace.authority_certificate(authority.name)) or b""
+    for authority in in_order(session.profile.authorities):
+        own = session.tree.read(session.workspace.authority_certificate(authority.name)) or b""
         chains[authority.name] = own + chains.get(authority.certificate.issuer, b"")
     return chains
 

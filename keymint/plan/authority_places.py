@@ -16,7 +16,7 @@ from keymint.errors import KeymintError
 from keymint.pki import certificates, keys, names
 from keymint.plan import known_keys
 from keymint.plan.enclaves import INSTALLED
-from keymint.plan.inputs import Inputs
+from keymint.session import Inputs
 
 COST = "no deployed enclave trusts it until all are redeployed"
 """What a new authority costs."""

@@ -7,8 +7,8 @@ from collections.abc import Mapping
 from pathlib import Path, PurePosixPath
 
 from keymint.api import Bootstrap
-from keymint.plan.inputs import Inputs, LoadedProfile
-from keymint.plan.model import Action, File, FolderChange, Plan, Step
+from keymint.changes import Action, File, FolderChange, Plan, Step
+from keymint.session import Inputs, Session
 from keymint.workspace import PROFILE_MARKER
 
 STAGE = "init"
@@ -37,24 +37,23 @@ def plan_init(inputs: Inputs, profile_type: str, request: Bootstrap) -> Plan:
     return Plan((Step(STAGE, "", Action.CREATED, tuple(changes), "workspace profile"),), inputs.state)
 
 
-def plan_policy(inputs: Inputs, loaded: LoadedProfile, policy: str) -> Plan:
+def plan_policy(session: Session, policy: str) -> Plan:
     """Plan to bind a workspace to another policy, if it is not bound to it already.
 
     Args:
-        inputs: the workspace.
-        loaded: its profile.
+        session: the workspace and its profile.
         policy: path of the policy relative to the profile space.
 
     Raises:
         KeymintError: the profile's list of policies was edited by hand.
     """
-    profile = loaded.profile
-    wanted = (inputs.workspace.profile / policy).resolve()
+    profile = session.profile
+    wanted = (session.workspace.profile / policy).resolve()
     if [source.path.resolve() for source in profile.policies] == [wanted]:
-        return Plan((), inputs.state)
-    files = inputs.plugins.profile_type(profile.profile_type).with_policy(profile.files, policy)
-    step = Step(STAGE, "", Action.UPDATED, _folders(inputs.workspace.profile, files), f"policy {policy}")
-    return Plan((step,), inputs.state)
+        return Plan((), session.state)
+    files = session.plugins.profile_type(profile.profile_type).with_policy(profile.files, policy)
+    step = Step(STAGE, "", Action.UPDATED, _folders(session.workspace.profile, files), f"policy {policy}")
+    return Plan((step,), session.state)
 
 
 def _folders(root: Path, files: Mapping[str, bytes]) -> tuple[FolderChange, ...]:

@@ -8,11 +8,11 @@ from pathlib import Path
 
 from comarmor.errors import Diagnostic, Origin
 from keymint.api import BuildOptions, Built
+from keymint.changes import Action, DocumentSize, File, FolderChange, Plan, Step, changed
 from keymint.errors import KeymintError
 from keymint.plan import identity_keys, known_keys, lifetimes
-from keymint.plan.inputs import Inputs, LoadedProfile, Sources, changed
 from keymint.plan.lifetimes import Lifetime
-from keymint.plan.model import Action, File, FolderChange, Plan, Size, Step
+from keymint.session import Inputs, Session
 from keymint.state import Stamp, digest, digest_files
 
 STAGE = "build"
@@ -30,10 +30,8 @@ class _Planned:
 
 
 def plan_build(
-    inputs: Inputs,
-    loaded: LoadedProfile,
+    session: Session,
     names: Sequence[str],
-    sources: Sources,
     options: BuildOptions,
     *,
     force: bool = False,
@@ -42,10 +40,8 @@ def plan_build(
     """Plan the unsigned documents of some packages.
 
     Args:
-        inputs: the workspace.
-        loaded: its profile.
+        session: the workspace and its profile.
         names: names of packages that exist.
-        sources: the packages' files.
         options: options of the build types.
         force: build anew, also over documents that were edited by hand.
         renew: replace the private keys of the subjects.
@@ -57,7 +53,7 @@ def plan_build(
     errors: list[Diagnostic] = []
     for name in names:
         try:
-            planned.append(_plan_package(inputs, loaded, name, sources, options, force=force, renew=renew))
+            planned.append(_plan_package(session, name, options, force=force, renew=renew))
         except KeymintError as error:
             errors += error.diagnostics
     if errors:
@@ -65,17 +61,17 @@ def plan_build(
     # What is said of an authority is said once, not for each of the packages below it.
     diagnostics = dict.fromkeys(said for each in planned for said in each.diagnostics)
     of_packages = {each.step.package: each.lifetimes for each in planned}
-    diagnostics |= dict.fromkeys(lifetimes.findings(of_packages, loaded, inputs.now))
+    diagnostics |= dict.fromkeys(lifetimes.findings(of_packages, session))
     stamps = {each.step.package: each.stamp for each in planned if each.stamp}
     minted = {each.step.package: each.fingerprint for each in planned if each.fingerprint}
-    state = known_keys.record(inputs.state.updated(STAGE, stamps), known_keys.IDENTITIES, minted)
+    state = known_keys.record(session.state.updated(STAGE, stamps), known_keys.IDENTITIES, minted)
     return Plan(tuple(each.step for each in planned), state, tuple(diagnostics))
 
 
-def is_current(inputs: Inputs, loaded: LoadedProfile, name: str, files: dict[str, bytes]) -> bool:
+def is_current(session: Session, name: str, files: dict[str, bytes]) -> bool:
     """Tell whether the documents of a package were built from its sources as they are now, by whatever options."""
-    stamp = inputs.state.stamp(STAGE, name)
-    return stamp is not None and stamp.inputs == wanted_inputs(inputs, loaded, files)
+    stamp = session.state.stamp(STAGE, name)
+    return stamp is not None and stamp.inputs == wanted_inputs(session, files)
 
 
 def _about(options: BuildOptions, subject: str) -> BuildOptions:
@@ -83,70 +79,70 @@ def _about(options: BuildOptions, subject: str) -> BuildOptions:
     return replace(options, demand=tuple(each for each in options.demand if each.edge.subject == subject))
 
 
-def wanted_inputs(inputs: Inputs, loaded: LoadedProfile, files: dict[str, bytes]) -> str:
+def wanted_inputs(session: Session, files: dict[str, bytes]) -> str:
     """Return the digest of what the documents of a package are built from."""
-    return digest(loaded.digest, digest_files(files), inputs.plugins.versions)
+    return digest(session.profile_digest, digest_files(files), session.plugins.versions)
 
 
 def _plan_package(
-    inputs: Inputs,
-    loaded: LoadedProfile,
+    session: Session,
     name: str,
-    sources: Sources,
     options: BuildOptions,
     *,
     force: bool,
     renew: bool,
 ) -> _Planned:
-    folder = inputs.workspace.build / name
-    files = sources.files(inputs, name)
-    wanted = wanted_inputs(inputs, loaded, files)
+    folder = session.workspace.build / name
+    files = session.package_files(name)
+    wanted = wanted_inputs(session, files)
     options = _about(options, f"/{name}")
     asked = digest(repr(options))
-    stamp = inputs.state.stamp(STAGE, name)
-    key_path = inputs.workspace.identity_key(name)
-    key_content = inputs.tree.read(key_path)
+    stamp = session.state.stamp(STAGE, name)
+    key_path = session.workspace.identity_key(name)
+    key_content = session.tree.read(key_path)
     same = stamp is not None and (stamp.inputs, stamp.context) == (wanted, asked)
     if stamp and same and key_content is not None and not force and not renew:
-        there = {file: inputs.tree.read(folder / file) for file in stamp.outputs}
+        there = {file: session.tree.read(folder / file) for file in stamp.outputs}
         if None not in there.values():
             edited = [file for file, content in there.items() if digest(content or b"") != stamp.outputs[file]]
             if not edited:
                 step = Step(STAGE, name, Action.UNCHANGED)
             else:
                 step = Step(STAGE, name, Action.KEPT, detail=_edited(edited))
-            return _Planned(step, lifetimes=lifetimes.recalled(inputs, loaded, name, sources, stamp))
-    package = sources.load(inputs, loaded, name, files)
-    built = inputs.plugins.build_type(package.build_type, inputs.package_marker(package.name)).build(package, options)
+            return _Planned(step, lifetimes=lifetimes.recalled(session, name, stamp))
+    package = session.package(name)
+    built = session.plugins.build_type(package.build_type, session.package_marker(package.name)).build(package, options)
     if not force:
-        _refuse_edits(inputs, name, folder, built.documents)
-    changes = changed(inputs.tree, folder, {file: File(content) for file, content in built.documents.items()})
+        _refuse_edits(session, name, folder, built.documents)
+    changes = changed(session.tree, folder, {file: File(content) for file, content in built.documents.items()})
     minted: tuple[FolderChange, ...] = ()
     fingerprint = ""
     if renew:
-        change, fingerprint = identity_keys.mint(inputs, package, key_path)
+        change, fingerprint = identity_keys.mint(session, package, key_path)
         minted = (change,)
     elif key_content is None:
-        change, fingerprint = identity_keys.restore_or_mint(inputs, loaded, package, key_path)
+        change, fingerprint = identity_keys.restore_or_mint(session, package, key_path)
         minted = (change,)
     else:
-        identity_keys.load(inputs, package, key_path, key_content)
-    before = stamp is not None or any(inputs.tree.read(folder / file) is not None for file in built.documents)
+        identity_keys.load(session, package, key_path, key_content)
+    before = stamp is not None or any(session.tree.read(folder / file) is not None for file in built.documents)
     action = (Action.UPDATED if before else Action.CREATED) if changes or minted else Action.UNCHANGED
     outputs = {file: digest(content) for file, content in built.documents.items()}
     said = [*package.diagnostics, *built.diagnostics]
     sizes = _sizes(built)
     step = Step(STAGE, name, action, (*minted, *changes), ", ".join(map(_smaller, sizes)), sizes)
     own = lifetimes.lifetimes(package)
-    made = Stamp(wanted, outputs, context=asked, lifetimes=lifetimes.dump(own, inputs.workspace))
+    made = Stamp(wanted, outputs, context=asked, lifetimes=lifetimes.dump(own, session.workspace))
     return _Planned(step, made, fingerprint, said, own)
 
 
-def _sizes(built: Built) -> tuple[Size, ...]:
-    return tuple(Size(file, len(built.documents[file]), plain) for file, plain in sorted(built.plain_sizes.items()))
+def _sizes(built: Built) -> tuple[DocumentSize, ...]:
+    return tuple(
+        DocumentSize(file, len(built.documents[file]), plain) for file, plain in sorted(built.plain_sizes.items())
+    )
 
 
-def _smaller(size: Size) -> str:
+def _smaller(size: DocumentSize) -> str:
     if size.bytes == size.plain_bytes:
         return f"{size.file} {size.bytes:,} bytes"
     return f"{size.file} {size.bytes:,} bytes, plain {size.plain_bytes:,}"

@@ -11,7 +11,7 @@ from cryptography import x509
 from comarmor.errors import Diagnostic, Origin, Severity
 from keymint.errors import KeymintError
 from keymint.pki import certificates
-from keymint.plan.inputs import Inputs, LoadedProfile
+from keymint.session import Inputs, Session
 from keymint.workspace import hidden_by, packages
 
 CERTIFICATE, KEY = "cert.pem", "key.pem"
@@ -19,35 +19,35 @@ INSTALLED = "install"
 """Where the record has what was installed."""
 
 
-def installed(inputs: Inputs, loaded: LoadedProfile) -> tuple[str, ...]:
+def installed(session: Session) -> tuple[str, ...]:
     """Return the names of the installed enclaves, sorted."""
     found: list[str] = []
 
     def search(folder: Path, name: str) -> None:
-        entries = inputs.tree.names(folder)
+        entries = session.tree.names(folder)
         if name and any(entry in {KEY, CERTIFICATE} for entry, is_folder in entries if not is_folder):
             found.append(name)
         for entry, is_folder in entries:
             if is_folder and not entry.startswith("."):
                 search(folder / entry, f"{name}/{entry}" if name else entry)
 
-    search(inputs.workspace.enclaves(loaded.profile.layout), "")
+    search(session.workspace.enclaves(session.profile.layout), "")
     return tuple(sorted(found))
 
 
-def orphans(inputs: Inputs, loaded: LoadedProfile) -> tuple[str, ...]:
+def orphans(session: Session) -> tuple[str, ...]:
     """Return the installed enclaves that have no source package, sorted; none of those that KEYMINT_IGNORE hides."""
-    return tuple(name for name, marker in _unknown(inputs, loaded) if marker is None)
+    return tuple(name for name, marker in _unknown(session) if marker is None)
 
 
-def hidden(inputs: Inputs, loaded: LoadedProfile) -> tuple[str, ...]:
+def hidden(session: Session) -> tuple[str, ...]:
     """Return the installed enclaves whose source packages a KEYMINT_IGNORE hides, sorted."""
-    return tuple(name for name, marker in _unknown(inputs, loaded) if marker is not None)
+    return tuple(name for name, marker in _unknown(session) if marker is not None)
 
 
-def unaccounted(inputs: Inputs, loaded: LoadedProfile) -> Iterator[Diagnostic]:
+def unaccounted(session: Session) -> Iterator[Diagnostic]:
     """Yield a finding for each installed enclave that no source package is found for."""
-    for name, marker in _unknown(inputs, loaded):
+    for name, marker in _unknown(session):
         if marker is None:
             message, help_ = "has no source package", "'keymint install --prune' removes it"
             yield Diagnostic(
@@ -63,19 +63,19 @@ def unaccounted(inputs: Inputs, loaded: LoadedProfile) -> Iterator[Diagnostic]:
             "enclave-ignored",
             Severity.WARNING,
             f"hides the source package of /{name}, which is installed: nothing is checked or updated of it",
-            Origin(inputs.workspace.shown(marker)),
+            Origin(session.workspace.shown(marker)),
             "remove this file, or the enclave",
             f"/{name}",
         )
 
 
-def _unknown(inputs: Inputs, loaded: LoadedProfile) -> Iterator[tuple[str, Path | None]]:
+def _unknown(session: Session) -> Iterator[tuple[str, Path | None]]:
     """Yield the installed enclaves that are no packages, each with the marker that hides it."""
-    src = inputs.workspace.src
-    known = set(packages(inputs.tree, src))
-    for name in installed(inputs, loaded):
+    src = session.workspace.src
+    known = set(packages(session.tree, src))
+    for name in installed(session):
         if name not in known:
-            yield name, hidden_by(inputs.tree, src, name)
+            yield name, hidden_by(session.tree, src, name)
 
 
 def require_sources(inputs: Inputs) -> None:
@@ -132,24 +132,24 @@ def _placed(inputs: Inputs, found: Diagnostic, path: Path, subject: str) -> Diag
     return replace(found, where=Origin(inputs.workspace.shown(path)), help=help_, subject=subject)
 
 
-def deployed_authorities(inputs: Inputs, loaded: LoadedProfile) -> tuple[x509.Certificate, ...]:
+def deployed_authorities(session: Session) -> tuple[x509.Certificate, ...]:
     """Return the certificates of authorities that the installed enclaves trust, each once.
 
     A file that cannot be read, or that holds no certificates, says nothing about any authority.
     """
     found: dict[bytes, None] = {}
-    root = inputs.workspace.enclaves(loaded.profile.layout)
-    for name in installed(inputs, loaded):
-        for entry, is_folder in inputs.tree.names(root / name):
+    root = session.workspace.enclaves(session.profile.layout)
+    for name in installed(session):
+        for entry, is_folder in session.tree.names(root / name):
             if not is_folder and entry.endswith(".pem") and entry not in {CERTIFICATE, KEY}:
-                found[_content(inputs, root / name / entry)] = None
+                found[_content(session, root / name / entry)] = None
     return tuple(dict.fromkeys(certificate for pem in found for certificate in _certificates(pem)))
 
 
-def installed_certificate(inputs: Inputs, loaded: LoadedProfile, name: str) -> x509.Certificate | None:
+def installed_certificate(session: Session, name: str) -> x509.Certificate | None:
     """Return the identity certificate of an installed enclave, or None when there is none that can be read."""
-    path = inputs.workspace.enclaves(loaded.profile.layout) / name / CERTIFICATE
-    return next(_certificates(_content(inputs, path)), None)
+    path = session.workspace.enclaves(session.profile.layout) / name / CERTIFICATE
+    return next(_certificates(_content(session, path)), None)
 
 
 def _content(inputs: Inputs, path: Path) -> bytes:

@@ -11,13 +11,13 @@ from pathlib import Path
 
 from comarmor.errors import Origin
 from keymint.api import Package
+from keymint.changes import File, FolderChange
 from keymint.errors import KeymintError
 from keymint.pki import certificates, keys
 from keymint.plan import known_keys
 from keymint.plan.enclaves import INSTALLED, KEY, installed, installed_certificate
-from keymint.plan.inputs import Inputs, LoadedProfile
-from keymint.plan.model import File, FolderChange
 from keymint.plan.secrets import load_key, password
+from keymint.session import Inputs, Session
 
 
 def remedy(name: str) -> str:
@@ -44,41 +44,41 @@ def mint(inputs: Inputs, package: Package, path: Path) -> tuple[FolderChange, st
     return _stored(path, pem), keys.fingerprint(key)
 
 
-def restore_or_mint(inputs: Inputs, loaded: LoadedProfile, package: Package, path: Path) -> tuple[FolderChange, str]:
+def restore_or_mint(session: Session, package: Package, path: Path) -> tuple[FolderChange, str]:
     """Plan the key of a package that has none: the one in its enclave, or a new one if it never had any.
 
     Raises:
         KeymintError: it had a key, and that is in its enclave no more.
     """
-    known = known_fingerprint(inputs, loaded, package.name)
+    known = known_fingerprint(session, package.name)
     if not known:
-        return mint(inputs, package, path)
-    pem = _in_enclave(inputs, loaded, package.name)
+        return mint(session, package, path)
+    pem = _in_enclave(session, package.name)
     try:
-        secret = password(package.identity.key, inputs.environment, package.identity.origin)
+        secret = password(package.identity.key, session.environment, package.identity.origin)
         there = keys.fingerprint(keys.from_pem(pem, secret)) if pem else ""
     except KeymintError:
         there = ""
     if there != known:
         raise KeymintError(
             f"the private key of /{package.name} is missing",
-            where=Origin(inputs.workspace.shown(path)),
+            where=Origin(session.workspace.shown(path)),
             help=f"restore it from a backup, or mint a new one with {_new(package.name)}",
             code="key-missing",
         )
     return _stored(path, pem), there
 
 
-def known_fingerprint(inputs: Inputs, loaded: LoadedProfile, name: str) -> str:
+def known_fingerprint(session: Session, name: str) -> str:
     """Return the fingerprint of the key that a package's subject has, or an empty text.
 
     That is the key on record, or if the record was lost that of the installed certificate. Before anything was
     installed the subject has none: a key of the user's own may take the place of the one that was minted.
     """
-    recorded = known_keys.recorded(inputs.state, known_keys.IDENTITIES, name)
-    if recorded and inputs.state.stamp(INSTALLED, name):
+    recorded = known_keys.recorded(session.state, known_keys.IDENTITIES, name)
+    if recorded and session.state.stamp(INSTALLED, name):
         return recorded
-    certificate = installed_certificate(inputs, loaded, name)
+    certificate = installed_certificate(session, name)
     return (recorded or keys.fingerprint(certificates.public_key(certificate))) if certificate else ""
 
 
@@ -86,14 +86,12 @@ class Keyring:
     """The keys that subjects and authorities have, to compare the one that lies in a subject's place with.
 
     Args:
-        inputs: the workspace.
-        loaded: its profile.
+        session: the workspace and its profile.
         authorities: names of the authorities by the fingerprint of their key.
     """
 
-    def __init__(self, inputs: Inputs, loaded: LoadedProfile, authorities: Mapping[str, str]) -> None:
-        self._inputs = inputs
-        self._loaded = loaded
+    def __init__(self, session: Session, authorities: Mapping[str, str]) -> None:
+        self._session = session
         self._authorities = authorities
 
     def require_own(self, name: str, path: Path, key: keys.PublicKey) -> None:
@@ -107,8 +105,8 @@ class Keyring:
         Raises:
             KeymintError: it is an authority's key, was replaced, or is that of another subject.
         """
-        state = self._inputs.state
-        fingerprint, shown = keys.fingerprint(key), Origin(self._inputs.workspace.shown(path))
+        state = self._session.state
+        fingerprint, shown = keys.fingerprint(key), Origin(self._session.workspace.shown(path))
         if fingerprint in self._authorities:
             authority = self._authorities[fingerprint]
             raise KeymintError(
@@ -119,7 +117,7 @@ class Keyring:
             )
         if known_keys.was_under_way(state, fingerprint):
             return
-        known = known_fingerprint(self._inputs, self._loaded, name)
+        known = known_fingerprint(self._session, name)
         if known and known != fingerprint:
             raise KeymintError(
                 f"is not the private key that /{name} had: it was replaced",
@@ -135,12 +133,12 @@ class Keyring:
     @functools.cached_property
     def _owners(self) -> Mapping[str, Sequence[str]]:
         """The names of the packages by the fingerprints of the keys that they have."""
-        recorded = self._inputs.state.stamps.get(known_keys.IDENTITIES, {})
+        recorded = self._session.state.stamps.get(known_keys.IDENTITIES, {})
         found: dict[str, list[str]] = {}
-        for name in sorted({*recorded, *installed(self._inputs, self._loaded)}):
+        for name in sorted({*recorded, *installed(self._session)}):
             if name in recorded:
                 found.setdefault(recorded[name].inputs, []).append(name)
-            elif certificate := installed_certificate(self._inputs, self._loaded, name):
+            elif certificate := installed_certificate(self._session, name):
                 found.setdefault(keys.fingerprint(certificates.public_key(certificate)), []).append(name)
         return found
 
@@ -155,9 +153,9 @@ def shared(name: str, other: str, shown: Origin) -> KeymintError:
     )
 
 
-def _in_enclave(inputs: Inputs, loaded: LoadedProfile, name: str) -> bytes:
+def _in_enclave(session: Session, name: str) -> bytes:
     try:
-        return inputs.tree.read(inputs.workspace.enclaves(loaded.profile.layout) / name / KEY) or b""
+        return session.tree.read(session.workspace.enclaves(session.profile.layout) / name / KEY) or b""
     except KeymintError:
         return b""
 

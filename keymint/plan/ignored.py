@@ -10,7 +10,7 @@ import os
 from collections.abc import Sequence
 from pathlib import Path
 
-from keymint.plan.model import File, FolderChange, Plan
+from keymint.changes import File, FolderChange, Plan
 from keymint.workspace import Workspace
 
 NAME = ".gitignore"

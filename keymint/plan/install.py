@@ -10,6 +10,7 @@ from pathlib import Path
 from comarmor.errors import Diagnostic, Origin, Severity
 from comarmor.text import did_you_mean
 from keymint.api import Artifact, Credentials, Package
+from keymint.changes import Action, File, FolderChange, Plan, Step, changed
 from keymint.errors import KeymintError
 from keymint.pki import certificates, keys
 from keymint.plan import build, identity_keys, known_keys, lifetimes
@@ -24,10 +25,10 @@ from keymint.plan.enclaves import (
     unaccounted,
 )
 from keymint.plan.identity_keys import Keyring
-from keymint.plan.inputs import Inputs, LoadedProfile, Sources, changed, placed
 from keymint.plan.lifetimes import Lifetime
-from keymint.plan.model import Action, File, FolderChange, Plan, Step
+from keymint.session import Inputs, Session
 from keymint.state import Stamp, digest, digest_files
+from keymint.workspace import placed
 
 HAND_EDITED = "hand-edited"
 """Code of what is reported of a document that a person edited."""
@@ -53,10 +54,8 @@ class _Enclave:
 
 
 def plan_install(
-    inputs: Inputs,
-    loaded: LoadedProfile,
+    session: Session,
     names: Sequence[str],
-    sources: Sources,
     authorities: Mapping[str, MintedAuthority],
     *,
     prune: bool,
@@ -64,10 +63,8 @@ def plan_install(
     """Plan the enclaves of some packages.
 
     Args:
-        inputs: the workspace.
-        loaded: its profile.
+        session: the workspace and its profile.
         names: names of packages that exist.
-        sources: the packages' files.
         authorities: what issues and signs.
         prune: remove installed enclaves that have no source package.
 
@@ -75,29 +72,29 @@ def plan_install(
         KeymintError: the defects of all packages together, e.g. one that was not built.
     """
     owners = {keys.fingerprint(certificates.public_key(each.certificate)): who for who, each in authorities.items()}
-    keyring = Keyring(inputs, loaded, owners)
+    keyring = Keyring(session, owners)
     planned: list[_Enclave] = []
     errors: list[Diagnostic] = []
     for name in names:
         try:
-            planned.append(_plan_enclave(inputs, loaded, name, sources, authorities, keyring))
+            planned.append(_plan_enclave(session, name, authorities, keyring))
         except KeymintError as error:
             errors += error.diagnostics
-    errors += _shared_keys(inputs, planned)
+    errors += _shared_keys(session, planned)
     if errors:
         raise KeymintError.of(errors)
     # What all share comes first: the folder around the enclaves is then made before there is anything in it.
-    steps = [*_shared(inputs, loaded, planned), *(enclave.step for enclave in planned)]
+    steps = [*_shared(session, planned), *(enclave.step for enclave in planned)]
     said = [diagnostic for enclave in planned for diagnostic in enclave.diagnostics]
-    said += _outdated(inputs, [enclave.step.package for enclave in planned if enclave.outdated])
-    said += lifetimes.findings({each.step.package: each.lifetimes for each in planned}, loaded, inputs.now)
-    left = orphans(inputs, loaded)
-    said += [found for found in unaccounted(inputs, loaded) if not prune or found.code != "enclave-orphaned"]
+    said += _outdated(session, [enclave.step.package for enclave in planned if enclave.outdated])
+    said += lifetimes.findings({each.step.package: each.lifetimes for each in planned}, session)
+    left = orphans(session)
+    said += [found for found in unaccounted(session) if not prune or found.code != "enclave-orphaned"]
     if prune:
-        require_sources(inputs)
-        steps += [_prune(inputs, loaded, name) for name in left]
+        require_sources(session)
+        steps += [_prune(session, name) for name in left]
     stamps = {enclave.step.package: enclave.stamp for enclave in planned if enclave.stamp}
-    state = inputs.state.updated(STAGE, stamps, removed=left if prune else ())
+    state = session.state.updated(STAGE, stamps, removed=left if prune else ())
     fingerprints = {enclave.step.package: enclave.fingerprint for enclave in planned if enclave.fingerprint}
     state = known_keys.record(state, known_keys.IDENTITIES, fingerprints)
     if prune:
@@ -129,17 +126,15 @@ def built_documents(inputs: Inputs, name: str) -> dict[str, bytes]:
 
 
 def _plan_enclave(
-    inputs: Inputs,
-    loaded: LoadedProfile,
+    session: Session,
     name: str,
-    sources: Sources,
     authorities: Mapping[str, MintedAuthority],
     keyring: Keyring,
 ) -> _Enclave:
-    workspace = inputs.workspace
-    documents = built_documents(inputs, name)
+    workspace = session.workspace
+    documents = built_documents(session, name)
     key_path = workspace.identity_key(name)
-    key_pem = inputs.tree.read(key_path)
+    key_pem = session.tree.read(key_path)
     if not documents or key_pem is None:
         raise KeymintError(
             f"the package {name} is not built",
@@ -147,9 +142,9 @@ def _plan_enclave(
             code="not-built",
             where=Origin(workspace.shown(workspace.build / name)),
         )
-    files = sources.files(inputs, name)
-    folder = workspace.enclaves(loaded.profile.layout) / name
-    there_now = inputs.tree.status(folder)
+    files = session.package_files(name)
+    folder = workspace.enclaves(session.profile.layout) / name
+    there_now = session.tree.status(folder)
     if there_now is not None and stat.S_ISLNK(there_now.st_mode):
         raise KeymintError(
             "is a symbolic link, which is refused: an enclave is a folder of its own",
@@ -158,23 +153,23 @@ def _plan_enclave(
             code="symlink-refused",
         )
     chains = {authority: minted.chain for authority, minted in authorities.items()}
-    if is_current(inputs, loaded, name, files, chains):
-        stamp = inputs.state.stamp(STAGE, name)
-        own = lifetimes.recalled(inputs, loaded, name, sources, stamp)
+    if is_current(session, name, files, chains):
+        stamp = session.state.stamp(STAGE, name)
+        own = lifetimes.recalled(session, name, stamp)
         return _Enclave(Step(STAGE, name, Action.UNCHANGED), None, "", {}, (), lifetimes=own)
-    package = sources.load(inputs, loaded, name, files)
+    package = session.package(name)
     own = lifetimes.lifetimes(package)
-    there, unread = enclave_files(inputs, folder, f"/{name}")
-    public = identity_keys.load(inputs, package, key_path, key_pem).public_key()
+    there, unread = enclave_files(session, folder, f"/{name}")
+    public = identity_keys.load(session, package, key_path, key_pem).public_key()
     keyring.require_own(name, key_path, public)
-    artifacts, said = _notarize(inputs, loaded, package, documents, authorities, key_pem, public, there)
+    artifacts, said = _notarize(session, package, documents, authorities, key_pem, public, there)
     wrong_mode = [
-        file for file, item in artifacts.items() if not _mode_is_right(inputs, folder / file, secret=item.secret)
+        file for file, item in artifacts.items() if not _mode_is_right(session, folder / file, secret=item.secret)
     ]
     contents = {file: File(artifact.content, secret=artifact.secret) for file, artifact in artifacts.items()}
     different = {file: item for file, item in contents.items() if there.get(file) != item.content or file in wrong_mode}
-    said = [*said, *_junk(inputs, folder, unread, artifacts)]
-    if blocked := _blocking(inputs, folder, unread, artifacts):
+    said = [*said, *_junk(session, folder, unread, artifacts)]
+    if blocked := _blocking(session, folder, unread, artifacts):
         return _Enclave(Step(STAGE, name, Action.KEPT, (), "not updated"), None, "", {}, blocked, lifetimes=own)
     # The certificate comes last: until then a node that starts in between fails, and lets no one in.
     ordered = dict(sorted(different.items(), key=lambda item: item[0] == CERTIFICATE))
@@ -182,18 +177,18 @@ def _plan_enclave(
     action = (Action.UPDATED if there else Action.CREATED) if changes else Action.UNCHANGED
     outputs = {file: digest(item.content) for file, item in contents.items()}
     secret = tuple(file for file, item in contents.items() if item.secret)
-    wanted = _wanted(inputs, loaded, name, files, chains)
-    recorded = inputs.state.stamp(build.STAGE, name) is not None  # of what no record knows nothing can be said
-    edited = _edits(inputs, name, documents) if recorded else ()
+    wanted = _wanted(session, name, files, chains)
+    recorded = session.state.stamp(build.STAGE, name) is not None  # of what no record knows nothing can be said
+    edited = _edits(session, name, documents) if recorded else ()
     return _Enclave(
         Step(STAGE, name, action, changes),
-        Stamp(wanted, outputs, secret, lifetimes=lifetimes.dump(own, inputs.workspace)),
+        Stamp(wanted, outputs, secret, lifetimes=lifetimes.dump(own, session.workspace)),
         package.build_type,
         artifacts,
         [*said, *edited],
         keys.fingerprint(public),
         own,
-        outdated=recorded and not build.is_current(inputs, loaded, name, files),
+        outdated=recorded and not build.is_current(session, name, files),
     )
 
 
@@ -250,8 +245,7 @@ def _edits(inputs: Inputs, name: str, documents: Mapping[str, bytes]) -> Sequenc
 
 
 def _notarize(
-    inputs: Inputs,
-    loaded: LoadedProfile,
+    session: Session,
     package: Package,
     documents: Mapping[str, bytes],
     authorities: Mapping[str, MintedAuthority],
@@ -285,12 +279,12 @@ def _notarize(
         permissions_ca=notary.chain,
         signer=notary.signer,
     )
-    build_type = inputs.plugins.build_type(package.build_type, inputs.package_marker(package.name))
+    build_type = session.plugins.build_type(package.build_type, session.package_marker(package.name))
     try:
-        return build_type.install(package, documents, credentials, loaded.profile.layout, there), said
+        return build_type.install(package, documents, credentials, session.profile.layout, there), said
     except KeymintError as error:
         raise KeymintError.of(
-            [placed(diagnostic, inputs.workspace.build) for diagnostic in error.diagnostics]
+            [placed(diagnostic, session.workspace.build) for diagnostic in error.diagnostics]
         ) from error
 
 
@@ -310,36 +304,31 @@ def authority_of(authorities: Mapping[str, MintedAuthority], name: str, origin: 
     return authorities[name]
 
 
-def is_current(
-    inputs: Inputs, loaded: LoadedProfile, name: str, files: dict[str, bytes], chains: Mapping[str, bytes]
-) -> bool:
+def is_current(session: Session, name: str, files: dict[str, bytes], chains: Mapping[str, bytes]) -> bool:
     """Tell whether an enclave is what installing its package again would give, byte for byte and mode for mode.
 
     Args:
-        inputs: the workspace.
-        loaded: its profile.
+        session: the workspace and its profile.
         name: the package.
         files: the package's files.
         chains: certificates of the authorities by name.
     """
-    stamp = inputs.state.stamp(STAGE, name)
-    folder = inputs.workspace.enclaves(loaded.profile.layout) / name
+    stamp = session.state.stamp(STAGE, name)
+    folder = session.workspace.enclaves(session.profile.layout) / name
     return (
         stamp is not None
-        and stamp.inputs == _wanted(inputs, loaded, name, files, chains)
-        and _in_place(inputs, folder, stamp)
+        and stamp.inputs == _wanted(session, name, files, chains)
+        and _in_place(session, folder, stamp)
     )
 
 
-def _wanted(
-    inputs: Inputs, loaded: LoadedProfile, name: str, files: dict[str, bytes], chains: Mapping[str, bytes]
-) -> str:
+def _wanted(session: Session, name: str, files: dict[str, bytes], chains: Mapping[str, bytes]) -> str:
     return digest(
-        build.wanted_inputs(inputs, loaded, files),
-        digest_files(built_documents(inputs, name)),
-        inputs.tree.read(inputs.workspace.identity_key(name)) or b"",
+        build.wanted_inputs(session, files),
+        digest_files(built_documents(session, name)),
+        session.tree.read(session.workspace.identity_key(name)) or b"",
         digest_files(chains),
-        loaded.profile.layout,
+        session.profile.layout,
     )
 
 
@@ -362,39 +351,39 @@ def _mode_is_right(inputs: Inputs, path: Path, *, secret: bool) -> bool:
     return status is None or stat.S_IMODE(status.st_mode) & 0o777 == (0o600 if secret else 0o644)
 
 
-def _shared(inputs: Inputs, loaded: LoadedProfile, planned: Sequence[_Enclave]) -> list[Step]:
+def _shared(session: Session, planned: Sequence[_Enclave]) -> list[Step]:
     """Plan the files that the layout keeps once for all enclaves, if any enclave changed."""
     if not any(enclave.artifacts for enclave in planned):
         return []
-    layout = loaded.profile.layout
+    layout = session.profile.layout
     by_type: dict[str, dict[str, Mapping[str, Artifact]]] = {}
     new = {enclave.step.package: enclave for enclave in planned if enclave.artifacts}
     types = {enclave.build_type for enclave in new.values()}
-    for name in sorted({*new, *installed(inputs, loaded)}):
+    for name in sorted({*new, *installed(session)}):
         if name in new:
             by_type.setdefault(new[name].build_type, {})[f"/{name}"] = new[name].artifacts
         elif len(types) == 1:
-            there, _ = enclave_files(inputs, inputs.workspace.enclaves(layout) / name, f"/{name}")
+            there, _ = enclave_files(session, session.workspace.enclaves(layout) / name, f"/{name}")
             artifacts = {file: Artifact(content, secret=file == "key.pem") for file, content in there.items()}
             by_type.setdefault(next(iter(types)), {})[f"/{name}"] = artifacts
     steps = []
     for build_type, enclaves in sorted(by_type.items()):
-        shared = inputs.plugins.build_type(build_type).shared(enclaves, layout)
+        shared = session.plugins.build_type(build_type).shared(enclaves, layout)
         folders: dict[Path, dict[str, File]] = {}
         for relative, artifact in shared.items():
-            path = inputs.workspace.install / relative
+            path = session.workspace.install / relative
             folders.setdefault(path.parent, {})[path.name] = File(artifact.content, secret=artifact.secret)
-        changes = [change for folder, files in folders.items() for change in changed(inputs.tree, folder, files)]
+        changes = [change for folder, files in folders.items() for change in changed(session.tree, folder, files)]
         if changes:
-            known = any(inputs.tree.read(folder / name) for folder, files in folders.items() for name in files)
+            known = any(session.tree.read(folder / name) for folder, files in folders.items() for name in files)
             action = Action.UPDATED if known else Action.CREATED
             steps.append(Step(STAGE, "", action, tuple(changes), "shared by all enclaves"))
     return steps
 
 
-def _prune(inputs: Inputs, loaded: LoadedProfile, name: str) -> Step:
-    folder = inputs.workspace.enclaves(loaded.profile.layout) / name
-    files = [entry for entry, is_folder in inputs.tree.names(folder) if not is_folder]
+def _prune(session: Session, name: str) -> Step:
+    folder = session.workspace.enclaves(session.profile.layout) / name
+    files = [entry for entry, is_folder in session.tree.names(folder) if not is_folder]
     # The certificate goes last: what a killed run leaves of an enclave is still seen as one.
     ordered = tuple(sorted(files, key=lambda entry: entry == CERTIFICATE))
     return Step(STAGE, name, Action.REMOVED, (FolderChange(folder, {}, ordered),))

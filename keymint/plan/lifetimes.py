@@ -14,8 +14,8 @@ from datetime import datetime
 
 from comarmor.errors import Diagnostic, Origin, Severity
 from keymint.api import Authority, Package, Validity
-from keymint.plan.inputs import Inputs, LoadedProfile, Sources
 from keymint.plan.terms import shown
+from keymint.session import Session
 from keymint.state import Stamp
 from keymint.workspace import Workspace
 
@@ -54,39 +54,36 @@ def _lifetime(what: str, validity: Validity, issuer: str, origin: Origin) -> Lif
     return Lifetime(what, validity.not_before, validity.not_after, validity.origin or origin, issuer)
 
 
-def recalled(
-    inputs: Inputs, loaded: LoadedProfile, name: str, sources: Sources, stamp: Stamp | None
-) -> tuple[Lifetime, ...]:
+def recalled(session: Session, name: str, stamp: Stamp | None) -> tuple[Lifetime, ...]:
     """Return the lifetimes of a package whose sources did not change: from the record, else from the package.
 
     Raises:
         KeymintError: the package has defects.
     """
-    found = _load(stamp.lifetimes, inputs.workspace) if stamp is not None else None
-    return lifetimes(sources.load(inputs, loaded, name, sources.files(inputs, name))) if found is None else found
+    found = _load(stamp.lifetimes, session.workspace) if stamp is not None else None
+    return lifetimes(session.package(name)) if found is None else found
 
 
-def findings(
-    by_package: Mapping[str, Iterable[Lifetime]], loaded: LoadedProfile, now: datetime
-) -> tuple[Diagnostic, ...]:
+def findings(by_package: Mapping[str, Iterable[Lifetime]], session: Session) -> tuple[Diagnostic, ...]:
     """Return a warning for each lifetime that does not hold now, or outlasts its authority's.
 
     Args:
         by_package: lifetimes by package.
-        loaded: the profile, which has the authorities.
-        now: the clock, UTC.
+        session: its profile has the authorities.
     """
-    authorities = {authority.name: authority for authority in loaded.profile.authorities}
+    authorities = {authority.name: authority for authority in session.profile.authorities}
     found: dict[Diagnostic, None] = {}
     used: dict[str, None] = {}
     for name, own in by_package.items():
         for each in own:
             used.update(dict.fromkeys(_above(each.issuer, authorities)))
-            found.update(dict.fromkeys(replace(said, subject=f"/{name}") for said in _of(each, authorities, now)))
+            found.update(
+                dict.fromkeys(replace(said, subject=f"/{name}") for said in _of(each, authorities, session.now))
+            )
     for name in used:
         spec = authorities[name].certificate
         own_time = _lifetime("authority", spec.validity, spec.issuer, spec.origin)
-        found.update(dict.fromkeys(_of(own_time, authorities, now, f"certificate of the authority {name!r}")))
+        found.update(dict.fromkeys(_of(own_time, authorities, session.now, f"certificate of the authority {name!r}")))
     return tuple(found)
 
 

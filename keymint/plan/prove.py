@@ -20,7 +20,7 @@ from keymint.plan import terms, vouching
 from keymint.plan.anchors import anchors_of
 from keymint.plan.authorities import trusted_chains
 from keymint.plan.enclaves import INSTALLED, TAKEN, enclave_files
-from keymint.plan.inputs import Inputs, LoadedProfile, Sources
+from keymint.session import Session
 from keymint.state import Stamp, State, digest, digest_files
 
 STAGE = "prove"
@@ -82,10 +82,8 @@ class Findings:
 
 
 def prove(
-    inputs: Inputs,
-    loaded: LoadedProfile,
+    session: Session,
     names: Sequence[str],
-    sources: Sources,
     policy: LoadedPolicy,
     effort: Effort,
     on_enclave: Callable[[str], None] = lambda _name: None,
@@ -96,10 +94,8 @@ def prove(
     """Prove, or refute, the claims about the enclaves of some packages.
 
     Args:
-        inputs: the workspace.
-        loaded: its profile.
+        session: the workspace and its profile.
         names: names of packages.
-        sources: the packages' files.
         policy: what the enclaves are held against.
         effort: how much may be spent.
         on_enclave: called with each name when it is done.
@@ -109,7 +105,7 @@ def prove(
     Raises:
         KeymintError: a package has defects.
     """
-    stage = _Stage(inputs, loaded, sources, policy, effort, standard_only, folder)
+    stage = _Stage(session, policy, effort, standard_only, folder)
     for name in names:
         stage.prove(name)
         on_enclave(name)
@@ -121,23 +117,19 @@ class _Stage:
 
     def __init__(
         self,
-        inputs: Inputs,
-        loaded: LoadedProfile,
-        sources: Sources,
+        session: Session,
         policy: LoadedPolicy,
         effort: Effort,
         standard_only: bool,
         folder: Callable[[str], Path] | None,
     ) -> None:
-        self._inputs = inputs
-        self._loaded = loaded
-        self._sources = sources
+        self._session = session
         self._policy = policy
         self._effort = effort
         self._standard_only = standard_only
         self._folder = folder
-        self._chains = trusted_chains(inputs, loaded)
-        self._doubts = vouching.doubts(inputs, loaded)
+        self._chains = trusted_chains(session)
+        self._doubts = vouching.doubts(session)
         self._seen = digest(*(f"{path} {value.hex()}" for path, value in sorted(policy.seen.items())))
         self._found: list[Proven] = []
         self._stamps: dict[str, Stamp] = {}
@@ -147,22 +139,22 @@ class _Stage:
 
     def findings(self) -> Findings:
         """Return what was found, and the record of it."""
-        state = self._inputs.state
+        state = self._session.state
         if self._stamps or any(state.stamp(STAGE, name) for name in self._refuted):
             state = state.updated(STAGE, self._stamps, self._refuted)
-        return Findings(tuple(self._found), state, self._assumptions, self._inputs.now)
+        return Findings(tuple(self._found), state, self._assumptions, self._session.now)
 
     def prove(self, name: str) -> None:
         """Prove the claims about one enclave, unless they are known."""
-        inputs = self._inputs
-        folder = inputs.workspace.enclaves(self._loaded.profile.layout) / name
-        source = self._sources.files(inputs, name)
+        inputs = self._session
+        folder = inputs.workspace.enclaves(self._session.profile.layout) / name
+        source = self._session.package_files(name)
         files, unread = enclave_files(inputs, folder, f"/{name}")
         if defects := self._of_enclave(name, unread):
             self._found.append(Proven(f"/{name}", (), diagnostics=defects))
             self._refuted.add(name)
             return
-        if self._doubts and (doubts := self._about_authorities(name, source)):
+        if self._doubts and (doubts := vouching.about(self._doubts, self._session.package(name))):
             self._found.append(Proven(f"/{name}", (), diagnostics=doubts))
             return
         wanted = self._wanted(source, files)
@@ -173,7 +165,7 @@ class _Stage:
             self._found.append(Proven(f"/{name}", _recalled(stamp), remembered=True, terms=known))
             self._assume(stamp.outputs[_BUILD_TYPE], name)
             return
-        package = self._sources.load(inputs, self._loaded, name, source)
+        package = self._session.package(name)
         rules = _rules(self._policy, package.subject)
         self._found.append(self._claimed(package, rules, files))
         if self._standard_only:
@@ -187,13 +179,9 @@ class _Stage:
             outputs[_BUILD_TYPE] = package.build_type
             self._stamps[name] = Stamp(wanted, outputs, context=self._seen)
 
-    def _about_authorities(self, name: str, source: Mapping[str, bytes]) -> tuple[Diagnostic, ...]:
-        """Return what speaks against the authorities that an enclave rests on."""
-        return vouching.about(self._doubts, self._sources.load(self._inputs, self._loaded, name, source))
-
     def _of_enclave(self, name: str, unread: Sequence[Diagnostic]) -> tuple[Diagnostic, ...]:
         """Return the files that cannot be read and belong to the enclave: by the record, or by their names."""
-        stamp = self._inputs.state.stamp(INSTALLED, name)
+        stamp = self._session.state.stamp(INSTALLED, name)
         names = [found.where.file.rpartition("/")[2] if found.where else "" for found in unread]
         return tuple(
             found
@@ -212,11 +200,11 @@ class _Stage:
 
     def _shown(self, name: str) -> str:
         """Return where messages say that the files of an enclave lie, as the user would type it."""
-        folder = self._inputs.workspace.enclaves(self._loaded.profile.layout) / name
-        return self._inputs.workspace.shown(self._folder(name) if self._folder else folder)
+        folder = self._session.workspace.enclaves(self._session.profile.layout) / name
+        return self._session.workspace.shown(self._folder(name) if self._folder else folder)
 
     def _claimed(self, package: Package, rules: SubjectRules, files: Mapping[str, bytes]) -> Proven:
-        inputs = self._inputs
+        inputs = self._session
         prover = self._assume(package.build_type, package.name)
         if prover is None:
             message = f"the build type {package.build_type} proves nothing"
@@ -229,7 +217,7 @@ class _Stage:
             package.permissions.domains,
             files,
             self._shown(package.name),
-            anchors_of(inputs, self._loaded, package, self._chains),
+            anchors_of(self._session, package, self._chains),
             self._effort.states,
             self._effort.deadline(),
             self._standard_only,
@@ -239,7 +227,7 @@ class _Stage:
 
     def _assume(self, name: str, package: str) -> Prover | None:
         """Return what proves, and keep what its claims take for granted; None for a build type that proves nothing."""
-        build_type = self._inputs.plugins.build_type(name, self._inputs.package_marker(package))
+        build_type = self._session.plugins.build_type(name, self._session.package_marker(package))
         if not hasattr(build_type, "prove"):
             return None
         prover = cast("Prover", build_type)
@@ -254,8 +242,8 @@ class _Stage:
             digest_files(files),
             digest_files(source),
             digest_files(self._chains),
-            self._loaded.digest,
-            self._inputs.plugins.versions,
+            self._session.profile_digest,
+            self._session.plugins.versions,
             __version__,
         )
 

@@ -18,22 +18,22 @@ from keymint.pki import certificates, keys
 from keymint.plan import authority_places, known_keys
 from keymint.plan.authorities import in_order
 from keymint.plan.authority_places import Place
-from keymint.plan.inputs import Inputs, LoadedProfile
 from keymint.plan.secrets import password
+from keymint.session import Inputs, Session
 
 Doubts = Mapping[str, tuple[Diagnostic, ...]]
 """What speaks against authorities, by name; those above an authority count for it as well."""
 
 
-def doubts(inputs: Inputs, loaded: LoadedProfile) -> Doubts:
+def doubts(session: Session) -> Doubts:
     """Return what speaks against the authorities of a workspace; those without a defect are left out.
 
     That a certificate is missing is no part of this: then there is nothing to rest on.
     """
     found: dict[str, tuple[Diagnostic, ...]] = {}
-    for authority in in_order(loaded.profile.authorities):
-        place = authority_places.look(inputs, authority, tuple)
-        own = () if place.content is None else tuple(_against(inputs, place, place.content))
+    for authority in in_order(session.profile.authorities):
+        place = authority_places.look(session, authority, tuple)
+        own = () if place.content is None else tuple(_against(session, place, place.content))
         if all_ := (*own, *found.get(authority.certificate.issuer, ())):
             found[authority.name] = all_
     return found

@@ -12,7 +12,7 @@ from keymint.errors import KeymintError
 from keymint.graph import Edge, Graph, complete
 from keymint.ir import SubjectRules
 from keymint.plan.enclaves import installed
-from keymint.plan.inputs import Inputs, LoadedProfile, Sources
+from keymint.session import Inputs, Session
 from keymint.verify import probes
 from keymint.verify.endpoint_policy import Naming
 
@@ -32,9 +32,7 @@ class VerificationScope:
     domains: Mapping[str, int]
 
 
-def verification_scope(
-    inputs: Inputs, loaded: LoadedProfile, names: Sequence[str], sources: Sources
-) -> VerificationScope:
+def verification_scope(session: Session, names: Sequence[str]) -> VerificationScope:
     """Return what there is to verify of some packages.
 
     Raises:
@@ -42,7 +40,7 @@ def verification_scope(
     """
     if not names:
         raise KeymintError("there is no package to verify", help="run 'keymint create --all'", code="packages-none")
-    there = set(installed(inputs, loaded))
+    there = set(installed(session))
     missing = [name for name in names if name not in there]
     if missing:
         shown = ", ".join(f"/{name}" for name in missing[:5]) + (" …" if len(missing) > 5 else "")  # noqa: PLR2004
@@ -55,10 +53,10 @@ def verification_scope(
     namings: dict[str, Naming] = {}
     domains: dict[str, int] = {}
     for name in sorted(names):
-        package = sources.load(inputs, loaded, name, sources.files(inputs, name))
-        folder = inputs.workspace.enclaves(loaded.profile.layout) / name
+        package = session.package(name)
+        folder = session.workspace.enclaves(session.profile.layout) / name
         enclaves[package.subject] = Enclave(package.subject, folder, package.distro)
-        naming = naming_of(inputs, package)
+        naming = naming_of(session, package)
         if naming:
             namings[package.subject] = naming
         if package.permissions.domains:

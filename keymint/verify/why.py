@@ -13,7 +13,7 @@ from keymint.errors import ExitCode, KeymintError
 from keymint.graph import LABELLED, Edge, Object
 from keymint.ir import Rule
 from keymint.plan.enclaves import installed
-from keymint.plan.inputs import Inputs, LoadedProfile, Sources
+from keymint.session import Session
 from keymint.verify.compare import label_enclave
 from keymint.verify.copies import copied
 from keymint.verify.endpoint_policy import RAW, EndpointPolicy, Naming
@@ -110,23 +110,21 @@ def request(subject: str, permission: str, name: str, partitions: Sequence[str],
     return Edge(full, permission, Object(kind, name, tuple(sorted(set(partitions)))), domain)
 
 
-def usual_domain(inputs: Inputs, loaded: LoadedProfile, subject: str) -> int:
+def usual_domain(session: Session, subject: str) -> int:
     """Return the first DDS domain of the grant of a subject; 0 where there is no package.
 
     Raises:
         KeymintError: the source package has defects.
     """
     name = subject.removeprefix("/")
-    if name not in packages(inputs.tree, inputs.workspace.src):
+    if name not in packages(session.tree, session.workspace.src):
         return 0
-    sources = Sources(inputs.plugins)
-    domains = sources.load(inputs, loaded, name, sources.files(inputs, name)).permissions.domains
+    domains = session.package(name).permissions.domains
     return domains[0].first if domains else 0
 
 
 def explain(
-    inputs: Inputs,
-    loaded: LoadedProfile,
+    session: Session,
     policy: LoadedPolicy,
     edge: Edge,
     transports: Mapping[str, Transport],
@@ -135,8 +133,7 @@ def explain(
     """Ask every layer of a workspace for one request.
 
     Args:
-        inputs: the workspace.
-        loaded: its profile.
+        session: the workspace and its profile.
         policy: its policy.
         edge: the request.
         transports: transports to ask, by name, each usable at the tier ``decision``.
@@ -146,7 +143,7 @@ def explain(
         KeymintError: the source package has defects, or a transport does not work.
     """
     name = edge.subject.removeprefix("/")
-    package, naming = _package(inputs, loaded, name, edge)
+    package, naming = _package(session, name, edge)
     judge = EndpointPolicy(policy, {edge.subject: naming} if naming else {})
     decision = judge.decide(edge)
     profiles = policy.profiles(edge.subject)
@@ -156,15 +153,15 @@ def explain(
     matching = sorted({at for each in asked for at in about(rules, each)}, key=lambda at: rules[at].effect != "DENY")
     near = None if matching else nearest(rules, edge)
     subjects = policy.subjects()
-    there = name in installed(inputs, loaded)
+    there = name in installed(session)
     labels: dict[str, Mismatch] = {}
     if there:
-        folder = inputs.workspace.enclaves(loaded.profile.layout) / name
-        enclave = Enclave(edge.subject, folder, loaded.profile.distro)
-        place = inputs.workspace.enclaves(loaded.profile.layout)
-        with copied(inputs.tree, place, {edge.subject: enclave}, transports) as copies:
+        folder = session.workspace.enclaves(session.profile.layout) / name
+        enclave = Enclave(edge.subject, folder, session.profile.distro)
+        place = session.workspace.enclaves(session.profile.layout)
+        with copied(session.tree, place, {edge.subject: enclave}, transports) as copies:
             asked_of = copies.read_by(transports)
-            tell = Explainer(judge, asked_of, lambda: copies.read_by(find_models()), inputs.tree)
+            tell = Explainer(judge, asked_of, lambda: copies.read_by(find_models()), session.tree)
             for each, transport in asked_of.items():
                 verdicts = list(label_enclave(transport, enclave, [edge], Tier.DECISION))
                 (labels[each],) = tell(each, enclave, verdicts)
@@ -183,29 +180,24 @@ def explain(
     )
 
 
-def _package(
-    inputs: Inputs, loaded: LoadedProfile, name: str, edge: Edge
-) -> tuple[Sequence[MatchedRule] | None, Naming | None]:
+def _package(session: Session, name: str, edge: Edge) -> tuple[Sequence[MatchedRule] | None, Naming | None]:
     """Return the rules of a source package that are about a request, and how its names are mapped."""
-    if name not in packages(inputs.tree, inputs.workspace.src):
+    if name not in packages(session.tree, session.workspace.src):
         return None, None
-    sources = Sources(inputs.plugins)
-    files = sources.files(inputs, name)
-    package = sources.load(inputs, loaded, name, files)
+    files = session.package_files(name)
+    package = session.package(name)
     rules = package.permissions.rules.rules
-    places = _places(inputs, loaded, name, files, rules)
-    naming = naming_of(inputs, package)
+    places = _places(session, name, files, rules)
+    naming = naming_of(session, package)
     asked = (edge, *naming.meanings(edge)) if naming and edge.object.kind == RAW else (edge,)
     matching = sorted({at for each in asked for at in about(rules, each)}, key=lambda at: rules[at].effect != "DENY")
     return [MatchedRule(rules[at], places[at]) for at in matching], naming
 
 
-def _places(
-    inputs: Inputs, loaded: LoadedProfile, name: str, files: Mapping[str, bytes], rules: Sequence[Rule]
-) -> Sequence[Origin]:
+def _places(session: Session, name: str, files: Mapping[str, bytes], rules: Sequence[Rule]) -> Sequence[Origin]:
     """Return where each rule of a package stands in the package, or in the policy where that is not told."""
-    package_type = inputs.plugins.package_type(loaded.profile.package_type, inputs.profile_marker())
+    package_type = session.plugins.package_type(session.profile.package_type, session.profile_marker())
     if not hasattr(package_type, "rule_places"):
         return [rule.origin for rule in rules]
-    folder = inputs.workspace.shown(inputs.workspace.src / name)
+    folder = session.workspace.shown(session.workspace.src / name)
     return cast("RulePlaces", package_type).rule_places(name, folder, files)

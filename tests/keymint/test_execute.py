@@ -9,9 +9,9 @@ from typing import Any
 
 import pytest
 
+from keymint.changes import Action, File, FolderChange, Plan, Step
 from keymint.errors import KeymintError
 from keymint.execute import RECORD, execute, open_store
-from keymint.plan.model import Action, File, FolderChange, Plan, Step
 from keymint.state import Stamp, State, digest, load
 from keymint.store import Store, WritableFolder
 from keymint.workspace import Workspace

@@ -24,10 +24,11 @@ from keymint.api import BuildOptions
 from keymint.errors import KeymintError
 from keymint.plan.authorities import plan_authorities
 from keymint.plan.build import plan_build
-from keymint.plan.create import everything, load_policy, plan_create
-from keymint.plan.inputs import Inputs, Sources
+from keymint.plan.create import everything, plan_create
 from keymint.plan.install import plan_install
+from keymint.plan.policy import load_policy
 from keymint.plugins import Plugins
+from keymint.session import Inputs
 from keymint.state import State
 from keymint.tree import Tree
 from keymint.workspace import Workspace
@@ -217,17 +218,16 @@ def test_all_stages_plan_with_a_document_or_refuse_it(workspace: Path) -> None:
 
 def _planned(inputs: Inputs, *, in_build: bool) -> str:
     try:
-        loaded = inputs.profile()
-        sources = Sources(inputs.plugins)
-        policy = load_policy(inputs, loaded)
-        names = everything(inputs, policy)
-        plan = plan_create(inputs, loaded, policy, names, sources, force=False)
-        after = inputs.after(plan)
+        session = inputs.session()
+        policy = load_policy(session)
+        names = everything(session, policy)
+        plan = plan_create(session, policy, names, force=False)
+        after = session.after(plan)
         options = BuildOptions(allow_vendor_specific=True)
         if not in_build:  # a document in build/ is signed as it is
-            after = after.after(plan_build(after, loaded, names, sources, options, force=True))
-        minted, authorities = plan_authorities(after, loaded)
-        plan_install(after.after(minted), loaded, names, sources, authorities, prune=True)
+            after = after.after(plan_build(after, names, options, force=True))
+        minted, authorities = plan_authorities(after)
+        plan_install(after.after(minted), names, authorities, prune=True)
     except KeymintError as error:
         require_one_line(error.diagnostics)
         return "refused"

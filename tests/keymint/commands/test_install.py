@@ -193,7 +193,7 @@ def test_a_subject_that_the_policy_names_since_is_told(keymint, provisioned: Pat
     assert "1 source package out of date with the policy: /new (run 'keymint create --all')" in outcome.err
     policy.write_text("<profiles>")
     outcome = keymint("build", cwd=provisioned)
-    assert "the policy changed since the packages were made from it, and cannot be read: " in outcome.err
+    assert "the policy changed since the packages were created, and cannot be read: " in outcome.err
     assert outcome.err.count("\n") == 1
 
 

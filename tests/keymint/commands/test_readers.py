@@ -13,7 +13,7 @@ from typing import Any
 import pytest
 
 from keymint.commands import run
-from keymint.plan.inputs import Inputs
+from keymint.session import Inputs
 from keymint.workspace import Workspace
 
 Keymint = Callable[..., Any]

@@ -1,4 +1,4 @@
-"""What a stage intends: folders of files to write or to remove, step by step, as data."""
+"""Planned changes: the files to write and to remove, by folder, step and plan."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ from pathlib import Path
 
 from comarmor.errors import Diagnostic
 from keymint.state import State
+from keymint.tree import Tree
 
 
 class Action(StrEnum):
@@ -46,9 +47,15 @@ class FolderChange:
     private: bool = False
 
 
+def changed(tree: Tree, folder: Path, files: Mapping[str, File]) -> tuple[FolderChange, ...]:
+    """Return the change that gives a folder these files, without files that already have this content."""
+    different = {name: file for name, file in files.items() if tree.read(folder / name) != file.content}
+    return (FolderChange(folder, different),) if different else ()
+
+
 @dataclass(frozen=True, slots=True)
-class Size:
-    """How large a document is that was rewritten into a smaller one, and how large the plain one is; bytes."""
+class DocumentSize:
+    """Bytes of a document that was rewritten into a smaller one, and of the plain document."""
 
     file: str
     bytes: int
@@ -73,7 +80,7 @@ class Step:
     action: Action
     changes: tuple[FolderChange, ...] = ()
     detail: str = ""
-    sizes: tuple[Size, ...] = ()
+    sizes: tuple[DocumentSize, ...] = ()
 
     def writes(self) -> bool:
         """Tell whether anything is written."""

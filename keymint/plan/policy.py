@@ -1,0 +1,168 @@
+"""Load the workspace's policy, and record what it was read from."""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+
+from comarmor.errors import Origin
+from keymint.api import AppliedProfile, LoadedPolicy, PolicyDecision, Structure
+from keymint.errors import KeymintError
+from keymint.graph import Edge
+from keymint.ir import SubjectRules
+from keymint.names import package_name
+from keymint.session import Session
+from keymint.state import Stamp, State, digest
+
+_STAGE, _FILES, _SUBJECTS = "policy", "seen", "subjects"
+"""Keys of the record of the policy: the paths that it was read from, and the subjects that it names."""
+
+
+def load_policy(session: Session) -> LoadedPolicy:
+    """Load the policy that the profile names; errors as :meth:`keymint.api.PolicyType.load`.
+
+    A library that is only planned yet is read from where it will be copied from, and named by its future path.
+    """
+    profile = session.profile
+    policy_type = session.plugins.policy_type(profile.policy_type, session.profile_marker())
+    if profile.library is None or profile.library.is_dir():
+        return policy_type.load(profile.policies, profile.library)
+    shipped = session.plugins.profile_type(profile.profile_type).library(profile.distro)
+    return _Relocated(policy_type.load(profile.policies, shipped), shipped, profile.library)
+
+
+def lazy_policy(session: Session) -> LoadedPolicy:
+    """Return the policy; if its files did not change, it is loaded only when rules or decisions are asked for.
+
+    Loading a large policy costs more than everything else in a run without changes. The record has the paths that the
+    policy was read from and the subjects that it names.
+    """
+    recorded = session.state.stamp(_STAGE, _FILES)
+    if recorded is None or not is_unchanged(session):
+        return load_policy(session)
+    seen = {Path(path): bytes.fromhex(value) for path, value in recorded.outputs.items()}
+    return _LazyPolicy(seen, tuple(sorted(recorded_subjects(session))), functools.partial(load_policy, session))
+
+
+def is_recorded(session: Session) -> bool:
+    """Tell whether the record has the policy."""
+    return session.state.stamp(_STAGE, _FILES) is not None
+
+
+def is_unchanged(session: Session) -> bool:
+    """Tell whether the policy would be read from the recorded files with the recorded content."""
+    recorded = session.state.stamp(_STAGE, _FILES)
+    policy_type = session.plugins.policy_type(session.profile.policy_type, session.profile_marker())
+    return (
+        recorded is not None
+        and session.state.stamp(_STAGE, _SUBJECTS) is not None
+        and recorded.inputs == _locations_digest(session)
+        and all(policy_type.fingerprint(Path(path)).hex() == value for path, value in recorded.outputs.items())
+    )
+
+
+def recorded_subjects(session: Session) -> frozenset[str]:
+    """Return the subjects that the policy named when it was recorded."""
+    recorded = session.state.stamp(_STAGE, _SUBJECTS)
+    return frozenset(recorded.outputs if recorded is not None else ())
+
+
+def record_policy(session: Session, policy: LoadedPolicy) -> State:
+    """Return the state with the files that the policy was read from and the subjects that it names."""
+    locations = _locations_digest(session)
+    files = Stamp(locations, {str(path): value.hex() for path, value in policy.seen.items()})
+    subjects = Stamp(locations, dict.fromkeys(policy.subjects(), ""))
+    return session.state.updated(_STAGE, {_FILES: files, _SUBJECTS: subjects})
+
+
+def package_of(policy: LoadedPolicy, subject: str) -> str:
+    """Return the package of a subject; the error for an illegal name has its location in the policy."""
+    try:
+        return package_name(subject)
+    except KeymintError as error:
+        where = next((applied.where for applied in policy.profiles(subject)), None)
+        raise KeymintError.of(replace(diagnostic, where=where) for diagnostic in error.diagnostics) from None
+
+
+def _locations_digest(session: Session) -> str:
+    """Return the digest of the paths that the policy is read from; a copy of the workspace has another one."""
+    profile = session.profile
+    return digest(session.profile_digest, str(profile.library), *(str(source.path) for source in profile.policies))
+
+
+class _LazyPolicy:
+    """A policy whose subjects come from the record; the policy itself is loaded at the first question about rules."""
+
+    def __init__(self, seen: Mapping[Path, bytes], subjects: tuple[str, ...], load: Callable[[], LoadedPolicy]) -> None:
+        self.seen = seen
+        self._subjects = subjects
+        self._load = functools.cache(load)
+
+    def subjects(self) -> tuple[str, ...]:
+        """Return the subjects that the policy names exactly."""
+        return self._subjects
+
+    def rules(self, subject: str) -> SubjectRules | None:
+        """Return the rules of a subject."""
+        return self._load().rules(subject)
+
+    def profiles(self, subject: str) -> Sequence[AppliedProfile]:
+        """Return the profiles that apply to a subject."""
+        return self._load().profiles(subject)
+
+    def decide(self, edge: Edge) -> PolicyDecision:
+        """Return the policy's decision about an edge."""
+        return self._load().decide(edge)
+
+
+class _Relocated:
+    """A policy whose library is read from one folder and named by another."""
+
+    def __init__(self, policy: LoadedPolicy, source: Path, place: Path) -> None:
+        self._policy = policy
+        self._source = f"{source}/"
+        self._place = f"{place}/"
+
+    @property
+    def seen(self) -> Mapping[Path, bytes]:
+        """What was looked at, by its place to be."""
+        return {Path(self._moved(str(path))): value for path, value in self._policy.seen.items()}
+
+    def subjects(self) -> tuple[str, ...]:
+        """Return the subjects that the policy names exactly."""
+        return self._policy.subjects()
+
+    @functools.cache  # noqa: B019 - lives as long as the run
+    def rules(self, subject: str) -> SubjectRules | None:
+        """Return the rules of a subject, with their origins' place to be."""
+        found = self._policy.rules(subject)
+        if found is None:
+            return None
+        return SubjectRules(subject, tuple(replace(rule, origin=self._origin(rule.origin)) for rule in found.rules))
+
+    def profiles(self, subject: str) -> Sequence[AppliedProfile]:
+        """Return the profiles that apply to a subject, with their place to be."""
+        return tuple(replace(found, where=self._origin(found.where)) for found in self._policy.profiles(subject))
+
+    def decide(self, edge: Edge) -> PolicyDecision:
+        """Return what the policy says about an edge, with the rule's place to be."""
+        found = self._policy.decide(edge)
+        return replace(found, where=self._origin(found.where) if found.where else None)
+
+    def structure(self) -> Structure | None:
+        """Return the policy as it is written, if its type tells; its profiles have their place to be."""
+        of = getattr(self._policy, "structure", None)
+        found = of() if of else None
+        if not isinstance(found, Structure):
+            return None
+        profiles = tuple(replace(profile, where=self._origin(profile.where)) for profile in found.profiles)
+        return replace(found, profiles=profiles)
+
+    @functools.cache  # noqa: B019 - lives as long as the run
+    def _origin(self, origin: Origin) -> Origin:
+        return replace(origin, file=self._moved(origin.file), chain=tuple(map(self._origin, origin.chain)))
+
+    def _moved(self, file: str) -> str:
+        return self._place + file.removeprefix(self._source) if file.startswith(self._source) else file
