@@ -102,7 +102,7 @@ def families(size: int) -> Iterator[tuple[str, list[str]]]:
 def measured(rules: SubjectRules) -> tuple[int, int, int, float]:
     """Return the bytes of the plain, the grouped and the smallest form, and the seconds of a build."""
     asked = package(rules)
-    with mock.patch.object(compile, "gathered", functools.partial(gathering.gathered, least=10**9)):
+    with mock.patch.object(compile, "gathered", functools.partial(gathering.gathered, min_saved=10**9)):
         grouped = build_type.build(asked, BuildOptions())
     begin = time.process_time()
     built = build_type.build(asked, BuildOptions())

@@ -20,7 +20,7 @@ from keymint.plugins import Plugins
 COMPILE = 17_000_000
 """Most steps of compiling a subject: two orders of its rules, and the proofs of its document, and a little."""
 REFUSED = ("portability-effort",)
-TOO_MANY = ("in too many ways", "too hard to find out")
+TOO_MANY = ("in too many ways", "too complex to compute")
 NOW = datetime(2026, 1, 1, tzinfo=UTC)
 
 

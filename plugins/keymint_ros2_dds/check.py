@@ -15,7 +15,7 @@ from keymint.pki import certificates, keys, names, smime, verify
 from keymint_ros2_dds import check_governance, revocation, vendor_limits
 from keymint_ros2_dds.documents import dds_xml
 from keymint_ros2_dds.domains import in_words, uncovered
-from keymint_ros2_dds.emission import means_the_same
+from keymint_ros2_dds.emission import is_form_of
 from keymint_ros2_dds.layout import (
     CA,
     CERTIFICATE,
@@ -209,7 +209,7 @@ class _Enclave:
             return False
         try:
             same_grant = _without_rules(content) == _without_rules(built)
-            return same_grant and means_the_same(self._seen.package, content)
+            return same_grant and is_form_of(self._seen.package, content)
         except KeymintError:
             return False
 

@@ -1,7 +1,7 @@
-"""The permissions document that a build emits: the smallest that is proven to mean what the rules say.
+"""Emits the permissions document: the smallest form that is proven to mean what the policy's rules mean.
 
-The compiler may rewrite as boldly as it likes, since every result is held against the rules over all names; where that
-is refuted, or not found out, the plain form is emitted.
+Every compiled form is rendered and compared with the rules over all names, so rewriting may be bold. If a form is
+refuted or not decided, the plain form is emitted.
 """
 
 from __future__ import annotations
@@ -16,20 +16,20 @@ from comarmor.patterns.steps import step_limit
 from keymint.api import BuildOptions, Claim, Package, Proof
 from keymint.errors import KeymintError
 from keymint.pki import names
-from keymint_ros2_dds.compiling.compile import Compiled, compile_rules, remarks
-from keymint_ros2_dds.compiling.criteria import Criteria
+from keymint_ros2_dds.compiling.compile import Compiled, compile_rules, vendor_notes
 from keymint_ros2_dds.decision import OMG
-from keymint_ros2_dds.documents import dds_xml as documents
-from keymint_ros2_dds.documents.permissions_document import render, rendered_size
+from keymint_ros2_dds.documents import dds_xml
+from keymint_ros2_dds.documents.permissions_document import render
 from keymint_ros2_dds.layout import PERMISSIONS, PERMISSIONS_XML
+from keymint_ros2_dds.lowering.dds_topics import Action
+from keymint_ros2_dds.lowering.grant_rules import GrantRule
 from keymint_ros2_dds.lowering.lower import Lowered
-from keymint_ros2_dds.lowering.mapping import Action
 from keymint_ros2_dds.proving import ASSUMPTIONS, ProofSpec, prove_content
 
 STATES = 50_000
-"""States that a question may visit, so that a build never hangs."""
+"""States that a proof may visit, so that a build always ends."""
 STEPS = 8_000_000
-"""Steps that all questions about the forms of a document may take together (:mod:`comarmor.patterns.steps`)."""
+"""Steps that all proofs about the forms of a document may take together (:mod:`comarmor.patterns.steps`)."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -37,10 +37,10 @@ class Emitted:
     """A permissions document.
 
     Attributes:
-        document: the document, not signed.
+        document: the unsigned document.
         plain_size: bytes of its plain form.
-        lowered: what it is to mean.
-        diagnostics: what is to be said of it.
+        lowered: the rules of the policy as DDS patterns.
+        diagnostics: warnings and notes.
     """
 
     document: bytes
@@ -53,39 +53,41 @@ def emit(package: Package, options: BuildOptions) -> Emitted:
     """Return the permissions document of a package; a pure function of its arguments.
 
     Raises:
-        KeymintError: vendors would not read the rules alike, or what cannot be is asked for, with ``file:line``; or no
-            form of the document means what the rules say.
+        KeymintError: the rules cannot be expressed portably, or are invalid, with ``file:line``; or no form of the
+            document means what the rules mean.
     """
     compiled = compile_rules(package.permissions, package.distro, options)
     with step_limit(STEPS):
-        return _smallest(package, options, compiled)
+        return _smallest_proven(package, options, compiled)
 
 
-def _smallest(package: Package, options: BuildOptions, compiled: Compiled) -> Emitted:
-    """Return the document in the first of its forms that is proven, or else in its plain form."""
-    said: list[Diagnostic] = []
+def _smallest_proven(package: Package, options: BuildOptions, compiled: Compiled) -> Emitted:
+    """Return the document in its first form that is proven, else in its plain form."""
+    diagnostics: list[Diagnostic] = []
     for rules in _forms(compiled, optimise=options.optimise):
         document = render(package.permissions, rules)
-        open_ = _not_proven(package, compiled.lowered, document, _models(compiled))
-        if not open_ or rules is compiled.plain:
-            said += [*compiled.diagnostics, *_unproven(package, compiled, open_), *remarks(rules, package.permissions)]
+        open_claims = _open_claims(package, compiled.lowered, document, _models(compiled))
+        if not open_claims or rules is compiled.plain:
+            diagnostics += compiled.diagnostics
+            diagnostics += _plain_unproven(package, compiled, open_claims)
+            diagnostics += vendor_notes(rules, package.permissions)
             break
-        said += _given_up(package, open_)
-    plain = len(document) if rules == compiled.plain else rendered_size(package.permissions, compiled.plain)
-    return Emitted(document, plain, compiled.lowered, tuple(said))
+        diagnostics.append(_form_unproven(package, open_claims[0]))
+    plain = document if rules == compiled.plain else render(package.permissions, compiled.plain)
+    return Emitted(document, len(plain), compiled.lowered, tuple(diagnostics))
 
 
-def _forms(compiled: Compiled, *, optimise: bool) -> Iterator[tuple[Criteria, ...]]:
-    """Yield the forms of the rules, the one that is liked best first."""
+def _forms(compiled: Compiled, *, optimise: bool) -> Iterator[tuple[GrantRule[str], ...]]:
+    """Yield the forms of the rules, the preferred one first."""
     if optimise:
         yield from (form for form in compiled.forms if form != compiled.plain)
     yield compiled.plain
 
 
-def means_the_same(package: Package, document: bytes) -> bool:
-    """Tell whether a permissions document is one of the forms in which a package's rules can be written.
+def is_form_of(package: Package, document: bytes) -> bool:
+    """Tell whether a permissions document is a form of a package's rules.
 
-    It is proven to mean what the rules say; what it says of relaying cannot be proven, and is to be what a form says.
+    The document is proven to mean what the rules mean. Relay rules cannot be proven and must equal those of a form.
 
     Raises:
         KeymintError: the document cannot be read, or the rules cannot be compiled.
@@ -94,24 +96,23 @@ def means_the_same(package: Package, document: bytes) -> bool:
     forms = [render(package.permissions, rules) for rules in (*compiled.forms, compiled.plain)]
     if document in forms:
         return True
-    if _relays(document) not in map(_relays, forms):
+    if _relay_rules(document) not in map(_relay_rules, forms):
         return False
-    return not _not_proven(package, compiled.lowered, document, _models(compiled))
+    return not _open_claims(package, compiled.lowered, document, _models(compiled))
 
 
-def _relays(document: bytes) -> list[bytes]:
-    """Return the rules that say something of relaying, as they are written."""
-    root = documents.read(document, PERMISSIONS, PERMISSIONS_XML)
-    return [etree.tostring(found, method="c14n") for found in root.iterfind(f".//{Action.RELAY}/..")]
+def _relay_rules(document: bytes) -> list[bytes]:
+    root = dds_xml.read(document, PERMISSIONS, PERMISSIONS_XML)
+    return [etree.tostring(rule, method="c14n") for rule in root.iterfind(f".//{Action.RELAY}/..")]
 
 
 def _models(compiled: Compiled) -> tuple[str, ...]:
-    """Where vendors differ anyway, and that was accepted, the standard's reading is the one that counts."""
-    return tuple(ASSUMPTIONS) if compiled.alike else (OMG.name,)
+    """Return the models to prove: the standard only, if the user accepted that vendors differ."""
+    return tuple(ASSUMPTIONS) if compiled.portable else (OMG.name,)
 
 
-def _not_proven(package: Package, lowered: Lowered, document: bytes, models: Sequence[str]) -> list[Claim]:
-    """Return the claims that are not proven."""
+def _open_claims(package: Package, lowered: Lowered, document: bytes, models: Sequence[str]) -> list[Claim]:
+    """Return the claims about a document that are not proven."""
     held = ProofSpec(
         names.render(names.parse(package.permissions.subject_name, package.permissions.origin)),
         package.permissions.rules,
@@ -124,39 +125,39 @@ def _not_proven(package: Package, lowered: Lowered, document: bytes, models: Seq
     return [claim for claim in claims if claim.proof is not Proof.PROVEN]
 
 
-def _given_up(package: Package, open_: Sequence[Claim]) -> Iterator[Diagnostic]:
-    yield Diagnostic(
+def _form_unproven(package: Package, claim: Claim) -> Diagnostic:
+    return Diagnostic(
         "rewriting-unproven",
         Severity.WARNING,
-        f"the smaller form of the permissions is not proven to mean what the rules say: {_why(open_[0])}",
+        f"the smaller form of the permissions is not proven to mean what the rules mean: {_reason(claim)}",
         package.permissions.origin,
-        "the plain form is written; '--no-optimise' asks for nothing else",
+        "the plain form is written; '--no-optimise' writes it without this warning",
         package.subject,
     )
 
 
-def _unproven(package: Package, compiled: Compiled, open_: Sequence[Claim]) -> Iterator[Diagnostic]:
+def _plain_unproven(package: Package, compiled: Compiled, open_claims: Sequence[Claim]) -> Iterator[Diagnostic]:
     """Yield a warning for a document that is not proven.
 
     Raises:
-        KeymintError: it is refuted although vendors should read it alike.
+        KeymintError: it is refuted although all vendors should read it in the same way.
     """
-    for claim in open_[:1]:
-        message = f"the permissions are not proven to mean what the rules say: {_why(claim)}"
-        if compiled.alike and claim.proof is Proof.COUNTEREXAMPLE:
+    for claim in open_claims[:1]:
+        message = f"the permissions are not proven to mean what the rules mean: {_reason(claim)}"
+        if compiled.portable and claim.proof is Proof.COUNTEREXAMPLE:
             raise KeymintError(
                 message, where=package.permissions.origin, code="compile-refuted",
-                help="this is a defect of Keymint; say the rules in a simpler way, and report it",
+                help="this is a defect of Keymint: simplify the rules, and report it",
             )  # fmt: skip
-        help_ = "'keymint prove' may find it out with more time"
+        help_ = "'keymint prove' may decide it with more time"
         yield Diagnostic(
             "compile-unproven", Severity.WARNING, message, package.permissions.origin, help_, package.subject
         )
 
 
-def _why(claim: Claim) -> str:
-    found = claim.counterexample
-    if found is None:
+def _reason(claim: Claim) -> str:
+    example = claim.counterexample
+    if example is None:
         return f"{claim.model}, {claim.action}: {claim.reason}"
-    may = "permits" if found.document.allowed else "does not permit"
-    return f"{claim.model} {may} it to {claim.action} {found.endpoint.object.name!r}"
+    verb = "permits" if example.document.allowed else "does not permit"
+    return f"{claim.model} {verb} it to {claim.action} {example.endpoint.object.name!r}"

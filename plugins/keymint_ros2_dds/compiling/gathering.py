@@ -1,4 +1,4 @@
-"""Gathering topics under bracket expressions, where that makes a document much smaller.
+"""Gathers topics into bracket expressions, where that makes a document much smaller.
 
 Cyclone DDS lets every bracket expression match ``]`` as well (see :mod:`keymint_ros2_dds.lowering.portable`). So rules
 with gathered topics come last, after a denial of every name with a ``]``; the names that they permit have none.
@@ -13,91 +13,91 @@ from comarmor.patterns import glob
 from comarmor.patterns.matching import matcher
 from comarmor.rules import Effect
 from keymint.keymake.gather import Pattern, gather
-from keymint_ros2_dds.compiling.criteria import Criteria, is_name
-from keymint_ros2_dds.compiling.partitions import DEFAULT, EVERY
-from keymint_ros2_dds.lowering.lower import Partitions
-from keymint_ros2_dds.lowering.mapping import Action
+from keymint_ros2_dds.lowering.dds_topics import Action
+from keymint_ros2_dds.lowering.grant_rules import DEFAULT, EVERY, GrantRule, Partitions, is_name
 
 GUARD = "*]*"
-"""The names that Cyclone DDS takes to match where the standard does not."""
-WORTH = 1_024
-"""Bytes that gathering must save: OpenDDS and RTI Connext may not know bracket expressions, so less is not worth it."""
-PART = 10
-"""What it must save as well: one part in so many."""
+"""The names that match on Cyclone DDS and not by the standard."""
+MIN_SAVED = 1_024
+"""Bytes that gathering must save, since OpenDDS and RTI Connext may not know bracket expressions."""
+MIN_SAVED_PART = 10
+"""The part of the document, here a tenth, that gathering must save as well."""
 
 _RULE, _CRITERIA, _TOPIC = 130, 90, 28
-"""About how many bytes a rule, its criteria for an action, and an expression take, beside the texts in them."""
+"""Approximate bytes of a rule, of its criteria for an action, and of an expression, without the texts in them."""
 _ACTIONS = (Action.PUBLISH, Action.SUBSCRIBE)
 
 
-def gathered(rules: Sequence[Criteria], *, least: int | None = None) -> tuple[Criteria, ...]:
-    """Return rules that permit the same with fewer expressions; the rules as they are where that saves little.
+def gathered(rules: Sequence[GrantRule[str]], *, min_saved: int | None = None) -> tuple[GrantRule[str], ...]:
+    """Return rules that permit the same with fewer expressions; the unchanged rules if that saves little.
 
     Args:
         rules: rules of a grant.
-        least: bytes that are to be saved; by default :data:`WORTH`, and one part in :data:`PART`.
+        min_saved: bytes that must be saved; by default :data:`MIN_SAVED` and a part of :data:`MIN_SAVED_PART`.
     """
     size = _size(rules)
-    if least is None:
-        least = max(WORTH, size // PART)
-    if _at_most(rules) < least:
+    if min_saved is None:
+        min_saved = max(MIN_SAVED, size // MIN_SAVED_PART)
+    if _most_saved(rules) < min_saved:
         return tuple(rules)
-    relay = next((at for at, rule in enumerate(rules) if rule.topics and not _speaks(rule)), len(rules))
-    own, relays = rules[:relay], rules[relay:]
-    free = _said_once(own)
-    left: list[Criteria] = []
-    found: dict[Partitions, dict[Action, tuple[str, ...]]] = {}
-    for rule in own:
+    relay = next((n for n, rule in enumerate(rules) if rule.topics and not _has_endpoints(rule)), len(rules))
+    endpoints, relays = rules[:relay], rules[relay:]
+    movable = _named_once(endpoints)
+    remaining: list[GrantRule[str]] = []
+    gathered_topics: dict[Partitions, dict[Action, tuple[str, ...]]] = {}
+    for rule in endpoints:
         topics = dict(rule.topics)
         for action in _ACTIONS if rule.effect is Effect.ALLOW else ():
-            names = [text for text in topics.get(action, ()) if text in free]
+            names = [text for text in topics.get(action, ()) if text in movable]
             sets = [pattern for pattern in gather(names) if any(len(members) > 1 for members in pattern)]
             if sets:
-                taken = _expanded(sets)
-                topics[action] = tuple(text for text in topics[action] if text not in taken)
-                texts = found.setdefault(rule.partitions, {})
-                texts[action] = (*texts.get(action, ()), *map(_written, sets))
+                members = _expanded(sets)
+                topics[action] = tuple(text for text in topics[action] if text not in members)
+                texts = gathered_topics.setdefault(rule.partitions, {})
+                texts[action] = (*texts.get(action, ()), *map(_expression, sets))
         kept = {action: texts for action, texts in topics.items() if texts}
         if kept or not rule.topics:
-            left.append(Criteria(rule.effect, rule.partitions, kept))
-    result = (*_begun(left, found), *relays)
-    return result if found and size - _size(result) >= least else tuple(rules)
+            remaining.append(GrantRule(rule.effect, rule.partitions, kept))
+    result = (*_joined(remaining, gathered_topics), *relays)
+    return result if gathered_topics and size - _size(result) >= min_saved else tuple(rules)
 
 
-def _begun(left: Sequence[Criteria], found: Mapping[Partitions, Mapping[Action, tuple[str, ...]]]) -> list[Criteria]:
-    """Return the rules that are left, then the guard and what was gathered; an allow rule comes first."""
-    denied = DEFAULT if set(found) == {DEFAULT} else EVERY
-    actions = {action for topics in found.values() for action in topics}
-    guard = Criteria(Effect.DENY, denied, {action: (GUARD,) for action in _ACTIONS if action in actions})
+def _joined(
+    remaining: Sequence[GrantRule[str]], topics: Mapping[Partitions, Mapping[Action, tuple[str, ...]]]
+) -> list[GrantRule[str]]:
+    """Return the remaining rules, then the guard and the gathered topics; an allow rule comes first."""
+    denied = DEFAULT if set(topics) == {DEFAULT} else EVERY
+    actions = {action for by_action in topics.values() for action in by_action}
+    guard = GrantRule(Effect.DENY, denied, {action: (GUARD,) for action in _ACTIONS if action in actions})
     last = [
-        Criteria(Effect.ALLOW, listed, {action: tuple(sorted(texts)) for action, texts in topics.items()})
-        for listed, topics in sorted(found.items())
+        GrantRule(Effect.ALLOW, partitions, {action: tuple(sorted(texts)) for action, texts in by_action.items()})
+        for partitions, by_action in sorted(topics.items())
     ]
-    first = [] if left and left[0].effect is Effect.ALLOW else [Criteria(Effect.ALLOW, DEFAULT, {})]
-    return [*first, *left, guard, *last]
+    rules = [*remaining, guard, *last]
+    return rules if rules[0].effect is Effect.ALLOW else [GrantRule(Effect.ALLOW, DEFAULT, {}), *rules]
 
 
-def _speaks(rule: Criteria) -> bool:
+def _has_endpoints(rule: GrantRule[str]) -> bool:
     return any(action in rule.topics for action in _ACTIONS)
 
 
-def _said_once(rules: Sequence[Criteria]) -> frozenset[str]:
-    """Return the names of topics that one rule alone says anything of, and not the guard: they may stand anywhere."""
+def _named_once(rules: Sequence[GrantRule[str]]) -> frozenset[str]:
+    """Return the topic names that only one rule matches and the guard does not: they may move to any place."""
     owner: dict[str, int] = {}
     several: set[str] = set()
     wild: dict[int, list[Callable[[str], bool]]] = {}
-    for at, rule in enumerate(rules):
+    for number, rule in enumerate(rules):
         for text in (text for texts in rule.topics.values() for text in texts):
             if not is_name(text):
-                wild.setdefault(at, []).append(matcher(glob.parse(text)))
-            elif owner.setdefault(text, at) != at:
+                wild.setdefault(number, []).append(matcher(glob.parse(text)))
+            elif owner.setdefault(text, number) != number:
                 several.add(text)
     return frozenset(
         text
-        for text, at in owner.items()
+        for text, number in owner.items()
         if text not in several
         and "]" not in text
-        and not any(matches(text) for other, tests in wild.items() if other != at for matches in tests)
+        and not any(matches(text) for other, matchers in wild.items() if other != number for matches in matchers)
     )
 
 
@@ -105,18 +105,18 @@ def _expanded(patterns: Iterable[Pattern]) -> frozenset[str]:
     return frozenset("".join(letters) for pattern in patterns for letters in product(*pattern))
 
 
-def _written(pattern: Pattern) -> str:
+def _expression(pattern: Pattern) -> str:
     return "".join(members if len(members) == 1 else f"[{members}]" for members in pattern)
 
 
-def _at_most(rules: Iterable[Criteria]) -> int:
-    """Return how many bytes can be saved, if every name goes: cheap to find out for the many rules that are short."""
+def _most_saved(rules: Iterable[GrantRule[str]]) -> int:
+    """Return an upper bound of the bytes that gathering saves; quick to compute for the many short documents."""
     allowing = (texts for rule in rules if rule.effect is Effect.ALLOW for texts in rule.topics.values())
     names = sum(_TOPIC + len(text) for texts in allowing for text in texts)
     return names - 2 * (_RULE + _CRITERIA)
 
 
-def _size(rules: Iterable[Criteria]) -> int:
+def _size(rules: Iterable[GrantRule[str]]) -> int:
     return sum(
         _RULE + sum(_CRITERIA + sum(_TOPIC + len(text) for text in texts) for texts in rule.topics.values())
         for rule in rules

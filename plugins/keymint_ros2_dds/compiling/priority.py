@@ -1,7 +1,6 @@
-"""Priority: what is asked for more often stands earlier, where the meaning allows it.
+"""Moves rules and expressions that are requested more often to the front, where that changes no decision.
 
-Implementations go through the rules of a grant, and through the expressions of a rule, from the first to the last for
-every endpoint.
+For every endpoint, DDS vendors try the rules of a grant, and the expressions of a rule, from first to last.
 """
 
 from __future__ import annotations
@@ -10,16 +9,17 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 from comarmor.patterns import glob
+from comarmor.patterns.glob import Glob
 from comarmor.patterns.matching import matcher, matches
 from comarmor.patterns.relations import all_disjoint
-from keymint_ros2_dds.compiling.criteria import Criteria, is_name
 from keymint_ros2_dds.compiling.gathering import GUARD
-from keymint_ros2_dds.lowering.mapping import Action
+from keymint_ros2_dds.lowering.dds_topics import Action
+from keymint_ros2_dds.lowering.grant_rules import GrantRule, is_name
 
 
 @dataclass(frozen=True, slots=True)
-class Asked:
-    """An endpoint that is asked for: action, name of the topic, its partition, and how often."""
+class EndpointCount:
+    """How often the subject creates an endpoint, from ``--hints``."""
 
     action: str
     topic: str
@@ -27,68 +27,71 @@ class Asked:
     times: int
 
 
-def prioritised(rules: Sequence[Criteria], demand: Sequence[Asked]) -> tuple[Criteria, ...]:
-    """Return the rules with those that are asked for more often earlier; they decide alike.
+def prioritised(rules: Sequence[GrantRule[str]], counts: Sequence[EndpointCount]) -> tuple[GrantRule[str], ...]:
+    """Return the rules with those that are requested more often earlier; decisions stay the same.
 
-    The expressions of a rule may stand in any order. Two neighbours change places only when they have the effect and
-    the partitions in common, or no topic; and an allow rule stays first and last, as RTI Connext wants it.
+    The expressions of a rule may have any order. Two neighbouring rules are swapped only if they have the same effect
+    and partitions, or share no topic; an allow rule stays first and last, as RTI Connext requires.
 
     Args:
         rules: rules of a grant.
-        demand: what the subject asks for.
+        counts: the endpoints that the subject creates.
     """
-    if not demand:
+    if not counts:
         return tuple(rules)
-    counted = [_counted(rule, demand) for rule in rules]
+    counted = [_counted(rule, counts) for rule in rules]
     ordered = [rule for rule, _ in counted]
     weights = [weight for _, weight in counted]
     moved = True
     while moved:
         moved = False
-        for at in range(1, len(ordered)):
-            if weights[at] > weights[at - 1] and _may_swap(ordered, at):
-                ordered[at - 1], ordered[at] = ordered[at], ordered[at - 1]
-                weights[at - 1], weights[at] = weights[at], weights[at - 1]
+        for n in range(1, len(ordered)):
+            if weights[n] > weights[n - 1] and _may_swap(ordered, n):
+                ordered[n - 1], ordered[n] = ordered[n], ordered[n - 1]
+                weights[n - 1], weights[n] = weights[n], weights[n - 1]
                 moved = True
     return tuple(ordered)
 
 
-def _counted(rule: Criteria, demand: Sequence[Asked]) -> tuple[Criteria, int]:
-    """Return a rule with its expressions in order, and how often it is asked for."""
-    listed = [glob.parse(text) for text in rule.partitions]
+def _counted(rule: GrantRule[str], counts: Sequence[EndpointCount]) -> tuple[GrantRule[str], int]:
+    """Return a rule with its expressions in order, and how often it is requested."""
+    partitions = [glob.parse(text) for text in rule.partitions]
     total = 0
     topics: dict[Action, tuple[str, ...]] = {}
     for action, texts in rule.topics.items():
         times: dict[str, int] = {}
-        for asked in demand:
-            if asked.action == action and any(matches(pattern, asked.partition) for pattern in listed):
-                times[asked.topic] = times.get(asked.topic, 0) + asked.times
+        for count in counts:
+            if count.action == action and any(matches(pattern, count.partition) for pattern in partitions):
+                times[count.topic] = times.get(count.topic, 0) + count.times
         weight = {text: _weight(text, times) for text in texts}
         topics[action] = tuple(sorted(texts, key=lambda text: (-weight[text], text)))
         total += sum(weight.values())
-    return Criteria(rule.effect, rule.partitions, topics), total
+    return GrantRule(rule.effect, rule.partitions, topics), total
 
 
 def _weight(text: str, times: Mapping[str, int]) -> int:
     if is_name(text):
         return times.get(text, 0)
-    test = matcher(glob.parse(text))
-    return sum(count for topic, count in times.items() if test(topic))
+    matches_topic = matcher(glob.parse(text))
+    return sum(count for topic, count in times.items() if matches_topic(topic))
 
 
-def _may_swap(rules: Sequence[Criteria], at: int) -> bool:
-    """Tell whether a rule may stand before the one that is before it."""
-    before, rule = rules[at - 1], rules[at]
+def _may_swap(rules: Sequence[GrantRule[str]], n: int) -> bool:
+    """Tell whether a rule may move before its predecessor."""
+    before, rule = rules[n - 1], rules[n]
     if (Action.RELAY in before.topics) is not (Action.RELAY in rule.topics):
-        return False  # what one vendor ignores stays by itself at the end
-    if before.effect is not rule.effect and (at == 1 or at == len(rules) - 1 or _guards(before)):
+        return False  # relay rules, which some vendors ignore, stay at the end
+    if before.effect is not rule.effect and (n == 1 or n == len(rules) - 1 or _is_guard(before)):
         return False
     if (before.effect, before.partitions) == (rule.effect, rule.partitions):
         return True
-    texts, texts2 = ([glob.parse(text) for texts in each.topics.values() for text in texts] for each in (before, rule))
-    return all_disjoint(texts, texts2)
+    return all_disjoint(_patterns(before), _patterns(rule))
 
 
-def _guards(rule: Criteria) -> bool:
-    """Tell whether a rule denies what Cyclone DDS would take the gathered topics behind it to match as well."""
+def _patterns(rule: GrantRule[str]) -> list[Glob]:
+    return [glob.parse(text) for texts in rule.topics.values() for text in texts]
+
+
+def _is_guard(rule: GrantRule[str]) -> bool:
+    """Tell whether a rule denies the names that the gathered topics after it match on Cyclone DDS only."""
     return any(GUARD in texts for texts in rule.topics.values())

@@ -15,9 +15,6 @@ from keymint.api import DomainRange
 from keymint.errors import KeymintError
 from keymint_ros2_dds.domains import merged
 
-MAX_YEAR = 2261
-"""Cyclone DDS counts time in nanoseconds of 64 bits, and takes later years to be over."""
-
 INDENTED = 32_000
 """Bytes up to which a document is indented. A sixth of a larger one would be blanks, and handshakes carry it whole.
 

@@ -21,8 +21,9 @@ from keymint.errors import KeymintError
 from keymint_ros2_dds.documents import dds_xml
 from keymint_ros2_dds.domains import check_domains
 from keymint_ros2_dds.layout import GOVERNANCE
-from keymint_ros2_dds.lowering.mapping import ARDENT, IMAGES, images
-from keymint_ros2_dds.lowering.portable import InexpressibleError, spell
+from keymint_ros2_dds.lowering.dds_topics import DDS_TOPICS
+from keymint_ros2_dds.lowering.mapping import ARDENT, dds_patterns
+from keymint_ros2_dds.lowering.portable import NotPortableError, portable_expressions
 
 KINDS = ("NONE", "SIGN", "ENCRYPT", "SIGN_WITH_ORIGIN_AUTHENTICATION", "ENCRYPT_WITH_ORIGIN_AUTHENTICATION")
 DATA_KINDS = ("NONE", "SIGN", "ENCRYPT")
@@ -197,8 +198,8 @@ def patterns(topic: TopicProtection, distro: str) -> list[Glob]:
         pattern
         for permission in _PERMISSIONS[topic.kind]
         for _, part, suffix in PARTS.get(permission, ((*permission, ""),))
-        for mapped in IMAGES[part]
-        for pattern, _ in images(distro, tokens, mapped, suffix)
+        for mapped in DDS_TOPICS[part]
+        for pattern, _ in dds_patterns(distro, tokens, mapped, suffix)
         if pattern and not glob.is_empty(pattern)
     ]
     return [p for p in dict.fromkeys(found) if not any(q != p and covers(q, p) for q in found)]
@@ -206,8 +207,8 @@ def patterns(topic: TopicProtection, distro: str) -> list[Glob]:
 
 def _spelled(pattern: Glob, topic: TopicProtection, lenient: bool) -> tuple[tuple[str, ...], Diagnostic | None]:
     try:
-        return spell(pattern), None
-    except InexpressibleError as error:
+        return portable_expressions(pattern), None
+    except NotPortableError as error:
         severity = Severity.WARNING if lenient else Severity.ERROR
         message = f"this {topic.kind} rule cannot be said alike for all vendors: {error}"
         hint = "write the names out, or build with --allow-vendor-specific"

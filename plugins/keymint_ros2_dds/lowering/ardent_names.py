@@ -1,8 +1,8 @@
-"""Names of ROS 2 Ardent: the namespace is a DDS partition, and only the base name is the topic's.
+"""ROS names as DDS topics in ROS 2 Ardent: the namespace is a DDS partition, the topic has the base name only.
 
-A topic ``/a/b`` is the DDS topic ``b`` in the partition ``rt/a``, and ``/b`` is ``b`` in ``rt``; a service ``/a/s`` is
-``sRequest`` in ``rq/a`` and ``sReply`` in ``rr/a``. Read backwards, a topic ``T`` in a partition ``P`` is the name
-``P/T`` without its prefix; so a topic with a ``/`` in its name, which Ardent itself never makes, has a meaning, too.
+The topic ``/a/b`` is the DDS topic ``b`` in the partition ``rt/a``, and ``/b`` is ``b`` in ``rt``; the service ``/a/s``
+is ``sRequest`` in ``rq/a`` and ``sReply`` in ``rr/a``. In reverse, a topic ``T`` in a partition ``P`` is the name
+``P/T`` without its prefix. So a topic with a ``/`` in its name, which Ardent itself never creates, has a meaning too.
 """
 
 from __future__ import annotations
@@ -14,43 +14,43 @@ from comarmor.patterns import glob
 from comarmor.patterns.glob import Glob
 from comarmor.patterns.relations import covers
 from comarmor.patterns.tokens import STAR, Charset, Star, Token
-from keymint_ros2_dds.lowering.entities import Image
+from keymint_ros2_dds.lowering.dds_topics import DdsTopic
 
 MAX_ALTERNATIVES = 64
-"""Partitions that the bracket expressions of a namespace may stand for."""
+"""Partitions that the bracket expressions of a namespace may expand to."""
 
 Pair = tuple[Glob, Glob]
 """Patterns of a partition and of a topic: every topic that matches, in every partition that matches."""
 
 
-def image(expression: Glob, mapped: Image, part: str = "", *, every: bool = False) -> tuple[Pair, ...]:
-    """Return pairs for exactly the DDS names of the ROS names that an expression matches.
+def dds_patterns(expression: Glob, topic: DdsTopic, part: str = "", *, every: bool = False) -> tuple[Pair, ...]:
+    """Return pairs that match exactly the DDS names of the ROS names that an expression matches.
 
-    The last ``/`` of a name divides it, and a wildcard may be what matches that ``/``: ``/a*`` is ``a*`` in ``rt``, and
+    The last ``/`` of a name divides it, and a wildcard may match that ``/``: ``/a*`` is ``a*`` in ``rt``, and
     everything in ``rt/a*``.
 
     Args:
         expression: an expression over ROS names.
-        mapped: where the names go; not that of a raw topic.
+        topic: the DDS topic that the names map to; not a raw topic.
         part: the part of a composite that follows the names, e.g. ``/get_parameters``.
-        every: divide at every ``/``, not only at the last one. What denies must, since a pair such as ``*`` in ``rt``
+        every: divide at every ``/``, not only at the last one. Denials must, since a pair such as ``*`` in ``rt``
             also matches topics with a ``/`` in their name.
     """
-    found: dict[Pair, None] = {}
+    pairs: dict[Pair, None] = {}
     for rest in glob.after(glob.surround("", expression, part), "/"):
         for namespace, base in _divided(rest):
             if every or not any(isinstance(token, str) and "/" in token for token in base):
-                topic = glob.surround("", base, mapped.suffix)
-                for each in _alternatives(glob.surround(mapped.prefix, namespace, "")):
-                    found[each, topic] = None
-    return _maximal(found)
+                name = glob.surround("", base, topic.suffix)
+                for partition in _alternatives(glob.surround(topic.prefix, namespace, "")):
+                    pairs[partition, name] = None
+    return _maximal(pairs)
 
 
 def _divided(rest: Glob) -> Iterator[Pair]:
     """Yield namespace (empty, or with its leading ``/``) and base name for every ``/`` that may divide them.
 
     Args:
-        rest: what follows the ``/`` at the beginning of a name.
+        rest: the pattern after the ``/`` at the beginning of a name.
     """
     yield (), rest
     tokens = glob.units(rest)
@@ -67,7 +67,7 @@ def _namespace(tokens: Iterable[Token]) -> Glob:
 
 
 def _alternatives(pattern: Glob) -> Iterator[Glob]:
-    """Yield a pattern with its small sets written out: of partitions, vendors read only names and ``*`` safely."""
+    """Yield a pattern with its small sets expanded: in partitions, all vendors agree only on names and ``*``."""
     choices: list[tuple[Token, ...]] = []
     count = 1
     for token in pattern:
@@ -79,7 +79,7 @@ def _alternatives(pattern: Glob) -> Iterator[Glob]:
 
 
 def _maximal(pairs: Iterable[Pair]) -> tuple[Pair, ...]:
-    """Leave out the pairs that another one covers."""
+    """Drop the pairs that another pair covers."""
     kept: list[Pair] = []
     for pair in pairs:
         if not any(_covers(other, pair) for other in kept):

@@ -7,7 +7,8 @@ from functools import lru_cache
 from comarmor.rules import parts
 from keymint.errors import KeymintError
 from keymint.graph import Edge, Object
-from keymint_ros2_dds.lowering.mapping import ARDENT, IMAGES, check_distro, knows
+from keymint_ros2_dds.lowering.dds_topics import DDS_TOPICS
+from keymint_ros2_dds.lowering.mapping import ARDENT, check_distro, has_kind
 
 _KINDS = {
     "ros_publish": "ros_topic", "ros_subscribe": "ros_topic", "ros_call": "ros_service", "ros_execute": "ros_service",
@@ -18,13 +19,13 @@ _KINDS = {
 def _images(distro: str, kind: str, permission: str) -> tuple[tuple[str, str, str], ...]:
     """Return action, prefix and suffix of each endpoint of a permission."""
     check_distro(distro)
-    if not knows(distro, kind):
+    if not has_kind(distro, kind):
         raise KeymintError(f"ROS 2 {distro.capitalize()} has no {kind}", code="distro-kind")
     found = []
     for _, part, tail in parts(kind, permission):
-        if part not in IMAGES:
+        if part not in DDS_TOPICS:
             raise KeymintError(f"DDS knows no permission {part!r} of a {kind}", code="permission-unknown")
-        found += [(str(image.action), image.prefix, tail + image.suffix) for image in IMAGES[part]]
+        found += [(str(image.action), image.prefix, tail + image.suffix) for image in DDS_TOPICS[part]]
     return tuple(found)
 
 

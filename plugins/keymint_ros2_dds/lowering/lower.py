@@ -1,12 +1,11 @@
-"""From the intermediate representation to DDS: which patterns of topic names each rule is about.
+"""Lowers the rules of a subject to DDS: the topic patterns that each rule allows or denies, by action.
 
-The result says, for each action, what is allowed and what is denied, with the rule that says so. It does not yet
-say in which order: deny overrides allow.
+Order has no meaning yet: deny overrides allow.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 
 from comarmor.errors import Diagnostic, Severity
@@ -19,38 +18,50 @@ from comarmor.rules import Effect, parts
 from comarmor.text import did_you_mean
 from keymint.errors import KeymintError
 from keymint.ir import Rule, SubjectRules
-from keymint_ros2_dds.lowering.mapping import IMAGES, Action, images, knows
+from keymint_ros2_dds.lowering.dds_topics import DDS_TOPICS, Action
+from keymint_ros2_dds.lowering.grant_rules import Partitions
+from keymint_ros2_dds.lowering.mapping import dds_patterns, has_kind
 
-Partitions = tuple[str, ...]
-"""Partition expressions as a policy has them, sorted; empty: not narrowed."""
-Side = Mapping[tuple[Glob, Partitions], Rule]
-"""Patterns with their partitions, and the rule that first says something of them."""
+LoweredRules = Mapping[tuple[Glob, Partitions], Rule]
+"""Topic patterns with their partitions (none: not narrowed), and for each the first rule that has it."""
 
-RAW = "topic"
+_RAW_TOPIC = "topic"
 """The kind of rules on DDS topics by their own names."""
 
 
 @dataclass(frozen=True, slots=True)
 class Lowered:
-    """The rules of a subject on the level of DDS, by action."""
+    """The rules of a subject as DDS patterns, by action.
 
-    allow: Mapping[Action, Side]
-    deny: Mapping[Action, Side]
+    Attributes:
+        allow: the patterns that ALLOW rules match.
+        deny: the patterns that DENY rules match.
+        diagnostics: warnings about expressions that match no name.
+    """
+
+    allow: Mapping[Action, LoweredRules]
+    deny: Mapping[Action, LoweredRules]
     diagnostics: tuple[Diagnostic, ...]
+
+    def patterns(self) -> Iterator[tuple[Effect, Action, Glob, Rule]]:
+        """Yield every pattern with its rule, those of ALLOW rules first."""
+        for effect, sides in ((Effect.ALLOW, self.allow), (Effect.DENY, self.deny)):
+            for action in Action:
+                for (pattern, _), rule in sides[action].items():
+                    yield effect, action, pattern, rule
 
 
 def lower(rules: SubjectRules, distro: str) -> Lowered:
-    """Return what the rules of a subject say of DDS topics.
+    """Return the DDS patterns of a subject's rules.
 
     Args:
         rules: the rules.
-        distro: ROS 2 distribution whose mapping of names applies.
+        distro: ROS 2 distribution whose name mapping applies.
 
     Raises:
-        KeymintError: an expression cannot be read, or the distribution has no such entities; says at which
-            ``file:line``.
+        KeymintError: an expression is invalid, or the distribution has no such entities; with ``file:line``.
     """
-    if unknown := [_unknown(rule, distro, rules.subject) for rule in rules.rules if not knows(distro, rule.kind)]:
+    if unknown := [_unknown(rule, distro, rules.subject) for rule in rules.rules if not has_kind(distro, rule.kind)]:
         raise KeymintError.of(unknown)
     sides: dict[Effect, dict[Action, dict[tuple[Glob, Partitions], Rule]]] = {
         effect: {action: {} for action in Action} for effect in Effect
@@ -62,34 +73,33 @@ def lower(rules: SubjectRules, distro: str) -> Lowered:
         for expression in partitions:
             _parse(expression, rule)
         for expression in rule.expressions:
-            found = False
-            for action, pattern, partition in _images(expression, rule, distro):
+            patterns = _patterns(expression, rule, distro)
+            for action, pattern, partition in patterns:
                 side[action].setdefault((pattern, partition or partitions), rule)
-                found = True
-            if not found or not (rule.kind == RAW or is_possible(_parse(expression, rule))):
-                diagnostics.append(_never(expression, rule, rules.subject))
+            if not patterns or not (rule.kind == _RAW_TOPIC or is_possible(_parse(expression, rule))):
+                diagnostics.append(_never_matches(expression, rule, rules.subject))
     return Lowered(sides[Effect.ALLOW], sides[Effect.DENY], tuple(diagnostics))
 
 
-def _images(expression: str, rule: Rule, distro: str) -> list[tuple[Action, Glob, Partitions]]:
-    """Return the DDS patterns of one expression of a rule, for all its permissions, and partitions from the mapping."""
+def _patterns(expression: str, rule: Rule, distro: str) -> list[tuple[Action, Glob, Partitions]]:
+    """Return action, topic pattern and mapped partitions of an expression of a rule, for all its permissions."""
     tokens = _parse(expression, rule)
-    found: list[tuple[Action, Glob, Partitions]] = []
+    result: list[tuple[Action, Glob, Partitions]] = []
     for permission in rule.permissions:
         for _, part, suffix in parts(rule.kind, permission):
-            if part not in IMAGES:
+            if part not in DDS_TOPICS:
                 raise KeymintError(
                     f"DDS knows no permission {part!r} of a {rule.kind} rule",
                     where=rule.origin,
-                    help=did_you_mean(part, IMAGES),
+                    help=did_you_mean(part, DDS_TOPICS),
                     code="permission-unknown",
                 )
-            for mapped in IMAGES[part]:
-                for pattern, partition in images(distro, tokens, mapped, suffix, rule.effect):
+            for topic in DDS_TOPICS[part]:
+                for pattern, partition in dds_patterns(distro, tokens, topic, suffix, rule.effect):
                     if pattern and not glob.is_empty(pattern) and not (partition and glob.is_empty(partition)):
-                        listed = () if partition is None else (exact(partition),)
-                        found.append((mapped.action, pattern, listed))
-    return found
+                        partitions = () if partition is None else (exact(partition),)
+                        result.append((topic.action, pattern, partitions))
+    return result
 
 
 def _parse(expression: str, rule: Rule) -> Glob:
@@ -111,8 +121,8 @@ def _unknown(rule: Rule, distro: str, subject: str) -> Diagnostic:
     )
 
 
-def _never(expression: str, rule: Rule, subject: str) -> Diagnostic:
-    raw = rule.kind == RAW
+def _never_matches(expression: str, rule: Rule, subject: str) -> Diagnostic:
+    raw = rule.kind == _RAW_TOPIC
     return Diagnostic(
         "never-matches",
         Severity.WARNING,

@@ -1,4 +1,4 @@
-"""Names of ROS 2 entities as DDS topics and partitions; which way a distribution maps them.
+"""Mapping of ROS names to DDS topics and partitions, by ROS 2 distribution.
 
 :mod:`.modern_names` is the mapping of Bouncy and later, :mod:`.ardent_names` that of Ardent. Both keep raw topics as
 they are.
@@ -12,52 +12,49 @@ from comarmor.patterns.glob import Glob
 from comarmor.rules import Effect
 from comarmor.text import did_you_mean
 from keymint.errors import KeymintError
-from keymint_ros2_dds.lowering import ardent_names
-from keymint_ros2_dds.lowering.entities import IMAGES, Action, Image
-from keymint_ros2_dds.lowering.modern_names import image
-
-__all__ = ["ARDENT", "DISTROS", "IMAGES", "Action", "Image", "check_distro", "image", "images", "knows"]
+from keymint_ros2_dds.lowering import ardent_names, modern_names
+from keymint_ros2_dds.lowering.dds_topics import DdsTopic
 
 ARDENT = "ardent"
 DISTROS = (
     ARDENT, "bouncy", "crystal", "dashing", "eloquent", "foxy", "galactic", "humble", "iron", "jazzy", "kilted",
     "lyrical", "rolling",
 )  # fmt: skip
-"""Distributions whose mapping of names is known."""
+"""Distributions whose name mapping is known."""
 
 
-def images(
-    distro: str, expression: Glob, mapped: Image, part: str = "", effect: Effect = Effect.ALLOW
+def dds_patterns(
+    distro: str, expression: Glob, topic: DdsTopic, part: str = "", effect: Effect = Effect.ALLOW
 ) -> Iterator[tuple[Glob, Glob | None]]:
-    """Yield patterns of topics for the names that an expression matches, and the pattern of their partitions.
+    """Yield DDS topic patterns for the names that an expression matches, each with its partition pattern.
 
-    The pattern of partitions is None where the mapping says nothing of them.
+    The partition pattern is None where the mapping does not set the partition.
 
     Args:
         distro: a known distribution.
-        expression: an expression over ROS names, or over DDS names for an image without a prefix.
-        mapped: where the names go.
+        expression: an expression over ROS names, or over DDS names for a topic without a prefix.
+        topic: the DDS topic that the names map to.
         part: the part of a composite that follows the names.
-        effect: what the rule does with the names.
+        effect: the effect of the rule.
     """
-    if distro == ARDENT and mapped.prefix:
-        for partition, topic in ardent_names.image(expression, mapped, part, every=effect is Effect.DENY):
-            yield topic, partition
+    if distro == ARDENT and topic.prefix:
+        for partition, pattern in ardent_names.dds_patterns(expression, topic, part, every=effect is Effect.DENY):
+            yield pattern, partition
     else:
-        for topic in image(expression, mapped, part):
-            yield topic, None
+        for pattern in modern_names.dds_patterns(expression, topic, part):
+            yield pattern, None
 
 
-def knows(distro: str, kind: str) -> bool:
-    """Tell whether a distribution has entities of a kind: actions came with Crystal, but Bouncy maps their parts."""
+def has_kind(distro: str, kind: str) -> bool:
+    """Tell whether a distribution has a kind of entity. Actions came with Crystal, but Bouncy maps their parts."""
     return distro != ARDENT or kind != "ros_action"
 
 
 def check_distro(distro: str) -> None:
-    """Refuse a distribution whose mapping of names is not known.
+    """Raise an error for a distribution whose name mapping is not known.
 
     Raises:
-        KeymintError: the name is not that of a distribution.
+        KeymintError: the distribution is not known.
     """
     if distro in DISTROS:
         return

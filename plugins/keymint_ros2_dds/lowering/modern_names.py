@@ -1,32 +1,31 @@
-"""Names since ROS 2 Bouncy: the whole ROS name is part of the DDS topic's, and partitions are not used.
+"""ROS names as DDS topics since ROS 2 Bouncy: the full ROS name is part of the topic name, partitions are not used.
 
-A topic ``/a`` is the DDS topic ``rt/a``; a service ``/s`` is the pair ``rq/sRequest`` and ``rr/sReply``; actions and
-parameters are made of these.
+The topic ``/a`` is the DDS topic ``rt/a``; the service ``/s`` is the pair ``rq/sRequest`` and ``rr/sReply``. Actions
+and parameters consist of topics and services.
 """
 
 from __future__ import annotations
 
 from comarmor.patterns import glob
 from comarmor.patterns.glob import Glob
-from keymint_ros2_dds.lowering.entities import Image
+from keymint_ros2_dds.lowering.dds_topics import DdsTopic
 
 
-def image(expression: Glob, mapped: Image, part: str = "") -> tuple[Glob, ...]:
-    """Return globs for exactly the DDS names of the ROS names that an expression matches.
+def dds_patterns(expression: Glob, topic: DdsTopic, part: str = "") -> tuple[Glob, ...]:
+    """Return patterns that match exactly the DDS names of the ROS names that an expression matches.
 
-    A ROS name begins with ``/``. What is left of the expression after that ``/`` says how the name goes on, so
-    ``*/scan`` has the images ``rt/scan`` and ``rt/*/scan``, and not ``rt*/scan``.
+    A ROS name begins with ``/``. So ``*/scan`` becomes ``rt/scan`` and ``rt/*/scan``, not ``rt*/scan``.
 
     Args:
-        expression: an expression over ROS names, or over DDS names for an image without a prefix.
-        mapped: where the names go.
+        expression: an expression over ROS names, or over DDS names for a topic without a prefix.
+        topic: the DDS topic that the names map to.
         part: the part of a composite that follows the names, e.g. ``/_action/status``.
     """
-    if not mapped.prefix:
-        return (glob.surround("", expression, mapped.suffix),)
+    if not topic.prefix:
+        return (glob.surround("", expression, topic.suffix),)
     text = glob.literal(expression)
     if text is not None:
         name = text + part
-        return ((mapped.prefix + name + mapped.suffix,),) if name.startswith("/") else ()
+        return ((topic.prefix + name + topic.suffix,),) if name.startswith("/") else ()
     after = glob.after(glob.surround("", expression, part), "/")
-    return tuple(glob.surround(mapped.prefix + "/", rest, mapped.suffix) for rest in after)
+    return tuple(glob.surround(topic.prefix + "/", rest, topic.suffix) for rest in after)

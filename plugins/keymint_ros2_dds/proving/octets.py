@@ -20,7 +20,7 @@ from comarmor.patterns.tokens import charset
 from keymint.ir import SubjectRules
 from keymint_ros2_dds.decision import fnmatch
 from keymint_ros2_dds.decision.semantics import Semantics
-from keymint_ros2_dds.lowering.mapping import Action
+from keymint_ros2_dds.lowering.dds_topics import Action
 from keymint_ros2_dds.reading.signed_permissions import DocumentGrant, PermissionsDocument
 
 ALPHABET = charset([(0x01, 0xFF)])

@@ -14,8 +14,9 @@ from comarmor.patterns.glob import EVERYTHING, Glob, normalise, parse
 from comarmor.patterns.matching import matches
 from comarmor.rules import Effect
 from keymint_ros2_dds.decision.semantics import Semantics
-from keymint_ros2_dds.lowering.lower import Lowered, Partitions
-from keymint_ros2_dds.lowering.mapping import Action
+from keymint_ros2_dds.lowering.dds_topics import Action
+from keymint_ros2_dds.lowering.grant_rules import Partitions
+from keymint_ros2_dds.lowering.lower import Lowered
 from keymint_ros2_dds.proving import octets
 from keymint_ros2_dds.proving.dialects import read
 from keymint_ros2_dds.reading.signed_permissions import DocumentCriteria, DocumentGrant, DocumentRule

@@ -10,8 +10,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from keymint_ros2_dds import build_type
 from keymint_ros2_dds.lowering import ardent_names
+from keymint_ros2_dds.lowering.dds_topics import DDS_TOPICS
 from keymint_ros2_dds.lowering.endpoints import endpoints, meanings
-from keymint_ros2_dds.lowering.mapping import IMAGES
 from lxml import etree
 
 from comarmor.errors import Severity
@@ -27,11 +27,11 @@ from .compiling.test_decisions import built_or_refused
 from .oracles import cyclone, fastdds, omg
 from .packages import domain_rule, package, protection, rule
 
-TOPIC = IMAGES["ros_publish"][0]
+TOPIC = DDS_TOPICS["ros_publish"][0]
 
 
 def pairs(text: str, **options) -> set[tuple[str, str]]:
-    return {(exact(where), exact(what)) for where, what in ardent_names.image(parse(text), TOPIC, **options)}
+    return {(exact(where)(what)) for where, what in ardent_names.dds_patterns(parse(text), TOPIC, **options)}
 
 
 @pytest.mark.parametrize(
@@ -164,7 +164,7 @@ def test_what_is_denied_within_a_wildcard_of_namespaces_is_refused():
         Severity.ERROR,
         "policy.xml:12",
     )
-    assert "takes away a part of the partitions rt/robot1 rt/robot1/*" in found.message
+    assert "removes a part of the partitions rt/robot1 rt/robot1/*" in found.message
 
 
 def test_a_governance_rule_is_about_a_base_name_and_that_is_said():

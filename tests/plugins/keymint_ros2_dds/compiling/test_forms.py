@@ -43,7 +43,7 @@ def tags(content: bytes) -> list[str]:
 @pytest.fixture
 def always_gathered() -> Iterator[None]:
     """Gather wherever it is possible, however little it saves."""
-    with mock.patch.object(compile, "gathered", functools.partial(gathering.gathered, least=-(10**6))):
+    with mock.patch.object(compile, "gathered", functools.partial(gathering.gathered, min_saved=-(10**6))):
         yield
 
 
@@ -93,7 +93,7 @@ def test_every_form_keeps_partitions(drawn, options):
 @settings(max_examples=100)
 @given(st.lists(rules(), min_size=1, max_size=6), demands())
 def test_gathering_changes_no_decision(drawn, demand):
-    with mock.patch.object(compile, "gathered", functools.partial(gathering.gathered, least=-(10**6))):
+    with mock.patch.object(compile, "gathered", functools.partial(gathering.gathered, min_saved=-(10**6))):
         held_against_the_policy(drawn, BuildOptions(demand=demand), TOPICS, ((),))
 
 
@@ -113,7 +113,7 @@ def test_the_size_of_the_plain_form_is_what_it_would_have(drawn, ranges):
 @settings(max_examples=60)
 @given(MIXED)
 def test_gathering_keeps_partitions(drawn):
-    with mock.patch.object(compile, "gathered", functools.partial(gathering.gathered, least=-(10**6))):
+    with mock.patch.object(compile, "gathered", functools.partial(gathering.gathered, min_saved=-(10**6))):
         held_against_the_policy(drawn, BuildOptions(), FEW, ASKED)
 
 

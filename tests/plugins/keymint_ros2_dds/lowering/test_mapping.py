@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import pytest
-from keymint_ros2_dds.lowering.mapping import DISTROS, IMAGES, Action, Image, check_distro, image
+from keymint_ros2_dds.lowering.dds_topics import DDS_TOPICS, Action, DdsTopic
+from keymint_ros2_dds.lowering.mapping import DISTROS, check_distro
+from keymint_ros2_dds.lowering.modern_names import dds_patterns
 
 from comarmor.patterns.glob import parse
 from comarmor.patterns.printing import exact
 from keymint.errors import KeymintError
 
-TOPIC = IMAGES["ros_publish"][0]
+TOPIC = DDS_TOPICS["ros_publish"][0]
 
 
 @pytest.mark.parametrize(
@@ -28,27 +30,27 @@ TOPIC = IMAGES["ros_publish"][0]
     ],
 )
 def test_the_image_of_a_topic(expression, images):
-    assert {exact(found) for found in image(parse(expression), TOPIC)} == images
+    assert {exact(found) for found in dds_patterns(parse(expression), TOPIC)} == images
 
 
 def test_a_service_is_two_topics():
-    client, server = IMAGES["ros_call"], IMAGES["ros_execute"]
-    assert client == (Image(Action.PUBLISH, "rq", "Request"), Image(Action.SUBSCRIBE, "rr", "Reply"))
+    client, server = DDS_TOPICS["ros_call"], DDS_TOPICS["ros_execute"]
+    assert client == (DdsTopic(Action.PUBLISH, "rq", "Request"), DdsTopic(Action.SUBSCRIBE, "rr", "Reply"))
     assert {(one.prefix, one.suffix) for one in client} == {(one.prefix, one.suffix) for one in server}
     assert {one.action for one in client if one.prefix == "rq"} != {one.action for one in server if one.prefix == "rq"}
-    assert image(parse("/add"), client[0]) == (("rq/addRequest",),)
+    assert dds_patterns(parse("/add"), client[0]) == (("rq/addRequest",),)
 
 
 def test_a_part_of_a_composite_follows_the_name():
-    assert image(parse("/fib"), TOPIC, "/_action/status") == (("rt/fib/_action/status",),)
-    assert {exact(found) for found in image(parse("*"), TOPIC, "/_action/status")} == {
+    assert dds_patterns(parse("/fib"), TOPIC, "/_action/status") == (("rt/fib/_action/status",),)
+    assert {exact(found) for found in dds_patterns(parse("*"), TOPIC, "/_action/status")} == {
         "rt/*/_action/status",
         "rt/_action/status",
     }
 
 
 def test_a_raw_topic_is_its_own_name():
-    assert image(parse("sensor*"), IMAGES["publish"][0]) == (parse("sensor*"),)
+    assert dds_patterns(parse("sensor*"), DDS_TOPICS["publish"][0]) == (parse("sensor*"),)
 
 
 @pytest.mark.parametrize("distro", DISTROS)

@@ -1,0 +1,199 @@
+"""Orders the rules of a grant so that every DDS vendor decides in the same way.
+
+The form, for a subject that is allowed anything at all::
+
+    allow  what no denial of the same direction overlaps
+    deny   publish ...      allow  publish the rest
+    deny   subscribe ...    allow  subscribe the rest
+    (the same for relay)
+
+Three vendor behaviours shape it:
+
+* Cyclone DDS up to 0.10 lets the first rule that names a topic, in either direction, decide whether the topic may
+  be created. A name that one direction denies and the other allows is therefore allowed before it is denied.
+* RTI Connext lets the first rule of a domain decide about joining, earlier releases the last. So the rules begin and
+  end with an allow rule; where none can be first, one without criteria is.
+* Cyclone DDS ignores ``relay``, so its rules are separate, at the end.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+
+from comarmor.patterns.glob import Glob
+from comarmor.patterns.relations import TooComplexError, intersection, union_covers
+from comarmor.rules import Effect
+from keymint.ir import Rule
+from keymint.keymake.order import EarlyRules, early_rules
+from keymint_ros2_dds.compiling.rule_groups import RuleGroup, denied_partitions, merged, rule_groups
+from keymint_ros2_dds.lowering.dds_topics import Action
+from keymint_ros2_dds.lowering.grant_rules import DEFAULT, EVERY, GrantRule
+from keymint_ros2_dds.lowering.lower import Lowered
+
+_Groups = Mapping[Action, Sequence[RuleGroup]]
+_Early = tuple[Action, RuleGroup, EarlyRules]
+
+
+class OrderError(Exception):
+    """Cyclone DDS and the standard disagree on every order of the rules; has a pattern and the reason in one line."""
+
+    def __init__(self, pattern: Glob, reason: str) -> None:
+        self.pattern = pattern
+        self.reason = reason
+        super().__init__(reason)
+
+
+def portable_rules(lowered: Lowered, *, reduced: bool = True) -> tuple[GrantRule[Glob], ...]:
+    """Return the rules of a grant; none if nothing is allowed.
+
+    Args:
+        lowered: the allowed and denied patterns.
+        reduced: drop redundant patterns.
+
+    Raises:
+        OrderError: Cyclone DDS and the standard would disagree on every order.
+        PartitionError: the partitions cannot be expressed portably across DDS vendors.
+    """
+    groups = {
+        action: rule_groups(action, tuple(lowered.allow[action]), tuple(lowered.deny[action]), reduced=reduced)
+        for action in Action
+    }
+    relay = groups.pop(Action.RELAY)
+    relay_rules = [*(rule for group in relay for rule in group.free), *(r for group in relay for r in group.ordered)]
+    rules = [*_both_directions(groups), *merged(relay_rules)]
+    if rules and rules[0].effect is Effect.DENY:
+        rules.insert(0, GrantRule(Effect.ALLOW, DEFAULT, {}))
+    return tuple(rules)
+
+
+def _both_directions(groups: _Groups) -> list[GrantRule[Glob]]:
+    """Return the rules for publish and subscribe in the shortest order that every vendor reads in the same way."""
+    free = [rule for action in groups for group in groups[action] for rule in group.free]
+    if not any(group.ordered for action in groups for group in groups[action]):
+        return merged(free)
+    publish, subscribe = Action.PUBLISH, Action.SUBSCRIBE
+    orders: list[tuple[tuple[Action, ...], tuple[Action, ...]]]
+    orders = [((publish, subscribe), (subscribe,)), ((subscribe, publish), (publish,))]
+    if all(group.arrangement for group in (*groups[publish], *groups[subscribe])):
+        orders.insert(0, ((), (publish, subscribe)))
+    candidates: list[list[GrantRule[Glob]]] = []
+    refused: OrderError | None = None
+    for order, early_actions in orders:
+        try:
+            early = [item for action in early_actions for item in _early(action, groups)]
+        except OrderError as error:
+            refused = error
+            continue
+        if order or not any(rules.dirty for _, _, rules in early):
+            turns: list[_Groups] = [{action: groups[action]} for action in order]
+            turns = turns or [groups]
+            rest = [rule for turn in turns for rule in merged(_denials_first(turn))]
+            candidates.append([*_first(free, early), *rest])
+    if not candidates and refused:
+        raise refused
+    return min(candidates, key=_cost)
+
+
+def _cost(rules: Iterable[GrantRule[Glob]]) -> int:
+    """Return the approximate size of rules: a rule counts as two patterns."""
+    return sum(2 + sum(map(len, rule.topics.values())) for rule in rules)
+
+
+def _early(action: Action, groups: _Groups) -> list[_Early]:
+    """Return the patterns that one direction must allow before the denials of the other direction.
+
+    Raises:
+        OrderError: there are no such rules.
+    """
+    other = Action.SUBSCRIBE if action is Action.PUBLISH else Action.PUBLISH
+    denied = [pattern for group in groups[other] for pattern in group.denied]
+    free = [
+        p for a in groups for g in groups[a] for rule in g.free for patterns in rule.topics.values() for p in patterns
+    ]
+    result: list[_Early] = []
+    for group in groups[action]:
+        try:
+            if group.arrangement:
+                result.append((action, group, early_rules(denied, group.arrangement)))
+            elif clash := _clash(denied, action, group, free):
+                reason = (
+                    "it is denied in one direction, allowed in the other, and narrowed to several lists of partitions: "
+                    "Cyclone DDS up to 0.10 lets the denial decide for both directions"
+                )
+                raise OrderError(clash, reason)
+        except TooComplexError:
+            raise OrderError(denied[0], "it overlaps what the other direction allows in too many ways") from None
+    return result
+
+
+def _clash(denied: Iterable[Glob], action: Action, group: RuleGroup, earlier: Iterable[Glob]) -> Glob | None:
+    """Return a denied pattern if a detailed list allows some of its names that no earlier rule names; else None."""
+    named = list(earlier)
+    for rule in group.ordered:
+        patterns = rule.topics[action]
+        if rule.effect is Effect.DENY:
+            named.extend(patterns)
+            continue
+        for deny in denied:
+            pieces = (piece for allow in patterns for piece in intersection(deny, allow))
+            if any(not union_covers(tuple(named), piece, 2000) for piece in pieces):
+                return deny
+    return None
+
+
+def _first(free: Iterable[GrantRule[Glob]], early: Iterable[_Early]) -> list[GrantRule[Glob]]:
+    """Return the rules that no denial overlaps, and those that must precede the denials of the other direction."""
+    clean = (GrantRule(Effect.ALLOW, group.partitions, {action: e.clean}) for action, group, e in early if e.clean)
+    result = merged([*free, *clean])
+    for action, group, each in early:
+        if each.dirty:
+            result.append(GrantRule(Effect.DENY, denied_partitions(group.partitions), {action: each.deny}))
+            result.append(GrantRule(Effect.ALLOW, group.partitions, {action: each.dirty}))
+    return result
+
+
+def _denials_first(groups: _Groups) -> list[GrantRule[Glob]]:
+    """Return the ordered rules of all groups: those of simple groups, denials first, then those of detailed groups."""
+    every = [group for action in groups for group in groups[action]]
+    simple = [rule for group in every if group.arrangement for rule in group.ordered]
+    detailed = [rule for group in every if not group.arrangement for rule in group.ordered]
+    return [*sorted(simple, key=lambda rule: rule.effect is Effect.ALLOW), *detailed]
+
+
+def rule_per_policy_rule(rules: Iterable[GrantRule[Glob]], lowered: Lowered) -> tuple[GrantRule[Glob], ...]:
+    """Split rules so that each has the patterns of one policy rule only.
+
+    The parts of a rule have the same effect and partitions, so splitting changes no decision.
+    """
+    owners: dict[tuple[Effect, Action, Glob], Rule] = {}
+    for effect, action, pattern, policy_rule in lowered.patterns():
+        owners.setdefault((effect, action, pattern), policy_rule)
+    result: list[GrantRule[Glob]] = []
+    for rule in rules:
+        parts: dict[Rule | None, dict[Action, list[Glob]]] = {}
+        for action, patterns in rule.topics.items():
+            for pattern in patterns:
+                owner = owners.get((rule.effect, action, pattern))
+                parts.setdefault(owner, {}).setdefault(action, []).append(pattern)
+        for part in parts.values() if parts else ({},):
+            topics = {action: tuple(patterns) for action, patterns in part.items()}
+            result.append(GrantRule(rule.effect, rule.partitions, topics))
+    return tuple(result)
+
+
+def standard_rules(lowered: Lowered) -> tuple[GrantRule[Glob], ...]:
+    """Return rules that follow the standard, for policies that vendors read differently.
+
+    All denials come first, then the allowed patterns, with a rule for each list of partitions.
+    """
+    result: list[GrantRule[Glob]] = []
+    for effect, sides in ((Effect.DENY, lowered.deny), (Effect.ALLOW, lowered.allow)):
+        rules = [
+            GrantRule(effect, partitions or (EVERY if effect is Effect.DENY else DEFAULT), {action: (pattern,)})
+            for action in Action
+            for pattern, partitions in sides[action]
+        ]
+        result += merged(sorted(rules, key=lambda rule: rule.partitions))
+    if not any(lowered.allow.values()):
+        return ()
+    return (GrantRule(Effect.ALLOW, DEFAULT, {}), *result) if result[0].effect is Effect.DENY else tuple(result)

@@ -1,0 +1,38 @@
+"""Rules of a grant: the decision list that a permissions document holds (DDS Security 1.1, 9.4.1.3.2.3)."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Generic, TypeVar
+
+from comarmor.rules import Effect
+from keymint_ros2_dds.lowering.dds_topics import Action
+
+Partitions = tuple[str, ...]
+"""Partition expressions, sorted."""
+DEFAULT: Partitions = ("",)
+"""The default partition."""
+EVERY: Partitions = ("*",)
+
+_Pattern = TypeVar("_Pattern")
+
+
+@dataclass(frozen=True, slots=True)
+class GrantRule(Generic[_Pattern]):
+    """An ``<allow_rule>`` or ``<deny_rule>``: over patterns while it is compiled, over expressions when it is written.
+
+    Attributes:
+        effect: allow or deny.
+        partitions: partition expressions that all its criteria share.
+        topics: topic patterns, or topic expressions, by action.
+    """
+
+    effect: Effect
+    partitions: Partitions
+    topics: Mapping[Action, tuple[_Pattern, ...]]
+
+
+def is_name(expression: str) -> bool:
+    """Tell whether an expression matches no topic but the one of that name."""
+    return not any(char in "*?[\\" for char in expression)
