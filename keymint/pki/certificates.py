@@ -1,4 +1,4 @@
-"""Certificates: issued from a specification, and held against it so that none is issued again without need."""
+"""Certificates: issued from a specification, and compared with it so that none is issued again without need."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ class Issuer:
 
 @dataclass(frozen=True, slots=True)
 class Issued:
-    """A certificate, issued: as an object, as PEM, and what is to be said of it."""
+    """An issued certificate: as an object and as PEM, with its diagnostics."""
 
     certificate: x509.Certificate
     pem: bytes
@@ -53,14 +53,16 @@ def load(pem: bytes, where: Origin | None = None) -> x509.Certificate:
     Raises:
         KeymintError: none, several, or not a certificate.
     """
-    found = load_bundle(pem, where)
-    if len(found) != 1:
-        raise KeymintError(f"{len(found)} certificates where one was expected", where=where, code="certificate-invalid")
-    return found[0]
+    bundle = load_bundle(pem, where)
+    if len(bundle) != 1:
+        raise KeymintError(
+            f"expected one certificate, the file has {len(bundle)}", where=where, code="certificate-invalid"
+        )
+    return bundle[0]
 
 
 def load_bundle(pem: bytes, where: Origin | None = None) -> tuple[x509.Certificate, ...]:
-    """Return the certificates of a PEM file, at least one, in its order.
+    """Return the certificates of a PEM file, at least one, in the file's order.
 
     Raises:
         KeymintError: no certificate, or not a certificate.
@@ -79,9 +81,9 @@ def load_bundle(pem: bytes, where: Origin | None = None) -> tuple[x509.Certifica
 def load_first(pem: bytes, where: Origin | None = None) -> x509.Certificate:
     """Return the first certificate of a PEM file: the permissions authority, as Cyclone DDS and OpenDDS read it.
 
-    Readers of PEM differ in what they take for the beginning of a block: text before it in its line, blocks with other
-    labels such as ``TRUSTED CERTIFICATE``. So five hyphens may only stand in the first and last line of a block of a
-    certificate, whose base64 is in the form of RFC 7468. Other text may come before, between and after.
+    PEM readers differ in what begins a block: some accept text before it in its line, or other labels such as
+    ``TRUSTED CERTIFICATE``. So five hyphens may only occur in the first and last line of a certificate's block, and its
+    base64 must have the form of RFC 7468. Other text may come before, between and after.
 
     Raises:
         KeymintError: no certificate, or a file that readers of PEM may read differently.
@@ -89,13 +91,13 @@ def load_first(pem: bytes, where: Origin | None = None) -> x509.Certificate:
     lines = pem.replace(b"\r\n", b"\n").split(b"\n")
     marks = [line for line in lines if b"-----" in line]
     pairs = [_BEGIN, _END] * (len(marks) // 2)
-    found = load_bundle(pem, where)
+    bundle = load_bundle(pem, where)
     if marks != pairs or b"\r" in b"".join(lines) or b"\0" in pem:
-        problem = "has lines beside its certificates that other readers of PEM may take for the beginning of one"
-    elif b"\n".join(lines[lines.index(_BEGIN) : lines.index(_END) + 1]) + b"\n" != to_pem(found[0]):
-        problem = "is not exactly the encoding of the certificate that it holds"
+        problem = "has lines beside its certificates that other PEM readers may take for the beginning of one"
+    elif b"\n".join(lines[lines.index(_BEGIN) : lines.index(_END) + 1]) + b"\n" != to_pem(bundle[0]):
+        problem = "is not exactly the encoding of its certificate"
     else:
-        return found[0]
+        return bundle[0]
     raise KeymintError(
         f"the certificate of the authority {problem}",
         where=where,
@@ -106,33 +108,33 @@ def load_first(pem: bytes, where: Origin | None = None) -> x509.Certificate:
 
 @functools.lru_cache(maxsize=64)
 def _parsed(pem: bytes) -> tuple[x509.Certificate, ...]:
-    """Parse certificates, whole; cached, since every document of a workspace is held against the same few."""
-    found = tuple(x509.load_pem_x509_certificates(pem))
-    for certificate in found:
-        # The library parses lazily: what is damaged is to be found here.
+    """Parse certificates completely; cached, because a workspace uses the same few for every document."""
+    certificates = tuple(x509.load_pem_x509_certificates(pem))
+    for certificate in certificates:
+        # The library parses lazily: touch every part, so that damage is detected here.
         _ = certificate.extensions, certificate.subject, certificate.issuer, certificate.public_key()
         _ = certificate.not_valid_before_utc, certificate.not_valid_after_utc, certificate.signature_hash_algorithm
         signature = der.elements(der.single(certificate.public_bytes(serialization.Encoding.DER), der.SEQUENCE))[-1][1]
         if not signature.startswith(b"\0"):
-            raise ValueError("unused bits of a signature, that no signature covers")
-    return found
+            raise ValueError("unused bits of a signature, which no signature covers")
+    return certificates
 
 
 def public_key(certificate: x509.Certificate, where: Origin | None = None) -> keys.PublicKey:
-    """Return the key that a certificate certifies.
+    """Return the public key of a certificate.
 
     Raises:
-        KeymintError: it is of an algorithm that no key of ours is of.
+        KeymintError: the key is neither EC nor RSA.
     """
-    found = certificate.public_key()
-    if not isinstance(found, keys.PublicKey):
+    key = certificate.public_key()
+    if not isinstance(key, keys.PublicKey):
         raise KeymintError(
             "certifies neither an EC nor an RSA key",
             where=where,
             help="restore the file from a backup, or run 'keymint install'",
             code="certificate-invalid",
         )
-    return found
+    return key
 
 
 def to_pem(certificate: x509.Certificate) -> bytes:
@@ -141,7 +143,7 @@ def to_pem(certificate: x509.Certificate) -> bytes:
 
 
 def is_canonical(pem: bytes) -> bool:
-    """Tell whether the bytes of a file are exactly the PEM of the certificates that it holds."""
+    """Return whether a file is exactly the PEM encoding of its certificates."""
     try:
         return b"".join(map(to_pem, load_bundle(pem))) == pem
     except KeymintError:
@@ -151,20 +153,20 @@ def is_canonical(pem: bytes) -> bool:
 def issue_authority(spec: CertificateSpec, key: keys.PrivateKey, issuer: Issuer | None) -> Issued:
     """Issue the certificate of an authority.
 
-    Defaults that the specification's extensions replace one by one: basicConstraints CA:TRUE and keyUsage
-    digitalSignature (it signs documents), keyCertSign, cRLSign, both critical; subjectKeyIdentifier; and unless
-    it is self-signed authorityKeyIdentifier (RFC 5280, 4.2.1).
+    Defaults, each replaced by the specification's extension of the same kind: basicConstraints CA:TRUE and keyUsage
+    digitalSignature (it signs documents), keyCertSign, cRLSign, both critical; subjectKeyIdentifier; and, unless it is
+    self-signed, authorityKeyIdentifier (RFC 5280, 4.2.1).
 
     Args:
-        spec: what is asked for.
+        spec: the specification.
         key: the authority's own private key.
-        issuer: who issues it; None for a self-signed certificate.
+        issuer: the issuing authority; None for a self-signed certificate.
 
     Returns:
-        The certificate, with a warning when its validity was cut to the issuer's.
+        The certificate, with a warning if its validity was cut to the issuer's.
 
     Raises:
-        KeymintError: with the place of what cannot be issued.
+        KeymintError: the specification cannot be issued; with its origin.
     """
     if issuer is None:
         return _issue(spec, key.public_key(), None, key, forms.Role.AUTHORITY)
@@ -174,21 +176,21 @@ def issue_authority(spec: CertificateSpec, key: keys.PrivateKey, issuer: Issuer 
 def issue_identity(spec: CertificateSpec, public_key: keys.PublicKey, issuer: Issuer) -> Issued:
     """Issue the certificate of an identity.
 
-    Defaults that the specification's extensions replace one by one: basicConstraints CA:FALSE and keyUsage
+    Defaults, each replaced by the specification's extension of the same kind: basicConstraints CA:FALSE and keyUsage
     digitalSignature, both critical; extendedKeyUsage serverAuth and clientAuth; subjectKeyIdentifier and
-    authorityKeyIdentifier. An extendedKeyUsage is always there and never has emailProtection: where one
-    authority has both jobs, an identity's key could else sign permissions of its own (CVE-2023-24010).
+    authorityKeyIdentifier. An extendedKeyUsage is always present and never has emailProtection: where one authority
+    has both jobs, an identity's key could otherwise sign its own permissions (CVE-2023-24010).
 
     Args:
-        spec: what is asked for.
+        spec: the specification.
         public_key: the identity's public key.
-        issuer: who issues it.
+        issuer: the issuing authority.
 
     Returns:
-        The certificate, with a warning when its validity was cut to the issuer's.
+        The certificate, with a warning if its validity was cut to the issuer's.
 
     Raises:
-        KeymintError: with the place of what cannot be issued.
+        KeymintError: the specification cannot be issued; with its origin.
     """
     return _issue(spec, public_key, issuer.certificate, issuer.key, forms.Role.IDENTITY)
 
@@ -201,17 +203,17 @@ def certificate_satisfies(
     *,
     authority: bool,
 ) -> bool:
-    """Tell whether an existing certificate is what issuing would give again, so that there is no need to.
+    """Return whether an existing certificate equals what would be issued, so that issuing is unnecessary.
 
-    Compared are subject, validity (cut to the issuer's), serial number where one is asked for, hash, public
-    key, extensions, and issuer by name and signature.
+    Compares subject, validity (cut to the issuer's), serial number if specified, hash, public key, extensions, and
+    issuer by name and signature.
 
     Args:
         pem: the existing certificate's file.
-        spec: what is asked for.
-        public_key: the key that it is to certify.
-        issuer: certificate of the issuer as it is now; None for a self-signed certificate.
-        authority: an authority's certificate is compared, else an identity's.
+        spec: the specification.
+        public_key: the key to certify.
+        issuer: the issuer's current certificate; None for a self-signed certificate.
+        authority: whether it is an authority's certificate, not an identity's.
 
     Raises:
         KeymintError: as issuing would.
@@ -239,10 +241,10 @@ def certificate_satisfies(
 
 
 def can_sign_documents(certificate: x509.Certificate, where: Origin | None = None) -> Diagnostic | None:
-    """Return why an authority may not sign permissions and governance, or None when it may.
+    """Return why an authority may not sign permissions and governance, or None if it may.
 
-    What OpenSSL's purpose ``smimesign`` demands (RFC 8550, 4.4.2 and 4.4.4), on which older releases of the
-    DDS vendors insist.
+    These are the rules of OpenSSL's purpose ``smimesign`` (RFC 8550, 4.4.2 and 4.4.4), which older releases of the DDS
+    vendors enforce.
     """
     usage = extensions.value(certificate, x509.KeyUsage)
     extended = extensions.value(certificate, x509.ExtendedKeyUsage)
@@ -284,9 +286,9 @@ def _issue(
     certificate = builder.sign(signing_key, form.hash_algorithm)
     try:
         _ = certificate.extensions
-    except ValueError:  # a dotted OID that the library knows, with bytes that are not its syntax
+    except ValueError:  # a dotted OID that the library knows, with a value in another syntax
         raise KeymintError(
-            f"an extension of {quoted(spec.subject_name, 80)} is not in the syntax of its OID",
+            f"an extension of {quoted(spec.subject_name, 80)} does not have the syntax of its OID",
             where=spec.origin,
             help="correct the value after DER:",
             code="extension-invalid",

@@ -1,7 +1,7 @@
 """Detached CMS signatures (RFC 5652): one signer, its certificate inside, SHA-2, signed attributes.
 
-Made by ``cryptography`` with SHA-256, and verified here also with SHA-384 and SHA-512, which openssl and SROS2 can be
-told to use: every field either has one legal value and is compared with it, or is covered by the signature.
+``cryptography`` makes them with SHA-256. This module verifies them, also with SHA-384 and SHA-512, which openssl and
+SROS2 support: every field is either compared with its one legal value, or covered by the signature.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ _DIGESTS = {
     "sha384": _algorithm("2.16.840.1.101.3.4.2.2"),
     "sha512": _algorithm("2.16.840.1.101.3.4.2.3"),
 }
-"""Digests that collide for nobody: SHA-1 does not belong here, though vendors take it."""
+"""Collision-resistant digests: not SHA-1, although vendors accept it."""
 _ECDSA = {
     "sha256": _algorithm("1.2.840.10045.4.3.2"),
     "sha384": _algorithm("1.2.840.10045.4.3.3"),
@@ -48,25 +48,25 @@ _HASHES: Mapping[str, hashes.HashAlgorithm] = {
     "sha384": hashes.SHA384(),
     "sha512": hashes.SHA512(),
 }
-# RSA by the key's identifier alone (RFC 3370, 3.2): sha256WithRSAEncryption is one altered byte away from it.
+# RSA only by rsaEncryption (RFC 3370, 3.2): sha256WithRSAEncryption differs from it by one altered byte.
 _RSA = _algorithm("1.2.840.113549.1.1.1")
 
 _OPTIONS = (
     pkcs7.PKCS7Options.DetachedSignature,
-    pkcs7.PKCS7Options.Binary,  # the caller has brought the text into canonical form
-    pkcs7.PKCS7Options.NoCapabilities,  # of use in e-mail only, and the documents travel in every handshake
+    pkcs7.PKCS7Options.Binary,  # the caller passes canonical text
+    pkcs7.PKCS7Options.NoCapabilities,  # useful in e-mail only, and documents travel in every handshake
 )
 
 
 @dataclass(frozen=True, slots=True)
 class Signature:
-    """A signature, taken apart.
+    """The parts of a signature.
 
     Attributes:
-        certificate: the signer's certificate that is embedded, DER.
-        digest: the digest: ``sha256``, ``sha384`` or ``sha512``.
-        issuer_and_serial: what names the signer's certificate, DER.
-        attributes: signed attributes as they are signed (a SET), DER.
+        certificate: the embedded certificate of the signer, DER.
+        digest: the digest algorithm: ``sha256``, ``sha384`` or ``sha512``.
+        issuer_and_serial: the identifier of the signer's certificate, DER.
+        attributes: signed attributes in their signed form (a SET), DER.
         algorithm: signature algorithm, DER.
         value: the signature.
     """
@@ -80,16 +80,16 @@ class Signature:
 
 
 def sign(text: bytes, certificate: x509.Certificate, key: PrivateKey) -> bytes:
-    """Return a detached signature with SHA-256 over a text, in DER."""
+    """Return a detached signature over a text, with SHA-256, in DER."""
     builder = pkcs7.PKCS7SignatureBuilder().set_data(text).add_signer(certificate, key, hashes.SHA256())
     return builder.sign(serialization.Encoding.DER, _OPTIONS)
 
 
 def parse(signature: bytes) -> Signature:
-    """Take a signature apart.
+    """Return the parts of a signature.
 
     Raises:
-        ValueError: not of the one form that is accepted; says why.
+        ValueError: not in the one accepted form; with the reason.
     """
     content_type, explicit = _parts(_inside(signature, der.SEQUENCE, "CMS"), 2, "CMS content")
     signed_data = _inside(der.single(explicit, der.CONTEXT_0), der.SEQUENCE, "signed data")
@@ -104,7 +104,7 @@ def parse(signature: bytes) -> Signature:
     if digest_name is None or der.single(digests, der.SET) not in _DIGESTS[digest_name]:
         raise ValueError("its digest is not one of SHA-256, SHA-384 and SHA-512")
     if content != der.tlv(der.SEQUENCE, _DATA):
-        raise ValueError("the content is inside of it, expected a detached signature")
+        raise ValueError("it contains the content, expected a detached signature")
     if content_type != _SIGNED_DATA or not version == signer_version == _VERSION_1:
         raise ValueError("it is not signed data of version 1")
     return Signature(
@@ -118,7 +118,7 @@ def parse(signature: bytes) -> Signature:
 
 
 def verify(signature: Signature, text: bytes, certificate: x509.Certificate) -> bool:
-    """Tell whether a signature over a text was made with a certificate, which must be the embedded one."""
+    """Return whether a signature over a text was made with a certificate, which must be the embedded one."""
     return (
         signature.certificate == certificate.public_bytes(serialization.Encoding.DER)
         and signature.issuer_and_serial == _issuer_and_serial(certificate)
@@ -131,14 +131,14 @@ def _attributes_match(signature: Signature, text: bytes) -> bool:
     """Compare the content type and the message digest, each present once (RFC 5652, 5.3 and 11)."""
     try:
         attributes = der.single(signature.attributes, der.SET)
-        found = [_parts(content, 2, "an attribute") for tag, content in der.elements(attributes)]
+        pairs = [_parts(content, 2, "an attribute") for tag, content in der.elements(attributes)]
     except ValueError:
         return False
     wanted = {
         _CONTENT_TYPE: der.tlv(der.SET, _DATA),
         _MESSAGE_DIGEST: der.tlv(der.SET, der.tlv(der.OCTET_STRING, hashlib.new(signature.digest, text).digest())),
     }
-    return len({kind for kind, _ in found}) == len(found) and wanted.items() <= {tuple(pair) for pair in found}
+    return len({kind for kind, _ in pairs}) == len(pairs) and wanted.items() <= {tuple(pair) for pair in pairs}
 
 
 def _signed(signature: Signature, certificate: x509.Certificate) -> bool:
@@ -163,7 +163,7 @@ def _issuer_and_serial(certificate: x509.Certificate) -> bytes:
 
 
 def _inside(data: bytes, tag: int, what: str) -> bytes:
-    """Return the content of the one element that the data is, which is called so in messages."""
+    """Return the content of data that must be one element, called ``what`` in messages."""
     try:
         return der.single(data, tag)
     except ValueError as error:
@@ -171,8 +171,8 @@ def _inside(data: bytes, tag: int, what: str) -> bytes:
 
 
 def _parts(content: bytes, count: int, what: str = "certificate") -> list[bytes]:
-    """Return the elements of a content, each with its header, of which there must be so many."""
-    found = [der.tlv(tag, part) for tag, part in der.elements(content)]
-    if len(found) != count:
+    """Return the elements of a content, each with its header; there must be ``count`` of them."""
+    parsed = [der.tlv(tag, part) for tag, part in der.elements(content)]
+    if len(parsed) != count:
         raise ValueError(f"expected {what}")
-    return found
+    return parsed

@@ -1,12 +1,11 @@
-"""Distinguished Encoding Rules (ITU-T X.690), as little of them as CMS and raw extensions need.
+"""The part of the Distinguished Encoding Rules (ITU-T X.690) that CMS and raw extensions need.
 
-``cryptography`` signs CMS but does not verify it, and its own ASN.1 interface is declared unstable. The reader
-is strict: what has more than one encoding is refused, so that an altered byte never goes unseen.
+``cryptography`` signs CMS but does not verify it, and its own ASN.1 interface is declared unstable. The reader is
+strict: it refuses every encoding but the canonical one, so that an altered byte is always detected.
 """
 
 from __future__ import annotations
 
-BOOLEAN = 0x01
 INTEGER = 0x02
 OCTET_STRING = 0x04
 NULL = 0x05
@@ -24,7 +23,7 @@ _MAX_LENGTH_BYTES = 4
 
 
 def tlv(tag: int, *parts: bytes) -> bytes:
-    """Return an element: tag, length, and the parts one after another as its content."""
+    """Return an element: tag, length, and the concatenated parts as its content."""
     content = b"".join(parts)
     size = len(content)
     if size < _LONG_LENGTH:
@@ -51,30 +50,30 @@ def oid(dotted: str) -> bytes:
 
 
 def elements(data: bytes) -> list[tuple[int, bytes]]:
-    """Return the tags and contents of the elements that make up the data, all of it.
+    """Return the tag and content of each element of the data.
 
     Raises:
-        ValueError: not DER: a cut element, a length in more bytes than needed, a tag above 30.
+        ValueError: not DER: a truncated element, a length in more bytes than needed, a tag above 30.
     """
-    found = []
+    parsed = []
     position = 0
     while position < len(data):
         tag, start, end = _header(data, position)
-        found.append((tag, data[start:end]))
+        parsed.append((tag, data[start:end]))
         position = end
-    return found
+    return parsed
 
 
 def single(data: bytes, tag: int) -> bytes:
-    """Return the content of the one element that the data is, which must have this tag.
+    """Return the content of data that must be one element with this tag.
 
     Raises:
         ValueError: not DER, another tag, or more than one element.
     """
-    found = elements(data)
-    if len(found) != 1 or found[0][0] != tag:
+    parsed = elements(data)
+    if len(parsed) != 1 or parsed[0][0] != tag:
         raise ValueError("not one element of the expected tag")
-    return found[0][1]
+    return parsed[0][1]
 
 
 def _header(data: bytes, position: int) -> tuple[int, int, int]:
@@ -92,5 +91,5 @@ def _header(data: bytes, position: int) -> tuple[int, int, int]:
             raise ValueError("a length that is not in its shortest form")
         start += count
     if start + size > len(data):
-        raise ValueError("an element that is cut")
+        raise ValueError("a truncated element")
     return tag, start, start + size

@@ -1,4 +1,4 @@
-"""X.509 v3 extensions from the text that people know: OpenSSL's ``x509v3_config`` notation."""
+"""X.509 v3 extensions, parsed from OpenSSL's ``x509v3_config`` notation."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ _E = TypeVar("_E", bound=x509.ExtensionType)
 
 @dataclass(frozen=True, slots=True)
 class Context:
-    """What an extension may depend on: the subject's public key, and the issuer (None when self-signed)."""
+    """The data that an extension may depend on: the subject's public key, and the issuer (None if self-signed)."""
 
     public_key: PublicKey
     issuer: x509.Certificate | None
@@ -43,7 +43,7 @@ KEY_USAGES: Mapping[str, str] = MappingProxyType(
         "decipherOnly": "decipher_only",
     }
 )
-"""Key usages (RFC 5280, 4.2.1.3) and how :class:`x509.KeyUsage` calls them."""
+"""Key usages (RFC 5280, 4.2.1.3) and their names in :class:`x509.KeyUsage`."""
 _EXTENDED_KEY_USAGES = {
     "serverAuth": ExtendedKeyUsageOID.SERVER_AUTH,
     "clientAuth": ExtendedKeyUsageOID.CLIENT_AUTH,
@@ -88,7 +88,7 @@ def authority_key_identifier(issuer: x509.Certificate) -> x509.AuthorityKeyIdent
 
 
 def value(certificate: x509.Certificate, kind: type[_E]) -> _E | None:
-    """Return the value of a certificate's extension of a kind, or None where it has none."""
+    """Return the value of a certificate's extension of a kind, or None if it has none."""
     try:
         return certificate.extensions.get_extension_for_class(kind).value
     except x509.ExtensionNotFound:
@@ -96,13 +96,13 @@ def value(certificate: x509.Certificate, kind: type[_E]) -> _E | None:
 
 
 def parse(extension: Extension, context: Context) -> tuple[x509.ObjectIdentifier, bool, x509.ExtensionType | None]:
-    """Return the OID of an extension, whether it is critical, and its value (None: it is not to be there).
+    """Return the OID of an extension, whether it is critical, and its value (None: omit the extension).
 
-    Known are the names of :data:`NAMES`, and dotted OIDs with a value ``DER:hex`` or ``ASN1:type:text``.
+    Accepts the names of :data:`_KNOWN`, and dotted OIDs with a value ``DER:hex`` or ``ASN1:type:text``.
 
     Args:
-        extension: name, value and place.
-        context: what values such as ``hash`` and ``keyid`` stand for.
+        extension: name, value and origin.
+        context: resolves values such as ``hash`` and ``keyid``.
 
     Raises:
         KeymintError: an unknown name or a value that is not in the notation, with what was expected.
@@ -127,7 +127,7 @@ def parse(extension: Extension, context: Context) -> tuple[x509.ObjectIdentifier
 
 
 def _unknown(extension: Extension) -> x509.ObjectIdentifier:
-    """Return the OID of an extension that is named by dotted OID.
+    """Return the OID of an extension named by a dotted OID.
 
     Raises:
         KeymintError: neither a known name nor a dotted OID, or the OID of a known name.
@@ -140,7 +140,7 @@ def _unknown(extension: Extension) -> x509.ObjectIdentifier:
             return oid
         problem, help_ = f"the extension {name} has a name", f"write {known}"
     else:
-        problem = f"{name!r} is not an extension that is known"
+        problem = f"{name!r} is not a known extension"
         help_ = did_you_mean(name, _KNOWN, f"known are {', '.join(_KNOWN)} and dotted OIDs")
     raise KeymintError(problem, where=extension.origin, help=help_, code="extension-unknown")
 
@@ -150,7 +150,7 @@ def _items(text: str) -> list[str]:
     if not all(items):
         raise ValueError("an entry is empty")
     if len(set(items)) != len(items):
-        raise ValueError("an entry stands twice")
+        raise ValueError("an entry occurs twice")
     return items
 
 
@@ -289,7 +289,7 @@ def _hex(text: str) -> bytes:
 
 
 def _raw(text: str) -> bytes:
-    """Return the DER of ``DER:hex`` or ``ASN1:type:text``, of which there must be exactly one element."""
+    """Return the DER of ``DER:hex`` or ``ASN1:type:text``: exactly one element."""
     form, _, rest = text.partition(":")
     if form == "ASN1":
         kind, _, rest = rest.partition(":")
@@ -315,5 +315,3 @@ _KNOWN: dict[str, tuple[x509.ObjectIdentifier, Callable[[str, Context], x509.Ext
     "authorityKeyIdentifier": (ExtensionOID.AUTHORITY_KEY_IDENTIFIER, _authority_key_identifier),
     "nsComment": (_NS_COMMENT, _ns_comment),
 }
-NAMES = tuple(_KNOWN)
-"""Names of extensions that are known."""

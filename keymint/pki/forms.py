@@ -1,4 +1,4 @@
-"""What a certificate will say: a specification, its role's defaults, and the limits that its issuer sets."""
+"""The fields of a certificate to issue: its specification, the defaults of its role, and the limits of its issuer."""
 
 from __future__ import annotations
 
@@ -21,18 +21,18 @@ from keymint.pki import extensions, keys, names
 HASHES: Mapping[str, Callable[[], hashes.SHA256 | hashes.SHA384 | hashes.SHA512]] = MappingProxyType(
     {"SHA256": hashes.SHA256, "SHA384": hashes.SHA384, "SHA512": hashes.SHA512}
 )
-"""Hash algorithms of certificates. DDS vendors accept SHA256; the others are for keys that only some take."""
+"""Hash algorithms of certificates. All DDS vendors accept SHA256; the others are for keys that only some accept."""
 _MAX_SERIAL = 1 << 159
 """Exclusive: 20 octets, positive (RFC 5280, 4.1.2.2)."""
 _SIGNS_DOCUMENTS = (ExtendedKeyUsageOID.EMAIL_PROTECTION, ExtendedKeyUsageOID.ANY_EXTENDED_KEY_USAGE)
-"""Extended key usages with which OpenSSL takes a key for one that may sign S/MIME (purpose smimesign)."""
+"""Extended key usages with which OpenSSL lets a key sign S/MIME (purpose smimesign)."""
 
 
 _Values = dict[x509.ObjectIdentifier, tuple[bool, x509.ExtensionType]]
 
 
 class Role(Enum):
-    """What a certificate is for."""
+    """The purpose of a certificate."""
 
     AUTHORITY = "authority"
     IDENTITY = "identity"
@@ -40,7 +40,7 @@ class Role(Enum):
 
 @dataclass(frozen=True, slots=True)
 class Form:
-    """Everything that a certificate will say, but for its serial number."""
+    """All fields of a certificate to issue, except its serial number."""
 
     subject: x509.Name
     issuer: x509.Name
@@ -52,10 +52,10 @@ class Form:
 def form(
     spec: CertificateSpec, public_key: keys.PublicKey, issuer: x509.Certificate | None, role: Role
 ) -> tuple[Form, tuple[Diagnostic, ...]]:
-    """Return what a certificate will say, and a warning when its validity was cut to the issuer's.
+    """Return the fields of a certificate, and a warning if its validity was cut to the issuer's.
 
     Raises:
-        KeymintError: with the place of what cannot be issued.
+        KeymintError: the specification cannot be issued; with its origin.
     """
     if spec.serial is not None and not 0 < spec.serial < _MAX_SERIAL:
         raise KeymintError(
@@ -82,7 +82,7 @@ def _hash(spec: CertificateSpec) -> hashes.SHA256 | hashes.SHA384 | hashes.SHA51
     name = spec.hash_algorithm.upper().replace("-", "")
     if name not in HASHES:
         raise KeymintError(
-            f"{spec.hash_algorithm!r} is not a hash algorithm that certificates can have",
+            f"{spec.hash_algorithm!r} is not a supported hash algorithm",
             where=spec.origin,
             help=f"known are {', '.join(HASHES)}",
             code="hash-unknown",
@@ -101,9 +101,9 @@ def _clamp(spec: CertificateSpec, issuer: x509.Certificate | None) -> tuple[Vali
     if first >= last:
         beyond = f", within that of its issuer {names.to_text(issuer.subject)!r}" if issuer is not None else ""
         raise KeymintError(
-            f"no time of validity is left: {_period(wanted)}{beyond}",
+            f"the validity is empty: {_period(wanted)}{beyond}",
             where=spec.origin,
-            help="give it other dates, or renew the issuer",
+            help="change its dates, or renew the issuer",
             code="validity-empty",
         )
     given = Validity(first, last)
@@ -114,7 +114,7 @@ def _clamp(spec: CertificateSpec, issuer: x509.Certificate | None) -> tuple[Vali
         Severity.WARNING,
         f"the validity of the certificate, {_period(wanted)}, is cut to its issuer's: {_period(given)}",
         spec.validity.origin or spec.origin,
-        "ask for no more than the issuer has, or renew the issuer",
+        "keep it within the issuer's validity, or renew the issuer",
     )
     return given, (warning,)
 
@@ -124,19 +124,19 @@ def _period(validity: Validity) -> str:
 
 
 def _check_issuer(issuer: x509.Certificate, where: Origin, role: Role) -> None:
-    """Refuse an issuer whose certificate does not let it issue (RFC 5280, 4.2.1.3 and 4.2.1.9)."""
+    """Refuse an issuer that may not issue (RFC 5280, 4.2.1.3 and 4.2.1.9)."""
     constraints = extensions.value(issuer, x509.BasicConstraints)
     usage = extensions.value(issuer, x509.KeyUsage)
     problem = ""
     if constraints is None or not constraints.ca:
-        problem = "is not an authority's (basicConstraints)"
+        problem = "is not a CA certificate (basicConstraints)"
     elif usage is not None and not usage.key_cert_sign:
         problem = "lacks keyCertSign (keyUsage)"
     elif role is Role.AUTHORITY and constraints.path_length == 0:
-        problem = "has pathlen:0, so it issues no authorities (basicConstraints)"
+        problem = "has pathlen:0, so it may not issue authorities (basicConstraints)"
     if problem:
         raise KeymintError(
-            f"the issuer {names.to_text(issuer.subject)!r} cannot issue this certificate: its own {problem}",
+            f"the issuer {names.to_text(issuer.subject)!r} cannot issue it: its own certificate {problem}",
             where=where,
             help="name another issuer, or change the extensions of this one",
             code="issuer-invalid",
@@ -144,19 +144,19 @@ def _check_issuer(issuer: x509.Certificate, where: Origin, role: Role) -> None:
 
 
 def _extensions(spec: CertificateSpec, context: extensions.Context, role: Role) -> _Values:
-    """Return the role's defaults, each replaced by what the specification says of it."""
-    found: dict[x509.ObjectIdentifier, tuple[bool, x509.ExtensionType | None]] = _defaults(context, role)
+    """Return the role's defaults, replaced by the extensions of the specification."""
+    values: dict[x509.ObjectIdentifier, tuple[bool, x509.ExtensionType | None]] = _defaults(context, role)
     given: set[x509.ObjectIdentifier] = set()
     for extension in spec.extensions:
         oid, critical, value = extensions.parse(extension, context)
         if oid in given:
             raise KeymintError(
-                f"the extension {extension.name} stands twice",
+                f"the extension {extension.name} occurs twice",
                 where=extension.origin,
                 code="extension-invalid",
             )
         given.add(oid)
-        found[oid] = (critical, value)
+        values[oid] = (critical, value)
         if problem := _conflict(value, critical, role):
             raise KeymintError(
                 f"{extension.name} = {quoted(extension.value, 80)} {problem}",
@@ -164,7 +164,7 @@ def _extensions(spec: CertificateSpec, context: extensions.Context, role: Role) 
                 help="leave it out for the default" if role is Role.IDENTITY else "leave it out, or correct it",
                 code="extension-conflict",
             )
-    return {oid: (critical, value) for oid, (critical, value) in found.items() if value is not None}
+    return {oid: (critical, value) for oid, (critical, value) in values.items() if value is not None}
 
 
 def _defaults(
@@ -191,10 +191,10 @@ _IDENTITY_EXTENDED_USAGE = x509.ExtendedKeyUsage([ExtendedKeyUsageOID.SERVER_AUT
 
 
 def _conflict(value: x509.ExtensionType | None, critical: bool, role: Role) -> str:
-    """Return why a certificate of this role must not have an extension, or nothing."""
+    """Return why a certificate of this role must not have an extension, or an empty string."""
     match value:
         case x509.ExtendedKeyUsage() if role is Role.IDENTITY and any(each in value for each in _SIGNS_DOCUMENTS):
-            return "would let an identity sign permissions of its own (emailProtection, anyExtendedKeyUsage)"
+            return "would let an identity sign its own permissions (emailProtection, anyExtendedKeyUsage)"
         case x509.BasicConstraints() if role is Role.IDENTITY and value.ca:
             return "would make an identity an authority"
         case x509.KeyUsage() if role is Role.IDENTITY and value.key_cert_sign:

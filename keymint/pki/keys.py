@@ -1,6 +1,6 @@
-"""Private keys: minted, stored as PKCS #8 PEM, read back, and held against certificates.
+"""Private keys: minted, stored as PKCS #8 PEM, read back, and compared with certificates.
 
-No error here holds key material, and none passes on a message of the library that could.
+No error here contains key material, nor a message of the library that could contain some.
 """
 
 from __future__ import annotations
@@ -60,7 +60,7 @@ def curve_name(text: str, where: Origin | None = None) -> str:
     if name in CURVES:
         return name
     raise KeymintError(
-        f"{text!r} is not a curve that keys can have",
+        f"{text!r} is not a supported curve",
         where=where,
         help=did_you_mean(plain, CURVES, f"known are {', '.join(CURVES)}"),
         code="key-type-unknown",
@@ -72,10 +72,10 @@ def generate(spec: KeySpec, where: Origin | None = None) -> PrivateKey:
 
     Args:
         spec: algorithm, and curve or size.
-        where: the place a person asked for it, for messages.
+        where: its origin, for messages.
 
     Raises:
-        KeymintError: the algorithm, the curve or the size is not one that can be used.
+        KeymintError: the algorithm, the curve or the size is not supported.
     """
     if _is_ec(spec, where):
         return ec.generate_private_key(CURVES[curve_name(spec.curve, where)]())
@@ -93,14 +93,14 @@ def check(spec: KeySpec, where: Origin | None = None) -> None:
 
 
 def fits(key: PrivateKey | PublicKey, spec: KeySpec) -> bool:
-    """Tell whether a key is of the algorithm and of the curve or size that a specification asks for."""
+    """Return whether a key has the algorithm and the curve or size of a specification."""
     if isinstance(key, ec.EllipticCurvePrivateKey | ec.EllipticCurvePublicKey):
         return _is_ec(spec, None) and key.curve.name.upper() == curve_name(spec.curve)
     return not _is_ec(spec, None) and key.key_size == spec.size
 
 
 def to_pem(key: PrivateKey, password: bytes | None = None) -> bytes:
-    """Return a private key as PKCS #8 PEM, encrypted (PBES2, AES-256) when a password is given."""
+    """Return a private key as PKCS #8 PEM, encrypted (PBES2, AES-256) if a password is given."""
     encryption = serialization.BestAvailableEncryption(password) if password else serialization.NoEncryption()
     return key.private_bytes(serialization.Encoding.PEM, serialization.PrivateFormat.PKCS8, encryption)
 
@@ -110,11 +110,11 @@ def from_pem(pem: bytes, password: bytes | None = None, where: Origin | None = N
 
     Args:
         pem: the file's bytes.
-        password: of an encrypted key; None for one that is stored in the clear.
+        password: password of an encrypted key; None for an unencrypted one.
         where: the file, for messages.
 
     Raises:
-        KeymintError: not a private key, of a kind that is not supported, or the password is missing or wrong.
+        KeymintError: not a private key, an unsupported kind of key, or a missing or wrong password.
     """
     encrypted = _is_encrypted(pem)
     if encrypted and not password:
@@ -125,7 +125,7 @@ def from_pem(pem: bytes, password: bytes | None = None, where: Origin | None = N
             code="key-password",
         )
     try:
-        # A password for a key in the clear is an error of the library, but not one of the user's.
+        # The library rejects a password for an unencrypted key; for the user that is not an error.
         key = serialization.load_pem_private_key(pem, password if encrypted else None)
     except (ValueError, TypeError, UnsupportedAlgorithm):
         problem = "the password of the private key is wrong" if encrypted else "not a private key in PEM"
@@ -146,7 +146,7 @@ def from_pem(pem: bytes, password: bytes | None = None, where: Origin | None = N
 
 
 def matches(key: PrivateKey, certificate: x509.Certificate) -> bool:
-    """Tell whether a private key belongs to a certificate."""
+    """Return whether a private key belongs to a certificate."""
     return key.public_key() == certificate.public_key()
 
 
@@ -158,14 +158,14 @@ def fingerprint(key: PrivateKey | PublicKey) -> str:
 
 
 def is_canonical(pem: bytes, password: bytes | None = None) -> bool:
-    """Tell whether the bytes of a key file are exactly what :func:`to_pem` writes for the key that they hold.
+    """Return whether a key file is exactly what :func:`to_pem` writes for its key.
 
-    Any changed byte of a file that once was canonical makes this False, or makes :func:`matches` fail. Of an
-    encrypted key (whose salt is random) the PEM frame is compared, and with its password also the content.
+    Any changed byte of a canonical file makes this False, or makes :func:`matches` fail. For an encrypted key (its salt
+    is random) the PEM frame is compared, and with the password also the content.
 
     Args:
         pem: the file's bytes.
-        password: of an encrypted key, where it is known.
+        password: password of an encrypted key, if known.
     """
     try:
         if not _is_encrypted(pem):
@@ -182,7 +182,7 @@ def _is_encrypted(pem: bytes) -> bool:
 
 
 def _is_canonical_frame(pem: bytes) -> bool:
-    """Tell whether one PEM block, base64 in full lines and nothing else, makes up the bytes."""
+    """Return whether the bytes are exactly one PEM block with base64 in full lines."""
     frame = _PEM.fullmatch(pem)
     if frame is None:
         return False
@@ -196,7 +196,7 @@ def _is_canonical_frame(pem: bytes) -> bool:
 
 
 def _is_ec(spec: KeySpec, where: Origin | None) -> bool:
-    """Tell EC from RSA.
+    """Return whether the key is EC; otherwise it is RSA.
 
     Raises:
         KeymintError: the algorithm is neither, or an RSA key would be too small or too large.
@@ -206,7 +206,7 @@ def _is_ec(spec: KeySpec, where: Origin | None) -> bool:
         return True
     if algorithm != "rsa":
         raise KeymintError(
-            f"{spec.algorithm!r} is not an algorithm that keys can have",
+            f"{spec.algorithm!r} is not a supported key algorithm",
             where=where,
             help="known are ec (with a curve) and rsa (with a size)",
             code="key-type-unknown",

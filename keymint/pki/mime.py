@@ -1,9 +1,9 @@
 """The frame of a signed document: ``multipart/signed`` (RFC 8551, 3.5.3) with the inner ``text/plain`` of OpenSSL.
 
 DDS vendors read the frame with OpenSSL's ``SMIME_read_PKCS7`` (``crypto/asn1/asn_mime.c``), which is lenient: a line
-that *begins* with ``--BOUNDARY`` separates, everything after ``--BOUNDARY--`` is ignored, a line longer than 1023 bytes
-is read in pieces that count as lines, headers may come twice, folded and in any case. Other MIME readers are lenient
-in other ways. So the reader here takes a grammar in which all of them see the same content, and refuses the rest::
+that *begins* with ``--BOUNDARY`` is a separator, everything after ``--BOUNDARY--`` is ignored, a line longer than 1023
+bytes is read in pieces that count as lines, headers may be repeated, folded, and in any case. Other MIME readers are
+lenient in other ways. So this reader accepts a grammar in which all of them see the same content, and refuses others::
 
     MIME-Version: 1.0
     Content-Type: multipart/signed; protocol="TYPE"; micalg="sha-256"; boundary="BOUNDARY"
@@ -25,8 +25,8 @@ in other ways. So the reader here takes a grammar in which all of them see the s
 
 TYPE is ``application/x-pkcs7-signature``, or the same without ``x-``; the digest is SHA-256, SHA-384 or SHA-512.
 BOUNDARY has 8 to 70 characters, none of which any reader treats specially (OpenSSL loses one of a single character).
-``--BOUNDARY`` stands nowhere else, not even within a line. Only blank lines follow. The frame, the text part and the
-base64 each have line ends of one kind, LF or CRLF: Keymint writes LF, SROS2 (``cryptography``) CRLF, ``openssl smime
+``--BOUNDARY`` occurs nowhere else, not even within a line. Only blank lines follow. The frame, the text part and the
+base64 each use one kind of line end, LF or CRLF: Keymint writes LF, SROS2 (``cryptography``) CRLF, ``openssl smime
 -sign -text`` LF around a text part in CRLF, and with ``-crlfeol`` CRLF around base64 in LF.
 """
 
@@ -42,7 +42,7 @@ from comarmor.errors import Origin
 from keymint.errors import KeymintError
 
 UNREAD = "smime-form"
-"""Code of the error for a file whose form is not read here: what vendors make of it is not known."""
+"""Error code for a file in a form that this reader refuses: how vendors read it is unknown."""
 
 _LINE = 64
 _BOUNDARY = 32
@@ -71,13 +71,13 @@ _SHOWN = 80
 
 @dataclass(frozen=True, slots=True)
 class SignedDocument:
-    """A signed file, taken apart. Only :func:`keymint.pki.smime.read` returns one whose signature holds.
+    """The parts of a signed file. Only :func:`keymint.pki.smime.read` returns one with a verified signature.
 
     Attributes:
-        content: the document that is signed, with LF line ends. Vendors hand it to their parsers with CRLF.
+        content: the signed document, with LF line ends. Vendors pass it to their parsers with CRLF.
         signature: the detached signature, CMS in DER.
-        lines_before: how many lines of the file come before the content.
-        digest: the digest that the frame names: ``sha256``, ``sha384`` or ``sha512``.
+        lines_before: number of lines of the file before the content.
+        digest: the digest algorithm that the frame names: ``sha256``, ``sha384`` or ``sha512``.
     """
 
     content: bytes
@@ -87,15 +87,15 @@ class SignedDocument:
 
 
 def canonical_text(content: bytes) -> bytes:
-    """Return what is signed: the text part with its header, in CRLF line ends (RFC 8551, 3.1.1)."""
+    """Return the bytes to sign: the text part with its header, with CRLF line ends (RFC 8551, 3.1.1)."""
     return b"Content-Type: text/plain\r\n\r\n" + content.replace(b"\n", b"\r\n")
 
 
 def wrap(content: bytes, signature: bytes) -> bytes:
     """Return the document: the content, and its detached signature (CMS in DER, SHA-256).
 
-    The boundary is a digest of the content, so that the frame is a function of what it holds. (``cryptography`` writes
-    the frame with the package ``email``, at ten times the cost of the signature.)
+    The boundary is a digest of the content, so that the frame depends on the content only. (``cryptography`` writes the
+    frame with the package ``email``, at ten times the cost of the signature.)
     """
     boundary = hashlib.sha256(content).hexdigest()[:_BOUNDARY].upper().encode()
     text = base64.b64encode(signature)
@@ -106,24 +106,25 @@ def wrap(content: bytes, signature: bytes) -> bytes:
 
 
 def unwrap(document: bytes, where: Origin | None = None) -> SignedDocument:
-    """Take a document apart; whether the signature holds is not looked at.
+    """Return the parts of a document, without verifying the signature.
 
     Args:
         document: the bytes of a signed file.
         where: the file, for messages.
 
     Raises:
-        KeymintError: it is not of the grammar above (code ``smime-form``); says the line and what was expected.
+        KeymintError: the document does not match the grammar above (code ``smime-form``); with the line and what was
+            expected.
     """
-    return _Reader(document, where).document()
+    return _MimeParser(document, where).document()
 
 
 def refuse(where: Origin | None, line: int, problem: str) -> NoReturn:
-    """Raise the error for a document that more than one reading is possible of, or none.
+    """Raise the error for a document that readers may read differently, or not at all.
 
     Args:
         where: the file.
-        line: the line in it, or 0.
+        line: the line in the file, or 0.
         problem: what is wrong, and what was expected.
     """
     place = Origin(where.file, line) if where is not None and line else where
@@ -135,14 +136,14 @@ def refuse(where: Origin | None, line: int, problem: str) -> NoReturn:
     )
 
 
-class _Reader:
-    """Reads one document, line by line. Lines are counted from 0 here, and from 1 in messages."""
+class _MimeParser:
+    """Parses one document, line by line. Lines are counted from 0 here, and from 1 in messages."""
 
     def __init__(self, document: bytes, where: Origin | None) -> None:
         self._where = where
-        for pattern, name in ((rb"\x00", "a NUL byte"), (_BARE_CR, "a carriage return that no line feed follows")):
-            if found := re.search(pattern, document):
-                self._refuse(document.count(b"\n", 0, found.start()), f"it has {name}")
+        for pattern, name in ((rb"\x00", "a NUL byte"), (_BARE_CR, "a carriage return without a line feed")):
+            if match := re.search(pattern, document):
+                self._refuse(document.count(b"\n", 0, match.start()), f"it has {name}")
         self._document = document
         self._lines = document.split(b"\n")
         self._returns = self._lines[0].endswith(b"\r")
@@ -164,17 +165,17 @@ class _Reader:
         return SignedDocument(content, signature, _BEFORE_CONTENT, digest)
 
     def _multipart(self) -> tuple[bytes, str, bytes]:
-        """Return the signature's type, the digest, and the line that separates parts."""
-        found = _MULTIPART.fullmatch(self._frame(1)) if len(self._lines) > 1 else None
-        if found is None:
+        """Return the signature's type, the digest, and the separator line."""
+        match = _MULTIPART.fullmatch(self._frame(1)) if len(self._lines) > 1 else None
+        if match is None:
             self._unexpected(1, b'Content-Type: multipart/signed; protocol="..."; micalg="..."; boundary="..."')
-        digest = _DIGESTS.get(found[2])
+        digest = _DIGESTS.get(match[2])
         if digest is None:
-            self._refuse(1, f"its digest is {found[2].decode()}, expected sha-256, sha-384 or sha-512")
-        return found[1], digest, b"--" + found[3]
+            self._refuse(1, f"its digest is {match[2].decode()}, expected sha-256, sha-384 or sha-512")
+        return match[1], digest, b"--" + match[3]
 
     def _separators(self, separator: bytes) -> tuple[int, int, int]:
-        """Return the lines that separate parts; they are the only places where their text occurs."""
+        """Return the lines of the three separators; their text must occur nowhere else."""
         overlapping = re.compile(b"(?=" + re.escape(separator) + b")")
         lines = [self._document.count(b"\n", 0, each.start()) for each in overlapping.finditer(self._document)]
         expected = (separator, separator, separator + b"--")
@@ -182,11 +183,11 @@ class _Reader:
             self._expect(line, text)
         if len(lines) != len(expected):
             last = lines[len(expected)] if len(lines) > len(expected) else len(self._lines) - 1
-            self._refuse(last, f"expected {_shown(separator)} at three places of the file, found {len(lines)}")
+            self._refuse(last, f"expected {_shown(separator)} in three places, the file has {len(lines)}")
         return lines[0], lines[1], lines[2]
 
     def _content(self, second: int) -> bytes:
-        """Return the content, which ends before the line end that belongs to the second separator."""
+        """Return the content. The line end before the second separator belongs to the separator."""
         if second < _BEFORE_CONTENT + 1:
             self._refuse(second, "expected the text part with its header and a blank line")
         lines = [*self._section(_BEFORE_TEXT, second - 1), self._frame(second - 1)]
@@ -209,7 +210,7 @@ class _Reader:
         lines = self._section(start, last - 1)
         for number, text in enumerate(lines):
             if len(text) != _LINE and (number < len(lines) - 1 or not 1 <= len(text) < _LINE):
-                self._refuse(start + number, f"expected {_LINE} characters of base64, and less only in the last line")
+                self._refuse(start + number, f"expected {_LINE} characters of base64, fewer only in the last line")
         joined = b"".join(lines)
         try:
             signature = base64.b64decode(joined, validate=True)
@@ -220,7 +221,7 @@ class _Reader:
         return signature
 
     def _section(self, start: int, stop: int) -> list[bytes]:
-        """Return lines without their line ends, which are all of one kind."""
+        """Return lines without their line ends, which must all be of one kind."""
         lines = self._lines[start:stop]
         returns = [text.endswith(b"\r") for text in lines]
         if not any(returns):
@@ -231,23 +232,23 @@ class _Reader:
         return [text[:-1] for text in lines]
 
     def _frame(self, line: int) -> bytes:
-        """Return a line of the frame without its line end, which is that of the first line."""
+        """Return a line of the frame without its line end, which must be the same as in the first line."""
         text = self._lines[line]
         if line < len(self._lines) - 1 and text.endswith(b"\r") != self._returns:
             self._wrong_end(line, self._returns, 0)
         return text.removesuffix(b"\r")
 
     def _wrong_end(self, line: int, wanted: bool, like: int) -> NoReturn:
-        found, expected = ("LF", "CRLF") if wanted else ("CRLF", "LF")
-        self._refuse(line, f"the line ends with {found}, expected {expected} as in line {like + 1}")
+        actual, expected = ("LF", "CRLF") if wanted else ("CRLF", "LF")
+        self._refuse(line, f"the line ends with {actual}, expected {expected} as in line {like + 1}")
 
     def _expect(self, line: int, text: bytes) -> None:
         if line >= len(self._lines) or self._frame(line) != text:
             self._unexpected(line, text)
 
     def _unexpected(self, line: int, text: bytes) -> NoReturn:
-        found = _shown(self._lines[line].removesuffix(b"\r")) if line < len(self._lines) else "the end of the file"
-        self._refuse(line, f"expected {_shown(text)}, found {found}")
+        actual = _shown(self._lines[line].removesuffix(b"\r")) if line < len(self._lines) else "the end of the file"
+        self._refuse(line, f"expected {_shown(text)}, found {actual}")
 
     def _refuse(self, line: int, problem: str) -> NoReturn:
         refuse(self._where, line + 1, problem)

@@ -1,4 +1,4 @@
-"""Distinguished names: from the text that a person writes, and to the text that DDS vendors compare.
+"""Distinguished names: parsed from text, and rendered as DDS vendors compare them.
 
 Names are written in *certificate order*, first RDN first: ``C=US, O=Acme, CN=ca``. RFC 4514 prints a name the
 other way round, and so do permissions documents: see :func:`render`.
@@ -21,9 +21,9 @@ from keymint.errors import KeymintError
 MAX_COMMON_NAME = 64
 """ub-common-name of RFC 5280, appendix A.1."""
 MAX_SEGMENTS = 16
-"""Path segments of a common name that leave room for further RDNs within :data:`MAX_TOKENS`."""
+"""Maximum path segments of a common name, so that further RDNs fit into :data:`MAX_TOKENS`."""
 MAX_TOKENS = 20
-"""Tokens, split at ``,`` ``/`` and ``|``, of a subject name that Cyclone DDS compares; it refuses more."""
+"""Maximum tokens, split at ``,`` ``/`` and ``|``, of a subject name that Cyclone DDS compares; it refuses more."""
 
 # Short name -> OID, upper bound of RFC 5280, appendix A.1. The short names are OpenSSL's: vendors print them.
 _TYPES: dict[str, tuple[x509.ObjectIdentifier, int]] = {
@@ -66,32 +66,32 @@ _SHORT = {oid: name for name, (oid, _) in _TYPES.items()}
 _ASCII_TYPES = frozenset({"C", "DC", "emailAddress", "serialNumber", "dnQualifier"})
 """Types whose ASN.1 string is PrintableString or IA5String."""
 _UNBOUNDED = 1024
-"""Characters of a value whose type has no upper bound here."""
+"""Maximum characters of a value whose type has no upper bound of its own."""
 
 _TYPE_THEN_EQUALS = re.compile(r"\s*([A-Za-z][A-Za-z0-9.-]*|[0-9][0-9.]*)\s*=")
 _HEX_PAIR = re.compile(r"[0-9A-Fa-f]{2}")
 _ESCAPABLE = frozenset(',+"\\<>;=/# ')
 _ESCAPED_IN_TEXT = frozenset(',+"\\<>;')
 _AMBIGUOUS = frozenset('"\\<>;|')
-"""Characters of a value that some vendor's comparison of names escapes, or takes for a separator."""
+"""Characters that some vendor escapes or treats as a separator when it compares names."""
 _DDS_ESCAPES = re.compile(r"^#|[,+]")
 _EXAMPLE = "write e.g. CN=/robot/camera,OU=x1 or /C=US/O=Acme/CN=ca"
 
 
 @lru_cache(maxsize=4096)
 def parse(text: str, where: Origin | None = None) -> x509.Name:
-    r"""Return the name that a text says, in certificate order.
+    r"""Parse a name in certificate order.
 
-    Accepted are the comma form (RFC 4514, but in certificate order; ``\`` escapes, spaces around a comma are
-    skipped), OpenSSL's one-line form ``/C=US/CN=ca``, and the two mixed: ``O=Acme, CN=ca/emailAddress=a@b.c``.
-    A ``/`` begins an RDN where a known attribute type and ``=`` follow; ``CN=/robot/arm`` is one value.
+    Accepts the comma form (RFC 4514, but in certificate order; ``\`` escapes, spaces around a comma are skipped),
+    OpenSSL's one-line form ``/C=US/CN=ca``, and mixtures: ``O=Acme, CN=ca/emailAddress=a@b.c``.
+    A ``/`` begins an RDN if a known attribute type and ``=`` follow; ``CN=/robot/arm`` is one value.
 
     Args:
         text: the name.
-        where: the place a person wrote it, for messages.
+        where: its origin, for messages.
 
     Raises:
-        KeymintError: the text is not a name: says what is wrong and what is allowed.
+        KeymintError: the text is not a name; with what is allowed.
     """
     if not text.strip():
         raise KeymintError("a subject name is empty", where=where, help=_EXAMPLE, code="name-invalid")
@@ -106,12 +106,12 @@ def to_text(name: x509.Name) -> str:
 def render(name: x509.Name, where: Origin | None = None) -> str:
     """Return the text of ``<subject_name>`` in a DDS permissions document.
 
-    It is the text that OpenSSL prints of the certificate's subject under ``XN_FLAG_RFC2253``, last RDN first: Fast DDS
-    2.9 compares with exactly that, Cyclone DDS takes the RDNs in any order (DDS Security 1.1, 9.4.1.3.2.1, leaves the
+    This is how OpenSSL prints the certificate's subject with ``XN_FLAG_RFC2253``, last RDN first: Fast DDS 2.9 compares
+    exactly this text, Cyclone DDS accepts the RDNs in any order (DDS Security 1.1, 9.4.1.3.2.1, leaves the
     comparison to the vendor). A certificate with ``OU=x1,CN=/robot`` is ``CN=/robot,OU=x1`` here.
 
     Raises:
-        KeymintError: the name holds something that vendors read differently; says what.
+        KeymintError: the name contains something that vendors read differently.
     """
     for part in name:
         value = _string(part)
@@ -124,16 +124,18 @@ def render(name: x509.Name, where: Origin | None = None) -> str:
             raise _not_portable(f"has {' and '.join(map(repr, odd))} in {kind}={value!r}", where)
         if value != " ".join(value.split()):
             raise _not_portable(f"has leading, trailing or repeated spaces in {kind}={value!r}", where)
-    # Of a name without the characters refused above, OpenSSL escapes these alone.
+    # In a name without the characters refused above, OpenSSL escapes only these.
     shown = ",".join(f"{_SHORT[part.oid]}={_escape_for_dds(_string(part))}" for part in reversed(list(name)))
     tokens = sum(1 for token in re.split(r"[,/]", shown) if token)
     if tokens > MAX_TOKENS:
-        raise _not_portable(f"has {tokens} parts between ',' and '/', {MAX_TOKENS} are the most: {shown[:60]}…", where)
+        raise _not_portable(
+            f"has {tokens} parts between ',' and '/', the maximum is {MAX_TOKENS}: {shown[:60]}…", where
+        )
     return shown
 
 
 def parse_rendered(text: str, where: Origin | None = None) -> x509.Name:
-    """Return the name that a ``<subject_name>`` says: what :func:`render` was given.
+    """Parse a ``<subject_name>``: the inverse of :func:`render`.
 
     Raises:
         KeymintError: the text is not a name.
@@ -142,9 +144,9 @@ def parse_rendered(text: str, where: Origin | None = None) -> x509.Name:
 
 
 def common_name(subject: str) -> str:
-    """Return the common name for a subject: the subject, or where X.509 or a vendor ends, its last segments.
+    """Return the common name of a subject: its name, or its last segments if that exceeds a limit of X.509 or a vendor.
 
-    A common name that is cut is not unique: beside it stands an RDN of :func:`unique_suffix`.
+    A shortened common name is not unique: combine it with an RDN of :func:`unique_suffix`.
 
     Args:
         subject: a subject's name, e.g. ``/robot1/arm/driver``.
@@ -158,7 +160,7 @@ def common_name(subject: str) -> str:
 
 
 def unique_suffix(subject: str) -> str:
-    """Return 32 hexadecimal digits that no other subject has: half of the SHA-256 of its name."""
+    """Return 32 hexadecimal digits that are unique to a subject: half of the SHA-256 of its name."""
     return hashlib.sha256(subject.encode()).hexdigest()[:32]
 
 
@@ -175,8 +177,8 @@ def _pairs(text: str, where: Origin | None) -> Iterator[tuple[str, str]]:
     """Yield attribute types, as written, and values, unescaped."""
     position = 1 if text.startswith("/") and _TYPE_THEN_EQUALS.match(text, 1) else 0
     while True:
-        found = _TYPE_THEN_EQUALS.match(text, position)
-        if found is None:
+        match = _TYPE_THEN_EQUALS.match(text, position)
+        if match is None:
             rest = text[position:].strip()
             raise KeymintError(
                 f"{quoted(text, 120)} is not a subject name: "
@@ -185,8 +187,8 @@ def _pairs(text: str, where: Origin | None) -> Iterator[tuple[str, str]]:
                 help=rf"{_EXAMPLE}; a comma inside a value is written \,",
                 code="name-invalid",
             )
-        value, position = _value(text, found.end(), where)
-        yield found.group(1), value
+        value, position = _value(text, match.end(), where)
+        yield match.group(1), value
         if position >= len(text):
             return
         position += 1
@@ -195,7 +197,7 @@ def _pairs(text: str, where: Origin | None) -> Iterator[tuple[str, str]]:
 def _value(text: str, position: int, where: Origin | None) -> tuple[str, int]:
     """Return the value that begins at a position, unescaped, and the position of the separator after it."""
     raw = bytearray()
-    kept = 0  # bytes that the trimming of spaces leaves alone, since they were escaped
+    kept = 0  # bytes to keep when spaces are trimmed, because they were escaped
     while position < len(text) and text[position] == " ":
         position += 1
     while position < len(text):
@@ -209,7 +211,7 @@ def _value(text: str, position: int, where: Origin | None) -> tuple[str, int]:
                 position += 2
             else:
                 raise KeymintError(
-                    f"{quoted(text, 120)} is not a subject name: after '\\' stands one of "
+                    f"{quoted(text, 120)} is not a subject name: expected after '\\' one of "
                     f"{''.join(sorted(_ESCAPABLE))!r} or two hexadecimal digits",
                     where=where,
                     help="write \\\\ for a backslash",
@@ -221,7 +223,7 @@ def _value(text: str, position: int, where: Origin | None) -> tuple[str, int]:
             break
         if character == '"' or (character == "+" and _begins_attribute(text, position + 1)):
             raise KeymintError(
-                f"{quoted(text, 120)} is not a subject name that can be used: "
+                f"{quoted(text, 120)} is not a supported subject name: "
                 + ("values are not quoted" if character == '"' else "RDNs with several attributes are not supported"),
                 where=where,
                 help=f"separate attributes by ',', or write \\{character} for the character itself",
@@ -242,8 +244,8 @@ def _value(text: str, position: int, where: Origin | None) -> tuple[str, int]:
 
 
 def _begins_attribute(text: str, position: int) -> bool:
-    found = _TYPE_THEN_EQUALS.match(text, position)
-    return found is not None and found.group(1).lower() in _CANONICAL
+    match = _TYPE_THEN_EQUALS.match(text, position)
+    return match is not None and match.group(1).lower() in _CANONICAL
 
 
 def _attribute(kind: str, value: str, name: str, where: Origin | None) -> x509.NameAttribute[str]:
@@ -257,11 +259,11 @@ def _attribute(kind: str, value: str, name: str, where: Origin | None) -> x509.N
     elif not value.isprintable():
         problem = "has a control character"
     elif size > most:
-        problem = f"has {size} bytes, {most} are the most (RFC 5280)"
+        problem = f"has {size} bytes, the maximum is {most} (RFC 5280)"
     elif short == "C" and size != most:
-        problem = "is a country of two letters"
+        problem = "must be a country code of two letters"
     elif short in _ASCII_TYPES and not value.isascii():
-        problem = "is ASCII only"
+        problem = "must be ASCII"
     if problem:
         too_long = short == "CN" and size > most
         raise KeymintError(

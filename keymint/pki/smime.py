@@ -1,7 +1,7 @@
-"""Signed documents: S/MIME as DDS Security demands of permissions and governance (DDS Security 1.1, 9.4.1.1).
+"""Signed documents: S/MIME, as DDS Security requires for permissions and governance (DDS Security 1.1, 9.4.1.1).
 
-Written in one form, that Cyclone DDS and Fast DDS read. Read in the forms that Keymint, openssl and SROS2 write, and
-only where every reader sees the same content.
+They are written in one form, which Cyclone DDS and Fast DDS read. They are read in the forms that Keymint, openssl and
+SROS2 write, and only if every reader sees the same content.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ _MICALG_LINE = 2
 
 @dataclass(frozen=True, slots=True)
 class Signer:
-    """An authority, loaded: its certificate and its private key."""
+    """An authority's certificate and private key, loaded."""
 
     certificate: x509.Certificate
     key: keys.PrivateKey = field(repr=False)
@@ -35,7 +35,7 @@ def load_signer(signer: api.Signer) -> Signer:
     """Return an authority, loaded once for all documents of a run: reading a key costs more than signing.
 
     Raises:
-        KeymintError: the certificate or the key cannot be read, or the two do not belong together.
+        KeymintError: the certificate or the key cannot be read, or they do not match.
     """
     where = Origin(f"authority {signer.name}")
     certificate = certificates.load(signer.certificate, where)
@@ -44,19 +44,19 @@ def load_signer(signer: api.Signer) -> Signer:
         raise KeymintError(
             "the private key does not belong to the certificate",
             where=where,
-            help="restore the one that was replaced",
+            help="restore the replaced file",
             code="key-mismatch",
         )
     return Signer(certificate, key)
 
 
 def sign(content: bytes, certificate: x509.Certificate, key: keys.PrivateKey, where: Origin | None = None) -> bytes:
-    """Return a document, signed: ``multipart/signed`` with the text header, detached, SHA-256.
+    """Return a signed document: ``multipart/signed`` with the text header, detached, SHA-256.
 
     Args:
         content: the document: text with LF line ends.
-        certificate: the signer's certificate, which is embedded.
-        key: its private key.
+        certificate: the signer's certificate, to embed.
+        key: the signer's private key.
         where: the document, for messages.
 
     Raises:
@@ -76,21 +76,21 @@ def sign(content: bytes, certificate: x509.Certificate, key: keys.PrivateKey, wh
 
 
 def read(signed: bytes, ca_pem: bytes, *, at: datetime | None = None, where: Origin | None = None) -> SignedDocument:
-    """Return a signed document, verified: the one reader of signed files that every claim goes through.
+    """Verify a signed document and return it: the only reader of signed files, used by every claim.
 
-    It accepts what Keymint, ``openssl smime -sign -text`` and SROS2 write, and of that only what has exactly one
-    reading (:mod:`keymint.pki.mime`). The signer must be the permissions authority itself, as the vendors demand that
-    pass ``PKCS7_NOINTERN``; a certificate that the authority issued is not enough (CVE-2023-24010).
+    It accepts the forms that Keymint, ``openssl smime -sign -text`` and SROS2 write, if they have exactly one reading
+    (:mod:`keymint.pki.mime`). The signer must be the permissions authority itself, as vendors that pass
+    ``PKCS7_NOINTERN`` require; a certificate that the authority issued is not enough (CVE-2023-24010).
 
     Args:
         signed: the bytes of the signed file.
-        ca_pem: certificate of the permissions authority, PEM; of a bundle the first, as for the vendors.
+        ca_pem: certificate of the permissions authority, PEM; the first one of a bundle, as for the vendors.
         at: also check that the authority's certificate is valid at this time (aware).
         where: the file, for messages.
 
     Raises:
-        KeymintError: ``smime-form``: vendors may read the file, and not all in the same way. ``smime-altered``: the
-            signature does not hold. ``smime-signer``: another signer. ``authority-cannot-sign``,
+        KeymintError: ``smime-form``: vendors may read the file differently. ``smime-altered``: the signature is
+            invalid. ``smime-signer``: another signer. ``authority-cannot-sign``,
             ``smime-authority-expired`` and ``certificate-invalid``: the authority may not sign, or cannot be read.
     """
     document = mime.unwrap(signed, where)
@@ -116,7 +116,7 @@ def read(signed: bytes, ca_pem: bytes, *, at: datetime | None = None, where: Ori
         )
     if not cms.verify(signature, mime.canonical_text(document.content), authority):
         raise KeymintError(
-            "the signature does not hold: the document or its signature was altered",
+            "the signature is invalid: the document or its signature was altered",
             where=where,
             help="sign it again with keymint install",
             code="smime-altered",
@@ -125,7 +125,7 @@ def read(signed: bytes, ca_pem: bytes, *, at: datetime | None = None, where: Ori
 
 
 def verify(signed: bytes, ca_pem: bytes, *, at: datetime | None = None, where: Origin | None = None) -> bytes:
-    """Return the content of a signed document, verified: that of :func:`read`.
+    """Verify a signed document and return its content.
 
     Raises:
         KeymintError: as :func:`read`.
@@ -137,22 +137,13 @@ def signed_content(signed: bytes, where: Origin | None = None) -> bytes:
     """Return the content of a signed document without verifying the signature.
 
     Raises:
-        KeymintError: it is not in a form with exactly one reading (code ``smime-form``).
+        KeymintError: the file does not have exactly one reading (code ``smime-form``).
     """
     return mime.unwrap(signed, where).content
 
 
-def signer_is(signed: bytes, certificate: x509.Certificate) -> bool:
-    """Tell whether a signed document names a certificate as its signer; the signature is not verified."""
-    try:
-        signature = _parsed(mime.unwrap(signed), None)
-    except KeymintError:
-        return False
-    return signature.certificate == certificate.public_bytes(serialization.Encoding.DER)
-
-
 def is_current(signed: bytes, content: bytes, certificate: x509.Certificate) -> bool:
-    """Tell whether signing again is needless: this content is signed, by this certificate, and soundly."""
+    """Return whether a file is a valid signature of this content by this certificate: no need to sign again."""
     try:
         document = mime.unwrap(signed)
         signature = _parsed(document, None)
@@ -165,7 +156,7 @@ def _parsed(document: SignedDocument, where: Origin | None) -> cms.Signature:
     try:
         signature = cms.parse(document.signature)
     except ValueError as error:
-        mime.refuse(where, 0, f"its signature is not in the one form that is read: {error}")
+        mime.refuse(where, 0, f"its signature is not in the accepted form: {error}")
     if signature.digest != document.digest:
         mime.refuse(where, _MICALG_LINE, f"micalg names {document.digest}, the signature has {signature.digest}")
     return signature

@@ -1,7 +1,7 @@
 """Certification paths: from a certificate to a self-signed authority (RFC 5280, section 6).
 
-``cryptography.x509.verification`` is for the web: it demands a subjectAltName. What is checked here at each link is
-name chaining, signature, basicConstraints, path length, keyUsage, validity and unknown critical extensions.
+``cryptography.x509.verification`` is for the web: it requires a subjectAltName. This module checks each link: name
+chaining, signature, basicConstraints, path length, keyUsage, validity and unknown critical extensions.
 """
 
 from __future__ import annotations
@@ -23,15 +23,15 @@ _UNDERSTOOD = (
     x509.SubjectAlternativeName,
     x509.CertificatePolicies,
 )
-"""Extensions that may be critical: what they say is checked here, or narrows nothing that DDS asks for."""
+"""Extensions that may be critical: they are checked here, or do not restrict what DDS needs."""
 _MAX_PATH = 16
-"""Certificates of a path; DDS vendors take one authority, or a few."""
+"""Maximum certificates of a path; DDS vendors accept one authority, or a few."""
 
 
 def verify_chain(
     certificate_pem: bytes, ca_pem_bundle: bytes, at: datetime, where: Origin | None = None
 ) -> list[Diagnostic]:
-    """Return what is wrong with a certificate, held against the authorities that are trusted.
+    """Verify a certificate against the trusted authorities, and return the findings.
 
     Args:
         certificate_pem: the certificate.
@@ -40,7 +40,7 @@ def verify_chain(
         where: the certificate's file, for messages.
 
     Returns:
-        Findings, none when all is well, with the codes ``certificate-invalid``, ``chain-incomplete``,
+        Findings, none if the path is valid, with the codes ``certificate-invalid``, ``chain-incomplete``,
         ``chain-signature``, ``chain-not-authority``, ``chain-path-length``, ``chain-key-usage``,
         ``chain-critical-extension``, ``certificate-expired`` and ``certificate-not-yet-valid``.
     """
@@ -63,7 +63,7 @@ _Problem = tuple[str, str, str]
 def _path(
     certificate: x509.Certificate, bundle: Sequence[x509.Certificate]
 ) -> tuple[list[x509.Certificate], _Problem | None]:
-    """Return the certificates from the first one up, and why they do not end at a self-signed one, if so."""
+    """Return the path from a certificate upwards, and why it does not end at a self-signed one, if it does not."""
     path = [certificate]
     while len(path) <= _MAX_PATH:
         last = path[-1]
@@ -95,7 +95,7 @@ def _signature(certificate: x509.Certificate) -> _Problem:
     return (
         "chain-signature",
         f"{_shown(certificate.subject)} is not signed by the key of its issuer {_shown(certificate.issuer)}",
-        "it was altered, or the authority's key was replaced: install it again",
+        "the certificate was altered, or the authority's key was replaced: install again",
     )
 
 
@@ -125,14 +125,14 @@ def _critical(certificate: x509.Certificate) -> Iterator[_Problem]:
 
 
 def _authority(certificate: x509.Certificate, below: Sequence[x509.Certificate]) -> Iterator[_Problem]:
-    """Check an authority of a path; below it are the authorities between it and the end (RFC 5280, 6.1.4)."""
+    """Check an authority of a path; ``below`` are the authorities between it and the end (RFC 5280, 6.1.4)."""
     shown = _shown(certificate.subject)
     constraints = extensions.value(certificate, x509.BasicConstraints)
     usage = extensions.value(certificate, x509.KeyUsage)
     if constraints is None or not constraints.ca:
         yield (
             "chain-not-authority",
-            f"{shown} issued a certificate but is no authority",
+            f"{shown} issued a certificate, but is not an authority",
             "name another issuer",
         )
         return

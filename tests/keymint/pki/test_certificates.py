@@ -79,7 +79,7 @@ def test_the_defaults_of_the_roles(spec, authority: certificates.Issuer) -> None
     ["emailProtection", "serverAuth, emailProtection", "anyExtendedKeyUsage", "1.3.6.1.5.5.7.3.4", "2.5.29.37.0"],
 )
 def test_an_identity_never_gets_to_sign_documents(spec, authority: certificates.Issuer, value: str) -> None:
-    with pytest.raises(KeymintError, match="sign permissions of its own") as caught:
+    with pytest.raises(KeymintError, match="sign its own permissions") as caught:
         certificates.issue_identity(
             spec("CN=/robot", extendedKeyUsage=value), keys.generate(P256).public_key(), authority
         )
@@ -153,7 +153,7 @@ def test_validity_is_never_longer_than_the_issuers(spec, authority: certificates
     assert issued.diagnostics == ()
     assert issued.certificate.not_valid_after_utc == datetime(2022, 1, 1, 1, 2, 3, tzinfo=UTC)
     after = Validity(datetime(2050, 1, 1, tzinfo=UTC), datetime(2060, 1, 1, tzinfo=UTC))
-    with pytest.raises(KeymintError, match="no time of validity is left"):
+    with pytest.raises(KeymintError, match="the validity is empty"):
         certificates.issue_identity(spec("CN=/robot", validity=after), key, authority)
 
 
@@ -183,7 +183,7 @@ def test_weak_and_unknown_hashes_are_refused(spec, name: str) -> None:
 def test_an_issuer_must_be_one(spec, authority: certificates.Issuer) -> None:
     key = keys.generate(P256)
     identity = certificates.issue_identity(spec("CN=/robot"), key.public_key(), authority)
-    with pytest.raises(KeymintError, match="not an authority's"):
+    with pytest.raises(KeymintError, match="not a CA certificate"):
         certificates.issue_identity(spec("CN=/evil"), key.public_key(), certificates.Issuer(identity.certificate, key))
 
 

@@ -65,7 +65,7 @@ def test_the_issuer_can_be_named_by_serial_number(openssl, spec, authority) -> N
         ("keyusage", "digitalSignature", "did you mean 'keyUsage'?"),
         ("frobnicate", "x", "known are basicConstraints"),
         ("keyUsage", "", "an entry is empty"),
-        ("keyUsage", "cRLSign, cRLSign", "stands twice"),
+        ("keyUsage", "cRLSign, cRLSign", "occurs twice"),
         ("keyUsage", "crlSign", "did you mean 'cRLSign'?"),
         ("extendedKeyUsage", "serverauth", "did you mean 'serverAuth'?"),
         ("extendedKeyUsage", "1..2", "neither a known name nor a dotted OID"),
@@ -82,7 +82,7 @@ def test_the_issuer_can_be_named_by_serial_number(openssl, spec, authority) -> N
         ("nsComment", "é", "ordinal not in range"),
         ("1.2.3.4", "text", "expected DER:"),
         ("1.2.3.4", "DER:", "no hexadecimal digits"),
-        ("1.2.3.4", "DER:0c05", "cut"),
+        ("1.2.3.4", "DER:0c05", "truncated"),
         ("1.2.3.4", "DER:05000500", "not one DER element"),
         ("1.2.3.4", "ASN1:UTF9:x", "did you mean 'UTF8'?"),
         ("2.5.29.15", "DER:03020106", "write keyUsage"),
@@ -108,5 +108,5 @@ def test_bytes_that_are_not_an_extensions_syntax_are_refused(spec) -> None:
 
 def test_an_extension_stands_once(spec) -> None:
     twice = (Extension("nsComment", "a", False, HERE), Extension("nsComment", "b", False, replace(HERE, line=13)))
-    with pytest.raises(KeymintError, match=r"authorities\.xml:13: .*stands twice"):
+    with pytest.raises(KeymintError, match=r"authorities\.xml:13: .*occurs twice"):
         certificates.issue_authority(replace(spec(), extensions=twice), keys.generate(spec().key), None)

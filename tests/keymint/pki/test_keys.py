@@ -46,7 +46,7 @@ def test_a_key_of_another_kind_does_not_fit() -> None:
         (KeySpec("ec", "SECP256K1"), "did you mean 'SECP256R1'?"),
         (KeySpec("ec", "SECP256"), "did you mean 'SECP256R1'?"),
         (KeySpec("ec", "__class__"), "known are SECP256R1"),
-        (KeySpec("ec"), "not a curve"),
+        (KeySpec("ec"), "not a supported curve"),
         (KeySpec("rsa", size=1024), "not between 2048"),
         (KeySpec("rsa", size=1 << 20), "not between 2048"),
         (KeySpec("dsa", size=2048), "known are ec"),

@@ -54,7 +54,6 @@ def test_what_tools_sign_is_read(signed: bytes, authority: certificates.Issuer, 
     assert document.content == CONTENT
     assert smime.verify(signed, pem(authority)) == smime.signed_content(signed) == CONTENT
     assert smime.is_current(signed, CONTENT, authority.certificate)
-    assert smime.signer_is(signed, authority.certificate)
     lines = signed.replace(b"\r\n", b"\n").split(b"\n")
     assert lines[document.lines_before] == CONTENT.split(b"\n")[0]
 
@@ -208,7 +207,7 @@ def test_the_first_certificate_is_the_one_that_every_reader_takes(
     openssl.put(hidden=b"x" + own + foreign, trusted=trusted + own)
     for name, seen in (("hidden", foreign), ("trusted", foreign)):
         assert openssl.run("x509", "-in", name).stdout == seen
-        with pytest.raises(KeymintError, match="that other readers of PEM may take"):
+        with pytest.raises(KeymintError, match="that other PEM readers may take"):
             smime.verify(signed, (openssl.folder / name).read_bytes())
     for file in (own, own + foreign, b"Subject: CN = x\n\n" + own, own.replace(b"\n", b"\r\n"), own + b"text\n"):
         assert smime.verify(signed, file) == CONTENT

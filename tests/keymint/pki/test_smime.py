@@ -44,7 +44,6 @@ def test_openssl_and_we_verify_what_is_signed(openssl, spec, kind: KeySpec) -> N
     openssl.accepts("smime", "-verify", "-text", "-noverify", "-nointern", "-certfile", "ca", "-in", "signed")
     assert smime.verify(signed, ca.pem, at=datetime(2026, 1, 1, tzinfo=UTC)) == CONTENT
     assert smime.signed_content(signed) == CONTENT
-    assert smime.signer_is(signed, ca.certificate)
     assert smime.is_current(signed, CONTENT, ca.certificate)
 
 
@@ -145,21 +144,18 @@ def test_another_signer_is_found(authority: certificates.Issuer, other: certific
     with pytest.raises(KeymintError, match="another certificate") as caught:
         smime.verify(signed, _pem(authority), where=HERE)
     assert caught.value.diagnostics[0].code == "smime-signer"
-    assert not smime.signer_is(signed, authority.certificate)
     assert not smime.is_current(signed, CONTENT, authority.certificate)
-    assert not smime.signer_is(b"junk", authority.certificate)
 
 
 def test_a_forged_signer_certificate_does_not_help(authority: certificates.Issuer, other: certificates.Issuer) -> None:
     forged = smime.sign(CONTENT, authority.certificate, other.key)  # the right name, the wrong key
-    assert smime.signer_is(forged, authority.certificate)
     assert not smime.is_current(forged, CONTENT, authority.certificate)
-    with pytest.raises(KeymintError, match="does not hold"):
+    with pytest.raises(KeymintError, match="signature is invalid"):
         smime.verify(forged, _pem(authority))
 
 
 def test_an_identity_cannot_sign_permissions(openssl, spec, authority: certificates.Issuer) -> None:
-    """CVE-2023-24010: under one authority for both jobs, an identity's key signed permissions of its own."""
+    """CVE-2023-24010: under one authority for both jobs, an identity's key signed its own permissions."""
     key = keys.generate(KeySpec("ec", "SECP256R1"))
     identity = certificates.issue_identity(spec("CN=/evil"), key.public_key(), authority)
     forged = smime.sign(CONTENT, identity.certificate, key)
