@@ -1,28 +1,30 @@
-"""Where the schemas and templates that ship with the distribution are found."""
+"""Locate the schemas and templates that ship with a package."""
 
 from __future__ import annotations
 
+from functools import lru_cache
 from importlib.resources import files
 from pathlib import Path
 
 
-def locate(kind: str) -> Path:
-    """Return the folder of the shipped data of one kind.
+@lru_cache
+def locate(package: str, kind: str) -> Path:
+    """Return the folder of the schemas or templates of a package.
 
-    A wheel carries the data inside this package; in a checkout (also an editable install) it lies at the
-    project's root. The wheel's place is asked first, so that an installed tool never reads a stray checkout.
+    A wheel ships them in the package, as ``_data/<kind>``. In a checkout, also as an editable install, they are in
+    ``<kind>/<package>`` at the project's root. The wheel's place is tried first, so that an installed tool never reads
+    a stray checkout.
 
     Args:
+        package: name of the package that owns the files, e.g. ``keymint_ros2_dds``.
         kind: ``"schemas"`` or ``"templates"``.
 
     Raises:
-        FileNotFoundError: the installation is damaged: neither place has the folder.
+        FileNotFoundError: the installation is damaged.
     """
-    package = Path(str(files("comarmor")))
-    for root in (package / "_data", package.parent):
-        folder = root / kind
+    for folder in (Path(str(files(package))) / "_data" / kind, Path(str(files("comarmor"))).parent / kind / package):
         if folder.is_dir():
             return folder
     raise FileNotFoundError(
-        f"the installation lacks its folder of {kind}; reinstall Keymint from its checkout or wheel"
+        f"the installation lacks the {kind} of {package}; reinstall Keymint from its checkout or wheel"
     )

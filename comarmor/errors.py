@@ -1,36 +1,38 @@
-"""Defects as data: diagnostics with a severity and an origin, and the exception that carries them."""
+"""Diagnostics with their severity and place, the error type that carries them, and the exit codes."""
 
 from __future__ import annotations
 
 import re
 from collections.abc import Iterable
 from dataclasses import dataclass
-from enum import StrEnum
+from enum import IntEnum, StrEnum
 
 Spot = tuple[str, int, int]
-"""File, line and column of a place. The line alone is no key: a minified policy has all its rules on one."""
+"""File, line and column of a place. The line alone does not identify a rule: a minified policy is one line."""
 
 
 class Severity(StrEnum):
-    """How much a diagnostic matters: an error stops the work, a warning and a note do not."""
+    """Severity of a diagnostic: an error stops the work, a warning or a note does not."""
 
     ERROR = "error"
     WARNING = "warning"
     NOTE = "note"
 
 
-_LIBRARY = re.compile(r"(?:.*/)?templates/keymint_ros/comarmor\.d/[a-z]+/(common/.+)", re.DOTALL)
-"""Files of the library that ships with Keymint: in a checkout, and in an installed distribution."""
+_LIBRARY = re.compile(
+    r"(?:.*/)?(?:templates/keymint_ros|keymint_ros/_data/templates)/comarmor\.d/[a-z]+/(common/.+)", re.DOTALL
+)
+"""Files of the policy library that ships with Keymint, in a checkout or in an installed distribution."""
 
 
 def library_name(file: str) -> str | None:
-    """Return the name of a file of the shipped library, as policies include it; None of any other file."""
-    found = _LIBRARY.fullmatch(file)
-    return found[1] if found else None
+    """Return the name by which policies include a file of the shipped library, or None for any other file."""
+    match = _LIBRARY.fullmatch(file)
+    return match[1] if match else None
 
 
 def cited(file: str, line: int = 0) -> str:
-    """Return a place as a person reads it: ``file:line``, of the shipped library ``common/node.xml:3 (library)``.
+    """Return a place for messages: ``file:line``, or for the shipped library ``common/node.xml:3 (library)``.
 
     Args:
         file: path.
@@ -43,13 +45,13 @@ def cited(file: str, line: int = 0) -> str:
 
 @dataclass(frozen=True, slots=True, order=True)
 class Origin:
-    """A place in a file that a person wrote.
+    """A place in a file.
 
     Attributes:
         file: path as the user would type it; never empty.
         line: line number from 1, or 0 for the file as a whole.
         chain: the places that included the file, innermost first.
-        column: column from 1, or 0 if it is not known. It tells apart what stands on one line.
+        column: column from 1, or 0 if it is not known; distinguishes elements on one line.
     """
 
     file: str
@@ -59,7 +61,7 @@ class Origin:
 
     @property
     def spot(self) -> Spot:
-        """File, line and column: equal for what is written in one place, however often it is included."""
+        """File, line and column: the same wherever the file is included from."""
         return self.file, self.line, self.column
 
     def alone(self) -> Origin:
@@ -79,9 +81,9 @@ class Diagnostic:
         code: stable identifier in kebab-case, e.g. ``portability-deny``.
         severity: error, warning or note.
         message: one line: what is wrong and what was expected.
-        where: the place it is about, if there is one.
-        help: one line: how to mend it; may be empty.
-        subject: the subject (enclave) it is about, or empty.
+        where: the place it applies to, if there is one.
+        help: one line: how to fix it; may be empty.
+        subject: the subject (enclave) it applies to, or empty.
     """
 
     code: str
@@ -97,14 +99,26 @@ class Diagnostic:
         return f"{place}{self.message}" + (f" ({self.help})" if self.help else "")
 
 
+class ExitCode(IntEnum):
+    """Exit codes of the command line."""
+
+    DONE = 0
+    FAILURE = 1
+    USAGE = 2
+    FINDINGS = 3
+    INTERRUPTED = 130
+    TERMINATED = 143
+
+
 class ComArmorError(Exception):
-    """A policy cannot be used; says why as diagnostics, never as a traceback.
+    """The error type of the policy language, of Keymint and of its plugins; carries diagnostics.
 
     Args:
         message: one line for the user.
-        where: the place it is about.
-        help: one line: how to mend it.
+        where: the place it applies to.
+        help: one line: how to fix it.
         code: stable identifier in kebab-case.
+        exit_code: exit code of a command that fails with this error.
     """
 
     def __init__(
@@ -113,16 +127,18 @@ class ComArmorError(Exception):
         *,
         where: Origin | None = None,
         help: str = "",  # noqa: A002 - the field's name for the last part of a message
-        code: str = "policy",
+        code: str = "error",
+        exit_code: ExitCode = ExitCode.FAILURE,
     ) -> None:
         self.diagnostics: tuple[Diagnostic, ...] = (Diagnostic(code, Severity.ERROR, message, where, help),)
+        self.exit_code = exit_code
         super().__init__(str(self.diagnostics[0]))
 
     @classmethod
-    def of(cls, diagnostics: Iterable[Diagnostic]) -> ComArmorError:
-        """Return an error that carries several diagnostics (at least one)."""
-        listed = tuple(diagnostics)
-        first = listed[0]
-        error = cls(first.message, where=first.where, help=first.help, code=first.code)
-        error.diagnostics = listed
+    def of(cls, diagnostics: Iterable[Diagnostic], exit_code: ExitCode = ExitCode.FAILURE) -> ComArmorError:
+        """Return an error that carries one or more diagnostics."""
+        all_of_them = tuple(diagnostics)
+        error = cls("", exit_code=exit_code)
+        error.diagnostics = all_of_them
+        error.args = (str(all_of_them[0]),)
         return error

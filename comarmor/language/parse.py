@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 
 from lxml import etree
 
+from comarmor.data import locate
 from comarmor.errors import ComArmorError, Diagnostic, Origin
 from comarmor.language import template
 from comarmor.language.policy import Policy
@@ -19,8 +20,6 @@ from comarmor.rules import PERMISSIONS, Effect
 from comarmor.text import quoted
 from comarmor.xml import schema
 from comarmor.xml.reader import column, line
-
-SCHEMA = "comarmor/comarmor.xsd"
 
 _LEGAL_NAME = re.compile(r"(/[A-Za-z_][A-Za-z0-9_]*)+")
 _LONGEST_NAME = 1024
@@ -69,7 +68,7 @@ class _Parser:
             return
         self.checked.add(document)
         try:
-            schema.validate(document.root, SCHEMA, document.name, chain)
+            schema.validate(document.root, locate("comarmor", "schemas") / "comarmor.xsd", document.name, chain)
         except ComArmorError as error:
             self.note(error, Origin(document.name))
         for element, included in document.includes.items():

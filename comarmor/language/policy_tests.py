@@ -6,13 +6,12 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 
+from comarmor.data import locate
 from comarmor.errors import ComArmorError, Diagnostic, Origin
 from comarmor.language.source import TESTS
 from comarmor.patterns.expression import parse as parse_expression
 from comarmor.xml import schema
 from comarmor.xml.reader import LIMITS, line, parse
-
-SCHEMA = "comarmor/tests.xsd"
 
 
 @dataclass(frozen=True, slots=True)
@@ -77,7 +76,7 @@ def _read(file: Path) -> Iterator[Expectation]:
             f"the file cannot be read: {error.strerror}", where=Origin(name), code="unreadable"
         ) from None
     root = parse(content, name)
-    schema.validate(root, SCHEMA, name)
+    schema.validate(root, locate("comarmor", "schemas") / "tests.xsd", name)
     defects: list[Diagnostic] = []
     for test in root.iterchildren("test"):
         for element in test.iterchildren("allow", "deny"):

@@ -1,38 +1,45 @@
-"""Holds XML against the project's XSDs, and says what is wrong in words a person can act on."""
+"""Validates XML against XSDs, and explains each violation: where, what was expected, how to fix it."""
 
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from functools import lru_cache
+from pathlib import Path
 from typing import Any
 
 from lxml import etree
 
-from comarmor.data import locate
 from comarmor.errors import ComArmorError, Diagnostic, Origin, Severity
 from comarmor.text import did_you_mean, quoted
 from comarmor.xml.reader import XINCLUDE, line, parse
-from comarmor.xml.xsd import Vocabulary
+from comarmor.xml.xsd import XS, Vocabulary
 
 _PREFIXES = {XINCLUDE: "xi:", "http://www.w3.org/XML/1998/namespace": "xml:"}
 _MOST = 50
-"""So many defects of one file are reported; a person mends the first ones first."""
+"""Violations of one file that are reported at most."""
 
 
 @lru_cache
-def _load(name: str) -> tuple[etree.XMLSchema, Vocabulary]:
-    """Return an XSD, compiled, and the names that it knows."""
-    path = locate("schemas") / name
-    return etree.XMLSchema(file=str(path)), Vocabulary.of(parse(path.read_bytes(), str(path)))
+def _load(path: Path) -> tuple[etree.XMLSchema, Vocabulary]:
+    """Return a compiled XSD, and the names that it declares."""
+    return etree.XMLSchema(file=str(path)), Vocabulary.of(_documents(path))
 
 
-def validate(root: etree._Element, schema: str, file: str, chain: tuple[Origin, ...] = ()) -> None:
-    """Hold a document against a schema.
+def _documents(path: Path) -> Iterator[etree._Element]:
+    """Yield an XSD and those that it includes."""
+    document = parse(path.read_bytes(), str(path))
+    yield document
+    for include in document.iterchildren(f"{XS}include"):
+        yield from _documents(path.with_name(include.get("schemaLocation", "")))
+
+
+def validate(root: etree._Element, schema: Path, file: str, chain: tuple[Origin, ...] = ()) -> None:
+    """Validate a document against a schema.
 
     Args:
-        root: root element, from :func:`comarmor.language.source.parse`.
-        schema: path of the XSD below the folder of schemas, e.g. ``comarmor/comarmor.xsd``.
+        root: root element, from :func:`comarmor.xml.reader.parse`.
+        schema: path of the XSD.
         file: path of the document as the user would type it.
         chain: the places that include the document, innermost first.
 
@@ -42,59 +49,61 @@ def validate(root: etree._Element, schema: str, file: str, chain: tuple[Origin, 
     compiled, vocabulary = _load(schema)
     if compiled.validate(root):
         return
-    found: dict[Diagnostic, None] = {}
+    diagnostics: dict[Diagnostic, None] = {}
     log: Any = compiled.error_log
     for entry in log:
         element = _element(root, entry.path)
         where = Origin(file, entry.line if element is None else line(element), chain)
         message, hint = _explain(entry.message, vocabulary, element)
-        found[Diagnostic("schema", Severity.ERROR, message, where, hint)] = None
-        if len(found) == _MOST:
+        diagnostics[Diagnostic("schema", Severity.ERROR, message, where, hint)] = None
+        if len(diagnostics) == _MOST:
             break
-    raise ComArmorError.of(found)
+    raise ComArmorError.of(diagnostics)
 
 
 def _element(root: etree._Element, path: str | None) -> etree._Element | None:
-    """Return the element that an entry of the validator's log is about; its own line number is cut at 16 bits."""
+    """Return the element of an entry in the validator's log, whose own line number is cut at 16 bits."""
     prefixes = {prefix: uri for prefix, uri in root.nsmap.items() if prefix}
     try:
-        found: Any = root.getroottree().xpath(path, namespaces=prefixes) if path else []
+        elements: Any = root.getroottree().xpath(path, namespaces=prefixes) if path else []
     except etree.XPathError:
         return None
-    return found[0] if found else None
+    return elements[0] if elements else None
 
 
 _NAME = re.compile(r"\{([^}]*)\}([^\s',)]+)")
 
 
-def _unexpected(found: re.Match[str], vocabulary: Vocabulary, element: etree._Element | None) -> tuple[str, str]:
-    expected: Sequence[str] = found[2].split(", ") if found[2] else ()
+def _unexpected(match: re.Match[str], vocabulary: Vocabulary, element: etree._Element | None) -> tuple[str, str]:
+    expected: Sequence[str] = match[2].split(", ") if match[2] else ()
     parent = None if element is None else element.getparent()
     if parent is not None and element is not None:
         expected = _with_exits(expected, element.getprevious(), parent, vocabulary)
-    if parent is not None and not expected:  # libxml2 does not say where the element could also end
+    if parent is not None and not expected:  # libxml2 does not report which elements the parent allows
         expected = vocabulary.allowed_in(parent)
-        if found[1] in expected:
-            return f"<{found[1]}> is not expected here", "it stands in another place, or more often than it may"
-    wanted = f"expected {_one_of(expected)}" if expected else "expected nothing more"
-    help_ = did_you_mean(found[1], expected)
-    if found[1].endswith("}include"):
+        if match[1] in expected:
+            return f"<{match[1]}> is not expected here", "move it, or remove it if it occurs more often than allowed"
+    what = f"expected {_one_of(expected)}" if expected else "expected nothing more"
+    help_ = did_you_mean(match[1], expected)
+    if match[1].endswith("}include"):
         help_ = f'the namespace of xi:include is "{XINCLUDE}"'
-    return f"<{found[1]}> is not expected here, {wanted}", help_
+    if not help_ and match[1] not in vocabulary.names and (hint := did_you_mean(match[1], vocabulary.names)):
+        return f"<{match[1]}> is not expected here", hint
+    return f"<{match[1]}> is not expected here, {what}", help_
 
 
-def _missing(found: re.Match[str], vocabulary: Vocabulary, element: etree._Element | None) -> tuple[str, str]:
-    expected: Sequence[str] = found[2].split(", ")
+def _missing(match: re.Match[str], vocabulary: Vocabulary, element: etree._Element | None) -> tuple[str, str]:
+    expected: Sequence[str] = match[2].split(", ")
     if element is not None and len(element) and element[-1].tag in expected:
-        # What may be repeated is there already: what lacks is what follows it.
+        # The element that may be repeated is there: the one that must follow it is missing.
         expected = _with_exits(expected, element[-1], element, vocabulary)[len(expected) :] or expected
-    return f"<{found[1]}> is not complete, expected {_one_of(expected)}", ""
+    return f"<{match[1]}> is not complete, expected {_one_of(expected)}", ""
 
 
 def _with_exits(
     expected: Sequence[str], last: etree._Element | None, parent: etree._Element, vocabulary: Vocabulary
 ) -> Sequence[str]:
-    """Return what is expected, with what may follow a repetition: there libxml2 says only how it can go on."""
+    """Add the elements that may follow a repeated one: libxml2 reports only the repeated one."""
     if last is None or last.tag not in expected:
         return expected
     allowed = vocabulary.allowed_in(parent)
@@ -102,45 +111,45 @@ def _with_exits(
     return (*expected, *allowed[max(known, default=len(allowed)) + 1 :])
 
 
-def _root(found: re.Match[str], vocabulary: Vocabulary, _e: etree._Element | None) -> tuple[str, str]:
+def _root(match: re.Match[str], vocabulary: Vocabulary, _e: etree._Element | None) -> tuple[str, str]:
     roots = tuple(vocabulary.elements)
-    return f"<{found[1]}> is not expected as the root, expected {_one_of(roots)}", did_you_mean(found[1], roots)
+    return f"<{match[1]}> is not expected as the root, expected {_one_of(roots)}", did_you_mean(match[1], roots)
 
 
-def _attribute(found: re.Match[str], vocabulary: Vocabulary, _e: etree._Element | None) -> tuple[str, str]:
-    return f"<{found[1]}> has the unknown attribute '{found[2]}'", did_you_mean(found[2], vocabulary.attributes)
+def _attribute(match: re.Match[str], vocabulary: Vocabulary, _e: etree._Element | None) -> tuple[str, str]:
+    return f"<{match[1]}> has the unknown attribute '{match[2]}'", did_you_mean(match[2], vocabulary.attributes)
 
 
-def _required(found: re.Match[str], _v: Vocabulary, _e: etree._Element | None) -> tuple[str, str]:
-    return f"<{found[1]}> lacks its attribute '{found[2]}'", ""
+def _required(match: re.Match[str], _v: Vocabulary, _e: etree._Element | None) -> tuple[str, str]:
+    return f"<{match[1]}> lacks its attribute '{match[2]}'", ""
 
 
-def _enumeration(found: re.Match[str], _v: Vocabulary, _e: etree._Element | None) -> tuple[str, str]:
-    values = [value.strip("'") for value in found[4].split(", ")]
-    return f"{_holder(found)} is {quoted(found[3])}, expected {' or '.join(values)}", did_you_mean(found[3], values)
+def _enumeration(match: re.Match[str], _v: Vocabulary, _e: etree._Element | None) -> tuple[str, str]:
+    values = [value.strip("'") for value in match[4].split(", ")]
+    return f"{_node(match)} is {quoted(match[3])}, expected {' or '.join(values)}", did_you_mean(match[3], values)
 
 
-def _short(found: re.Match[str], _v: Vocabulary, _e: etree._Element | None) -> tuple[str, str]:
-    least = int(found[4])
-    if not int(found[3]):
-        return f"{_holder(found)} is empty", ""
-    return f"{_holder(found)} has {found[3]} characters, expected {least} or more", ""
+def _short(match: re.Match[str], _v: Vocabulary, _e: etree._Element | None) -> tuple[str, str]:
+    least = int(match[4])
+    if not int(match[3]):
+        return f"{_node(match)} is empty", ""
+    return f"{_node(match)} has {match[3]} characters, expected {least} or more", ""
 
 
-def _simple(found: re.Match[str], _v: Vocabulary, _e: etree._Element | None) -> tuple[str, str]:
-    return f"<{found[1]}> can only hold text, not elements", ""
+def _simple(match: re.Match[str], _v: Vocabulary, _e: etree._Element | None) -> tuple[str, str]:
+    return f"<{match[1]}> can only hold text, not elements", ""
 
 
-def _text(found: re.Match[str], _v: Vocabulary, _e: etree._Element | None) -> tuple[str, str]:
-    return f"<{found[1]}> cannot hold text", "remove the text, or put it into a comment"
+def _text(match: re.Match[str], _v: Vocabulary, _e: etree._Element | None) -> tuple[str, str]:
+    return f"<{match[1]}> cannot hold text", "remove the text, or put it into a comment"
 
 
-def _value(found: re.Match[str], _v: Vocabulary, _e: etree._Element | None) -> tuple[str, str]:
-    return f"{_holder(found)} is {quoted(found[3])}, which is not {found[4]}", ""
+def _value(match: re.Match[str], _v: Vocabulary, _e: etree._Element | None) -> tuple[str, str]:
+    return f"{_node(match)} is {quoted(match[3])}, which is not {match[4]}", ""
 
 
 _QUOTED = re.compile(r"'([^']*)(?:'|\Z)")
-"""A value in a message of libxml2, which cuts its messages where they grow too long."""
+"""A value in a message of libxml2, which truncates long messages."""
 
 _Explanation = Callable[[re.Match[str], Vocabulary, Any], tuple[str, str]]
 
@@ -168,20 +177,20 @@ _EXPLANATIONS: tuple[tuple[re.Pattern[str], _Explanation], ...] = tuple(
         ),
     )
 )
-"""What libxml2 says, as patterns, and how it is said here. Groups: element, attribute, value, what was expected."""
+"""Patterns of libxml2's messages, and the function that words each. Groups: element, attribute, value, expected."""
 
 
 def _explain(message: str, vocabulary: Vocabulary, element: etree._Element | None) -> tuple[str, str]:
-    """Return a message of libxml2 as message and help of ours; one that is not known stays, but for long values."""
+    """Return message and help for a message of libxml2; an unknown message is kept, with long values cut."""
     message = _NAME.sub(lambda name: _PREFIXES.get(name[1], f"{{{name[1]}}}") + name[2], message)
     for pattern, explanation in _EXPLANATIONS:
-        if found := pattern.match(message):
-            return explanation(found, vocabulary, element)
+        if match := pattern.match(message):
+            return explanation(match, vocabulary, element)
     return _QUOTED.sub(lambda value: quoted(value[1]), " ".join(message.split())), ""
 
 
-def _holder(found: re.Match[str]) -> str:
-    return f"attribute '{found[2]}' of <{found[1]}>" if found[2] else f"<{found[1]}>"
+def _node(match: re.Match[str]) -> str:
+    return f"attribute '{match[2]}' of <{match[1]}>" if match[2] else f"<{match[1]}>"
 
 
 def _one_of(names: Sequence[str]) -> str:

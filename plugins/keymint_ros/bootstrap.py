@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from datetime import datetime, timedelta
 from functools import lru_cache
-from pathlib import Path, PurePosixPath
+from pathlib import PurePosixPath
 from typing import TYPE_CHECKING
 
 from comarmor.data import locate
@@ -74,7 +74,7 @@ def bootstrap(request: Bootstrap) -> Mapping[str, bytes]:
     }
     if not request.policy:
         example = "talker_listener.xml"
-        files[f"{_EXAMPLE}/{example}"] = (_templates() / "comarmor.d" / example).read_bytes()
+        files[f"{_EXAMPLE}/{example}"] = (locate("keymint_ros", "templates") / "comarmor.d" / example).read_bytes()
     return files
 
 
@@ -100,11 +100,7 @@ def package_manifest(build_type: str) -> bytes:
 @lru_cache
 def package_document(name: str) -> bytes:
     """Return a document of a new package that leaves everything to the defaults, and shows how to override them."""
-    return (_templates() / "package" / name).read_bytes()
-
-
-def _templates() -> Path:
-    return locate("templates") / "keymint_ros"
+    return (locate("keymint_ros", "templates") / "package" / name).read_bytes()
 
 
 def _render(template: str, **values: object) -> bytes:
@@ -116,7 +112,7 @@ def _environment() -> jinja2.Environment:
     import jinja2  # noqa: PLC0415 - only what writes new files needs it
 
     return jinja2.Environment(
-        loader=jinja2.FileSystemLoader(_templates()),
+        loader=jinja2.FileSystemLoader(locate("keymint_ros", "templates")),
         undefined=jinja2.StrictUndefined,
         autoescape=True,
         keep_trailing_newline=True,

@@ -53,4 +53,4 @@ def library(distro: str) -> Path:
     Raises:
         KeymintError: the distribution is not known.
     """
-    return locate("templates") / "keymint_ros" / "comarmor.d" / DISTROS[check(distro)]
+    return locate("keymint_ros", "templates") / "comarmor.d" / DISTROS[check(distro)]

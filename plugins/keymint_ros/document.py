@@ -15,17 +15,14 @@ from typing import Generic, TypeVar
 
 from lxml import etree
 
-from comarmor import errors
 from comarmor.data import locate
-from comarmor.errors import Diagnostic, Origin, Severity
-from comarmor.language import source
+from comarmor.errors import Diagnostic, Origin
 from comarmor.text import did_you_mean
-from comarmor.xml import schema
+from comarmor.xml import reader, schema
 from keymint.errors import KeymintError
 
 _T = TypeVar("_T")
 
-_XS = "{http://www.w3.org/2001/XMLSchema}"
 _NAMELESS = "<document>"
 _REMEMBERED = 256
 """Documents of one kind to remember: all that packages share, and few that only one of them has."""
@@ -37,12 +34,12 @@ class Reader(Generic[_T]):
     """Reads documents of one kind.
 
     Args:
-        schema_name: name of the schema in ``schemas/keymint/``, without its suffix.
+        schema_name: name of the schema in ``schemas/keymint_ros/``, without its suffix.
         convert: turns a valid root element into immutable data; places in it know their line only.
     """
 
     def __init__(self, schema_name: str, convert: Callable[[etree._Element], _T]) -> None:
-        self._schema = f"keymint/{schema_name}.xsd"
+        self._schema = schema_name
         self._convert = convert
         self._remembered = lru_cache(maxsize=_REMEMBERED)(self._read)
 
@@ -71,41 +68,10 @@ def parse(content: bytes, name: str, schema_name: str = "") -> etree._Element:
     Raises:
         KeymintError: it is not well-formed or not valid.
     """
-    try:
-        root = source.parse(content, name)
-        if schema_name:
-            schema.validate(root, schema_name, name)
-    except errors.ComArmorError as error:
-        raise KeymintError.of(_translated(found, schema_name) for found in error.diagnostics) from None
+    root = reader.parse(content, name)
+    if schema_name:
+        schema.validate(root, locate("keymint_ros", "schemas") / f"{schema_name}.xsd", name)
     return root
-
-
-_UNEXPECTED = re.compile(r"<(\w+)> is not expected here")
-
-
-def _translated(found: errors.Diagnostic, schema_name: str) -> Diagnostic:
-    """Return a diagnostic of comarmor as one of keymint, with a hint where an element is only misspelled.
-
-    For elements that may stand in any order, libxml2 does not say which ones it expected.
-    """
-    where = Origin(found.where.file, found.where.line) if found.where else None
-    message, help_ = found.message, found.help
-    unexpected = _UNEXPECTED.match(message)
-    if unexpected and not help_ and unexpected[1] not in (known := _elements(schema_name)):
-        help_ = did_you_mean(unexpected[1], known)
-        message = unexpected[0] if help_ else message
-    return Diagnostic(found.code, Severity.ERROR, message, where, help_)
-
-
-@lru_cache
-def _elements(schema_name: str) -> frozenset[str]:
-    """Return the names of all elements that a schema, or one that it includes, declares."""
-    path = locate("schemas") / schema_name
-    document = source.parse(path.read_bytes(), str(path))
-    names = {str(item.get("name")) for item in document.iter(f"{_XS}element")}
-    for item in document.iter(f"{_XS}include"):
-        names |= _elements(f"{posixpath.dirname(schema_name)}/{item.get('schemaLocation')}")
-    return frozenset(names)
 
 
 def _named(diagnostic: Diagnostic, name: str) -> Diagnostic:

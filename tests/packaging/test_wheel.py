@@ -47,8 +47,11 @@ def tree(folder: Path) -> dict[str, bytes]:
 def test_the_wheel_holds_the_packages_and_nothing_else(project: Path, wheel: Path) -> None:
     names = set(contents(wheel))
     assert {name.partition("/")[0] for name in names} == {*PACKAGES, DIST_INFO}
-    assert {name for name in names if name.startswith("comarmor/_data/")} == {
-        f"comarmor/_data/{kind}/{name}" for kind in ("schemas", "templates") for name in tree(project / kind)
+    assert {name for name in names if "/_data/" in name} == {
+        f"{folder.name}/_data/{kind}/{name}"
+        for kind in ("schemas", "templates")
+        for folder in (project / kind).iterdir()
+        for name in tree(folder)
     }
     assert {f"{package}/py.typed" for package in PACKAGES} <= names
 
@@ -139,7 +142,7 @@ def test_an_installation_works_elsewhere(
 def test_an_incomplete_installation_says_so(wheel: Path, new_environment: Callable[..., Environment]) -> None:
     environment = new_environment()
     environment.install(wheel)
-    (environment.site_packages / "comarmor/_data/schemas").rename(environment.cwd / "gone")
+    (environment.site_packages / "keymint_ros/_data/schemas").rename(environment.cwd / "gone")
     (environment.cwd / "policy.xml").write_text(POLICY)
     said = environment.keymint("provision", "policy.xml", "-w", "ws", code=1)
-    assert "lacks its folder of schemas; reinstall Keymint from its checkout or wheel" in said
+    assert "lacks the schemas of keymint_ros; reinstall Keymint from its checkout or wheel" in said

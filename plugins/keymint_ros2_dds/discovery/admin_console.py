@@ -11,8 +11,7 @@ from collections.abc import Iterator
 
 from lxml import etree
 
-import comarmor
-from comarmor.errors import Diagnostic, Origin, Severity
+from comarmor.errors import Origin
 from comarmor.xml.reader import line, parse
 from keymint.errors import KeymintError
 from keymint_ros2_dds.discovery.capture import Capture, DiscoveredEndpoint, DiscoveredParticipant
@@ -37,10 +36,7 @@ def read(content: bytes, name: str) -> Capture:
     Raises:
         KeymintError: not well-formed, too large, with a DOCTYPE, or no such capture; with ``file:line``.
     """
-    try:
-        root = parse(content, name)
-    except comarmor.ComArmorError as error:
-        raise KeymintError.of(_diagnostic(found) for found in error.diagnostics) from error
+    root = parse(content, name)
     reader = _AdminConsoleReader(name)
     if root.tag != "system":
         raise reader.error(
@@ -119,8 +115,3 @@ def _octets(text: str | None) -> bytes:
     if _HEX.match(bare):
         return bytes(int(octet, 16) for octet in bare.split(","))
     return bare.encode()
-
-
-def _diagnostic(found: comarmor.Diagnostic) -> Diagnostic:
-    where = Origin(found.where.file, found.where.line) if found.where else None
-    return Diagnostic(found.code, Severity(found.severity.value), found.message, where, found.help)

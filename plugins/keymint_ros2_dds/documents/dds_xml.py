@@ -8,11 +8,10 @@ from datetime import UTC, datetime
 
 from lxml import etree
 
-from comarmor.errors import ComArmorError, Diagnostic, Origin, Severity
+from comarmor.data import locate
 from comarmor.xml import schema
 from comarmor.xml.reader import parse
 from keymint.api import DomainRange
-from keymint.errors import KeymintError
 from keymint_ros2_dds.domains import merged
 
 INDENTED = 32_000
@@ -106,10 +105,7 @@ def read(content: bytes, kind: str, name: str) -> etree._Element:
     Raises:
         KeymintError: it cannot be read or is not valid; each defect with ``file:line``.
     """
-    try:
-        document = parse(content, name)
-    except ComArmorError as error:
-        raise _converted(error) from None
+    document = parse(content, name)
     validate(document, kind, name)
     return document
 
@@ -120,10 +116,7 @@ def validate(document: etree._Element, kind: str, name: str) -> None:
     Raises:
         KeymintError: it is not valid; each defect with ``file:line``.
     """
-    try:
-        schema.validate(document, f"dds/{kind}.xsd", name)
-    except ComArmorError as error:
-        raise _converted(error) from None
+    schema.validate(document, locate("keymint_ros2_dds", "schemas") / f"{kind}.xsd", name)
 
 
 def hazards(content: bytes, root: etree._Element) -> Iterator[str]:
@@ -134,14 +127,3 @@ def hazards(content: bytes, root: etree._Element) -> Iterator[str]:
         yield "has a range of domains without both of its ends, which vendors read differently, or stop at"
     if any(text != text.strip() for item in root.iter() if not len(item) and (text := item.text or "")):
         yield "has white space around a text, which Cyclone DDS trims and Fast DDS keeps"
-
-
-def _converted(error: ComArmorError) -> KeymintError:
-    return KeymintError.of(
-        Diagnostic(item.code, Severity.ERROR, item.message, _origin(item.where), item.help)
-        for item in error.diagnostics
-    )
-
-
-def _origin(where: Origin | None) -> Origin | None:
-    return Origin(where.file, where.line) if where else None

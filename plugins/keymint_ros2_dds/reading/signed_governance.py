@@ -17,6 +17,7 @@ from functools import lru_cache
 
 from lxml import etree
 
+from comarmor.data import locate
 from comarmor.errors import ComArmorError, Origin
 from comarmor.xml import schema
 from comarmor.xml.reader import line, parse
@@ -180,7 +181,7 @@ def _read(content: bytes) -> GovernanceDocument:
 def _schema_says(root: etree._Element) -> tuple[str, int]:
     """Return what the schema has against a document, with its line in the document; or an empty text."""
     try:
-        schema.validate(root, f"dds/{GOVERNANCE}.xsd", GOVERNANCE_XML)
+        schema.validate(root, locate("keymint_ros2_dds", "schemas") / f"{GOVERNANCE}.xsd", GOVERNANCE_XML)
     except ComArmorError as error:
         first = error.diagnostics[0]
         return first.message, first.where.line if first.where and first.where.line else 1

@@ -13,6 +13,7 @@ from types import MappingProxyType
 
 from lxml import etree
 
+from comarmor.data import locate
 from comarmor.errors import ComArmorError, Diagnostic, Origin, Severity
 from comarmor.xml import schema
 from comarmor.xml.reader import line, parse
@@ -184,7 +185,7 @@ def read(content: bytes, file: str = "permissions.xml", offset: int = 0) -> Perm
 
 def _defects(root: etree._Element, file: str, offset: int) -> tuple[Diagnostic, ...]:
     try:
-        schema.validate(root, "dds/permissions.xsd", file)
+        schema.validate(root, locate("keymint_ros2_dds", "schemas") / "permissions.xsd", file)
     except ComArmorError as error:
         return _diagnostics(error, file, offset)
     return ()

@@ -59,7 +59,7 @@ def test_both_dialects_even_mixed(load) -> None:
 
 
 def test_schema_is_accepted_by_both_validators(load) -> None:
-    path = data.locate("schemas") / "comarmor" / "comarmor.xsd"
+    path = data.locate("comarmor", "schemas") / "comarmor.xsd"
     etree.XMLSchema(file=str(path))
     strict = xmlschema.XMLSchema(path)
     text = profiles(tunable("T", "x"), include("x.xml"), profile(allow("/@{T}"), include("y.xml")))
@@ -353,7 +353,7 @@ def test_tunables_cannot_explode(refused) -> None:
             "or <ros_relay>",
             "did you mean 'ros_publish'?",
         ),
-        (profile(allow("/x"), "<attachment>/y</attachment>"), 1, "<attachment> is not expected here", "another place"),
+        (profile(allow("/x"), "<attachment>/y</attachment>"), 1, "<attachment> is not expected here", "move it"),
         ("<policy/>", 1, "<policy> is not expected as the root, expected <profiles> or <profile>", ""),
         ('<profile\nname="p"/>', 1, "<profile> is not complete", ""),
         (

@@ -83,7 +83,7 @@ def reload(text: str) -> Policy:
         return comarmor.load(path)
 
 
-SCHEMA = xmlschema.XMLSchema(data.locate("schemas") / "comarmor" / "comarmor.xsd")
+SCHEMA = xmlschema.XMLSchema(data.locate("comarmor", "schemas") / "comarmor.xsd")
 
 
 def watched(profiles_: tuple[Profile, ...]) -> bool:

@@ -23,9 +23,16 @@ DENIED = """<profiles xmlns:xi="http://www.w3.org/2001/XInclude">
 """
 
 
-@pytest.mark.parametrize("folder", ["", "/opt/v/lib/python3.12/site-packages/comarmor/_data/", "../checkout/"])
+@pytest.mark.parametrize(
+    "folder",
+    [
+        "templates/keymint_ros/",
+        "/opt/v/lib/python3.12/site-packages/keymint_ros/_data/templates/",
+        "../checkout/templates/keymint_ros/",
+    ],
+)
 def test_a_place(folder: str) -> None:
-    file = f"{folder}templates/keymint_ros/comarmor.d/iron/common/node.xml"
+    file = f"{folder}comarmor.d/iron/common/node.xml"
     assert cited(file, 3) == "common/node.xml:3 (library)"
     outer = Origin("policy.xml", 7)
     assert str(Origin(file, 0, (outer,))) == "common/node.xml (library), included from policy.xml:7"

@@ -16,7 +16,7 @@ from keymint.errors import KeymintError
 
 from .workspaces import RULES, Workspace
 
-SCHEMAS = sorted((locate("schemas") / "keymint").glob("*.xsd"))
+SCHEMAS = sorted(locate("keymint_ros", "schemas").glob("*.xsd"))
 _SCHEMA_OF = {
     "profile/keymint_profile.xml": "keymint_profile",
     "profile/authorities.xml": "authorities",
@@ -46,7 +46,7 @@ def test_a_schema_is_accepted_by_both(path: Path) -> None:
 
 @pytest.mark.parametrize(("document", "schema"), _SCHEMA_OF.items())
 def test_what_is_written_is_valid_for_both(document: str, schema: str) -> None:
-    path = str(locate("schemas") / "keymint" / f"{schema}.xsd")
+    path = str(locate("keymint_ros", "schemas") / f"{schema}.xsd")
     xmlschema.XMLSchema10(path).validate(_content(document).decode())
     assert etree.XMLSchema(file=path).validate(etree.fromstring(_content(document)))
 

@@ -351,7 +351,7 @@ def test_the_documents_hold_nothing_that_a_vendor_refuses():
 
 @pytest.mark.parametrize("kind", ["permissions", "governance"])
 def test_the_schemas_are_accepted_by_both_validators(kind):
-    path = locate("schemas") / "dds" / f"{kind}.xsd"
+    path = locate("keymint_ros2_dds", "schemas") / f"{kind}.xsd"
     independent = xmlschema.XMLSchema(str(path))
     content = build(CHATTER).documents[f"{kind}.xml"]
     root = etree.fromstring(content)
