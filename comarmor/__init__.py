@@ -8,7 +8,7 @@ services, actions, parameters).
     >>> policy.decide("/talker", "ros_topic", "ros_publish", "/chatter").allowed  # doctest: +SKIP
     True
 
-The names below load with their first use: whoever imports only ``comarmor.text`` or ``comarmor.patterns`` loads no XML.
+The names below load on first use, so that importing ``comarmor.text`` or ``comarmor.patterns`` loads no XML library.
 """
 
 from __future__ import annotations
@@ -21,8 +21,8 @@ if TYPE_CHECKING:
     from comarmor.language.loading import load, load_all
     from comarmor.language.policy import Policy
     from comarmor.language.render import render
-    from comarmor.language.syntax import Decision, Expression, Profile, Rule
-    from comarmor.rules import PARTS, PERMISSIONS, Effect
+    from comarmor.language.syntax import Decision, Expression, Profile, ProfileRule
+    from comarmor.rules import PARTS, PERMISSIONS, Effect, Rule
 
 __all__ = [
     "PARTS",
@@ -35,6 +35,7 @@ __all__ = [
     "Origin",
     "Policy",
     "Profile",
+    "ProfileRule",
     "Rule",
     "Severity",
     "load",
@@ -47,8 +48,8 @@ _MODULES = {
     "comarmor.language.loading": ("load", "load_all"),
     "comarmor.language.policy": ("Policy",),
     "comarmor.language.render": ("render",),
-    "comarmor.language.syntax": ("Decision", "Expression", "Profile", "Rule"),
-    "comarmor.rules": ("PARTS", "PERMISSIONS", "Effect"),
+    "comarmor.language.syntax": ("Decision", "Expression", "Profile", "ProfileRule"),
+    "comarmor.rules": ("PARTS", "PERMISSIONS", "Effect", "Rule"),
 }
 _MODULE_OF = {name: module for module, names in _MODULES.items() for name in names}
 

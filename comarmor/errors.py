@@ -74,6 +74,25 @@ class Origin:
 
 
 @dataclass(frozen=True, slots=True)
+class Reason:
+    """Why a request is allowed or denied, on one line.
+
+    Attributes:
+        parts: texts, and the places of rules between them.
+    """
+
+    parts: tuple[str | Origin, ...]
+
+    def __str__(self) -> str:
+        """Return the text with its places: ``the DENY rule at policy.xml:3 matches``."""
+        return "".join(f" at {part}" if isinstance(part, Origin) else part for part in self.parts)
+
+    def without_places(self) -> str:
+        """Return the text alone, for outputs that show the place elsewhere: ``the DENY rule matches``."""
+        return "".join(part for part in self.parts if isinstance(part, str))
+
+
+@dataclass(frozen=True, slots=True)
 class Diagnostic:
     """One finding, warning or error.
 

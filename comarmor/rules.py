@@ -1,17 +1,68 @@
-"""What rules are made of: effects, and the kinds of objects with their permissions."""
+"""Rules, and their vocabulary: effects, and the kinds of objects with their permissions."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import dataclass
 from enum import StrEnum
 from types import MappingProxyType
 
+from comarmor.errors import Origin
+
 
 class Effect(StrEnum):
-    """What a rule does with what it matches."""
+    """Whether a rule allows or denies the requests that it matches."""
 
     ALLOW = "ALLOW"
     DENY = "DENY"
+
+
+@dataclass(frozen=True, slots=True)
+class Rule:
+    """One rule of a subject, with all tunables and placeholders expanded.
+
+    Attributes:
+        effect: allow or deny.
+        kind: a key of :data:`PERMISSIONS`.
+        permissions: permissions of that kind, without duplicates.
+        expressions: POSIX ``fnmatch`` expressions (flags 0, ``\\`` escapes); the rule applies to an object when any of
+            them matches its full name.
+        partitions: DDS partitions as ``fnmatch`` expressions, for kind ``topic`` only. If empty, an ALLOW applies to
+            the default partition (the empty name), a DENY to every partition.
+        audit: requests that match the rule are to be logged; changes no decision.
+        origin: where the rule is written.
+    """
+
+    effect: Effect
+    kind: str
+    permissions: tuple[str, ...]
+    expressions: tuple[str, ...]
+    partitions: tuple[str, ...]
+    audit: bool
+    origin: Origin
+
+
+@dataclass(frozen=True, slots=True)
+class Expectation:
+    """A test case of a policy.
+
+    Attributes:
+        test: name of the test.
+        allowed: True if every matching request must be allowed, False if every one must be denied.
+        subject: ``fnmatch`` expression of subjects.
+        permission: a permission; its prefix ``ros_`` may be omitted.
+        object: ``fnmatch`` expression of objects.
+        partition: DDS partition; empty for the default one.
+        where: where the expectation is written.
+    """
+
+    test: str
+    allowed: bool
+    subject: str
+    permission: str
+    object: str
+    partition: str
+    where: Origin
 
 
 PERMISSIONS: Mapping[str, tuple[str, ...]] = MappingProxyType(
@@ -23,7 +74,7 @@ PERMISSIONS: Mapping[str, tuple[str, ...]] = MappingProxyType(
         "ros_parameter": ("ros_read", "ros_write"),
     }
 )
-"""The kinds of rules, and the permissions that each may hold."""
+"""The kinds of rules, and the permissions of each."""
 
 _GOAL_SERVICES = ("/_action/send_goal", "/_action/cancel_goal", "/_action/get_result")
 _GOAL_TOPICS = ("/_action/feedback", "/_action/status")
@@ -53,10 +104,10 @@ PARTS: Mapping[tuple[str, str], tuple[tuple[str, str, str], ...]] = MappingProxy
         ("ros_parameter", "ros_write"): _services("ros_call", _WRITE_SERVICES),
     }
 )
-"""What a composite kind and permission stands for: kind, permission and suffix of each part (ROS 2 designs "Actions"
-and "Parameters": the names of the topics and services that they are made of)."""
+"""The parts of each composite permission: kind, permission and name suffix of the topics and services that implement it
+(ROS 2 designs "Actions" and "Parameters")."""
 
 
 def parts(kind: str, permission: str) -> tuple[tuple[str, str, str], ...]:
-    """Return what a permission stands for: its parts, or itself with no suffix when it is not composite."""
+    """Return the parts of a permission; a permission that is not composite is its only part, without suffix."""
     return PARTS.get((kind, permission)) or ((kind, permission, ""),)

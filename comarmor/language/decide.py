@@ -1,18 +1,18 @@
-"""The meaning of the language, evaluated in the slow and obvious way: the oracle that compilers are tested against."""
+"""The reference evaluator: decides one request by testing every rule. Compilers are tested against it."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 
-from comarmor.errors import ComArmorError
-from comarmor.language.syntax import Decision, Rule
+from comarmor.errors import ComArmorError, Reason
+from comarmor.language.syntax import Decision
 from comarmor.patterns.expression import matches
-from comarmor.rules import PARTS, PERMISSIONS, Effect
+from comarmor.rules import PARTS, PERMISSIONS, Effect, Rule
 from comarmor.text import did_you_mean, quoted
 
 
 def decide(rules: Sequence[Rule], kind: str, permission: str, name: str, partitions: Sequence[str] = ()) -> Decision:
-    """Decide a request by the rules of a subject: deny overrides allow, and what nothing allows is denied.
+    """Decide a request by the rules of a subject: deny overrides allow, and a request that no rule allows is denied.
 
     Args:
         rules: the subject's rules, expanded for it; their order has no meaning.
@@ -20,64 +20,70 @@ def decide(rules: Sequence[Rule], kind: str, permission: str, name: str, partiti
         permission: a permission of that kind.
         name: name of the object, any text.
         partitions: DDS partitions of the endpoint; none means the default partition, whose name is empty. The
-            endpoint is allowed when it is in each of them.
+            request is allowed if it is allowed in each of them.
 
     Raises:
         ComArmorError: the kind or the permission is not known.
     """
     _known(kind, permission)
-    asked = tuple(partitions)
+    names = tuple(partitions)
     parts = PARTS.get((kind, permission))
     if parts is None:
-        return _decide_elementary(rules, kind, permission, name, asked)
+        return _decide_elementary(rules, kind, permission, name, names)
     decisions = tuple(
-        _decide_elementary(rules, part_kind, part_permission, name + suffix, asked)
+        _decide_elementary(rules, part_kind, part_permission, name + suffix, names)
         for part_kind, part_permission, suffix in parts
     )
     denied = next((decision for decision in decisions if not decision.allowed), None)
     if denied is not None:
-        reason = f"a part of it, {denied.permission} {quoted(denied.object)}, is denied: {denied.reason}"
-        return Decision(kind, permission, name, asked, Effect.DENY, denied.rules, reason, decisions)
+        part = f"a part of it, {denied.permission} {quoted(denied.object)}, is denied: "
+        reason = Reason((part, *denied.reason.parts))
+        return Decision(kind, permission, name, names, Effect.DENY, denied.rules, reason, decisions)
     deciding = tuple(dict.fromkeys(rule for decision in decisions for rule in decision.rules))
-    return Decision(kind, permission, name, asked, Effect.ALLOW, deciding, "all parts of it are allowed", decisions)
+    return Decision(
+        kind, permission, name, names, Effect.ALLOW, deciding, Reason(("all parts of it are allowed",)), decisions
+    )
 
 
 def _decide_elementary(
     rules: Sequence[Rule], kind: str, permission: str, name: str, partitions: tuple[str, ...]
 ) -> Decision:
     """Decide a request that has no parts."""
-    about = [rule for rule in rules if _covers(rule, kind, permission, name)]
+    matching = [rule for rule in rules if _covers(rule, kind, permission, name)]
     allowing: dict[Rule, None] = {}
     for partition in partitions or ("",):
         shown = f" in partition {quoted(partition)}" if partition else ""
-        denying = tuple(rule for rule in about if rule.effect is Effect.DENY and _in_partition(rule, partition))
+        denying = tuple(rule for rule in matching if rule.effect is Effect.DENY and _in_partition(rule, partition))
         if denying:
-            reason = f"the DENY rule at {denying[0].where} matches{shown}"
+            reason = Reason(("the DENY rule", denying[0].origin, f" matches{shown}"))
             return Decision(kind, permission, name, partitions, Effect.DENY, denying, reason)
-        found = tuple(rule for rule in about if rule.effect is Effect.ALLOW and _in_partition(rule, partition))
-        if not found:
-            return Decision(kind, permission, name, partitions, Effect.DENY, (), f"no ALLOW rule matches{shown}")
-        allowing |= dict.fromkeys(found)
+        allowing_here = tuple(
+            rule for rule in matching if rule.effect is Effect.ALLOW and _in_partition(rule, partition)
+        )
+        if not allowing_here:
+            reason = Reason((f"no ALLOW rule matches{shown}",))
+            return Decision(kind, permission, name, partitions, Effect.DENY, (), reason)
+        allowing |= dict.fromkeys(allowing_here)
     deciding = tuple(allowing)
-    reason = f"the ALLOW rule at {deciding[0].where} matches, and no DENY rule does"
+    reason = Reason(("the ALLOW rule", deciding[0].origin, " matches, and no DENY rule does"))
     return Decision(kind, permission, name, partitions, Effect.ALLOW, deciding, reason)
 
 
 def _covers(rule: Rule, kind: str, permission: str, name: str) -> bool:
-    """Tell whether a rule is about an object, itself or as a part of what its composite kind stands for."""
+    """Whether a rule applies to an object, either directly or because the object implements a composite permission."""
     if rule.kind == kind:
-        return permission in rule.permissions and any(matches(item.text, name) for item in rule.attachments)
+        return permission in rule.permissions and any(matches(expression, name) for expression in rule.expressions)
     return any(
         (part_kind, part_permission) == (kind, permission)
         and name.endswith(suffix)
-        and any(matches(item.text, name.removesuffix(suffix)) for item in rule.attachments)
-        for held in rule.permissions
-        for part_kind, part_permission, suffix in PARTS.get((rule.kind, held), ())
+        and any(matches(expression, name.removesuffix(suffix)) for expression in rule.expressions)
+        for granted in rule.permissions
+        for part_kind, part_permission, suffix in PARTS.get((rule.kind, granted), ())
     )
 
 
 def _in_partition(rule: Rule, partition: str) -> bool:
-    """Tell whether a rule is about a partition: one that names none allows in the default one, and denies in all."""
+    """Whether a rule applies to a partition: without partitions an ALLOW applies to the default one, a DENY to all."""
     if rule.partitions:
         return any(matches(expression, partition) for expression in rule.partitions)
     return rule.effect is Effect.DENY or partition == ""

@@ -14,7 +14,7 @@ from comarmor.language import template
 from comarmor.language.policy import Policy
 from comarmor.language.scope import Budget, Scope
 from comarmor.language.source import INCLUDE, Document, Sources
-from comarmor.language.syntax import Expression, Profile, Rule
+from comarmor.language.syntax import Expression, Profile, ProfileRule
 from comarmor.patterns.expression import literal
 from comarmor.rules import PERMISSIONS, Effect
 from comarmor.text import quoted
@@ -130,7 +130,7 @@ class _Parser:
         audit = audit or item.element.get("modifier") == "AUDIT"
         attachments: list[Expression] = []
         inner: list[Profile] = []
-        rules: list[Rule] = []
+        rules: list[ProfileRule] = []
         for child in self.children(item):
             tag = child.element.tag
             if tag == "tunable":
@@ -188,7 +188,7 @@ class _Parser:
                 else:
                     self.refuse("the attachment is empty", where, "expression", "for any name write *")
 
-    def rule(self, item: _Item, scope: Scope, *, audit: bool) -> Rule:
+    def rule(self, item: _Item, scope: Scope, *, audit: bool) -> ProfileRule:
         """Return the rule of an element."""
         attachments: list[Expression] = []
         held: set[str] = set()
@@ -201,7 +201,7 @@ class _Parser:
             else:
                 attachments += self.attachments(_Item(child, item.document, item.chain), scope)
         kind = str(item.element.tag)
-        return Rule(
+        return ProfileRule(
             effect=Effect(item.element.get("qualifier", "")),
             kind=kind,
             permissions=tuple(permission for permission in PERMISSIONS[kind] if permission in held),

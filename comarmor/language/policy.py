@@ -1,29 +1,30 @@
-"""A loaded policy: which profiles apply to a subject, what rules it has, and what it may do."""
+"""A loaded policy: the profiles and rules that apply to a subject, and decisions on requests."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from pathlib import Path
 
 from comarmor.language.decide import decide
-from comarmor.language.syntax import Decision, Profile, Rule, Tunable
+from comarmor.language.syntax import Decision, Profile, ProfileRule, Tunable
 from comarmor.patterns.expression import beginning, literal, matches
+from comarmor.rules import Rule
 
-_MOST_REMEMBERED = 4096
-"""Subjects whose rules a policy remembers."""
+_MOST_CACHED = 4096
+"""Subjects whose rules are cached."""
 
 
 @dataclass(frozen=True, slots=True)
 class _Level:
-    """Sibling profiles, indexed so that a subject is looked up and not compared with every exact name.
+    """Sibling profiles, indexed by their exact names, so that a subject is not compared with each of them.
 
     Attributes:
         profiles: the profiles.
-        exact: positions of the profiles that name a subject exactly.
-        patterns: position and expression of the other attachments, by the text that they begin with.
-        lengths: the lengths of these texts.
-        inner: the level below each profile, or None for a profile without profiles.
+        exact: positions of the profiles, by the subject that they name exactly.
+        patterns: position and expression of the other attachments, by their literal prefix.
+        lengths: the lengths of these prefixes.
+        inner: the nested level of each profile, or None for a profile without nested ones.
     """
 
     profiles: tuple[Profile, ...]
@@ -48,11 +49,11 @@ class _Level:
 
     def applicable(self, subject: str) -> Iterator[Profile]:
         """Yield the profiles of this level and below that apply to a subject, outer ones first."""
-        found = set(self.exact.get(subject, ()))
+        positions = set(self.exact.get(subject, ()))
         for length in self.lengths:
-            near = self.patterns.get(subject[:length], ()) if length <= len(subject) else ()
-            found.update(position for position, text in near if position not in found and matches(text, subject))
-        for position in sorted(found):
+            candidates = self.patterns.get(subject[:length], ()) if length <= len(subject) else ()
+            positions |= {at for at, text in candidates if at not in positions and matches(text, subject)}
+        for position in sorted(positions):
             yield self.profiles[position]
             inner = self.inner[position]
             if inner is not None:
@@ -66,9 +67,9 @@ class Policy:
     Attributes:
         profiles: the outermost profiles, in the order of the files.
         files: every file that was read, by its resolved path, with the SHA-256 of its bytes.
-        seen: every path that was looked at, also those that were not there, with their fingerprints
-            (:func:`comarmor.language.source.fingerprint`): as long as these are the same, so is the policy.
-        unused_tunables: tunables that no attachment and no other tunable refers to.
+        seen: every path that loading looked at, whether it exists or not, with its fingerprint
+            (:func:`comarmor.language.source.fingerprint`). While the fingerprints are the same, so is the policy.
+        unused_tunables: tunables that neither an attachment nor another tunable uses.
     """
 
     profiles: tuple[Profile, ...]
@@ -76,13 +77,15 @@ class Policy:
     seen: Mapping[Path, bytes] = field(default_factory=dict)
     unused_tunables: tuple[Tunable, ...] = ()
     _level: _Level = field(init=False, repr=False)
-    _remembered: dict[str, tuple[Rule, ...]] = field(init=False, repr=False, default_factory=dict)
+    _cached_rules: dict[str, tuple[Rule, ...]] = field(init=False, repr=False, default_factory=dict)
+    _shared_rules: dict[int, Rule] = field(init=False, repr=False, default_factory=dict)
+    """By identity of the profile's rule: the rules that are the same for all subjects."""
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "_level", _Level.of(self.profiles))
 
     def applicable(self, subject: str) -> tuple[Profile, ...]:
-        """Return the profiles that apply to a subject: an attachment matches, and so for every profile around it.
+        """Return the profiles that apply to a subject: an attachment of each, and of every enclosing one, matches it.
 
         Args:
             subject: any text; ROS 2 enclaves and nodes are named like ``/robot1/talker``.
@@ -90,15 +93,22 @@ class Policy:
         return tuple(self._level.applicable(subject))
 
     def rules(self, subject: str) -> tuple[Rule, ...]:
-        """Return the rules of all profiles that apply to a subject, their expressions expanded for it."""
-        known = self._remembered.get(subject)
-        if known is not None:
-            return known
-        rules = tuple(_expanded(rule, subject) for profile in self.applicable(subject) for rule in profile.rules)
-        if len(self._remembered) >= _MOST_REMEMBERED:
-            self._remembered.clear()
-        self._remembered[subject] = rules
+        """Return the rules of all profiles that apply to a subject, expanded for it."""
+        cached = self._cached_rules.get(subject)
+        if cached is not None:
+            return cached
+        rules = tuple(self._expanded(rule, subject) for profile in self.applicable(subject) for rule in profile.rules)
+        if len(self._cached_rules) >= _MOST_CACHED:
+            self._cached_rules.clear()
+        self._cached_rules[subject] = rules
         return rules
+
+    def _expanded(self, rule: ProfileRule, subject: str) -> Rule:
+        if rule.depends_on_subject:
+            return rule.with_expressions(attachment.expanded(subject) for attachment in rule.attachments)
+        if id(rule) not in self._shared_rules:
+            self._shared_rules[id(rule)] = rule.with_expressions(attachment.text for attachment in rule.attachments)
+        return self._shared_rules[id(rule)]
 
     def decide(
         self,
@@ -108,10 +118,10 @@ class Policy:
         object: str,  # noqa: A002 - the field's name for what is accessed
         partitions: Sequence[str] = (),
     ) -> Decision:
-        """Decide what the policy says about a request.
+        """Decide a request.
 
         Args:
-            subject: who asks; any text.
+            subject: name of the subject; any text.
             kind: kind of the object, e.g. ``ros_topic``.
             permission: a permission of that kind, e.g. ``ros_publish``.
             object: name of the object; any text.
@@ -123,7 +133,7 @@ class Policy:
         return decide(self.rules(subject), kind, permission, object, partitions)
 
     def subjects(self) -> tuple[str, ...]:
-        """Return, sorted, the subjects that the policy names exactly and that some profile so named applies to."""
+        """Return, sorted, the subjects that an attachment names exactly and that its profile applies to."""
         return tuple(sorted(set(_subjects(self.profiles, ()))))
 
 
@@ -138,9 +148,3 @@ def _subjects(profiles: tuple[Profile, ...], around: tuple[Profile, ...]) -> Ite
 
 def _attaches(profile: Profile, subject: str) -> bool:
     return any(matches(attachment.text, subject) for attachment in profile.attachments)
-
-
-def _expanded(rule: Rule, subject: str) -> Rule:
-    if not any(attachment.value for attachment in rule.attachments):
-        return rule
-    return replace(rule, attachments=tuple(attachment.expanded(subject) for attachment in rule.attachments))

@@ -3,38 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 
 from comarmor.data import locate
 from comarmor.errors import ComArmorError, Diagnostic, Origin
 from comarmor.language.source import TESTS
 from comarmor.patterns.expression import parse as parse_expression
+from comarmor.rules import Expectation
 from comarmor.xml import schema
 from comarmor.xml.reader import LIMITS, line, parse
-
-
-@dataclass(frozen=True, slots=True)
-class Expectation:
-    """What a test expects.
-
-    Attributes:
-        test: name of the test.
-        allowed: every request that matches is allowed; else none is.
-        subject: expression of subjects.
-        permission: a permission.
-        object: expression of objects.
-        partition: DDS partition; empty for the default one.
-        where: where it is written.
-    """
-
-    test: str
-    allowed: bool
-    subject: str
-    permission: str
-    object: str
-    partition: str
-    where: Origin
 
 
 def expectations(path: Path) -> Mapping[Path, tuple[Expectation, ...]]:

@@ -1,18 +1,18 @@
-"""Policy to XML, in the canonical form: tunables expanded, includes in place, one dialect."""
+"""Render a policy as XML in canonical form: tunables and includes expanded, one dialect."""
 
 from __future__ import annotations
 
 from lxml import etree
 
 from comarmor.language.policy import Policy
-from comarmor.language.syntax import Profile, Rule
+from comarmor.language.syntax import Profile, ProfileRule
 from comarmor.rules import PERMISSIONS
 
 
 def render(policy: Policy) -> str:
     """Return a policy as one XML document without includes and tunables.
 
-    It decides every request as the policy does, and rendering what it loads to gives the same text again.
+    The document decides every request as the policy does. Loading and rendering it again gives the same text.
     """
     root = etree.Element("profiles")
     for profile in policy.profiles:
@@ -34,7 +34,7 @@ def _profile(parent: etree._Element, profile: Profile) -> None:
         _profile(element, inner)
 
 
-def _rule(parent: etree._Element, rule: Rule) -> None:
+def _rule(parent: etree._Element, rule: ProfileRule) -> None:
     element = etree.SubElement(parent, rule.kind, qualifier=rule.effect.value)
     if rule.audit:
         element.set("modifier", "AUDIT")

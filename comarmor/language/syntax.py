@@ -1,22 +1,23 @@
-"""A policy as data: profiles, rules, and what was decided by them."""
+"""The abstract syntax of a policy (profiles, rules, tunables), and decisions."""
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 
-from comarmor.errors import Origin
+from comarmor.errors import Origin, Reason
 from comarmor.language.template import Placeholder, Value, for_subject
-from comarmor.rules import Effect
+from comarmor.rules import Effect, Rule
 
 
 @dataclass(frozen=True, slots=True)
 class Expression:
-    """An attachment, its tunables expanded, in canonical notation.
+    """An attachment with its tunables expanded, in canonical notation.
 
     Attributes:
-        text: ``fnmatch`` expression, in which ``{name}`` and ``{namespace}`` may stand.
-        where: where a person wrote it.
-        value: its pieces when it depends on the subject; else empty.
+        text: ``fnmatch`` expression that may contain ``{name}`` and ``{namespace}``.
+        where: where it is written.
+        value: its pieces if it depends on the subject, else empty.
     """
 
     text: str
@@ -25,17 +26,17 @@ class Expression:
 
     @classmethod
     def of(cls, value: Value, where: Origin) -> Expression:
-        """Return the expression that consists of these pieces."""
+        """Return the expression of these pieces."""
         return cls("".join(value), where, value if any(isinstance(p, Placeholder) for p in value) else ())
 
-    def expanded(self, subject: str) -> Expression:
-        """Return the expression that this one is for a subject."""
-        return Expression(for_subject(self.value, subject), self.where) if self.value else self
+    def expanded(self, subject: str) -> str:
+        """Return the ``fnmatch`` expression of this attachment for a subject."""
+        return for_subject(self.value, subject) if self.value else self.text
 
 
 @dataclass(frozen=True, slots=True)
 class Tunable:
-    """A variable: its name, its values (expressions, expanded), and where it is declared."""
+    """A variable: its name, its expanded values, and where it is declared."""
 
     name: str
     values: tuple[Value, ...]
@@ -43,17 +44,17 @@ class Tunable:
 
 
 @dataclass(frozen=True, slots=True)
-class Rule:
-    """A rule of a profile.
+class ProfileRule:
+    """A rule as a profile writes it: tunables are expanded, ``{name}`` and ``{namespace}`` are not.
 
     Attributes:
         effect: allow or deny.
-        kind: a key of :data:`PERMISSIONS`.
-        permissions: permissions of that kind, in its order.
-        attachments: what it is about; a name matches when any of them does.
-        partitions: DDS partitions as ``fnmatch`` expressions (kind ``topic`` only); empty: not narrowed.
-        audit: to be watched, by its own modifier or that of a profile around it.
-        where: where a person wrote it.
+        kind: a key of :data:`comarmor.rules.PERMISSIONS`.
+        permissions: permissions of that kind, in the order of that table.
+        attachments: the rule applies to an object when any of them matches its name.
+        partitions: as in :class:`comarmor.rules.Rule`.
+        audit: matching requests are to be logged, by the rule's modifier or that of an enclosing profile.
+        where: where it is written.
     """
 
     effect: Effect
@@ -64,6 +65,16 @@ class Rule:
     audit: bool
     where: Origin
 
+    @property
+    def depends_on_subject(self) -> bool:
+        """Whether an attachment contains ``{name}`` or ``{namespace}``."""
+        return any(attachment.value for attachment in self.attachments)
+
+    def with_expressions(self, expressions: Iterable[str]) -> Rule:
+        """Return the rule with expressions in place of its attachments."""
+        unique = tuple(dict.fromkeys(expressions))
+        return Rule(self.effect, self.kind, self.permissions, unique, self.partitions, self.audit, self.where)
+
 
 @dataclass(frozen=True, slots=True)
 class Profile:
@@ -71,32 +82,32 @@ class Profile:
 
     Attributes:
         name: a label; need not be unique.
-        audit: to be watched, by its own modifier or that of a profile around it.
-        attachments: the subjects it applies to, as far as the profiles around it do.
-        profiles: the profiles in it.
+        audit: requests that match its rules are to be logged, by its modifier or that of an enclosing profile.
+        attachments: the subjects it applies to, if all enclosing profiles apply to them as well.
+        profiles: the nested profiles.
         rules: its rules.
-        where: where a person wrote it.
+        where: where it is written.
     """
 
     name: str
     audit: bool
     attachments: tuple[Expression, ...]
     profiles: tuple[Profile, ...]
-    rules: tuple[Rule, ...]
+    rules: tuple[ProfileRule, ...]
     where: Origin
 
 
 @dataclass(frozen=True, slots=True)
 class Decision:
-    """What a policy says about one request, and why.
+    """A policy's decision on one request, with the reason.
 
     Attributes:
         kind: kind of the object.
-        permission: the permission asked for.
+        permission: the requested permission.
         object: name of the object.
         partitions: DDS partitions of the endpoint; empty: only the default partition.
         effect: allow or deny.
-        rules: the rules that decided, in the order of the policy; none when nothing allows it.
+        rules: the deciding rules in the order of the policy; none if the request is denied because no rule allows it.
         reason: one line for a person.
         parts: for a composite permission, the decision on each part.
     """
@@ -107,7 +118,7 @@ class Decision:
     partitions: tuple[str, ...]
     effect: Effect
     rules: tuple[Rule, ...]
-    reason: str
+    reason: Reason
     parts: tuple[Decision, ...] = ()
 
     @property
@@ -117,15 +128,15 @@ class Decision:
 
     @property
     def rule(self) -> Rule | None:
-        """The first rule that decided, or None when it is denied because nothing allows it."""
+        """The first deciding rule, or None if the request is denied because no rule allows it."""
         return self.rules[0] if self.rules else None
 
     @property
     def where(self) -> Origin | None:
-        """Where the first rule that decided is written."""
-        return self.rules[0].where if self.rules else None
+        """Where the first deciding rule is written."""
+        return self.rules[0].origin if self.rules else None
 
     @property
     def audit(self) -> bool:
-        """Whether a rule that decided is to be watched."""
+        """Whether the request is to be logged."""
         return any(rule.audit for rule in self.rules)

@@ -18,6 +18,7 @@ group                        protocol
 
 from __future__ import annotations
 
+from comarmor.rules import Expectation
 from keymint.api.building import (
     Artifact,
     BuildOptions,
@@ -36,7 +37,6 @@ from keymint.api.policies import (
     AppliedProfile,
     AttachedProfile,
     Clause,
-    Expectation,
     ExpectingPolicyType,
     LoadedPolicy,
     PolicyDecision,

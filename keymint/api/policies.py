@@ -7,7 +7,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Protocol
 
-from comarmor.errors import Origin
+from comarmor.errors import Origin, Reason
+from comarmor.rules import Expectation
 from keymint.api.profiles import PolicySource
 from keymint.graph import Edge
 from keymint.ir import Rule, SubjectRules
@@ -26,7 +27,7 @@ class PolicyDecision:
 
     allowed: bool
     where: Origin | None
-    reason: str
+    reason: Reason
     audit: bool = False
 
 
@@ -122,29 +123,6 @@ class StructuredPolicy(Protocol):
 
     def structure(self) -> Structure:
         """Return the policy as it is written."""
-
-
-@dataclass(frozen=True, slots=True)
-class Expectation:
-    """What a unit test of a policy expects.
-
-    Attributes:
-        test: name of the test.
-        allowed: every request that matches is allowed; else none is.
-        subject: ``fnmatch`` expression of subjects.
-        permission: a permission; ``ros_`` may be missing.
-        object: ``fnmatch`` expression of objects.
-        partition: DDS partition; empty for the default one.
-        where: where it is written.
-    """
-
-    test: str
-    allowed: bool
-    subject: str
-    permission: str
-    object: str
-    partition: str
-    where: Origin
 
 
 class ExpectingPolicyType(Protocol):

@@ -213,7 +213,11 @@ def _counterexample(found: Counterexample, run: Run) -> dict[str, Any]:
         "partitions": [legible(each) for each in found.endpoint.object.partitions],
         "domain": found.endpoint.domain,
         "ros": None if meaning is None else _ros(meaning),
-        "policy": {"allowed": found.policy.allowed, "reason": found.policy.reason, **_place(found.policy.where, run)},
+        "policy": {
+            "allowed": found.policy.allowed,
+            "reason": str(found.policy.reason),
+            **_place(found.policy.where, run),
+        },
         "document": {
             "allowed": found.document.allowed,
             "reason": found.document.reason,

@@ -93,9 +93,9 @@ def _with_endpoints(
 
 
 def _of_policy(decision: PolicyDecision, typed: Callable[[str], str]) -> Label:
+    reason = decision.reason.without_places()
     if decision.where is None:
-        return Label(decision.allowed, decision.reason)
-    reason = decision.reason.replace(f" at {decision.where}", "")
+        return Label(decision.allowed, reason)
     return Label(decision.allowed, reason, _place(decision.where, typed))
 
 

@@ -117,7 +117,7 @@ def _lines(found: Explanation, typed: Callable[[str], str]) -> Iterator[str]:
         layers["profiles"] = [f"none applies to {found.edge.subject}, so that it may do nothing"]
     if found.similar:
         layers["profiles"].append(f"did you mean {found.similar!r}?")
-    layers["policy"] = [rule(each) for each in found.rules] or [found.policy.reason]
+    layers["policy"] = [rule(each) for each in found.rules] or [str(found.policy.reason)]
     if found.near:
         layers["policy"].append(f"nearest: {rule(found.near)}, but {found.near.note}")
     layers["package"] = [rule(each) for each in found.package] or ["no rule of it is about this"]

@@ -172,7 +172,7 @@ class _Labels:
         """Return a labelled edge."""
         if decision not in self._known:
             # The origin of the rule is shown beside the reason.
-            reason = decision.reason.replace(f" at {decision.where}", "") if decision.where else decision.reason
+            reason = decision.reason.without_places()
             where = self._place(decision.where) if decision.where else None
             self._known[decision] = Label(decision.allowed, reason, where)
         common = decision.allowed and decision.where is not None and self._common(decision.where)

@@ -99,7 +99,7 @@ def decision_json(decision: PolicyDecision, typed: Typed) -> dict[str, Any]:
     """Return the decision of a policy."""
     return {
         "allowed": decision.allowed,
-        "reason": decision.reason,
+        "reason": str(decision.reason),
         "rule": place_json(decision.where, typed),
         "audit": decision.audit,
     }

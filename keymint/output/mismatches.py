@@ -38,7 +38,7 @@ def mismatch_text(transports: Sequence[str], mismatch: Mismatch, *, at_rule: boo
         at_rule: the line is shown at the policy's rule, if there is one.
     """
     policy, verdict = mismatch.policy, mismatch.verdict
-    by_policy = "by this rule" if at_rule and policy.where else policy.reason
+    by_policy = "by this rule" if at_rule and policy.where else str(policy.reason)
     return (
         f"{mismatch.error}: {request_text(mismatch.edge)}: the policy {verb_of(policy.allowed)} it ({by_policy}), "
         f"but {enumerated(transports)} {verb_of(verdict.allowed, many=len(transports) > 1)} it "

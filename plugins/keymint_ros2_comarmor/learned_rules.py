@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping
 
 from comarmor.errors import Origin
-from comarmor.language.syntax import Expression, Rule
+from comarmor.language.syntax import Expression, ProfileRule
 from comarmor.patterns.printing import escape
 from comarmor.rules import PERMISSIONS, Effect
 from keymint.graph import Edge
@@ -32,7 +32,7 @@ def flat(needs: Needs) -> Iterable[Need]:
             yield kind, name, permission, () if partitions == {""} else tuple(sorted(partitions))
 
 
-def fold(needs: Iterable[Need]) -> tuple[Rule, ...]:
+def fold(needs: Iterable[Need]) -> tuple[ProfileRule, ...]:
     """Return the fewest rules in which every object stands once for each of its lists of partitions, in their order.
 
     Args:
@@ -54,8 +54,8 @@ def _order(item: tuple[tuple[str, tuple[str, ...], tuple[str, ...]], set[str]]) 
     return _KINDS.index(kind), partitions, [known.index(one) for one in permissions], sorted(attachments)
 
 
-def _rule(kind: str, permissions: tuple[str, ...], partitions: tuple[str, ...], attachments: list[str]) -> Rule:
-    return Rule(
+def _rule(kind: str, permissions: tuple[str, ...], partitions: tuple[str, ...], attachments: list[str]) -> ProfileRule:
+    return ProfileRule(
         effect=Effect.ALLOW,
         kind=kind,
         permissions=permissions,

@@ -1,4 +1,4 @@
-"""Holds an existing policy against a graph: what it denies on purpose, and what it allows that nobody needs."""
+"""Compare an existing policy with a graph: report edges that it denies, and permissions that no edge uses."""
 
 from __future__ import annotations
 
@@ -7,17 +7,17 @@ from collections.abc import Iterable, Iterator
 import comarmor
 from comarmor.errors import Diagnostic, Origin, Severity, Spot
 from comarmor.patterns.expression import matches
+from comarmor.rules import parts
 from comarmor.text import quoted
 from keymint.graph import Edge, Graph
 
 _Need = tuple[str, str, str, tuple[str, ...]]
-_Place = Spot
-_Unit = tuple[_Place, str]
-"""Place of an attachment, and a permission. The place, for its text may differ from subject to subject."""
+_Unit = tuple[Spot, str]
+"""Place of an attachment, and a permission. The place, because the expanded text depends on the subject."""
 
 
 def conflict(edge: Edge, decision: comarmor.Decision) -> Diagnostic | None:
-    """Return what is to be said of an edge that a DENY rule denies, or None when nothing but an ALLOW is missing."""
+    """Return a warning if a DENY rule denies an edge, or None if only an ALLOW rule is missing."""
     denied = next((one for one in decision.parts or (decision,) if not one.allowed and one.rule), None)
     if denied is None or denied.where is None:
         return None
@@ -25,26 +25,26 @@ def conflict(edge: Edge, decision: comarmor.Decision) -> Diagnostic | None:
         "learn-denied",
         Severity.WARNING,
         f"this rule denies {edge.subject} the {edge.permission} on {quoted(edge.object.name)} that the graph has",
-        Origin(denied.where.file, denied.where.line, (), denied.where.column),
+        denied.where.alone(),
         "narrow the rule, or leave it: a DENY wins over every ALLOW",
         edge.subject,
     )
 
 
 def unused(policy: comarmor.Policy, graph: Graph) -> Iterator[Diagnostic]:
-    """Yield what a policy allows to the subjects of a graph that no edge needs, and whom it names in vain."""
-    units: dict[_Place, dict[_Unit, bool]] = {}
+    """Yield notes on rules that no edge of a graph uses, and on subjects of the policy that the graph does not have."""
+    units: dict[Spot, dict[_Unit, bool]] = {}
     needs: dict[str, set[_Need]] = {}
     for edge in graph.edges:
         needs.setdefault(edge.subject, set()).update(_elementary(edge))
     for subject in graph.subjects:
-        for rule in policy.rules(subject):
+        for rule in (rule for profile in policy.applicable(subject) for rule in profile.rules):
             if rule.effect is comarmor.Effect.ALLOW:
-                known = units.setdefault(_place(rule.where), {})
-                for unit, used in _used(rule, needs.get(subject, ())):
-                    known[unit] = known.get(unit, False) or used
-    for place, found in sorted(units.items()):
-        yield from _said(place, found)
+                usage = units.setdefault(rule.where.spot, {})
+                for unit, used in _used(rule, subject, needs.get(subject, ())):
+                    usage[unit] = usage.get(unit, False) or used
+    for place, usage in sorted(units.items()):
+        yield from _unused_units(place, usage)
     for subject in policy.subjects():
         if subject not in graph.subjects:
             message = f"the policy names {subject}, which the graph does not have"
@@ -52,55 +52,49 @@ def unused(policy: comarmor.Policy, graph: Graph) -> Iterator[Diagnostic]:
 
 
 def _elementary(edge: Edge) -> Iterator[_Need]:
-    found = edge.object
-    for kind, permission, suffix in comarmor.PARTS.get(
-        (found.kind, edge.permission), ((found.kind, edge.permission, ""),)
-    ):
-        yield kind, permission, found.name + suffix, found.partitions or ("",)
+    for kind, permission, suffix in parts(edge.object.kind, edge.permission):
+        yield kind, permission, edge.object.name + suffix, edge.object.partitions or ("",)
 
 
-def _used(rule: comarmor.Rule, needs: Iterable[_Need]) -> Iterator[tuple[_Unit, bool]]:
+def _used(rule: comarmor.ProfileRule, subject: str, needs: Iterable[_Need]) -> Iterator[tuple[_Unit, bool]]:
+    """Yield each attachment and permission of a rule, and whether the subject needs it."""
     for permission in rule.permissions:
-        parts = comarmor.PARTS.get((rule.kind, permission), ((rule.kind, permission, ""),))
-        about = [
+        candidates = [
             (name.removesuffix(suffix), partitions)
             for kind, needed, name, partitions in needs
-            for part_kind, part_permission, suffix in parts
+            for part_kind, part_permission, suffix in parts(rule.kind, permission)
             if (part_kind, part_permission) == (kind, needed) and name.endswith(suffix)
         ]
         for attachment in rule.attachments:
+            expression = attachment.expanded(subject)
             used = any(
-                matches(attachment.text, name) and any(_in_partition(rule, one) for one in partitions)
-                for name, partitions in about
+                matches(expression, name) and any(_in_partition(rule, one) for one in partitions)
+                for name, partitions in candidates
             )
-            yield (_place(attachment.where), permission), used
+            yield (attachment.where.spot, permission), used
 
 
-def _in_partition(rule: comarmor.Rule, partition: str) -> bool:
+def _in_partition(rule: comarmor.ProfileRule, partition: str) -> bool:
     if rule.partitions:
         return any(matches(expression, partition) for expression in rule.partitions)
     return partition == ""
 
 
-def _said(place: _Place, found: dict[_Unit, bool]) -> Iterator[Diagnostic]:
-    """Yield what is to be said of one rule: that it, an attachment of it, or a permission is not used."""
-    if not any(found.values()):
-        permissions = ", ".join(dict.fromkeys(permission for _, permission in found))
-        yield _note("learn-unused-rule", place, f"nobody in the graph uses this rule ({permissions})")
+def _unused_units(place: Spot, usage: dict[_Unit, bool]) -> Iterator[Diagnostic]:
+    """Yield notes on one rule that is not used, or on attachments and permissions of it that are not used."""
+    if not any(usage.values()):
+        permissions = ", ".join(dict.fromkeys(permission for _, permission in usage))
+        yield _note("learn-unused-rule", place, f"no subject in the graph uses this rule ({permissions})")
         return
-    for attachment in dict.fromkeys(unit[0] for unit in found):
-        if not any(used for unit, used in found.items() if unit[0] == attachment):
-            yield _note("learn-unused-attachment", attachment, "nobody in the graph uses this attachment")
-    for permission in dict.fromkeys(unit[1] for unit in found):
-        if not any(used for unit, used in found.items() if unit[1] == permission):
-            yield _note("learn-unused-permission", place, f"nobody in the graph uses the {permission} of this rule")
+    for attachment in dict.fromkeys(unit[0] for unit in usage):
+        if not any(used for unit, used in usage.items() if unit[0] == attachment):
+            yield _note("learn-unused-attachment", attachment, "no subject in the graph uses this attachment")
+    for permission in dict.fromkeys(unit[1] for unit in usage):
+        if not any(used for unit, used in usage.items() if unit[1] == permission):
+            yield _note("learn-unused-permission", place, f"no subject in the graph uses {permission} of this rule")
 
 
-def _note(code: str, place: _Place, message: str) -> Diagnostic:
+def _note(code: str, place: Spot, message: str) -> Diagnostic:
     file, line, column = place
     where = Origin(file, line, (), column)
-    return Diagnostic(code, Severity.NOTE, message, where, "remove it if it is not for something rare")
-
-
-def _place(where: comarmor.Origin) -> _Place:
-    return where.file, where.line, where.column
+    return Diagnostic(code, Severity.NOTE, message, where, "remove it unless it is for a rare case")

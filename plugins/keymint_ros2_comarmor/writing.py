@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 from lxml import etree
 
 import comarmor
-from comarmor.language.syntax import Expression, Profile, Rule
+from comarmor.language.syntax import Expression, Profile, ProfileRule
 from comarmor.patterns.printing import escape
 from keymint_ros2_comarmor.learned_rules import NOWHERE, Needs, fold, literal, literal_needs
 
@@ -57,13 +57,13 @@ def fragment(part: CommonPart) -> bytes:
     return _fragment(fold(part.needs), part.name.removesuffix(".xml"))
 
 
-def _fragment(rules: tuple[Rule, ...], name: str) -> bytes:
+def _fragment(rules: tuple[ProfileRule, ...], name: str) -> bytes:
     text = comarmor.render(comarmor.Policy((_profile(name, _ANY_SUBJECT, rules),)))
     root = etree.fromstring(text.encode(), etree.XMLParser(remove_blank_text=True))
     return _written(root[0] if len(rules) > 1 else root[0][1])
 
 
-def fragment_size(rules: tuple[Rule, ...]) -> int:
+def fragment_size(rules: tuple[ProfileRule, ...]) -> int:
     """Return the bytes of the file that these rules make."""
     return len(_fragment(rules, "common_1"))
 
@@ -73,13 +73,13 @@ def include_size() -> int:
     return len(_TYPICAL_INCLUDE)
 
 
-def rules_size(rules: tuple[Rule, ...]) -> int:
+def rules_size(rules: tuple[ProfileRule, ...]) -> int:
     """Return the bytes that rules take in a profile."""
     empty = comarmor.render(comarmor.Policy((_profile("p", "p", ()),)))
     return len(comarmor.render(comarmor.Policy((_profile("p", "p", rules),))).encode()) - len(empty)
 
 
-def _profile(name: str, attachment: str, rules: tuple[Rule, ...]) -> Profile:
+def _profile(name: str, attachment: str, rules: tuple[ProfileRule, ...]) -> Profile:
     return Profile(
         name, audit=False, attachments=(Expression(attachment, NOWHERE),), profiles=(), rules=rules, where=NOWHERE
     )

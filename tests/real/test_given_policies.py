@@ -51,7 +51,7 @@ def test_given_policy(path: Path, provisioned: Callable[[str | Path], Path]) -> 
     policy = comarmor.load(path, library=install.parent / "profile" / "comarmor.d")
     subjects = policy.subjects()
     expressions = {
-        attachment.text for subject in subjects for rule in policy.rules(subject) for attachment in rule.attachments
+        expression for subject in subjects for rule in policy.rules(subject) for expression in rule.expressions
     }
     names = sorted({name for expression in expressions for name in names_near(expression)} - {""})
     asked = {each for (_, held), name in product(REQUESTS, names) for each in operations(held, name)}

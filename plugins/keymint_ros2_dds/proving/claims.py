@@ -8,7 +8,7 @@ from functools import cache
 from itertools import pairwise
 from types import MappingProxyType
 
-from comarmor.errors import Origin
+from comarmor.errors import Origin, Reason
 from comarmor.patterns.decision_lists import (
     DecisionList,
     ProofResult,
@@ -360,10 +360,11 @@ class _Model:
         if rule is not None:
             verb = "allows" if rule.effect is Effect.ALLOW else "denies"
             said = PolicyDecision(
-                rule.effect is Effect.ALLOW, rule.origin, f"the {rule.kind} rule {verb} it", rule.audit
+                rule.effect is Effect.ALLOW, rule.origin, Reason((f"the {rule.kind} rule {verb} it",)), rule.audit
             )
         else:
-            said = PolicyDecision(allowed=False, where=None, reason="no rule allows it" if inside else "not its domain")
+            reason = "no rule allows it" if inside else "not its domain"
+            said = PolicyDecision(allowed=False, where=None, reason=Reason((reason,)))
         verdict = self._verdict(action, domain, era, (topic, partition), permitted=permitted)
         return Counterexample(
             Edge(rules.subject, action, edges[0].object, domain),

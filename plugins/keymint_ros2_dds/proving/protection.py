@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass
 
+from comarmor.errors import Reason
 from comarmor.patterns.decision_lists import Block, DecisionList, SearchBudget, Universe, Unknown, Witness
 from comarmor.patterns.glob import EVERYTHING
 from comarmor.patterns.proofs import escapes
@@ -115,7 +116,9 @@ def _join(
         UNAUTHENTICATED: f"{UNAUTHENTICATED} is true: participants without identity and permissions may join",
     }
     reason = f"{where}: {who[tag]}{f' domain {domains.first}' if domains.first else ''}"
-    said = PolicyDecision(allowed=False, where=None, reason="only subjects with a rule of the policy may join")
+    said = PolicyDecision(
+        allowed=False, where=None, reason=Reason(("only subjects with a rule of the policy may join",))
+    )
     endpoint = Edge(subject, "join", Object("domain", str(domains.first)), domains.first)
     verdict = Verdict(allowed=True, reason=reason, where=where)
     example = Counterexample(endpoint, None, said, verdict, help_for(governing, domains.first))
@@ -130,7 +133,7 @@ def _protect(
     where = governing.document.place(found.line)
     about = f" for the topic {found.topic!r}" if found.topic else f" in domain {domains.first}"
     reason = f"{where}: {found.tag} is {found.text}{about}, but the sources say {found.said}"
-    said = PolicyDecision(allowed=False, where=None, reason="the sources say how topics are protected")
+    said = PolicyDecision(allowed=False, where=None, reason=Reason(("the sources say how topics are protected",)))
     object_ = Object("topic", found.topic) if found.topic else Object("domain", str(domains.first))
     verdict = Verdict(allowed=True, reason=reason, where=where)
     mend = "'keymint install' signs what the sources build"

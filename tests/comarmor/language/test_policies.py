@@ -39,7 +39,7 @@ def profiles(*content: str) -> str:
 
 
 def topics(policy: comarmor.Policy, subject: str = "/s") -> list[str]:
-    return [attachment.text for rule in policy.rules(subject) for attachment in rule.attachments]
+    return [expression for rule in policy.rules(subject) for expression in rule.expressions]
 
 
 def test_both_dialects_even_mixed(load) -> None:
@@ -53,7 +53,7 @@ def test_both_dialects_even_mixed(load) -> None:
     )
     assert policy.subjects() == ("/a", "/b", "/c")
     (rule,) = policy.rules("/c")
-    assert [attachment.text for attachment in rule.attachments] == ["x", "y"]
+    assert rule.expressions == ("x", "y")
     assert rule.permissions == ("publish", "relay")
     assert rule.partitions == ("",)
 
@@ -111,7 +111,7 @@ def test_library_has_what_the_policy_lacks(write, tmp_path) -> None:
     (library / "common" / "part.xml").write_text(allow("/x"))
     policy = comarmor.load(root, library=library)
     (rule,) = policy.rules("/s")
-    assert str(rule.where) == (
+    assert str(rule.origin) == (
         f"{library}/common/part.xml:1, included from {library}/common/node.xml:1, included from {root}/p.xml:1"
     )
     (library / "common" / "part.xml").unlink()

@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import comarmor
-from comarmor import PERMISSIONS, Effect, Expression, Origin, Policy, Profile, Rule, data
+from comarmor import PERMISSIONS, Effect, Expression, Origin, Policy, Profile, ProfileRule, data
 from comarmor.language import template
 from comarmor.patterns import expression
 from comarmor.patterns.printing import escape
@@ -46,13 +46,13 @@ def expressions(texts: st.SearchStrategy[str]) -> st.SearchStrategy[tuple[Expres
 
 
 @st.composite
-def rules(draw: st.DrawFn) -> Rule:
+def rules(draw: st.DrawFn) -> ProfileRule:
     kind = draw(st.sampled_from(list(PERMISSIONS)))
     held = draw(st.sets(st.sampled_from(PERMISSIONS[kind]), min_size=1))
     partitions = (
         draw(st.lists(st.sampled_from(["", "p*", "q", "\\ "]), max_size=2, unique=True)) if kind == "topic" else []
     )
-    return Rule(
+    return ProfileRule(
         draw(st.sampled_from(Effect)),
         kind,
         tuple(permission for permission in PERMISSIONS[kind] if permission in held),

@@ -71,7 +71,7 @@ def _differing(old: comarmor.Policy, new: comarmor.Policy) -> Iterator[tuple[Req
 
 
 def _said(rule: comarmor.Rule) -> tuple[object, ...]:
-    return rule.effect, rule.kind, rule.permissions, tuple(each.text for each in rule.attachments), rule.partitions
+    return rule.effect, rule.kind, rule.permissions, rule.expressions, rule.partitions
 
 
 def _of_rules(
@@ -80,7 +80,7 @@ def _of_rules(
     used = {(rule.kind, held) for rule in (*before, *after) for held in rule.permissions}
     parts = {part[:2] for key in used for part in comarmor.PARTS.get(key, ())}
     suffixes = sorted({suffix for key in used for _, _, suffix in comarmor.PARTS.get(key, ())})
-    texts = sorted({each.text for rule in (*before, *after) for each in rule.attachments})
+    texts = sorted({each for rule in (*before, *after) for each in rule.expressions})
     names = _classes(_objects(subject), texts, suffixes)
     for kind, permission in sorted(used | parts):
         for name in _TOPICS if kind == "topic" else names:

@@ -96,7 +96,7 @@ def test_beside_an_existing_policy(keymint, tmp_path: Path) -> None:
         "missing  /robot1/listener ros_subscribe /robot1/chatter",
         "missing  /robot1/talker ros_publish /robot1/chatter",
     ]
-    assert "unused   p/own.xml:1: nobody in the graph uses this rule (ros_publish)" in lines
+    assert "unused   p/own.xml:1: no subject in the graph uses this rule (ros_publish)" in lines
     assert keymint("provision", "p", "-w", "ws").code == 0
     again = keymint("learn", "g.json", "--policy", "p", "-o", "p/learned2.xml", "--json").document["result"]
     assert (again["missing"], again["file"], again["written"]) == ([], None, [])

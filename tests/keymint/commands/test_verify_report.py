@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from comarmor.errors import Origin
+from comarmor.errors import Origin, Reason
 from keymint.api import PolicyDecision, Tier, Verdict
 from keymint.commands.verify_report import labelled_edges
 from keymint.drawing.labelled_graph import Label
@@ -12,7 +12,7 @@ from keymint.graph import ConfusionMatrix, Edge, EdgeOutcome, Object
 from keymint.verify.mismatch import Comparison, Mismatch
 
 EDGES = [Edge("/a", "ros_publish", Object("ros_topic", f"/t{at}")) for at in range(4)]
-DENIED = PolicyDecision(False, None, "no rule")
+DENIED = PolicyDecision(False, None, Reason(("no rule",)))
 
 
 def finding(edge: Edge) -> Mismatch:

@@ -11,7 +11,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from comarmor.errors import Origin
+from comarmor.errors import Origin, Reason
 from keymint.api import Enclave, PolicyDecision, Tier, Usable, Verdict
 from keymint.errors import KeymintError
 from keymint.graph import ConfusionMatrix, Edge, Graph, Object, complete
@@ -54,7 +54,7 @@ def explain(name: str, enclave: Enclave, wrong: list[tuple[Edge, Verdict]]) -> l
         Mismatch(
             error_of(verdict.allowed),
             edge,
-            PolicyDecision(not verdict.allowed, None, ""),
+            PolicyDecision(not verdict.allowed, None, Reason(("",))),
             verdict,
             verdict.reason,
             Origin("x"),

@@ -2,16 +2,13 @@
 
 from __future__ import annotations
 
-import importlib
-import importlib.util
 from pathlib import Path
 
 import pytest
 from keymint_ros2_comarmor import policy_type
 
-import comarmor
 from comarmor.errors import Origin
-from comarmor.rules import PERMISSIONS, Effect
+from comarmor.rules import Effect
 from keymint.api import PolicySource
 from keymint.errors import KeymintError
 
@@ -97,17 +94,3 @@ def test_missing_policy_blames_who_names_it(tmp_path) -> None:
     with pytest.raises(KeymintError) as caught:
         policy_type.load([source(tmp_path / "no")], None)
     assert caught.value.diagnostics[0].where == Origin("profile/policies.xml", 3)
-
-
-def test_both_representations_have_the_same_vocabulary() -> None:
-    assert dict(PERMISSIONS) == dict(comarmor.PERMISSIONS)
-    assert [effect.value for effect in Effect] == [effect.value for effect in comarmor.Effect]
-
-
-def test_compiler_has_the_same_parts_of_composite_permissions() -> None:
-    if importlib.util.find_spec("keymint.keymake.composites") is None:
-        pytest.skip("the compiler has no table of composite permissions")
-    composites = importlib.import_module("keymint.keymake.composites")
-    assert set(composites.PARTS) == set(comarmor.PARTS)
-    for composite, parts in comarmor.PARTS.items():
-        assert {tuple(part) for part in composites.PARTS[composite]} == set(parts)
