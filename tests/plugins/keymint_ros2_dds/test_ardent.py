@@ -31,7 +31,7 @@ TOPIC = DDS_TOPICS["ros_publish"][0]
 
 
 def pairs(text: str, **options) -> set[tuple[str, str]]:
-    return {(exact(where)(what)) for where, what in ardent_names.dds_patterns(parse(text), TOPIC, **options)}
+    return {(exact(where), exact(what)) for where, what in ardent_names.dds_patterns(parse(text), TOPIC, **options)}
 
 
 @pytest.mark.parametrize(
