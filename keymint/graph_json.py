@@ -8,6 +8,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from typing import Any, NoReturn
 
 from comarmor.errors import Origin
+from comarmor.ros_names import is_fully_qualified
 from comarmor.rules import PERMISSIONS
 from comarmor.text import did_you_mean
 from keymint.errors import KeymintError
@@ -27,15 +28,14 @@ KIND_OF: Mapping[str, str] = {
 }
 """The kind of objects that each permission is about."""
 
-_SUBJECT = re.compile(r"(?:/[A-Za-z_][A-Za-z0-9_]*)+\Z")
 _CONTROL = re.compile(r"[\x00-\x1f\x7f\ud800-\udfff\ufffe\uffff]")
 
 Path = tuple[str | int, ...]
 
 
 def legal_subject(name: str) -> bool:
-    """Tell whether a name is one that a subject may have: ``/`` and segments of ``[A-Za-z_][A-Za-z0-9_]*``."""
-    return len(name) <= MAX_NAME and _SUBJECT.match(name) is not None
+    """Whether a subject may have a name: a fully qualified ROS name of limited length."""
+    return len(name) <= MAX_NAME and is_fully_qualified(name)
 
 
 def legal_text(text: str) -> bool:

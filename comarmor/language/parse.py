@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 
@@ -16,12 +15,12 @@ from comarmor.language.scope import Budget, Scope
 from comarmor.language.source import INCLUDE, Document, Sources
 from comarmor.language.syntax import Expression, Profile, ProfileRule
 from comarmor.patterns.expression import literal
+from comarmor.ros_names import is_fully_qualified
 from comarmor.rules import PERMISSIONS, Effect
 from comarmor.text import quoted
 from comarmor.xml import schema
 from comarmor.xml.reader import column, line
 
-_LEGAL_NAME = re.compile(r"(/[A-Za-z_][A-Za-z0-9_]*)+")
 _LONGEST_NAME = 1024
 _LONGEST_SEGMENT = 255
 _DEEPEST = 64
@@ -268,9 +267,7 @@ def _unique(expressions: list[Expression]) -> tuple[Expression, ...]:
 def _is_legal(name: str) -> bool:
     """Tell whether a name may become the name of an enclave, and with it a path."""
     return (
-        len(name) <= _LONGEST_NAME
-        and _LEGAL_NAME.fullmatch(name) is not None
-        and max(map(len, name.split("/"))) <= _LONGEST_SEGMENT
+        len(name) <= _LONGEST_NAME and is_fully_qualified(name) and max(map(len, name.split("/"))) <= _LONGEST_SEGMENT
     )
 
 

@@ -7,7 +7,6 @@ what the policy permits to any of them.
 
 from __future__ import annotations
 
-import re
 from collections.abc import Iterable, Iterator, Sequence
 from operator import itemgetter
 
@@ -19,6 +18,7 @@ from comarmor.patterns.proofs import difference
 from comarmor.patterns.relations import TooComplexError, covers, intersection
 from comarmor.patterns.steps import StepLimitError, cached, spend, step_limit
 from comarmor.patterns.tokens import Charset, Star
+from comarmor.ros_names import is_fully_qualified
 from comarmor.rules import Effect
 from comarmor.text import did_you_mean
 from keymint.analysis.rule_lists import (
@@ -36,7 +36,6 @@ from keymint.ir import Rule
 
 EVERY = parse("/*")
 """What every subject matches."""
-_LEGAL = re.compile(r"(/[A-Za-z_][A-Za-z0-9_]*)+")
 _PREFERRED = "xyzabcdefghijklmnopqrstuvw0123456789_/ABCDEFGHIJKLMNOPQRSTUVWXYZ"
 _FILLINGS = ("x", "", "x/y", "/x", "x/", "_")
 _MOST_EXAMPLES = 400
@@ -109,9 +108,9 @@ def _filled_legally(pattern: Glob) -> str | None:
     """Return a legal name that a pattern matches, with one text for all its wildcards; None where none is seen."""
     name = literal(pattern)
     if name is not None:
-        return name if _LEGAL.fullmatch(name) else None
+        return name if is_fully_qualified(name) else None
     filled = (_filled(pattern, each) for each in _FILLINGS)
-    return next((name for name in filled if _LEGAL.fullmatch(name) and matches(pattern, name)), None)
+    return next((name for name in filled if is_fully_qualified(name) and matches(pattern, name)), None)
 
 
 def example(pattern: Glob) -> str | None:
@@ -171,7 +170,7 @@ def _deeper(pattern: Glob) -> str | None:
         return None
     depth = shallow.count("/")
     legal = (
-        name for filling in ("x/y", "/x/y", "x/y/", "/x/y/") if _LEGAL.fullmatch(name := _filled(pattern, filling))
+        name for filling in ("x/y", "/x/y", "x/y/", "/x/y/") if is_fully_qualified(name := _filled(pattern, filling))
     )
     return next((name for name in legal if name.count("/") > depth), None)
 

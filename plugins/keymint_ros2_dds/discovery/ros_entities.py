@@ -10,9 +10,9 @@ import re
 from dataclasses import dataclass
 from typing import Literal
 
+from comarmor.ros_names import is_fully_qualified
 from keymint.graph import Object
 
-_NAME = re.compile(r"(?:/[A-Za-z_][A-Za-z0-9_]*)+\Z")
 _TYPE = re.compile(r"([A-Za-z]\w*(?:::[A-Za-z]\w*)*)::dds_::([A-Za-z]\w*)_\Z")
 _SUFFIXES = {"rt": "", "rq": "Request", "rr": "Reply"}
 Part = Literal["rt", "rq", "rr"]
@@ -48,7 +48,7 @@ def ros_name(topic: Object) -> RosName | None:
     if suffix is None or not rest.endswith(suffix):
         return None
     name = slash + rest.removesuffix(suffix)
-    return RosName(part, name) if _NAME.match(name) else None
+    return RosName(part, name) if is_fully_qualified(name) else None
 
 
 def ros_type(dds_type: str, part: str) -> str:

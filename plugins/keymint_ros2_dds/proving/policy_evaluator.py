@@ -5,11 +5,11 @@ An endpoint means something as a raw topic, and as a part of ROS entities; a rul
 
 from __future__ import annotations
 
-import re
 from collections.abc import Iterator
 
 from comarmor.patterns import glob
 from comarmor.patterns.matching import matches
+from comarmor.ros_names import is_fully_qualified
 from comarmor.rules import Effect, parts
 from keymint.graph import Edge, Object
 from keymint.ir import Rule, SubjectRules
@@ -18,12 +18,10 @@ from keymint_ros2_dds.lowering.endpoints import meanings
 from keymint_ros2_dds.lowering.mapping import ARDENT
 from keymint_ros2_dds.proving import octets
 
-_ROS_NAME = re.compile(r"(?:/(?!\w*__)[A-Za-z_][A-Za-z0-9_]*)+", re.ASCII)
-
 
 def is_ros_name(name: str) -> bool:
-    """Tell whether a name is a legal fully qualified ROS name (ROS 2 design, "Topic and Service Names")."""
-    return _ROS_NAME.fullmatch(name) is not None
+    """Whether a topic or service may have a fully qualified name (ROS 2 design, "Topic and Service Names")."""
+    return is_fully_qualified(name) and "__" not in name
 
 
 def decide(rules: SubjectRules, distro: str, action: str, topic: str, partition: str) -> Rule | None:

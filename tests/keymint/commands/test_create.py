@@ -61,7 +61,7 @@ def test_names_that_differ_by_case_only_are_refused(keymint, tmp_path: Path) -> 
     )
     outcome = keymint("provision", "p.xml", "-w", "ws2")
     assert outcome.code == 1
-    assert "differ by case only" in outcome.err
+    assert "differ only by case" in outcome.err
     assert not (tmp_path / "ws2").exists()
 
 

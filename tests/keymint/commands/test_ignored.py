@@ -127,7 +127,7 @@ class TestMarkers:
         )
         outcome = keymint("provision", "p.xml", "-w", "flat", "--layout", "flat")
         assert outcome.code == 1
-        assert "cannot be a name in the layout 'flat'" in outcome.err
+        assert "is not allowed in the layout 'flat'" in outcome.err
         assert keymint("provision", "p.xml", "-w", "sros2").code == 0
         assert keymint("check", "-w", "sros2").code == 0
 

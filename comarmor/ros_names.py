@@ -1,0 +1,21 @@
+"""Legal ROS names: ``/`` and segments of letters, digits and ``_`` that do not begin with a digit.
+
+Source: ROS 2 design, "Topic and Service name mapping to DDS".
+"""
+
+from __future__ import annotations
+
+import re
+
+_SEGMENT = re.compile(r"[A-Za-z_][A-Za-z0-9_]*")
+_FULLY_QUALIFIED = re.compile(rf"(?:/{_SEGMENT.pattern})+")
+
+
+def is_segment(text: str) -> bool:
+    """Whether a text is a legal segment of a ROS name, e.g. ``talker``."""
+    return _SEGMENT.fullmatch(text) is not None
+
+
+def is_fully_qualified(name: str) -> bool:
+    """Whether a text is a legal fully qualified ROS name, e.g. ``/robot1/talker``."""
+    return _FULLY_QUALIFIED.fullmatch(name) is not None
