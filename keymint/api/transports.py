@@ -67,10 +67,10 @@ class Verdict:
 
     Attributes:
         allowed: the decision.
-        reason: one line: the rule of the document (``permissions.xml:12``), or what the transport said.
+        reason: one line, without the place: the rule of the document, or the transport's own words.
         line: line of the rule in the signed document that decided, or 0.
         deviation: the row of the table of vendors' deviations that explains a difference from the standard, or empty.
-        where: the place that decided, if it is not a rule of the permissions.
+        where: the place in a signed document that decided, or None.
     """
 
     allowed: bool

@@ -110,9 +110,10 @@ def diagnostics_of(enclave: Proven) -> Iterator[Diagnostic]:
 
 def _refutation(subject: str, found: Counterexample, models: str) -> Diagnostic:
     endpoint, policy, document = found.endpoint, found.policy, found.document
-    where = policy.where or document.where
+    where = policy.where or (None if document.line else document.where)
+    by_document = f"{document.where}: {document.reason}" if document.where else document.reason
     if endpoint.permission in OF_DOMAINS:
-        message = f"{subject}: {policy.reason}; {document.reason} [{models}]"
+        message = f"{subject}: {policy.reason}; {by_document} [{models}]"
         return Diagnostic("counterexample", Severity.ERROR, message, where, found.help, subject)
     may = "permits" if document.allowed else "does not permit"
     says = "allows" if policy.allowed else "does not allow"
@@ -121,7 +122,7 @@ def _refutation(subject: str, found: Counterexample, models: str) -> Diagnostic:
     domain = f" in domain {endpoint.domain}" if endpoint.domain else ""
     message = (
         f"{subject}: the document {may} it to {endpoint.permission} {name}{ros}{domain}, the policy {says} it: "
-        f"{policy.reason}; {document.reason} [{models}]"
+        f"{policy.reason}; {by_document} [{models}]"
     )
     deviation = f"; docs/vendors.md, {document.deviation}" if document.deviation else ""
     help_ = f"no shorter name differs{deviation}{f'; {found.help}' if found.help else ''}"

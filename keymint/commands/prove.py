@@ -10,7 +10,7 @@ import click
 
 from comarmor.errors import Diagnostic, Origin, Severity
 from comarmor.text import counted
-from keymint.api import Claim, Counterexample, Proof
+from keymint.api import Claim, Counterexample, Proof, Verdict
 from keymint.changes import Action, Step
 from keymint.commands.options import Number, complete_package, standard_only_option
 from keymint.commands.proof_diagnostics import SECONDS, STATES, alike, dated_of, diagnostics_of, effort_of
@@ -221,8 +221,7 @@ def _counterexample(found: Counterexample, run: Run) -> dict[str, Any]:
         "document": {
             "allowed": found.document.allowed,
             "reason": found.document.reason,
-            **_place(found.document.where, run),
-            **({"line": found.document.line} if found.document.line else {}),
+            **_document_place(found.document, run),
             "deviation": found.document.deviation,
         },
     }
@@ -237,3 +236,8 @@ def _place(where: Origin | None, run: Run) -> Mapping[str, Any]:
         return {"file": None, "line": None}
     typed = as_typed(Diagnostic("", Severity.NOTE, "", where), run.setting.cwd).where or where
     return {"file": typed.file, "line": typed.line or None}
+
+
+def _document_place(verdict: Verdict, run: Run) -> Mapping[str, Any]:
+    """Return the line of the permissions that decided, or the place in the governance."""
+    return {"file": None, "line": verdict.line} if verdict.line else _place(verdict.where, run)

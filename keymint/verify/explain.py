@@ -56,7 +56,7 @@ class Explainer:
                 edge,
                 self._judge.decide(edge),
                 replace(verdict, line=found.line, deviation=found.deviation),
-                found.reason,
+                _reason(found),
                 document(self._tree, enclave, found.line),
                 model,
             )
@@ -87,6 +87,11 @@ class Explainer:
             (model, name) if model.allowed == verdict.allowed else (verdict, "")
             for (_, verdict), model in zip(wrong, models, strict=True)
         ]
+
+
+def _reason(verdict: Verdict) -> str:
+    """Return the reason of a verdict, with its place if that is not in the permissions."""
+    return f"{verdict.where}: {verdict.reason}" if verdict.where and not verdict.line else verdict.reason
 
 
 def document(tree: Tree, enclave: Enclave, line: int) -> Origin:

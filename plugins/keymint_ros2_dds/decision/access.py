@@ -59,8 +59,8 @@ class DomainAccess:
 
     def decide(
         self, evaluator: DocumentEvaluator, action: str, topic: str, partitions: Sequence[str] = ()
-    ) -> tuple[EndpointDecision, Origin | None]:
-        """Return what is decided about an endpoint, and the place of the topic rule if that decides.
+    ) -> EndpointDecision:
+        """Decide an endpoint by governance and permissions.
 
         Args:
             evaluator: decides by the permissions.
@@ -69,15 +69,15 @@ class DomainAccess:
             partitions: of the endpoint.
         """
         if self.refusal:
-            return EndpointDecision(DecisionOutcome.ERROR, 0, self.refusal), None
+            return EndpointDecision(DecisionOutcome.ERROR, 0, self.refusal)
         if evaluator.refusal is not None:
-            return evaluator.refusal, None
+            return evaluator.refusal
         if self.rule is None:
-            reason = f"{self.document.file} is not about domain {self.domain}"
-            return EndpointDecision(DecisionOutcome.DENIED, 0, reason), Origin(self.document.file)
+            reason = f"the governance does not apply to domain {self.domain}"
+            return EndpointDecision(DecisionOutcome.DENIED, 0, reason, Origin(self.document.file))
         if not self.admits(joins=evaluator.joins):
             reason = f"the permissions allow nothing in domain {self.domain}, so that there is no participant"
-            return EndpointDecision(DecisionOutcome.DENIED, 0, reason), None
+            return EndpointDecision(DecisionOutcome.DENIED, 0, reason)
         return self._by_topic(self.rule, evaluator, action, topic, partitions)
 
     def _by_topic(
@@ -87,18 +87,18 @@ class DomainAccess:
         action: str,
         topic: str,
         partitions: Sequence[str],
-    ) -> tuple[EndpointDecision, Origin | None]:
+    ) -> EndpointDecision:
         """Decide by the permissions, if the governance wants them to be asked."""
         rule = self._topic_rule(domain_rule, topic)
         if rule is None:
             where = self.document.place(domain_rule.line)
-            return EndpointDecision(DecisionOutcome.DENIED, 0, f"{where}: no topic rule is about {topic!r}"), where
+            return EndpointDecision(DecisionOutcome.DENIED, 0, f"no topic rule matches {topic!r}", where)
         if not rule.controls(action):
             where = self.document.place(rule.line)
-            reason = f"{where}: {ACCESS[action]} is false for {rule.expression!r}"
-            return EndpointDecision(DecisionOutcome.ALLOWED, 0, reason), where
+            reason = f"{ACCESS[action]} is false for {rule.expression!r}"
+            return EndpointDecision(DecisionOutcome.ALLOWED, 0, reason, where)
         checked = rule.read_controlled and rule.write_controlled
-        return evaluator.decide(action, topic, partitions, topic_checked=checked), None
+        return evaluator.decide(action, topic, partitions, topic_checked=checked)
 
     def _topic_rule(self, domain_rule: DocumentDomainRule, topic: str) -> DocumentTopicRule | None:
         """Return the first rule that matches a topic; see :attr:`Semantics.topic_rules_both_ways`."""

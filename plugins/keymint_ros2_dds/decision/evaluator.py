@@ -14,6 +14,7 @@ from datetime import datetime
 from enum import StrEnum
 from functools import lru_cache
 
+from comarmor.errors import Origin
 from comarmor.patterns.tokens import Dialect
 from keymint_ros2_dds.decision import fnmatch
 from keymint_ros2_dds.decision.semantics import OMG, Semantics, Variation
@@ -43,12 +44,14 @@ class EndpointDecision:
     Attributes:
         outcome: allowed, denied, or error.
         line: line of the criteria, rule or grant that decided; 0 if none did.
-        reason: one line.
+        reason: one line, without the place.
+        where: place of that line in the file, or of the governance rule that decided; None if neither did.
     """
 
     outcome: DecisionOutcome
     line: int
     reason: str
+    where: Origin | None = None
 
     @property
     def allowed(self) -> bool:
@@ -177,12 +180,12 @@ class DocumentEvaluator:
     def _by(self, step: _Step, text: str, *, allowed: bool) -> EndpointDecision:
         rule = "allow_rule" if step.allows else "deny_rule"
         outcome = DecisionOutcome.ALLOWED if allowed else DecisionOutcome.DENIED
-        return EndpointDecision(outcome, step.line, f"{self._place(step.line)}: the {rule} {text}")
+        return EndpointDecision(outcome, step.line, f"the {rule} {text}", self._place(step.line))
 
     def _by_default(self, topic: str) -> EndpointDecision:
         outcome = DecisionOutcome.ALLOWED if self._default else DecisionOutcome.DENIED
-        text = f"no rule is about {topic!r}, and the grant's default is {'ALLOW' if self._default else 'DENY'}"
-        return EndpointDecision(outcome, self._default_line, f"{self._place(self._default_line)}: {text}")
+        text = f"no rule matches {topic!r}, and the grant's default is {'ALLOW' if self._default else 'DENY'}"
+        return EndpointDecision(outcome, self._default_line, text, self._place(self._default_line))
 
 
 def decide(
@@ -204,7 +207,7 @@ def _grant(
     document: PermissionsDocument, subject_name: str, now: datetime, semantics: Semantics
 ) -> DocumentGrant | EndpointDecision:
     """Return the grant that counts, or why there is none."""
-    reason = f"no grant is about {subject_name!r}"
+    reason = f"no grant applies to {subject_name!r}"
     found_line = 0
     for grant in semantics.grants(document, subject_name):
         period = semantics.period(grant)
@@ -215,8 +218,8 @@ def _grant(
         reason = f"the grant of {subject_name!r} {when} ({grant.not_before.strip()} to {grant.not_after.strip()})"
         if not semantics.passes_over_invalid:
             break
-    place = document.place(found_line) if found_line else document.file
-    return EndpointDecision(DecisionOutcome.ERROR, found_line, f"{place}: {reason}")
+    where = document.place(found_line) if found_line else None
+    return EndpointDecision(DecisionOutcome.ERROR, found_line, reason, where)
 
 
 def _holds(rule: DocumentRule, domain: int, semantics: Semantics) -> bool:

@@ -227,7 +227,7 @@ def _topic_rule(parent: etree._Element, expression: str, topic: TopicProtection)
 
 
 def _strictest(rule: DomainRule) -> TopicProtection:
-    """Return how topics that no rule is about are protected: access control and encryption, whatever else is said."""
+    """Return how topics that no rule matches are protected: access control and encryption, whatever else is said."""
     return TopicProtection("topic", "*", True, True, True, True, "ENCRYPT", "ENCRYPT", rule.origin)
 
 

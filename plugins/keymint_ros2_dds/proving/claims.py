@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache
 from itertools import pairwise
 from types import MappingProxyType
 
-from comarmor.errors import Origin, Reason
+from comarmor.errors import Reason
 from comarmor.patterns.decision_lists import (
     DecisionList,
     ProofResult,
@@ -371,7 +371,7 @@ class _Model:
             next((edge for edge in edges[1:] if policy_evaluator.is_ros_name(edge.object.name)), None),
             said,
             verdict,
-            protection.help_for(self._governing, domain) if verdict.where else "",
+            protection.help_for(self._governing, domain) if verdict.where and not verdict.line else "",
         )
 
     def _verdict(
@@ -388,33 +388,33 @@ class _Model:
             return self._never()
         now = era.begin
 
-        def ask(variation: Variation) -> tuple[EndpointDecision, Origin | None]:
+        def ask(variation: Variation) -> EndpointDecision:
             evaluator = DocumentEvaluator(question.document, question.held.subject_name, now, domain, variation)
             partitions = (partition,) if partition else ()
             if self._governing is None:
-                return evaluator.decide(action, topic, partitions), None
+                return evaluator.decide(action, topic, partitions)
             governed = DomainAccess.of(self._governing.document, domain, variation.semantics)
-            found, where = governed.decide(evaluator, action, topic, partitions)
+            found = governed.decide(evaluator, action, topic, partitions)
             if not found.allowed and permitted and (alone := evaluator.decide(action, topic, partitions)).allowed:
                 reason = f"{alone.reason}; only the governance of this enclave refuses it: peers go by their own"
-                return EndpointDecision(alone.outcome, alone.line, reason), None
-            return found, where
+                return replace(alone, reason=reason)
+            return found
 
-        found, where = ask(self._variation)
+        found = ask(self._variation)
         deviation = ""
-        if self._variation.name != OMG.name and ask(OMG)[0].allowed is not found.allowed:
-            deviation = "; ".join(map(str, decision.explain(lambda asked: ask(asked)[0].allowed, self._variation)))
+        if self._variation.name != OMG.name and ask(OMG).allowed is not found.allowed:
+            deviation = "; ".join(map(str, decision.explain(lambda asked: ask(asked).allowed, self._variation)))
         reason = found.reason
         if len(self._eras) > 1:
             reason += f" (by the grant in force from {era.begin:{_DATE}} to {era.end:{_DATE}})"
-        return Verdict(found.allowed, reason, found.line, deviation, where)
+        return Verdict(found.allowed, reason, found.line, deviation, found.where)
 
     def _never(self) -> Verdict:
         """Return why no grant is ever in force."""
         document, name = self._question.document, self._question.held.subject_name
         grant = next(iter(self._semantics.grants(document, name)), None)
         if grant is None:
-            return Verdict(allowed=False, reason=f"{document.file}: no grant is about {name!r}")
+            return Verdict(allowed=False, reason=f"no grant applies to {name!r}")
         dates = f"{grant.not_before.strip()} to {grant.not_after.strip()}"
-        reason = f"{document.place(grant.line)}: the grant of {name!r} is never valid ({dates})"
-        return Verdict(allowed=False, reason=reason, line=grant.line)
+        reason = f"the grant of {name!r} is never valid ({dates})"
+        return Verdict(allowed=False, reason=reason, line=grant.line, where=document.place(grant.line))

@@ -54,7 +54,7 @@ class Regions:
 
 
 REFUSED = Regions(NOTHING, NOTHING, NOTHING, closed=False)
-"""The topics of a domain that no rule is about."""
+"""The topics of a domain that no rule matches."""
 
 
 @lru_cache(maxsize=256)

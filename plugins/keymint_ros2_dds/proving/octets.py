@@ -95,7 +95,7 @@ def _all(
 ) -> Iterator[tuple[str, str]]:
     """Yield the expressions of a document and of a policy, each with its place."""
     for expression, line in _expressions(grants, semantics):
-        yield expression, document.place(line)
+        yield expression, str(document.place(line))
     for rule in rules.rules:
         for expression in (*rule.expressions, *rule.partitions):
             yield expression, str(rule.origin)

@@ -25,7 +25,7 @@ def is_ros_name(name: str) -> bool:
 
 
 def decide(rules: SubjectRules, distro: str, action: str, topic: str, partition: str) -> Rule | None:
-    """Return the rule that decides about an endpoint, of several the first denial; None if no rule is about it."""
+    """Return the rule that decides about an endpoint, of several the first denial; None if no rule matches it."""
     edges = endpoint_edges(rules.subject, distro, action, topic, partition)
     about = [rule for rule in rules.rules if any(_is_about(rule, edge, partition) for edge in edges)]
     return next((rule for rule in about if rule.effect is Effect.DENY), about[0] if about else None)

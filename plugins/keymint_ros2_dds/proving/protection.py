@@ -115,7 +115,7 @@ def _join(
         JOIN: f"{JOIN} is false: every identity of the authority may join",
         UNAUTHENTICATED: f"{UNAUTHENTICATED} is true: participants without identity and permissions may join",
     }
-    reason = f"{where}: {who[tag]}{f' domain {domains.first}' if domains.first else ''}"
+    reason = f"{who[tag]}{f' domain {domains.first}' if domains.first else ''}"
     said = PolicyDecision(
         allowed=False, where=None, reason=Reason(("only subjects with a rule of the policy may join",))
     )
@@ -132,7 +132,7 @@ def _protect(
         return Claim(model, "protect", (domains,), PROTECTED, Proof.UNKNOWN, found.reason, None, spent=True)
     where = governing.document.place(found.line)
     about = f" for the topic {found.topic!r}" if found.topic else f" in domain {domains.first}"
-    reason = f"{where}: {found.tag} is {found.text}{about}, but the sources say {found.said}"
+    reason = f"{found.tag} is {found.text}{about}, but the sources say {found.said}"
     said = PolicyDecision(allowed=False, where=None, reason=Reason(("the sources say how topics are protected",)))
     object_ = Object("topic", found.topic) if found.topic else Object("domain", str(domains.first))
     verdict = Verdict(allowed=True, reason=reason, where=where)

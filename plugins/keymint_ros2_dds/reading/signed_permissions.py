@@ -110,7 +110,7 @@ class DocumentGrant:
 
     @property
     def allows(self) -> bool:
-        """What no rule is about is allowed."""
+        """What no rule matches is allowed."""
         return self.default is not None and self.default.strip(BLANKS) == "ALLOW"
 
 
@@ -147,9 +147,9 @@ class PermissionsDocument:
         """
         return self._views.get((c_numbers, first_piece), self.grants)
 
-    def place(self, line: int) -> str:
+    def place(self, line: int) -> Origin:
         """Return a line of the document as a place in its file."""
-        return f"{self.file}:{line + self.offset}"
+        return Origin(self.file, line + self.offset)
 
 
 def read(content: bytes, file: str = "permissions.xml", offset: int = 0) -> PermissionsDocument:

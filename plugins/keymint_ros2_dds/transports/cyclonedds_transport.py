@@ -85,7 +85,7 @@ def _open(folder: Path, domain: int, stack: ExitStack) -> AccessControl | str:
         enclave_files.raise_if_unread(error, folder)
         return str(error)
     if stops:
-        return f"permissions.xml: {stops}"
+        return stops
     access = stack.enter_context(AccessControl.of_enclave(folder, domain))
     if not access.valid or not access.joins():
         return f"Cyclone DDS refuses the enclave: {access.reason}"

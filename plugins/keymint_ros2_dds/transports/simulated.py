@@ -66,7 +66,7 @@ class EnclaveModel:
             return EndpointDecision(DecisionOutcome.ERROR, 0, self.refusal)
         evaluator, governed = self._read(variation)
         found = endpoint.object
-        return governed.decide(evaluator, endpoint.permission, found.name, found.partitions)[0]
+        return governed.decide(evaluator, endpoint.permission, found.name, found.partitions)
 
     def _read(self, variation: Variation) -> tuple[DocumentEvaluator, DomainAccess]:
         known = self._known.get(variation.name)
@@ -163,7 +163,7 @@ class Simulated:
         for endpoint in needed:
             found = enclave_model.decide(self.variation, endpoint)
             deviation = deviation or enclave_model.deviation(self.variation, endpoint, allowed=found.allowed)
-            verdict = Verdict(found.allowed, found.reason, found.line, deviation)
+            verdict = Verdict(found.allowed, found.reason, found.line, deviation, found.where)
             if not found.allowed:
                 break
         return verdict

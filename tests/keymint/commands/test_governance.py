@@ -82,7 +82,7 @@ def test_prove_and_check_find_what_is_open(keymint: Callable, opened: Path) -> N
     for claim in wrong:
         document = claim["counterexample"]["document"]
         assert document["file"].endswith("governance.p7s")
-        assert f"governance.p7s:{document['line']}: {WRITE} is false" in document["reason"]
+        assert f"{WRITE} is false" in document["reason"]
     outcome = keymint("check", "-w", opened, "--json")
     assert (outcome.code, outcome.codes()) == (3, ["governance-open"])
 
