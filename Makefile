@@ -1,4 +1,4 @@
-# `make demo` and `make test` do all the set-up they need: a virtual environment, and system packages by apt.
+# `make demo` and `make test` install everything they need: a virtual environment, and system packages by apt.
 VENV ?= .venv
 DEMO ?= demo_ws
 BIN = $(VENV)/bin
@@ -8,12 +8,12 @@ WORKERS ?= $(shell nproc)
 
 help:
 	@echo "make demo    provision the talker/listener example and show the keystore"
-	@echo "make test    the whole suite, including the tests on real DDS software"
-	@echo "make test-full  the same, trying in full what the suite samples"
-	@echo "make test-all the same on every Python from 3.11 on that is here"
+	@echo "make test    the complete suite, including the tests on real DDS software"
+	@echo "make test-full  the same without sampling: all cases of every exhaustive test"
+	@echo "make test-all   the suite on every installed Python from 3.11 on"
 	@echo "make lint    ruff, mypy, import-linter"
 	@echo "make bench   the benchmarks"
-	@echo "make lock    resolve requirements.lock anew"
+	@echo "make lock    resolve requirements.lock again"
 
 setup:
 	@.ci/setup $(VENV)
