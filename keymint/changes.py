@@ -42,7 +42,7 @@ class FolderChange:
     """
 
     folder: Path
-    files: Mapping[str, File]
+    files: Mapping[str, File] = field(default_factory=dict)
     removed: tuple[str, ...] = ()
     private: bool = False
 

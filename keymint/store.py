@@ -1,11 +1,11 @@
 """The only writer: confined, locked, atomic, and strict about modes.
 
 * Every path is walked from one of the store's roots without following a link, so nothing is written elsewhere.
-* A file is written beside its place, synchronised, and renamed over it. A folder that is new appears whole.
-* A folder in which several files change is staged beside its place, and takes it in one step; see
-  :mod:`keymint.staging` and :mod:`keymint.exchange`.
+* A file is written under a temporary name, synchronised, and renamed into place. A new folder appears complete.
+* A folder in which several files change is staged under a temporary name and swapped in one step; see
+  :mod:`keymint.folder_staging` and :mod:`keymint.folder_swap`.
 * A secret is 0600 from its first byte and its folder 0700, whatever the umask.
-* What a killed run left behind is swept away by the next.
+* The next run removes what a killed run left behind.
 """
 
 from __future__ import annotations
@@ -17,18 +17,13 @@ import os
 import shutil
 import stat
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Protocol
 
 from comarmor.errors import Origin
+from keymint.changes import File, FolderChange
 from keymint.errors import KeymintError
-from keymint.exchange import finish, is_waiting, take_place
-from keymint.staging import Content, add, clear, mount_of, refuse_mount, stage
-from keymint.writing import (
+from keymint.file_writing import (
     FOLDER,
-    MAX_COMPONENT,
-    WritableFile,
     check_component,
     create,
     is_temporary,
@@ -38,28 +33,9 @@ from keymint.writing import (
     require_regular,
     temporary,
 )
-
-__all__ = ["MAX_COMPONENT", "Store", "WritableFile", "WritableFolder"]
-
-
-class WritableFolder(Protocol):
-    """Files to write into a folder and names to remove from it; see :class:`keymint.changes.FolderChange`."""
-
-    @property
-    def folder(self) -> Path:
-        """Absolute path."""
-
-    @property
-    def files(self) -> Mapping[str, WritableFile]:
-        """Files by name."""
-
-    @property
-    def removed(self) -> Sequence[str]:
-        """Names of files to remove."""
-
-    @property
-    def private(self) -> bool:
-        """Folders that are created are 0700 even when no file is secret."""
+from keymint.folder_staging import FolderContent, add, clear, mount_of, refuse_mount, stage
+from keymint.folder_swap import finish, is_waiting, swap_in
+from keymint.workspace_lock import LOCK
 
 
 class Store:
@@ -67,12 +43,12 @@ class Store:
 
     Args:
         roots: absolute folders that may be written to, each with whether it is private: then every folder below
-            it is 0700. Each is created when it is needed.
-        records: folder of the lock, of the mark of a run under way and of the record; below one of the roots.
+            it is 0700. Each is created when needed.
+        records: folder of the lock, the mark of a running command, and the record; below one of the roots.
     """
 
     def __init__(self, roots: Mapping[Path, bool], records: Path) -> None:
-        # The longest root first: a path belongs to the innermost.
+        # Longest first: a path belongs to the innermost root.
         self._roots = dict(sorted(roots.items(), key=lambda item: len(item[0].parts), reverse=True))
         self._prefixes = {f"{root}/": root for root in self._roots}
         self._records = records
@@ -82,18 +58,18 @@ class Store:
 
     @contextlib.contextmanager
     def locked(self, on_wait: Callable[[], None]) -> Iterator[None]:
-        """Hold the workspace's lock, so that two runs at once do not meet.
+        """Hold the workspace lock exclusively.
 
         Args:
-            on_wait: called once when another run holds the lock, before waiting for it.
+            on_wait: called once before waiting for another process that holds the lock.
         """
         with self._open_folder(self._records, private=False) as records:
             try:
-                lock = os.open("lock", os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW | os.O_CLOEXEC, 0o644, dir_fd=records)
+                lock = os.open(LOCK, os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW | os.O_CLOEXEC, 0o644, dir_fd=records)
             except OSError as error:
-                refuse(self._records / "lock", error)
+                refuse(self._records / LOCK, error)
         try:
-            with reported(self._records / "lock"):
+            with reported(self._records / LOCK):
                 try:
                     fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
                 except BlockingIOError:
@@ -105,23 +81,23 @@ class Store:
 
     @contextlib.contextmanager
     def marked(self, content: bytes) -> Iterator[None]:
-        """Mark a run that writes as under way; only a run that ends well takes the mark back.
+        """Mark a writing run as in progress; only a run that succeeds removes the mark.
 
         Args:
-            content: what the next run must know if this one does not end well; see :func:`keymint.state.load`.
+            content: what the next run must know if this one fails; see :func:`keymint.state.load`.
         """
-        self.write(self._records, {self._mark.name: _Plain(content)})
+        self.write(self._records, {self._mark.name: File(content)})
         yield
         with reported(self._mark), contextlib.suppress(FileNotFoundError):
             os.unlink(self._mark)
 
     def is_marked(self) -> bool:
-        """Tell whether an earlier run did not end well."""
+        """Tell whether an earlier run did not finish."""
         return self._mark.exists()
 
     def sweep(self) -> None:
-        """Remove what a run that was killed left behind, and put in its place what it left waiting for that."""
-        # A run that is killed while it sets its mark leaves something in the folder of records only.
+        """Remove the temporary files of a killed run, and finish its folder swaps."""
+        # A run that is killed while it sets its mark leaves temporary files in the folder of records only.
         for root in self._roots if self.is_marked() else [self._records]:
             for folder, folders, files in os.walk(root):
                 for name in filter(is_waiting, folders):
@@ -148,21 +124,21 @@ class Store:
 
     # -- writing -------------------------------------------------------------------------------------------------
 
-    def change(self, changes: Iterable[WritableFolder]) -> None:
-        """Write and remove files; what changes in one folder changes in one step.
+    def change(self, changes: Iterable[FolderChange]) -> None:
+        """Write and remove files; all changes in one folder take effect in one step.
 
-        A folder in which several files change is replaced as a whole, together with what changes in the folders
-        inside of it. A root of the store is none such: it may be a mount point.
+        A folder in which several files change is replaced, together with the changes in its subfolders. A root of the
+        store is never replaced, because it may be a mount point.
 
         Args:
-            changes: what changes, by folder, in this order; a folder may be named again.
+            changes: changes in this order; a folder may occur more than once.
 
         Raises:
-            KeymintError: a place is not below a root, a link stands in the way, or the system refuses.
+            KeymintError: a path is not below a root, a symbolic link is in the way, or the system refuses.
         """
         merged = self._merged(changes)
         replaced = {folder for folder, change in merged.items() if self._is_replaced(folder, change)}
-        units: dict[Path, dict[Path, _Change]] = {}
+        units: dict[Path, dict[Path, FolderChange]] = {}
         for folder, change in merged.items():
             outermost = next((each for each in (*reversed(folder.parents), folder) if each in replaced), folder)
             units.setdefault(outermost, {})[folder] = change
@@ -174,19 +150,19 @@ class Store:
                 if change.removed:
                     self._remove(folder, change.removed)
 
-    def write(self, folder: Path, files: Mapping[str, WritableFile], *, private: bool = False) -> None:
+    def write(self, folder: Path, files: Mapping[str, File], *, private: bool = False) -> None:
         """Write files into a folder, all in one step; see :meth:`change`."""
-        self.change([_Change(folder, dict(files), (), private)])
+        self.change([FolderChange(folder, files, (), private)])
 
     def remove(self, folder: Path, names: Sequence[str]) -> None:
-        """Remove files from a folder, and the folder and its parents below the root when they become empty."""
-        self.change([_Change(folder, {}, tuple(names))])
+        """Remove files from a folder, then the folder and its parents below the root if they are empty."""
+        self.change([FolderChange(folder, {}, tuple(names))])
 
-    def _merged(self, changes: Iterable[WritableFolder]) -> dict[Path, _Change]:
-        """Return one change for each folder that something changes in."""
-        merged: dict[Path, _Change] = {}
+    def _merged(self, changes: Iterable[FolderChange]) -> dict[Path, FolderChange]:
+        """Return one change for each folder in which anything changes."""
+        merged: dict[Path, FolderChange] = {}
         for change in changes:
-            folder, before = change.folder, merged.get(change.folder, _Change(change.folder))
+            folder, before = change.folder, merged.get(change.folder, FolderChange(change.folder, {}))
             for name in (*change.files, *change.removed):
                 check_component(name, folder)
             root = self._root_of(folder) if change.files or change.removed else None
@@ -194,37 +170,37 @@ class Store:
                 continue
             private = self._roots[root] or change.private or any(file.secret for file in change.files.values())
             files = {name: file for name, file in before.files.items() if name not in change.removed}
-            removed = tuple(name for name in before.removed if name not in change.files) + tuple(change.removed)
-            merged[folder] = _Change(folder, {**files, **change.files}, removed, private or before.private)
+            removed = tuple(name for name in before.removed if name not in change.files) + change.removed
+            merged[folder] = FolderChange(folder, {**files, **change.files}, removed, private or before.private)
         return {folder: merged[folder] for folder in self._outer_first(merged)}
 
     def _outer_first(self, folders: Iterable[Path]) -> Iterator[Path]:
-        """Yield folders in their order, but a new one before those inside of it, so that it appears whole."""
+        """Yield folders in order, but a new one before its subfolders, so that it appears complete."""
         known = dict.fromkeys(folders)
         for folder in known:
             for outer in (*reversed(folder.parents), folder):
                 if outer in known and (outer == folder or not (self._stays(outer) or os.path.lexists(outer))):
                     yield outer
 
-    def _is_replaced(self, folder: Path, change: _Change) -> bool:
-        """Tell whether a folder is replaced as a whole: a single file is replaced in one step anyway."""
+    def _is_replaced(self, folder: Path, change: FolderChange) -> bool:
+        """Tell whether a folder is replaced; a single file is replaced in one step anyway."""
         several = len({*change.files, *change.removed}) > 1
         return several and not self._stays(folder) and os.path.lexists(folder)
 
-    def _content(self, outermost: Path, changes: Mapping[Path, _Change]) -> Content:
-        """Return what becomes of a folder, from what changes in it and in the folders inside."""
+    def _content(self, outermost: Path, changes: Mapping[Path, FolderChange]) -> FolderContent:
+        """Return the new content of a folder, from the changes in it and in its subfolders."""
         mode = 0o700 if self._roots[self._root_of(outermost)] else 0o755
-        content = Content(mode=mode)
+        content = FolderContent(mode=mode)
         for folder, change in changes.items():
             inner = content
             for part in folder.relative_to(outermost).parts:
                 check_component(part, folder)
-                inner = inner.folders.setdefault(part, Content(mode=mode))
+                inner = inner.folders.setdefault(part, FolderContent(mode=mode))
             inner.files, inner.removed, inner.private = dict(change.files), set(change.removed), change.private
         return content
 
-    def _replace_folder(self, folder: Path, content: Content) -> None:
-        """Replace a folder as a whole, or remove it when nothing is left in it."""
+    def _replace_folder(self, folder: Path, content: FolderContent) -> None:
+        """Replace a folder, or remove it if nothing is left in it."""
         with self._open_folder(folder.parent, private=False) as parent, contextlib.ExitStack() as opened:
             staged: str | None = temporary()
             try:
@@ -237,18 +213,18 @@ class Store:
                     if carried is not None:
                         new = os.open(str(staged), FOLDER, dir_fd=parent)
                         opened.callback(os.close, new)
-                        staged = take_place(parent, str(staged), folder.name)  # now the name of the old one
+                        staged = swap_in(parent, str(staged), folder.name)  # now the name of the old folder
                         if staged is not None:
                             clear(parent, staged, new, carried)
             except BaseException:
-                # Whatever has the temporary name is not needed: the new folder before, the old one after.
+                # The temporary name belongs to the new folder before the swap and to the old one after it.
                 shutil.rmtree(str(staged), ignore_errors=True, dir_fd=parent)
                 raise
         if carried is None:
-            self._remove_whole(folder)
+            self._remove_folder(folder)
 
-    def _write(self, folder: Path, change: _Change) -> None:
-        """Write files one by one, or a new folder that appears with all of them."""
+    def _write(self, folder: Path, change: FolderChange) -> None:
+        """Write files one by one, or all at once into a new folder."""
         if not change.files:
             return
         if folder not in self._roots and not os.path.lexists(folder) and self._write_new(folder, change):
@@ -259,30 +235,30 @@ class Store:
             with reported(folder):
                 os.fsync(opened)
 
-    def _write_new(self, folder: Path, change: _Change) -> bool:
-        """Write a folder that does not exist yet under a temporary name and rename it to its place.
+    def _write_new(self, folder: Path, change: FolderChange) -> bool:
+        """Write a new folder under a temporary name and rename it into place.
 
         Returns:
-            False when someone else made the folder meanwhile.
+            False if another process created the folder in the meantime.
         """
         closed = self._roots[self._root_of(folder)]
         with self._open_folder(folder.parent, private=closed) as parent:
             staged = temporary()
             check_component(folder.name, folder.parent)
             try:
-                add(parent, staged, folder, Content(dict(change.files), private=change.private))
+                add(parent, staged, folder, FolderContent(dict(change.files), private=change.private))
                 with reported(folder):
                     os.rename(staged, folder.name, src_dir_fd=parent, dst_dir_fd=parent)
                     os.fsync(parent)
             except BaseException as error:
-                # Under its temporary name only: when the rename was done, an interrupt must not empty the folder.
+                # Only under its temporary name: an interrupt after the rename must not empty the folder.
                 shutil.rmtree(staged, ignore_errors=True, dir_fd=parent)
                 if os.path.isdir(folder) and isinstance(error, KeymintError):
                     return False
                 raise
         return True
 
-    def _replace(self, folder: int, shown: Path, name: str, file: WritableFile) -> None:
+    def _replace(self, folder: int, shown: Path, name: str, file: File) -> None:
         replaced = require_regular(folder, shown, name) or os.fstat(folder)
         staged = temporary()
         try:
@@ -295,27 +271,27 @@ class Store:
             raise
 
     def _remove(self, folder: Path, names: Sequence[str]) -> None:
-        """Remove files one by one, or a folder that holds nothing else as a whole."""
+        """Remove files one by one, or the folder if it contains nothing else."""
         if not os.path.lexists(folder):
             return
         with self._open_folder(folder, private=False) as opened:
             with reported(folder):
-                whole = not self._stays(folder) and set(os.listdir(opened)) <= set(names)
-            if not whole:
+                remove_folder = not self._stays(folder) and set(os.listdir(opened)) <= set(names)
+            if not remove_folder:
                 for name in names:
                     with reported(folder / name), contextlib.suppress(FileNotFoundError):
                         os.unlink(name, dir_fd=opened)
             with reported(folder):
                 os.fsync(opened)
-        if whole:
-            self._remove_whole(folder)
+        if remove_folder:
+            self._remove_folder(folder)
 
     def _stays(self, folder: Path) -> bool:
-        """Tell whether a folder is there for good, whatever it holds."""
+        """Tell whether a folder is kept even if it is empty."""
         return folder in self._roots or folder == self._records
 
-    def _remove_whole(self, folder: Path) -> None:
-        """Remove a folder, with the parents that hold nothing else, by renaming the outermost first."""
+    def _remove_folder(self, folder: Path) -> None:
+        """Remove a folder and the parents that contain nothing else, by first renaming the outermost one."""
         outermost = folder
         with reported(folder):
             while not self._stays(outermost.parent) and os.listdir(outermost.parent) == [outermost.name]:
@@ -327,7 +303,7 @@ class Store:
             except OSError as error:
                 if error.errno != errno.EXDEV:
                     raise
-                away = outermost.name  # overlayfs renames no folder of a lower layer: it goes file by file
+                away = outermost.name  # overlayfs cannot rename a folder of a lower layer: remove file by file
             os.fsync(parent)
             shutil.rmtree(away, dir_fd=parent)
         above = outermost.parent
@@ -343,11 +319,11 @@ class Store:
         for prefix, root in self._prefixes.items():
             if text.startswith(prefix) and "/../" not in text:
                 return root
-        raise KeymintError("lies outside of the workspace", where=Origin(str(path)), code="confined")
+        raise KeymintError("is outside the workspace", where=Origin(str(path)), code="confined")
 
     @contextlib.contextmanager
     def _open_folder(self, path: Path, *, private: bool) -> Iterator[int]:
-        """Open a folder below a root, made where it is missing, without following a link on the way."""
+        """Open a folder below a root, creating missing folders, without following symbolic links."""
         root = self._root_of(path)
         with reported(root):
             if not os.path.lexists(root):
@@ -379,22 +355,3 @@ class Store:
             with contextlib.suppress(FileExistsError):
                 make_folder(name, mode, folder)
             return os.open(name, FOLDER, dir_fd=folder)
-
-
-@dataclass(frozen=True, slots=True)
-class _Change:
-    """Implements :class:`WritableFolder`."""
-
-    folder: Path
-    files: Mapping[str, WritableFile] = field(default_factory=dict)
-    removed: Sequence[str] = ()
-    private: bool = False
-
-
-class _Plain:
-    """A public file."""
-
-    secret = False
-
-    def __init__(self, content: bytes) -> None:
-        self.content = content

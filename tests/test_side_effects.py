@@ -105,7 +105,7 @@ def test_all_verbs_ran(run: tuple[list[int], list[Event]]) -> None:
 def test_only_the_store_writes(run: tuple[list[int], list[Event]]) -> None:
     writers = {event.module for event in run[1] if event.kind == "write"}
     assert {module for module in writers if not module.startswith(VENDORS)} - TEMPORARY <= WRITERS
-    assert {"keymint/store.py", "keymint/writing.py"} <= writers
+    assert {"keymint/store.py", "keymint/file_writing.py"} <= writers
 
 
 def test_only_git_and_the_vendors_start_programs(run: tuple[list[int], list[Event]]) -> None:

@@ -14,7 +14,6 @@ from keymint.api import Surroundings
 from keymint.changes import File, Plan
 from keymint.errors import ExitCode, KeymintError
 from keymint.execute import RECORD, execute, open_store
-from keymint.locks import LOCK, shared
 from keymint.names import package_name
 from keymint.output.console import Console, Streams
 from keymint.output.report import Report
@@ -24,6 +23,7 @@ from keymint.state import MAX_RECORD, State
 from keymint.state import load as load_state
 from keymint.tree import Tree, read_file
 from keymint.workspace import SPACES, Workspace, find, packages
+from keymint.workspace_lock import LOCK, shared
 
 
 @dataclass(frozen=True, slots=True)

@@ -13,7 +13,7 @@ from keymint.changes import Action, File, FolderChange, Plan, Step
 from keymint.errors import KeymintError
 from keymint.execute import RECORD, execute, open_store
 from keymint.state import Stamp, State, digest, load
-from keymint.store import Store, WritableFolder
+from keymint.store import Store
 from keymint.workspace import Workspace
 
 
@@ -79,7 +79,7 @@ def test_a_stage_ends_before_the_next_begins(workspace: Workspace, monkeypatch: 
     lock = threading.Lock()
     change = Store.change
 
-    def watched(self: Store, changes: Iterable[WritableFolder]) -> None:
+    def watched(self: Store, changes: Iterable[FolderChange]) -> None:
         listed = list(changes)
         change(self, listed)
         with lock:
@@ -103,7 +103,7 @@ def test_an_outer_package_is_made_before_the_ones_inside_whatever_order_they_wer
     order: list[str] = []
     change = Store.change
 
-    def watched(self: Store, changes: Iterable[WritableFolder]) -> None:
+    def watched(self: Store, changes: Iterable[FolderChange]) -> None:
         listed = list(changes)
         order.extend(each.folder.name for each in listed)
         change(self, listed)

@@ -12,21 +12,15 @@ import sys
 import textwrap
 import threading
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import pytest
 
+from keymint.changes import File
 from keymint.errors import KeymintError
-from keymint.store import MAX_COMPONENT, Store
-
-
-@dataclass(frozen=True)
-class File:
-    content: bytes
-    secret: bool = False
-
+from keymint.file_writing import MAX_COMPONENT
+from keymint.store import Store
 
 PUBLIC = File(b"public")
 SECRET = File(b"secret", secret=True)
@@ -463,10 +457,8 @@ SCRIPT = textwrap.dedent("""
     import os, sys
     from pathlib import Path
     from keymint.errors import KeymintError
+    from keymint.changes import File
     from keymint.store import Store
-    class File:
-        secret = False
-        def __init__(self, content): self.content = content
     root = Path(sys.argv[1])
     store = Store({root: False}, root / ".keymint")
     try:
@@ -500,7 +492,7 @@ def test_a_full_file_system_is_one_line_and_leaves_whole_folders(tmp_path: Path)
     )
     said, ended, *files = ran.stdout.splitlines()
     assert "No space left on device" in said
-    assert "what was there before is intact" in said
+    assert "the previous files are intact" in said
     assert ended == "ended with 1"
     assert ran.stderr == ""
     assert len(files) >= 4

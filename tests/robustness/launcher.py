@@ -19,7 +19,7 @@ import traceback
 from collections.abc import Callable, Mapping
 from pathlib import Path
 
-from keymint import exchange
+from keymint import folder_swap
 
 _NOWHERE = "/nonexistent/robustness"
 
@@ -30,7 +30,7 @@ def _unlink_at() -> None:
 
 def _exchange() -> None:
     with contextlib.suppress(OSError):
-        exchange.exchange(_FOLDER, "robustness", "robustness")
+        folder_swap.exchange(_FOLDER, "robustness", "robustness")
 
 
 _FOLDER = os.open("/proc/self", os.O_RDONLY | os.O_DIRECTORY)

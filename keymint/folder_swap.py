@@ -1,9 +1,9 @@
-"""Gives a folder a new content in one step: the complete new folder takes the place of the old one.
+"""Replace a folder with a complete new one, atomically where the file system can.
 
-Linux exchanges two names at once (``renameat2`` with ``RENAME_EXCHANGE``; see renameat2(2)). Where a file system does
-not (NFS, some FUSE file systems), or not with this folder (overlayfs, for one that lies in a lower layer: ``EXDEV``),
-the old folder is taken away first. Then there is a moment without it, but never a mix of both. The new folder waits in
-a folder of its own meanwhile, so that a sweep after a kill puts it in its place; see :func:`finish`.
+Linux exchanges two names at once (``renameat2`` with ``RENAME_EXCHANGE``; see renameat2(2)). If a file system cannot
+(NFS, some FUSE file systems), or not with this folder (overlayfs, for one in a lower layer: ``EXDEV``), the old folder
+is removed first. Then the folder is missing for a moment, but old and new files are never mixed. Meanwhile the new
+folder waits in a folder of its own, so that a sweep after a kill can put it into place; see :func:`finish`.
 """
 
 from __future__ import annotations
@@ -16,18 +16,18 @@ import os
 import shutil
 from collections.abc import Callable
 
-from keymint.writing import FOLDER, PREFIX, temporary
+from keymint.file_writing import FOLDER, PREFIX, temporary
 
 WAITING = ".next"
-"""Suffix of the folder in which a complete folder waits for its place."""
+"""Suffix of the folder in which a complete new folder waits."""
 _EXCHANGE = 2  # RENAME_EXCHANGE of <linux/fs.h>
 _UNABLE = {errno.EINVAL, errno.ENOSYS, errno.EXDEV, errno.EOPNOTSUPP, errno.EPERM}
-"""What a system says that cannot exchange: EPERM is how a filter of system calls refuses one that it does not know."""
+"""Errors of a system that cannot exchange names; a filter of system calls refuses unknown ones with EPERM."""
 
 
 @functools.cache
 def _renameat2() -> Callable[..., int] | None:
-    """Return the function of the C library, or None where it has none."""
+    """Return the function of the C library, or None if it has none."""
     try:
         function = ctypes.CDLL(None, use_errno=True).renameat2
     except (OSError, AttributeError):
@@ -50,19 +50,19 @@ def exchange(parent: int, one: str, other: str) -> None:
         raise OSError(number, os.strerror(number), one, None, other)
 
 
-def take_place(parent: int, staged: str, name: str) -> str | None:
-    """Put a complete, synchronised folder in the place of another one.
+def swap_in(parent: int, staged: str, name: str) -> str | None:
+    """Replace a folder with a complete, synchronised one.
 
     Args:
-        parent: the open folder that both lie in.
+        parent: the open parent folder of both.
         staged: name of the new folder.
         name: name of the old folder, and of the new one afterwards.
 
     Returns:
-        The name that the old folder has now; None when it is gone already.
+        The name that the old folder has now; None if it is already removed.
 
     Raises:
-        OSError: the system refuses; the old folder is in its place.
+        OSError: the system refuses; the old folder is unchanged.
     """
     try:
         exchange(parent, staged, name)
@@ -77,7 +77,7 @@ def take_place(parent: int, staged: str, name: str) -> str | None:
 
 
 def _replace(parent: int, staged: str, name: str) -> str | None:
-    """Replace a folder where names cannot be exchanged: there is a moment without it."""
+    """Replace a folder where names cannot be exchanged; it is missing for a moment."""
     waiting = temporary(WAITING)
     os.mkdir(waiting, 0o700, dir_fd=parent)
     inner = os.open(waiting, FOLDER, dir_fd=parent)
@@ -93,7 +93,7 @@ def _replace(parent: int, staged: str, name: str) -> str | None:
                 os.rename(name, staged, src_dir_fd=inner, dst_dir_fd=parent)
                 os.rmdir(waiting, dir_fd=parent)
                 raise
-            shutil.rmtree(name, dir_fd=parent)  # overlayfs renames no folder of a lower layer, but removes it
+            shutil.rmtree(name, dir_fd=parent)  # overlayfs cannot rename a folder of a lower layer, but can remove it
             old = None
         os.rename(name, name, src_dir_fd=inner, dst_dir_fd=parent)
     finally:
@@ -103,16 +103,16 @@ def _replace(parent: int, staged: str, name: str) -> str | None:
 
 
 def is_waiting(name: str) -> bool:
-    """Tell whether a folder of this name holds one that waits for its place."""
+    """Tell whether a folder of this name contains a new folder that waits."""
     return name.startswith(PREFIX) and name.endswith(WAITING)
 
 
 def finish(parent: int, waiting: str) -> None:
-    """Put the folder in its place that a killed run left waiting: it may be the only complete copy.
+    """Put the folder into place that a killed run left waiting; it may be the only complete copy.
 
     Args:
-        parent: the open folder that it waits in.
-        waiting: the name of the folder that holds it.
+        parent: the open parent folder.
+        waiting: name of the folder that contains it.
 
     Raises:
         OSError: the system refuses.

@@ -1,8 +1,8 @@
-"""Stages a folder beside the one that it is to replace: what changes is written, all else is carried along.
+"""Stage the replacement of a folder: changed files are written, everything else is carried over.
 
-A folder of an enclave may hold the folders of others, and files that Keymint knows nothing of. Files are carried along
-as hard links: they stay the same files, with their bytes, owners, modes and attributes, and cost no copy. Folders are
-made again with the mode, owner and attributes (access-control lists) that they have.
+The folder of an enclave may contain the folders of other enclaves, and files that Keymint does not know. Files are
+carried over as hard links: they keep their inode, bytes, owner, mode and attributes, and nothing is copied. Folders are
+created again with the same mode, owner and attributes (access-control lists).
 """
 
 from __future__ import annotations
@@ -18,30 +18,39 @@ from pathlib import Path
 from typing import NoReturn
 
 from comarmor.errors import Origin
+from keymint.changes import File
 from keymint.errors import KeymintError
-from keymint.writing import FOLDER, NEW_FILE, WritableFile, create, give, is_temporary, reported, require_regular
+from keymint.file_writing import (
+    FOLDER,
+    NEW_FILE,
+    create,
+    give,
+    is_temporary,
+    reported,
+    require_regular,
+)
 
 _NO_LINK = {errno.EPERM, errno.EMLINK, errno.EOPNOTSUPP, errno.ENOSYS}
-"""What a system says that makes no hard link: the file system has none, or the file is another user's."""
+"""Errors where no hard link can be made: the file system has none, or the file belongs to another user."""
 
 
 @dataclass(slots=True)
-class Content:
-    """What becomes of a folder, and of the folders in it.
+class FolderContent:
+    """The new content of a folder and its subfolders.
 
     Attributes:
         files: files to write, by name.
         removed: names of files to remove.
-        mode: mode of the folder if it is new; an old one keeps its mode.
-        private: close the folder (0700) if it is open to others.
-        folders: what becomes of folders in it that change, by name.
+        mode: mode of a new folder; an existing one keeps its mode.
+        private: set the folder's mode to 0700 if others can enter it.
+        folders: new content of the subfolders that change, by name.
     """
 
-    files: dict[str, WritableFile] = field(default_factory=dict)
+    files: dict[str, File] = field(default_factory=dict)
     removed: set[str] = field(default_factory=set)
     mode: int = 0o755
     private: bool = False
-    folders: dict[str, Content] = field(default_factory=dict)
+    folders: dict[str, FolderContent] = field(default_factory=dict)
 
     def writes(self) -> bool:
         """Tell whether a file is written here or below."""
@@ -54,7 +63,7 @@ class Content:
 
 @dataclass(slots=True)
 class Carried:
-    """What was carried along: files with their inodes, folders with what was carried of them; and what was not."""
+    """The entries carried over (files with their inodes, and folders), and the names of those left behind."""
 
     files: dict[str, int] = field(default_factory=dict)
     folders: dict[str, Carried] = field(default_factory=dict)
@@ -70,22 +79,22 @@ def _opened(parent: int, name: str) -> Iterator[int]:
         os.close(descriptor)
 
 
-def stage(old: int, new_parent: int, name: str, shown: Path, content: Content) -> Carried | None:
-    """Make the folder that another one is to become, and synchronise it.
+def stage(old: int, new_parent: int, name: str, shown: Path, content: FolderContent) -> Carried | None:
+    """Create and synchronise the replacement of a folder.
 
     Args:
-        old: the open folder that is there.
-        new_parent: the open folder to make the new one in.
-        name: name of the new one.
-        shown: path of the folder that is there, for messages.
-        content: what becomes of it.
+        old: the existing folder, open.
+        new_parent: the open folder in which to create the replacement.
+        name: name of the replacement.
+        shown: path of the existing folder, for messages.
+        content: its new content.
 
     Returns:
-        What was carried along; None when nothing is left in the folder. Then it is not made.
+        The entries carried over; None if the folder would be empty, and the replacement is not created.
 
     Raises:
-        KeymintError: the system refuses, a link or something else stands in the way, or a file system is mounted
-            inside the folder. What was made so far is left for the caller to remove.
+        KeymintError: the system refuses, a link or another kind of file is in the way, or a file system is mounted
+            inside the folder. The caller must remove what was created so far.
     """
     with reported(shown):
         status = os.fstat(old)
@@ -109,13 +118,13 @@ def stage(old: int, new_parent: int, name: str, shown: Path, content: Content) -
     return carried
 
 
-def _carry(old: int, new: int, shown: Path, content: Content) -> Carried:
-    """Carry along what does not change, and the folders inside with what changes there."""
+def _carry(old: int, new: int, shown: Path, content: FolderContent) -> Carried:
+    """Carry over the entries that do not change, and stage the subfolders."""
     carried = Carried(left={*content.files, *content.removed})
     mount = mount_of(old)
     with os.scandir(old) as entries:
-        found = sorted(entries, key=lambda entry: entry.name)
-    for entry in found:
+        ordered = sorted(entries, key=lambda entry: entry.name)
+    for entry in ordered:
         name = entry.name
         if is_temporary(name):
             carried.left.add(name)
@@ -125,7 +134,7 @@ def _carry(old: int, new: int, shown: Path, content: Content) -> Carried:
             with _opened(old, name) as inner:
                 if mount_of(inner) != mount:
                     refuse_mount(shown / name)
-                below = stage(inner, new, name, shown / name, content.folders.get(name, Content()))
+                below = stage(inner, new, name, shown / name, content.folders.get(name, FolderContent()))
             if below is None:
                 carried.left.add(name)
             else:
@@ -136,24 +145,24 @@ def _carry(old: int, new: int, shown: Path, content: Content) -> Carried:
     return carried
 
 
-def _add_folders(parent: int, shown: Path, content: Content) -> None:
-    """Make the folders that are new in a staged one."""
+def _add_folders(parent: int, shown: Path, content: FolderContent) -> None:
+    """Create the new subfolders of a staged folder."""
     for name, inner in content.folders.items():
         if inner.writes() and not _exists(parent, name):
             add(parent, name, shown / name, inner)
 
 
-def add(parent: int, name: str, shown: Path, content: Content) -> None:
-    """Make a new folder, and synchronise it.
+def add(parent: int, name: str, shown: Path, content: FolderContent) -> None:
+    """Create and synchronise a new folder.
 
     Args:
-        parent: the open folder to make it in.
-        name: its name there.
+        parent: the open folder in which to create it.
+        name: its name.
         shown: its path, for messages.
         content: its files and folders.
 
     Raises:
-        KeymintError: the system refuses. What was made so far is left for the caller to remove.
+        KeymintError: the system refuses. The caller must remove what was created so far.
     """
     with reported(shown):
         os.mkdir(name, 0o700, dir_fd=parent)
@@ -186,15 +195,15 @@ def _link(old: int, new: int, shown: Path, name: str) -> None:
 
 
 def _copy(old: int, new: int, shown: Path, name: str) -> None:
-    """Copy a file where no hard link can be made, e.g. on FAT."""
+    """Copy a file if no hard link can be made, e.g. on FAT."""
     status = os.stat(name, dir_fd=old, follow_symlinks=False)
     if stat.S_ISLNK(status.st_mode):
         os.symlink(os.readlink(name, dir_fd=old), name, dir_fd=new)
         return
     if not stat.S_ISREG(status.st_mode):
         raise KeymintError(
-            "is not a regular file, and cannot be carried along when its folder is replaced",
-            where=Origin(str(shown)), help="remove it, or keep it elsewhere", code="carry-refused",
+            "is not a regular file, and cannot be kept when its folder is replaced",
+            where=Origin(str(shown)), help="remove it, or move it elsewhere", code="carry-refused",
         )  # fmt: skip
     source = os.open(name, os.O_RDONLY | os.O_NOFOLLOW | os.O_CLOEXEC, dir_fd=old)
     target = os.open(name, NEW_FILE, 0o600, dir_fd=new)
@@ -207,7 +216,7 @@ def _copy(old: int, new: int, shown: Path, name: str) -> None:
         made = os.fstat(target)
         if (made.st_uid, made.st_gid) != (status.st_uid, status.st_gid):
             raise KeymintError(
-                f"belongs to user {status.st_uid} and group {status.st_gid}, and cannot be carried along",
+                f"belongs to user {status.st_uid} and group {status.st_gid}, and cannot be kept in a new folder",
                 where=Origin(str(shown)), help="run as that user or as root, or change its owner", code="carry-refused",
             )  # fmt: skip
         _copy_attributes(source, target)
@@ -220,7 +229,7 @@ def _copy(old: int, new: int, shown: Path, name: str) -> None:
 
 
 def _copy_attributes(old: int, new: int) -> None:
-    """Copy extended attributes, such as access-control lists, as far as the system lets us."""
+    """Copy extended attributes, such as access-control lists, where the system permits that."""
     with contextlib.suppress(OSError):
         names = set(os.listxattr(old))
         for name in set(os.listxattr(new)) - names:
@@ -232,7 +241,7 @@ def _copy_attributes(old: int, new: int) -> None:
 
 
 def mount_of(opened: int) -> str:
-    """Return what tells the mount of an open folder from others: one file system may be mounted at several places."""
+    """Return an identifier of the mount of an open folder; one file system may be mounted more than once."""
     with contextlib.suppress(OSError), open(f"/proc/self/fdinfo/{opened}", encoding="ascii") as info:  # noqa: PTH123
         for line in info:
             if line.startswith("mnt_id:"):
@@ -241,9 +250,9 @@ def mount_of(opened: int) -> str:
 
 
 def refuse_mount(shown: Path) -> NoReturn:
-    """Raise the error for a folder that cannot be replaced, as something is mounted there."""
+    """Raise the error for a folder that cannot be replaced because it is a mount point."""
     raise KeymintError(
-        "is a mount point, which cannot be replaced as a whole",
+        "is a mount point, which cannot be replaced",
         where=Origin(str(shown)),
         help="unmount it; mount the folder above the enclaves instead",
         code="mount-refused",
@@ -251,23 +260,23 @@ def refuse_mount(shown: Path) -> NoReturn:
 
 
 def clear(parent: int, name: str, new: int, carried: Carried) -> None:
-    """Remove the folder that was replaced.
+    """Remove the old folder after the swap.
 
-    What somebody else put into it after it was carried along is moved to the new folder.
+    Entries that another process added in the meantime are moved to the new folder.
 
     Args:
-        parent: the open folder that it lies in.
-        name: its name there.
-        new: the open folder that took its place.
-        carried: what was carried along.
+        parent: the open parent folder.
+        name: name of the old folder.
+        new: the new folder, open.
+        carried: the entries carried over.
 
     Raises:
         OSError: the system refuses.
     """
     with _opened(parent, name) as old:
         with os.scandir(old) as entries:
-            found = sorted(entries, key=lambda entry: entry.name)
-        for entry in found:
+            ordered = sorted(entries, key=lambda entry: entry.name)
+        for entry in ordered:
             below = carried.folders.get(entry.name)
             if below is not None:
                 with _opened(new, entry.name) as inner:

@@ -12,7 +12,6 @@ import subprocess
 import tempfile
 import threading
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -20,26 +19,13 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from keymint import exchange
+from keymint import folder_swap
+from keymint.changes import File, FolderChange
 from keymint.errors import KeymintError
 from keymint.store import Store
 
 Folders = dict[str, dict[str, bytes]]
 """Files by name of each folder, by its path."""
-
-
-@dataclass(frozen=True)
-class File:
-    content: bytes
-    secret: bool = False
-
-
-@dataclass(frozen=True)
-class Change:
-    folder: Path
-    files: Mapping[str, File] = field(default_factory=dict)
-    removed: tuple[str, ...] = ()
-    private: bool = False
 
 
 def store_at(root: Path) -> Store:
@@ -104,7 +90,7 @@ class Watched:
         with pytest.MonkeyPatch.context() as patch:
             for name in MUTATORS:
                 patch.setattr(os, name, self._wrapped(getattr(os, name)))
-            patch.setattr(exchange, "exchange", self._wrapped(self._exchange(exchange.exchange)))
+            patch.setattr(folder_swap, "exchange", self._wrapped(self._exchange(folder_swap.exchange)))
             patch.setattr(os, "rename", self._rename(os.rename))
             yield
 
@@ -150,9 +136,9 @@ EDITS = st.dictionaries(
 )
 
 
-def changes_of(top: Path, edits: Mapping[str, tuple[Mapping[str, bytes], set[str]]]) -> list[Change]:
+def changes_of(top: Path, edits: Mapping[str, tuple[Mapping[str, bytes], set[str]]]) -> list[FolderChange]:
     return [
-        Change(
+        FolderChange(
             top / path,
             {name: File(content, secret=name == "key.pem") for name, content in files.items()},
             tuple(sorted(removed - set(files))),
@@ -312,11 +298,11 @@ def test_folders_that_change_together_change_in_one_exchange(root: Path, enclave
     for name in ("a", "b", "c/d"):
         store_at(root).write(enclave / name, NEW)
     count = []
-    real = exchange.exchange
+    real = folder_swap.exchange
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(exchange, "exchange", lambda *arguments: (count.append(arguments), real(*arguments)))
+        patch.setattr(folder_swap, "exchange", lambda *arguments: (count.append(arguments), real(*arguments)))
         names = ("c/d", "", "a", "b", "talker")
-        store_at(root).change([Change(enclave / name, NEW) for name in names])
+        store_at(root).change([FolderChange(enclave / name, NEW) for name in names])
     assert len(count) == 1
     assert all((enclave / name / "key.pem").read_bytes() == b"new" for name in names)
 
@@ -329,7 +315,7 @@ def test_a_single_file_is_replaced_where_it_is(root: Path, enclave: Path) -> Non
 
 
 def test_what_somebody_adds_at_the_last_moment_is_not_lost(root: Path, enclave: Path) -> None:
-    real = exchange.exchange
+    real = folder_swap.exchange
 
     def late(*arguments: Any) -> None:
         (enclave / "late.pem").write_bytes(b"late")
@@ -340,7 +326,7 @@ def test_what_somebody_adds_at_the_last_moment_is_not_lost(root: Path, enclave: 
         real(*arguments)
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(exchange, "exchange", late)
+        patch.setattr(folder_swap, "exchange", late)
         store_at(root).write(enclave, NEW)
     assert (enclave / "late.pem").read_bytes() == b"late"
     assert (enclave / "talker" / "late" / "x").read_bytes() == b"late"
@@ -425,7 +411,7 @@ def test_on_overlayfs_a_folder_of_a_lower_layer_is_replaced_and_removed(overlay:
     assert visible(overlay / "install") == new
     store.write(enclave, NEW)  # now it lies in the upper layer
     store.remove(overlay / "install" / "other", ["cert.pem"])
-    store.change([Change(enclave, removed=tuple(new["robot"])), Change(enclave / "talker", NEW)])
+    store.change([FolderChange(enclave, removed=tuple(new["robot"])), FolderChange(enclave / "talker", NEW)])
     assert visible(overlay / "install") == {"robot/talker": {name: file.content for name, file in NEW.items()}}
     assert left_behind(overlay) == []
 
@@ -523,7 +509,7 @@ def test_who_reads_by_an_open_folder_never_sees_a_mix(memory: Path) -> None:
     for reader in readers:
         reader.start()
     for version in range(1, 200):
-        store.change([Change(folder, content(version)), Change(folder / "talker", content(version))])
+        store.change([FolderChange(folder, content(version)), FolderChange(folder / "talker", content(version))])
     done.set()
     for reader in readers:
         reader.join()
@@ -538,7 +524,7 @@ def test_the_library_has_the_call(tmp_path: Path) -> None:
         (tmp_path / name).mkdir()
         (tmp_path / name / name).touch()
     opened = os.open(tmp_path, os.O_RDONLY | os.O_DIRECTORY)
-    exchange.exchange(opened, "a", "b")
+    folder_swap.exchange(opened, "a", "b")
     os.close(opened)
     assert [path.name for path in (tmp_path / "a").iterdir()] == ["b"]
     shutil.rmtree(tmp_path / "a")
@@ -555,6 +541,6 @@ def test_folders_are_written_in_their_order_but_new_ones_before_those_inside(roo
         order.extend(sorted(found - set(order)))
 
     with Watched(look=look).patched():
-        store.change([Change(top / name, NEW) for name in names])
+        store.change([FolderChange(top / name, NEW) for name in names])
     # The root comes when its turn is: whoever names it last means it to be the last.
     assert order == ["z", "new", "new/inner", ".", "a"]

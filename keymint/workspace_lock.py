@@ -1,4 +1,4 @@
-"""The lock of a workspace as readers hold it: shared, and only while they read their inputs into memory."""
+"""The workspace lock for readers: shared, and held only while they read their inputs into memory."""
 
 from __future__ import annotations
 
@@ -9,19 +9,19 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 
 LOCK = "lock"
-"""Name of the file in the folder of records; see :meth:`keymint.store.Store.locked`."""
+"""Name of the lock file in the folder of records; writers take it with :meth:`keymint.store.Store.locked`."""
 
 
 @contextlib.contextmanager
 def shared(records: Path, on_wait: Callable[[], None]) -> Iterator[bool]:
-    """Keep writers away while the workspace is read; several readers may hold this at once.
+    """Hold the workspace lock for reading, which keeps writers out but admits other readers.
 
-    Where there is no lock, or where it cannot be opened or locked, e.g. in a copy or on a read-only file system, the
-    workspace is read anyway: nobody writes there under a lock either.
+    If the lock does not exist, or cannot be opened or locked (e.g. in a copy or on a read-only file system), the
+    workspace is read without it: no writer can take the lock there either.
 
     Args:
         records: folder of the lock.
-        on_wait: called once when a run that writes holds the lock, before waiting for it.
+        on_wait: called once before waiting for a writer that holds the lock.
 
     Yields:
         Whether the lock is held.
