@@ -20,7 +20,7 @@ from cryptography.x509.oid import ExtendedKeyUsageOID, NameOID
 from documents import Writer
 from floor import authority, builder_of
 
-from keymint.api import Enclave, Surroundings, Tier
+from keymint.api import Enclave, Environment, Tier
 from keymint.graph import Edge
 from keymint.pki import smime
 from keymint.plugins import Plugins
@@ -110,7 +110,7 @@ def main() -> int:
     options = parser.parse_args()
     wrong = 0
     with tempfile.TemporaryDirectory() as cache:
-        plugins = Plugins(surroundings=Surroundings(datetime.now(UTC), Path(cache)))
+        plugins = Plugins(environment=Environment(datetime.now(UTC), Path(cache)))
         for vendor in options.vendors or PAIRS:
             usable = plugins.transport(vendor).usable()
             if not usable.usable:

@@ -17,7 +17,7 @@ from itertools import cycle, islice
 from pathlib import Path
 
 from comarmor.errors import Origin
-from keymint.api import Enclave, PolicySource, Surroundings, Tier
+from keymint.api import Enclave, Environment, PolicySource, Tier
 from keymint.graph import Edge, Graph, Object, complete
 from keymint.plugins import Plugins
 
@@ -55,7 +55,7 @@ def main() -> int:
         enclaves = [
             Enclave(f"/{found.parent.relative_to(root)}", found.parent, "humble") for found in root.rglob("cert.pem")
         ]
-        plugins = Plugins(surroundings=Surroundings(datetime.now(UTC), Path(scratch) / "cache", dict(os.environ)))
+        plugins = Plugins(environment=Environment(datetime.now(UTC), Path(scratch) / "cache", dict(os.environ)))
         subjects = sorted(enclave.subject for enclave in enclaves)
         ends = [
             Edge(subject, "ros_publish" if found.kind == "ros_topic" else "ros_call", found)

@@ -16,7 +16,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from comarmor.errors import Diagnostic, Origin, Severity
 from comarmor.text import counted, did_you_mean
 from keymint import graph_json
-from keymint.api import Demand
+from keymint.api import Hint
 from keymint.errors import KeymintError
 from keymint.graph import Edge, Object
 from keymint.graph_json import KIND_OF, legal_subject, legal_text
@@ -26,7 +26,7 @@ OPTIONAL = ("partition",)
 MAX_COUNT = 2**63
 
 
-def load_hints(content: bytes, name: str) -> tuple[Demand, ...]:
+def load_hints(content: bytes, name: str) -> tuple[Hint, ...]:
     """Return what a file says is asked for, sorted.
 
     Args:
@@ -37,7 +37,7 @@ def load_hints(content: bytes, name: str) -> tuple[Demand, ...]:
         KeymintError: it is neither; every line that is wrong, with what was expected.
     """
     if graph_json.recognises(content):
-        return tuple(Demand(edge, 1) for edge in graph_json.load(content, name).edges)
+        return tuple(Hint(edge, 1) for edge in graph_json.load(content, name).edges)
     if len(content) > graph_json.MAX_BYTES:
         raise _error(name, 0, f"the file has more than the {graph_json.MAX_BYTES:,} bytes allowed")
     try:
@@ -63,10 +63,10 @@ def load_hints(content: bytes, name: str) -> tuple[Demand, ...]:
         raise _error(name, rows.line_num, f"not CSV: {error}") from None
     if problems:
         raise KeymintError.of(problems)
-    return tuple(Demand(edge, times) for edge, times in sorted(found.items()))
+    return tuple(Hint(edge, times) for edge, times in sorted(found.items()))
 
 
-def unknown_subjects(demand: Sequence[Demand], known: Sequence[str], name: str) -> Iterator[Diagnostic]:
+def unknown_subjects(demand: Sequence[Hint], known: Sequence[str], name: str) -> Iterator[Diagnostic]:
     """Yield a warning for each subject of the hints that a workspace does not have.
 
     Args:

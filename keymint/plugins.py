@@ -22,11 +22,11 @@ from comarmor.text import did_you_mean
 from keymint.api import (
     API_VERSION,
     BuildType,
+    Environment,
     GraphSource,
     PackageType,
     PolicyType,
     ProfileType,
-    Surroundings,
     Transport,
     TransportType,
 )
@@ -141,11 +141,11 @@ class Plugins:
 
     Args:
         entries: the entry points to use; by default those of the environment.
-        surroundings: what transports are opened with; without it there are none to ask for.
+        environment: what transports are opened with; without it there are none to ask for.
     """
 
-    def __init__(self, entries: Iterable[EntryPoint] | None = None, surroundings: Surroundings | None = None) -> None:
-        self._surroundings = surroundings
+    def __init__(self, entries: Iterable[EntryPoint] | None = None, environment: Environment | None = None) -> None:
+        self._environment = environment
         self._transports: dict[str, Transport] = {}
         self._entries: dict[str, dict[str, list[EntryPoint]]] = {}
         self._loaded: dict[tuple[str, str], object] = {}
@@ -191,12 +191,12 @@ class Plugins:
         return cast("BuildType", self.load("keymint.build_types", name, where))
 
     def transport(self, name: str, where: Origin | None = None) -> Transport:
-        """Return the transport of this name, opened once in the surroundings; see :meth:`load`."""
+        """Return the transport of this name, opened once in the environment; see :meth:`load`."""
         if name not in self._transports:
-            if self._surroundings is None:
-                raise ValueError("transports are opened in surroundings")
+            if self._environment is None:
+                raise ValueError("transports are opened in environment")
             opener = cast("TransportType", self.load("keymint.transports", name, where))
-            self._transports[name] = opener.open(self._surroundings)
+            self._transports[name] = opener.open(self._environment)
         return self._transports[name]
 
     def transports(self) -> Mapping[str, Transport]:

@@ -9,7 +9,7 @@ from typing import Self
 
 from comarmor.errors import Origin
 from keymint import __version__
-from keymint.api import Package, Profile
+from keymint.api import Package, WorkspaceProfile
 from keymint.changes import Plan
 from keymint.errors import KeymintError
 from keymint.plugins import Plugins
@@ -94,7 +94,7 @@ class Session(Inputs):
         profile_digest: digest of everything that the profile was loaded from.
     """
 
-    profile: Profile
+    profile: WorkspaceProfile
     profile_digest: str
     _packages: dict[tuple[str, str], Package] = field(default_factory=dict, repr=False, compare=False)
 

@@ -16,7 +16,7 @@ from comarmor.patterns.pattern_index import PatternIndex
 from comarmor.patterns.steps import StepLimitError, step_limit
 from comarmor.patterns.tokens import Star
 from comarmor.rules import Effect
-from keymint.api import AttachedProfile, Clause, Structure
+from keymint.api import PolicyStructure, WrittenProfile, WrittenRule
 
 STEPS = 2_000_000
 """Steps that the search for subjects that a wildcard matches may take."""
@@ -32,7 +32,7 @@ _Texts = tuple[str, ...]
 _Chain = tuple[_Texts, ...]
 
 
-def attachment_mistakes(written: Structure) -> Iterator[Diagnostic]:
+def attachment_mistakes(written: PolicyStructure) -> Iterator[Diagnostic]:
     """Yield what is likely a slip, each cause once.
 
     Args:
@@ -45,8 +45,8 @@ def attachment_mistakes(written: Structure) -> Iterator[Diagnostic]:
     yield from _wide(profiles, written.clauses)
 
 
-def _named_twice(profiles: Iterable[AttachedProfile]) -> Iterator[Diagnostic]:
-    first: dict[tuple[_Chain, str], AttachedProfile] = {}
+def _named_twice(profiles: Iterable[WrittenProfile]) -> Iterator[Diagnostic]:
+    first: dict[tuple[_Chain, str], WrittenProfile] = {}
     for each in profiles:
         other = first.setdefault((each.around, each.name), each)
         if other is not each:
@@ -59,9 +59,9 @@ def _named_twice(profiles: Iterable[AttachedProfile]) -> Iterator[Diagnostic]:
             )
 
 
-def _copied(profiles: Iterable[AttachedProfile]) -> Iterator[Diagnostic]:
+def _copied(profiles: Iterable[WrittenProfile]) -> Iterator[Diagnostic]:
     """Yield profiles of one file with the same exact attachments; another file may add to what one says."""
-    first: dict[tuple[_Chain, str, frozenset[str]], AttachedProfile] = {}
+    first: dict[tuple[_Chain, str, frozenset[str]], WrittenProfile] = {}
     for each in profiles:
         texts = frozenset(_texts(each))
         if not all(literal(parse(text)) is not None for text in texts):
@@ -86,7 +86,7 @@ class _Right:
     expression: str
 
 
-def _wide(profiles: Sequence[AttachedProfile], clauses: Iterable[Clause]) -> Iterator[Diagnostic]:
+def _wide(profiles: Sequence[WrittenProfile], clauses: Iterable[WrittenRule]) -> Iterator[Diagnostic]:
     """Yield profiles whose wildcards match subjects with a profile of their own that is not inside of them."""
     wild = [(each, text, parse(text)) for each in profiles for text in _texts(each)]
     wild = [(each, text, glob) for each, text, glob in wild if literal(glob) is None and not _is_for_all(glob)]
@@ -128,14 +128,14 @@ def _wide(profiles: Sequence[AttachedProfile], clauses: Iterable[Clause]) -> Ite
 
 
 def _gaining(
-    wide: AttachedProfile,
+    wide: WrittenProfile,
     granted: Mapping[_Right, None],
-    near: Iterable[tuple[Glob, AttachedProfile]],
+    near: Iterable[tuple[Glob, WrittenProfile]],
     rights: Mapping[_Chain, Mapping[_Right, None]],
-) -> Iterator[tuple[str, AttachedProfile, _Right]]:
+) -> Iterator[tuple[str, WrittenProfile, _Right]]:
     """Yield subjects, each once, that gain by a wide profile, with their own profile and a right that they gain."""
     chain = _chain(wide)
-    own: dict[str, list[AttachedProfile]] = defaultdict(list)
+    own: dict[str, list[WrittenProfile]] = defaultdict(list)
     for glob, profile in near:
         # Only beside: of what stands inside of other profiles, these are the ones to be looked at.
         if profile.around == wide.around and _texts(profile) != chain[-1] and not _texts_meet(profile, wide):
@@ -147,12 +147,12 @@ def _gaining(
             yield subject, listed[0], missing
 
 
-def _texts_meet(profile: AttachedProfile, wide: AttachedProfile) -> bool:
+def _texts_meet(profile: WrittenProfile, wide: WrittenProfile) -> bool:
     """Tell whether a profile is attached by a wildcard of the other one as well: then it is about the same subjects."""
     return not set(_texts(profile)).isdisjoint(_texts(wide))
 
 
-def _rights(clauses: Iterable[Clause]) -> dict[_Chain, dict[_Right, None]]:
+def _rights(clauses: Iterable[WrittenRule]) -> dict[_Chain, dict[_Right, None]]:
     """Return what the rules of each profile allow that stand in the profile itself and name objects for themselves.
 
     What depends on the subject, and what is included, is meant for several subjects.
@@ -173,11 +173,11 @@ def _is_for_all(pattern: Glob) -> bool:
     return isinstance(pattern[0], Star) or pattern == ("/", Star())
 
 
-def _chain(profile: AttachedProfile) -> _Chain:
+def _chain(profile: WrittenProfile) -> _Chain:
     return (*profile.around, _texts(profile))
 
 
-def _texts(profile: AttachedProfile) -> _Texts:
+def _texts(profile: WrittenProfile) -> _Texts:
     return tuple(text for text, _ in profile.attachments)
 
 
@@ -185,5 +185,5 @@ def _listed(names: Sequence[str]) -> str:
     return ", ".join(names[:3]) + (", …" if len(names) > 3 else "")  # noqa: PLR2004 - as many as a line takes
 
 
-def _said(code: str, message: str, profile: AttachedProfile, help_: str) -> Diagnostic:
+def _said(code: str, message: str, profile: WrittenProfile, help_: str) -> Diagnostic:
     return Diagnostic(code, Severity.WARNING, message, profile.where, help_)

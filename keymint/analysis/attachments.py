@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 from comarmor.errors import Origin, Spot
 from keymint.analysis.rule_lists import text
-from keymint.api import Clause, Structure
+from keymint.api import PolicyStructure, WrittenRule
 from keymint.ir import Rule
 
 
@@ -32,12 +32,12 @@ class AttachmentIndex:
         written: the policy as it is written; None if its type does not tell, so that a rule's own place has to do.
     """
 
-    def __init__(self, written: Structure | None) -> None:
-        self._clauses: dict[Origin, Clause] = {
+    def __init__(self, written: PolicyStructure | None) -> None:
+        self._clauses: dict[Origin, WrittenRule] = {
             clause.rule.origin: clause for clause in (written.clauses if written else ())
         }
 
-    def clause(self, rule: Rule, attachment: Attachment) -> tuple[Clause, int] | None:
+    def clause(self, rule: Rule, attachment: Attachment) -> tuple[WrittenRule, int] | None:
         """Return a rule as it is written, and which of its expressions comes from an attachment; None if not known."""
         clause = self._clauses.get(rule.origin)
         if clause is None:

@@ -39,7 +39,7 @@ from keymint.analysis.subject_patterns import (
     structure,
 )
 from keymint.analysis.subject_templates import marks, symbolic_patterns
-from keymint.api import LoadedPolicy, Structure
+from keymint.api import LoadedPolicy, PolicyStructure
 
 FLOWS: tuple[tuple[PermissionKey, PermissionKey], ...] = (
     ((RAW, "publish"), (RAW, "subscribe")),
@@ -187,7 +187,7 @@ class ChannelSearch:
             )
         return self._known_common[subject, key]
 
-    def _surely(self, written: Structure, subjects: Glob, key: PermissionKey) -> tuple[Glob, ...]:
+    def _surely(self, written: PolicyStructure, subjects: Glob, key: PermissionKey) -> tuple[Glob, ...]:
         """Return what rules for every node allow to each of some subjects, whatever its name."""
         return tuple(
             pattern

@@ -14,10 +14,10 @@ from comarmor.patterns.relations import TooComplexError, disjoint
 from comarmor.rules import Effect
 from keymint.analysis.rule_lists import PermissionKey, allowed, keys, meet, patterns, text
 from keymint.analysis.subject_patterns import namespace_name_splits, profile_subjects
-from keymint.api import Clause, Structure
+from keymint.api import PolicyStructure, WrittenRule
 
 
-def may_deny_something(written: Structure, clause: Clause, at: int) -> bool:
+def may_deny_something(written: PolicyStructure, clause: WrittenRule, at: int) -> bool:
     """Tell whether a rule may allow something that an expression of a DENY rule denies.
 
     Left out are rules that depend on the subject in the same way: any example shows what they have in common.
@@ -50,7 +50,7 @@ def may_deny_something(written: Structure, clause: Clause, at: int) -> bool:
     )
 
 
-def _beginning(clause: Clause, at: int) -> str | None:
+def _beginning(clause: WrittenRule, at: int) -> str | None:
     """Return with what of its subject an expression begins that otherwise does not depend on it; None for others."""
     one, other = (clause.expand(namespace, name)[at] for namespace, name in (("/a/", "a"), ("/b/", "b")))
     for beginning in ("", "/{}/", "/{}/{}"):
@@ -60,7 +60,7 @@ def _beginning(clause: Clause, at: int) -> str | None:
     return None
 
 
-def _about(clause: Clause, at: int, subjects: Glob, key: PermissionKey) -> Iterator[Glob]:
+def _about(clause: WrittenRule, at: int, subjects: Glob, key: PermissionKey) -> Iterator[Glob]:
     """Yield patterns that together match what an expression is about for any of some subjects."""
     for namespace, name in namespace_name_splits(subjects):
         yield from patterns(clause.rule, clause.expand(text(namespace), text(name))[at], key)

@@ -15,7 +15,7 @@ from comarmor.patterns.steps import StepLimitError, spend, step_limit
 from comarmor.rules import Effect
 from keymint.analysis.attachments import AttachmentIndex
 from keymint.analysis.rule_lists import RAW
-from keymint.api import Structure
+from keymint.api import PolicyStructure
 from keymint.ir import Rule
 
 _SIDES = {
@@ -78,7 +78,7 @@ def similar_names(subjects: Mapping[str, tuple[Rule, ...]], attachments: Attachm
     yield from _unknown(given_up)
 
 
-def similar_subjects(written: Structure) -> Iterator[Diagnostic]:
+def similar_subjects(written: PolicyStructure) -> Iterator[Diagnostic]:
     """Yield subjects that one profile names, where several name another one that differs in a single character.
 
     Args:

@@ -22,7 +22,7 @@ from keymint.analysis.attachments import Attachment, AttachmentIndex
 from keymint.analysis.deny_overlap import may_deny_something
 from keymint.analysis.rule_lists import PermissionKey, allowed, keys, meet, names, patterns, universe
 from keymint.analysis.unreachable_profiles import quoted
-from keymint.api import Structure
+from keymint.api import PolicyStructure
 from keymint.ir import Rule
 
 UNIT = 300_000
@@ -76,7 +76,7 @@ class RedundantRules:
     """
 
     def __init__(
-        self, subjects: Mapping[str, tuple[Rule, ...]], attachments: AttachmentIndex, written: Structure | None
+        self, subjects: Mapping[str, tuple[Rule, ...]], attachments: AttachmentIndex, written: PolicyStructure | None
     ) -> None:
         self._attachments = attachments
         self._written = written

@@ -31,7 +31,7 @@ from keymint.analysis.rule_lists import (
     text,
     universe,
 )
-from keymint.api import Clause, LoadedPolicy, Structure
+from keymint.api import LoadedPolicy, PolicyStructure, WrittenRule
 from keymint.ir import Rule
 
 EVERY = parse("/*")
@@ -45,11 +45,11 @@ _MOST_PIECES = 64
 _NODE = "ros_parameter"
 
 
-def structure(policy: LoadedPolicy) -> Structure | None:
+def structure(policy: LoadedPolicy) -> PolicyStructure | None:
     """Return a policy as it is written, or None if its type does not tell."""
     of = getattr(policy, "structure", None)
     found = of() if of else None
-    return found if isinstance(found, Structure) else None
+    return found if isinstance(found, PolicyStructure) else None
 
 
 def rules_of(policy: LoadedPolicy, subject: str) -> tuple[Rule, ...]:
@@ -127,7 +127,7 @@ def _member(members: Charset) -> str:
 
 
 def examples(
-    structures: Sequence[Structure], known: Iterable[str], given_up: list[str] | None = None
+    structures: Sequence[PolicyStructure], known: Iterable[str], given_up: list[str] | None = None
 ) -> dict[str, str]:
     """Return subjects for each class of subjects that profiles match by a pattern: pattern by subject.
 
@@ -158,7 +158,7 @@ def examples(
     return found
 
 
-def _depends(clause: Clause) -> bool:
+def _depends(clause: WrittenRule) -> bool:
     """Tell whether a rule is about other objects for another subject."""
     return clause.expand("/a/", "a") != clause.expand("/b/", "b")
 
@@ -227,7 +227,7 @@ def _overlaps(wild: Sequence[Glob]) -> list[Glob]:
     return list(found)
 
 
-def at_most(found: Structure, within: Glob, key: PermissionKey) -> Iterator[tuple[Glob, DecisionList]]:
+def at_most(found: PolicyStructure, within: Glob, key: PermissionKey) -> Iterator[tuple[Glob, DecisionList]]:
     """Yield, for patterns of subjects, a list that permits at least what any subject of that pattern may do.
 
     Args:
@@ -251,7 +251,7 @@ def at_most(found: Structure, within: Glob, key: PermissionKey) -> Iterator[tupl
             yield subjects, decisions(_surely_denied(denials, subjects, key), granted)
 
 
-def _surely_denied(denials: Sequence[Clause], subjects: Glob, key: PermissionKey) -> Iterator[Glob]:
+def _surely_denied(denials: Sequence[WrittenRule], subjects: Glob, key: PermissionKey) -> Iterator[Glob]:
     """Yield what is denied to every subject that a pattern matches."""
     for clause in denials:
         if not any(covers(each, subjects) for each in profile_subjects(clause.profiles)):

@@ -15,7 +15,7 @@ from comarmor.patterns.glob import Glob, literal, normalise, units
 from comarmor.patterns.relations import disjoint
 from comarmor.patterns.tokens import STAR, Star, Token
 from keymint.analysis.rule_lists import PermissionKey, patterns
-from keymint.api import Clause
+from keymint.api import WrittenRule
 
 NAMESPACE = "\x01"
 """Stands for the subject's namespace without its leading ``/``. XML cannot hold this character."""
@@ -54,7 +54,7 @@ class FittedPattern:
     exact: bool
 
 
-def symbolic_patterns(clause: Clause, key: PermissionKey) -> tuple[Glob, ...]:
+def symbolic_patterns(clause: WrittenRule, key: PermissionKey) -> tuple[Glob, ...]:
     """Return the patterns of symbolic words that a rule is about, for a kind and permission without parts."""
     expressions = clause.expand(f"/{NAMESPACE}/", NAME)
     return tuple(

@@ -15,7 +15,7 @@ from keymint.analysis.rule_lists import PermissionKey, keys
 from keymint.analysis.subject_patterns import EVERY, profile_subjects
 from keymint.analysis.subject_templates import symbolic_patterns
 from keymint.analysis.symbolic_search import SymbolicCondition, SymbolicEntry, namespace_name_pairs
-from keymint.api import Structure
+from keymint.api import PolicyStructure
 
 _Profiles = tuple[tuple[str, ...], ...]
 _MOST_PIECES = 8
@@ -85,7 +85,7 @@ class SymbolicRules:
             exactly, and those that two patterns have in common.
     """
 
-    def __init__(self, written: Structure) -> None:
+    def __init__(self, written: PolicyStructure) -> None:
         self.singles: dict[str, None] = {}
         self._found: dict[tuple[PermissionKey, Effect], dict[tuple[_Profiles, Glob], SymbolicRule]] = defaultdict(dict)
         self._near: dict[tuple[PermissionKey, Effect], _Near] = {}

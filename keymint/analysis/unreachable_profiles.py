@@ -9,10 +9,10 @@ from comarmor.patterns.glob import parse
 from comarmor.patterns.relations import TooComplexError
 from comarmor.text import did_you_mean, first_few
 from keymint.analysis.subject_patterns import can_exist, profile_subjects
-from keymint.api import Structure
+from keymint.api import PolicyStructure
 
 
-def unreachable_profiles(found: Structure) -> Iterator[Diagnostic]:
+def unreachable_profiles(found: PolicyStructure) -> Iterator[Diagnostic]:
     """Yield profiles that never apply, attachments that no subject matches, and tunables that nothing uses."""
     for name, where in found.unused:
         yield _said("tunable-unused", f"nothing uses the tunable @{{{name}}}", where, "remove it")

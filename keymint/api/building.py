@@ -14,7 +14,7 @@ from keymint.graph import Edge
 
 
 @dataclass(frozen=True, slots=True)
-class Demand:
+class Hint:
     """How often a subject asks for an edge: a hint for the order of rules, which changes nothing of what they mean."""
 
     edge: Edge
@@ -33,11 +33,11 @@ class BuildOptions:
 
     allow_vendor_specific: bool = False
     optimise: bool = True
-    demand: tuple[Demand, ...] = ()
+    demand: tuple[Hint, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)
-class Built:
+class BuildResult:
     """What a build gives.
 
     Attributes:
@@ -52,7 +52,7 @@ class Built:
 
 
 @dataclass(frozen=True, slots=True)
-class Signer:
+class SigningAuthority:
     """An authority that signs: PEM of its certificate, PEM of its private key, and its password.
 
     None of the secrets is part of the representation.
@@ -65,7 +65,7 @@ class Signer:
 
 
 @dataclass(frozen=True, slots=True)
-class Credentials:
+class EnclaveCredentials:
     """What the enclave of one subject is made of, beside its documents; all PEM.
 
     Attributes:
@@ -80,7 +80,7 @@ class Credentials:
     key: bytes = field(repr=False)
     identity_ca: bytes
     permissions_ca: bytes
-    signer: Signer
+    signer: SigningAuthority
 
 
 @dataclass(frozen=True, slots=True)
@@ -122,7 +122,7 @@ class BuildType(Protocol):
 
     API: str
 
-    def build(self, package: Package, options: BuildOptions) -> Built:
+    def build(self, package: Package, options: BuildOptions) -> BuildResult:
         """Return the unsigned documents of a package; a pure function of its arguments.
 
         Raises:
@@ -133,7 +133,7 @@ class BuildType(Protocol):
         self,
         package: Package,
         documents: Mapping[str, bytes],
-        credentials: Credentials,
+        credentials: EnclaveCredentials,
         layout: str,
         installed: Mapping[str, bytes],
     ) -> Mapping[str, Artifact]:

@@ -8,12 +8,12 @@ from typing import Protocol
 
 from comarmor.errors import Diagnostic
 from keymint.api.policies import LoadedPolicy
-from keymint.api.transports import Usable
+from keymint.api.transports import Availability
 from keymint.graph import Edge, Graph
 
 
 @dataclass(frozen=True, slots=True)
-class Discovered:
+class DiscoveredGraph:
     """A graph that was seen, and what is to be said of it (how subjects came by their names, say)."""
 
     graph: Graph
@@ -25,10 +25,10 @@ class GraphSource(Protocol):
 
     API: str
 
-    def usable(self) -> Usable:
+    def usable(self) -> Availability:
         """Tell whether a running system can be observed on this machine; never raises."""
 
-    def observe(self, domain: int, go_on: Callable[[], bool], names: Mapping[str, str]) -> Discovered:
+    def observe(self, domain: int, go_on: Callable[[], bool], names: Mapping[str, str]) -> DiscoveredGraph:
         """Return what happens in a domain, in the transport's own terms (objects of kind ``topic``).
 
         Args:
@@ -43,7 +43,7 @@ class GraphSource(Protocol):
     def recognises(self, content: bytes) -> bool:
         """Tell whether a file is a capture that :meth:`read` reads."""
 
-    def read(self, content: bytes, name: str, names: Mapping[str, str]) -> Discovered:
+    def read(self, content: bytes, name: str, names: Mapping[str, str]) -> DiscoveredGraph:
         """Return what a capture holds, in the transport's own terms.
 
         Args:
@@ -65,7 +65,7 @@ class GraphSource(Protocol):
 
 
 @dataclass(frozen=True, slots=True)
-class Learned:
+class LearnedPolicy:
     """A policy that was learned from a graph.
 
     Attributes:
@@ -86,7 +86,7 @@ class Learned:
 class PolicyLearner(Protocol):
     """What a policy type may offer beside :class:`PolicyType`: the policy that a graph needs."""
 
-    def learn(self, graph: Graph, existing: LoadedPolicy | None, fragments: str) -> Learned:
+    def learn(self, graph: Graph, existing: LoadedPolicy | None, fragments: str) -> LearnedPolicy:
         """Return the smallest policy that, with the existing one, allows every edge of a graph.
 
         Args:

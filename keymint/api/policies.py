@@ -68,7 +68,7 @@ class LoadedPolicy(Protocol):
 
 
 @dataclass(frozen=True, slots=True)
-class AttachedProfile:
+class WrittenProfile:
     """A profile as it is written.
 
     Attributes:
@@ -85,7 +85,7 @@ class AttachedProfile:
 
 
 @dataclass(frozen=True, slots=True)
-class Clause:
+class WrittenRule:
     """A rule as it is written, before it is expanded for a subject.
 
     Attributes:
@@ -104,7 +104,7 @@ class Clause:
 
 
 @dataclass(frozen=True, slots=True)
-class Structure:
+class PolicyStructure:
     """A policy as it is written.
 
     Attributes:
@@ -113,19 +113,19 @@ class Structure:
         unused: name and place of the variables that nothing uses.
     """
 
-    profiles: tuple[AttachedProfile, ...]
-    clauses: tuple[Clause, ...]
+    profiles: tuple[WrittenProfile, ...]
+    clauses: tuple[WrittenRule, ...]
     unused: tuple[tuple[str, Origin], ...] = ()
 
 
 class StructuredPolicy(Protocol):
     """What a policy may offer beside :class:`LoadedPolicy`: itself as it is written, for subjects it does not name."""
 
-    def structure(self) -> Structure:
+    def structure(self) -> PolicyStructure:
         """Return the policy as it is written."""
 
 
-class ExpectingPolicyType(Protocol):
+class PolicyTypeWithTests(Protocol):
     """What a policy type may offer beside :class:`PolicyType`: reading of a policy's own unit tests."""
 
     def expectations(self, path: Path) -> Mapping[Path, Sequence[Expectation]]:

@@ -24,7 +24,7 @@ class PolicySource:
 
 
 @dataclass(frozen=True, slots=True)
-class Profile:
+class WorkspaceProfile:
     """A workspace profile, loaded.
 
     Attributes:
@@ -96,7 +96,7 @@ class ProfileType(Protocol):
     def recognises(self, files: Mapping[str, bytes]) -> bool:
         """Tell whether these files of a profile space are of this type."""
 
-    def load(self, root: Path, files: Mapping[str, bytes]) -> Profile:
+    def load(self, root: Path, files: Mapping[str, bytes]) -> WorkspaceProfile:
         """Load a profile from its files.
 
         Args:
@@ -119,7 +119,7 @@ class ProfileType(Protocol):
 class ProfileSettings(Protocol):
     """What a profile type may offer beside :class:`ProfileType`: the settings that ``keymint init`` has options for."""
 
-    def settings(self, profile: Profile) -> Mapping[str, str]:
+    def settings(self, profile: WorkspaceProfile) -> Mapping[str, str]:
         """Return the present value of each option, as text, by the option's name (``distro``, ``domain``, …).
 
         An option that is left out is not a setting of this profile type.
@@ -137,7 +137,7 @@ class PackageType(Protocol):
     """Name of the file that makes a folder a package, e.g. ``keymint_package.xml``."""
 
     def create(
-        self, profile: Profile, rules: SubjectRules, existing: Mapping[str, bytes], *, force: bool
+        self, profile: WorkspaceProfile, rules: SubjectRules, existing: Mapping[str, bytes], *, force: bool
     ) -> Mapping[str, bytes]:
         """Return the files to write for a package, by name relative to its folder.
 
@@ -149,7 +149,7 @@ class PackageType(Protocol):
                 is not given.
         """
 
-    def load(self, profile: Profile, name: str, folder: str, files: Mapping[str, bytes]) -> Package:
+    def load(self, profile: WorkspaceProfile, name: str, folder: str, files: Mapping[str, bytes]) -> Package:
         """Load a package from its files; what it leaves out is taken from the profile's defaults.
 
         Args:
@@ -163,7 +163,7 @@ class PackageType(Protocol):
         """
 
 
-class RulePlaces(Protocol):
+class RuleLocator(Protocol):
     """What a package type may offer beside :class:`PackageType`: where the rules of a package stand in its files."""
 
     def rule_places(self, name: str, folder: str, files: Mapping[str, bytes]) -> Sequence[Origin]:

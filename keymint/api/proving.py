@@ -17,7 +17,7 @@ from keymint.ir import SubjectRules
 
 
 @dataclass(frozen=True, slots=True)
-class Anchor:
+class TrustAnchor:
     """An authority of the workspace that an enclave must trust.
 
     Attributes:
@@ -32,7 +32,7 @@ class Anchor:
 
 
 @dataclass(frozen=True, slots=True)
-class Anchors:
+class TrustAnchors:
     """What an enclave must rest on. It comes from the workspace: an enclave cannot vouch for itself.
 
     Attributes:
@@ -42,14 +42,14 @@ class Anchors:
         layout: ``sros2`` or ``flat``.
     """
 
-    identity: Anchor
-    permissions: Anchor
+    identity: TrustAnchor
+    permissions: TrustAnchor
     subject_name: str
     layout: str
 
 
 @dataclass(frozen=True, slots=True)
-class Obligation:
+class ProofTask:
     """What is to be proven: the documents of an enclave permit exactly what a policy says, over all names.
 
     Attributes:
@@ -71,7 +71,7 @@ class Obligation:
     domains: tuple[DomainRange, ...]
     files: Mapping[str, bytes] = field(repr=False)
     folder: str
-    anchors: Anchors
+    anchors: TrustAnchors
     states: int
     go_on: Callable[[], bool]
     standard_only: bool = False
@@ -134,7 +134,7 @@ class Claim:
 
 
 @dataclass(frozen=True, slots=True)
-class Term:
+class ValidityTerm:
     """When something holds without which an enclave is permitted nothing: a certificate, or its grants.
 
     Attributes:
@@ -158,7 +158,7 @@ class Prover(Protocol):
     def assumptions(self) -> Mapping[str, Sequence[str]]:
         """Return what every claim takes for granted, one line each, by model: that of the standard first."""
 
-    def differences(self, files: Mapping[str, bytes], folder: str, anchors: Anchors) -> Sequence[Diagnostic]:
+    def differences(self, files: Mapping[str, bytes], folder: str, anchors: TrustAnchors) -> Sequence[Diagnostic]:
         """Return what does not rest on the workspace's authorities; each is an error, and its code is stable.
 
         Args:
@@ -167,7 +167,7 @@ class Prover(Protocol):
             anchors: what it must rest on.
         """
 
-    def terms(self, files: Mapping[str, bytes], folder: str, anchors: Anchors) -> Sequence[Term]:
+    def terms(self, files: Mapping[str, bytes], folder: str, anchors: TrustAnchors) -> Sequence[ValidityTerm]:
         """Return the times in which an enclave is permitted anything, as each model reads dates; no clock is read.
 
         Args:
@@ -179,7 +179,7 @@ class Prover(Protocol):
             KeymintError: a file cannot be read, or does not rest on the anchors.
         """
 
-    def prove(self, obligation: Obligation) -> Sequence[Claim]:
+    def prove(self, task: ProofTask) -> Sequence[Claim]:
         """Return a claim for each model, action and group of domains.
 
         Raises:

@@ -26,7 +26,7 @@ class Tier(StrEnum):
 
 
 @dataclass(frozen=True, slots=True)
-class Usable:
+class Availability:
     """Whether a transport can be used here: what it is, and how to install what it lacks.
 
     Attributes:
@@ -81,24 +81,24 @@ class Verdict:
 
 
 @dataclass(frozen=True, slots=True)
-class Surroundings:
+class Environment:
     """What a transport needs to know of where it runs, since plugins do not look for themselves.
 
     Attributes:
         now: the clock, UTC: simulated transports go by it, real ones by the clock of the machine.
         cache: a folder of this user in which real transports keep programs that they built; made when needed.
-        environment: environment variables, for the processes that real transports start.
+        variables: environment variables for the processes that real transports start.
     """
 
     now: datetime
     cache: Path
-    environment: Mapping[str, str] = field(default_factory=dict, repr=False)
+    variables: Mapping[str, str] = field(default_factory=dict, repr=False)
 
 
 class Transport(Protocol):
     """Tells what a transport, simulated or real, decides when it is given installed enclaves."""
 
-    def usable(self) -> Usable:
+    def usable(self) -> Availability:
         """Tell whether it can be used on this machine; never raises."""
 
     def label(self, enclaves: Sequence[Enclave], edges: Iterable[Edge], tier: Tier) -> Iterator[tuple[Edge, Verdict]]:
@@ -119,5 +119,5 @@ class TransportType(Protocol):
 
     API: str
 
-    def open(self, surroundings: Surroundings) -> Transport:
+    def open(self, environment: Environment) -> Transport:
         """Return the transport, which is then asked whether it is usable; never raises."""

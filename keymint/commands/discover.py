@@ -13,7 +13,7 @@ import click
 
 from comarmor.errors import Diagnostic, Origin, Severity
 from keymint import graph_json
-from keymint.api import Discovered, GraphSource
+from keymint.api import DiscoveredGraph, GraphSource
 from keymint.commands.options import Number, PluginOption
 from keymint.commands.run import Run
 from keymint.commands.signals import ended_by_signals
@@ -147,10 +147,10 @@ def _names(typed: Iterable[str]) -> dict[str, str]:
     return names
 
 
-def _load(run: Run, source: GraphSource, path: Path, names: dict[str, str]) -> Discovered:
+def _load(run: Run, source: GraphSource, path: Path, names: dict[str, str]) -> DiscoveredGraph:
     content = read_input(run, path)
     if graph_json.recognises(content):
-        return Discovered(graph_json.load(content, str(path)))
+        return DiscoveredGraph(graph_json.load(content, str(path)))
     if source.recognises(content):
         return source.read(content, str(path), names)
     raise KeymintError(
@@ -163,7 +163,7 @@ def _load(run: Run, source: GraphSource, path: Path, names: dict[str, str]) -> D
 
 def _observe(
     run: Run, source: GraphSource, domain: int | None, seconds: float, names: dict[str, str]
-) -> tuple[Discovered, ExitCode | None]:
+) -> tuple[DiscoveredGraph, ExitCode | None]:
     """Return what is seen of a running system, and the exit code of a signal that ended the look early."""
     usable = source.usable()
     if not usable.usable:

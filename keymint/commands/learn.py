@@ -11,7 +11,7 @@ import click
 
 from comarmor.errors import Diagnostic, Origin, Severity
 from keymint import graph_json
-from keymint.api import Learned, LoadedPolicy, PolicyLearner
+from keymint.api import LearnedPolicy, LoadedPolicy, PolicyLearner
 from keymint.commands.options import PolicyOptions, policy_options
 from keymint.commands.policies import Policies
 from keymint.commands.run import Run
@@ -122,7 +122,7 @@ def _refuse_replacing(run: Run, output: Path, document: bytes) -> None:
         )
 
 
-def _tell(run: Run, learned: Learned, output: Path | None, written: list[str], *, against: bool) -> None:
+def _tell(run: Run, learned: LearnedPolicy, output: Path | None, written: list[str], *, against: bool) -> None:
     if not output:
         run.console.document(learned.document)
         return

@@ -10,7 +10,7 @@ from typing import Any
 
 from comarmor.errors import Diagnostic, Severity
 from comarmor.text import did_you_mean
-from keymint.api import Surroundings
+from keymint.api import Environment
 from keymint.changes import File, Plan
 from keymint.errors import ExitCode, KeymintError
 from keymint.execute import RECORD, execute, open_store
@@ -68,7 +68,7 @@ class Run:
             verbosity=-1 if options["quiet"] else options["verbose"],
             as_json=options["as_json"],
         )
-        self.plugins = Plugins(surroundings=Surroundings(setting.now, setting.cache, setting.environment))
+        self.plugins = Plugins(environment=Environment(setting.now, setting.cache, setting.environment))
         self._named: Path | None = options.get("workspace")
         self._spaces: dict[str, Path] = {
             space: folder for space in SPACES if (folder := options.get(f"{space}_space")) is not None

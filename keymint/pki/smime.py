@@ -31,7 +31,7 @@ class Signer:
 
 
 @functools.lru_cache(maxsize=16)
-def load_signer(signer: api.Signer) -> Signer:
+def load_signer(signer: api.SigningAuthority) -> Signer:
     """Return an authority, loaded once for all documents of a run: reading a key costs more than signing.
 
     Raises:

@@ -7,14 +7,14 @@ from dataclasses import replace
 from typing import cast
 
 from comarmor.errors import Diagnostic
-from keymint.api import Anchor, Anchors, Package, Prover
+from keymint.api import Package, Prover, TrustAnchor, TrustAnchors
 from keymint.plan import vouching
 from keymint.plan.authorities import trusted_chains
 from keymint.plan.enclaves import TAKEN, enclave_files
 from keymint.session import Session
 
 
-def anchors_of(session: Session, package: Package, chains: Mapping[str, bytes]) -> Anchors:
+def anchors_of(session: Session, package: Package, chains: Mapping[str, bytes]) -> TrustAnchors:
     """Return what the enclave of a package must rest on.
 
     Args:
@@ -24,10 +24,10 @@ def anchors_of(session: Session, package: Package, chains: Mapping[str, bytes]) 
     """
     workspace = session.workspace
 
-    def anchor(name: str) -> Anchor:
-        return Anchor(name, workspace.shown(workspace.authority_certificate(name)), chains.get(name, b""))
+    def anchor(name: str) -> TrustAnchor:
+        return TrustAnchor(name, workspace.shown(workspace.authority_certificate(name)), chains.get(name, b""))
 
-    return Anchors(
+    return TrustAnchors(
         anchor(package.identity.issuer),
         anchor(package.permissions.issuer),
         package.identity.subject_name,

@@ -11,7 +11,7 @@ from cryptography import x509
 
 from comarmor.errors import Diagnostic, Origin, Severity
 from comarmor.text import did_you_mean
-from keymint.api import Authority, CertificateSpec, Signer
+from keymint.api import Authority, CertificateSpec, SigningAuthority
 from keymint.changes import Action, File, FolderChange, Plan, Step, changed
 from keymint.errors import ExitCode, KeymintError
 from keymint.pki import certificates, keys
@@ -35,7 +35,7 @@ class MintedAuthority:
 
     certificate: x509.Certificate
     chain: bytes
-    _keyed: tuple[certificates.Issuer, Signer] | KeymintError = field(repr=False)
+    _keyed: tuple[certificates.Issuer, SigningAuthority] | KeymintError = field(repr=False)
 
     @property
     def issuer(self) -> certificates.Issuer:
@@ -47,7 +47,7 @@ class MintedAuthority:
         return self._with_key()[0]
 
     @property
-    def signer(self) -> Signer:
+    def signer(self) -> SigningAuthority:
         """What signs documents.
 
         Raises:
@@ -55,7 +55,7 @@ class MintedAuthority:
         """
         return self._with_key()[1]
 
-    def _with_key(self) -> tuple[certificates.Issuer, Signer]:
+    def _with_key(self) -> tuple[certificates.Issuer, SigningAuthority]:
         if isinstance(self._keyed, KeymintError):
             raise KeymintError.of(self._keyed.diagnostics)
         return self._keyed
@@ -209,7 +209,7 @@ def _minted(
     changes += changed(inputs.tree, path.parent, {path.name: File(certificate)})
     loaded = certificates.load(certificate)
     private, pem, secret = key
-    keyed = certificates.Issuer(loaded, private), Signer(place.authority.name, certificate, pem, secret)
+    keyed = certificates.Issuer(loaded, private), SigningAuthority(place.authority.name, certificate, pem, secret)
     return MintedAuthority(loaded, certificate + (above.chain if above else b""), keyed), changes, said
 
 

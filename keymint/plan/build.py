@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from comarmor.errors import Diagnostic, Origin
-from keymint.api import BuildOptions, Built
+from keymint.api import BuildOptions, BuildResult
 from keymint.changes import Action, DocumentSize, File, FolderChange, Plan, Step, changed
 from keymint.errors import KeymintError
 from keymint.plan import identity_keys, known_keys, lifetimes
@@ -136,7 +136,7 @@ def _plan_package(
     return _Planned(step, made, fingerprint, said, own)
 
 
-def _sizes(built: Built) -> tuple[DocumentSize, ...]:
+def _sizes(built: BuildResult) -> tuple[DocumentSize, ...]:
     return tuple(
         DocumentSize(file, len(built.documents[file]), plain) for file, plain in sorted(built.plain_sizes.items())
     )

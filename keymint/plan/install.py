@@ -9,7 +9,7 @@ from pathlib import Path
 
 from comarmor.errors import Diagnostic, Origin, Severity
 from comarmor.text import did_you_mean
-from keymint.api import Artifact, Credentials, Package
+from keymint.api import Artifact, EnclaveCredentials, Package
 from keymint.changes import Action, File, FolderChange, Plan, Step, changed
 from keymint.errors import KeymintError
 from keymint.pki import certificates, keys
@@ -272,7 +272,7 @@ def _notarize(
         issued = certificates.issue_identity(package.identity, public, issuer.issuer)
         certificate = issued.pem
         said = [replace(each, subject=package.subject) for each in issued.diagnostics]
-    credentials = Credentials(
+    credentials = EnclaveCredentials(
         certificate=certificate,
         key=pem,
         identity_ca=issuer.chain,

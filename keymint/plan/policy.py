@@ -8,7 +8,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from comarmor.errors import Origin
-from keymint.api import AppliedProfile, LoadedPolicy, PolicyDecision, Structure
+from keymint.api import AppliedProfile, LoadedPolicy, PolicyDecision, PolicyStructure
 from keymint.errors import KeymintError
 from keymint.graph import Edge
 from keymint.ir import SubjectRules
@@ -151,11 +151,11 @@ class _Relocated:
         found = self._policy.decide(edge)
         return replace(found, where=self._origin(found.where) if found.where else None)
 
-    def structure(self) -> Structure | None:
+    def structure(self) -> PolicyStructure | None:
         """Return the policy as it is written, if its type tells; its profiles have their place to be."""
         of = getattr(self._policy, "structure", None)
         found = of() if of else None
-        if not isinstance(found, Structure):
+        if not isinstance(found, PolicyStructure):
             return None
         profiles = tuple(replace(profile, where=self._origin(profile.where)) for profile in found.profiles)
         return replace(found, profiles=profiles)

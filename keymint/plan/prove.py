@@ -13,7 +13,7 @@ from typing import cast
 
 from comarmor.errors import Diagnostic, Origin, Severity
 from keymint import __version__
-from keymint.api import Claim, DomainRange, LoadedPolicy, Obligation, Package, Proof, Prover, Term
+from keymint.api import Claim, DomainRange, LoadedPolicy, Package, Proof, ProofTask, Prover, ValidityTerm
 from keymint.errors import KeymintError
 from keymint.ir import SubjectRules
 from keymint.plan import terms, vouching
@@ -57,9 +57,9 @@ class Proven:
     claims: tuple[Claim, ...]
     remembered: bool = False
     diagnostics: tuple[Diagnostic, ...] = ()
-    terms: tuple[Term, ...] = ()
+    terms: tuple[ValidityTerm, ...] = ()
 
-    def of_claim(self, claim: Claim) -> tuple[Term, ...]:
+    def of_claim(self, claim: Claim) -> tuple[ValidityTerm, ...]:
         """Return the terms that a claim needs."""
         return terms.read_by(self.terms, {claim.model})
 
@@ -211,7 +211,7 @@ class _Stage:
             marker = inputs.package_marker(package.name)
             said = Diagnostic(NO_PROVER, Severity.ERROR, message, marker, "", package.subject)
             return Proven(package.subject, (), diagnostics=(said,))
-        obligation = Obligation(
+        task = ProofTask(
             rules,
             package.distro,
             package.permissions.domains,
@@ -223,7 +223,7 @@ class _Stage:
             self._standard_only,
             package.governance,
         )
-        return _prove(prover, obligation, package.name)
+        return _prove(prover, task, package.name)
 
     def _assume(self, name: str, package: str) -> Prover | None:
         """Return what proves, and keep what its claims take for granted; None for a build type that proves nothing."""
@@ -261,15 +261,15 @@ def _meaning(rules: SubjectRules) -> str:
     return digest(*(repr((r.effect, r.kind, r.permissions, r.expressions, r.partitions)) for r in rules.rules))
 
 
-def _prove(prover: Prover, obligation: Obligation, name: str) -> Proven:
-    subject = obligation.rules.subject
-    if not obligation.files:
+def _prove(prover: Prover, task: ProofTask, name: str) -> Proven:
+    subject = task.rules.subject
+    if not task.files:
         message, help_ = f"the enclave {subject} is not installed", f"run 'keymint install {name}'"
-        said = Diagnostic("enclave-missing", Severity.ERROR, message, Origin(obligation.folder), help_, subject)
+        said = Diagnostic("enclave-missing", Severity.ERROR, message, Origin(task.folder), help_, subject)
         return Proven(subject, (), diagnostics=(said,))
     try:
-        claims = tuple(prover.prove(obligation))
-        found = prover.terms(obligation.files, obligation.folder, obligation.anchors)
+        claims = tuple(prover.prove(task))
+        found = prover.terms(task.files, task.folder, task.anchors)
     except KeymintError as error:
         return Proven(subject, (), diagnostics=tuple(replace(each, subject=subject) for each in error.diagnostics))
     return Proven(subject, claims, terms=terms.read_by(found, {claim.model for claim in claims}))

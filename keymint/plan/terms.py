@@ -8,7 +8,7 @@ from dataclasses import replace
 from datetime import UTC, datetime
 
 from comarmor.errors import Diagnostic, Origin, Severity
-from keymint.api import Term
+from keymint.api import ValidityTerm
 
 _HELP = "extend its validity in the sources, then run 'keymint build' and 'keymint install'"
 _HELP_BY_CODE = {"revocation-list": "write a current one, or remove it"}
@@ -19,9 +19,9 @@ def shown(moment: datetime) -> str:
     return moment.astimezone(UTC).replace(microsecond=0, tzinfo=None).isoformat() + "Z"
 
 
-def read_by(terms: Sequence[Term], models: Collection[str]) -> tuple[Term, ...]:
+def read_by(terms: Sequence[ValidityTerm], models: Collection[str]) -> tuple[ValidityTerm, ...]:
     """Return the terms of some models: a term that others read differently is not theirs."""
-    found: list[Term] = []
+    found: list[ValidityTerm] = []
     for term in terms:
         theirs = tuple(model for model in term.models if model in models)
         if theirs or not term.models:
@@ -29,14 +29,14 @@ def read_by(terms: Sequence[Term], models: Collection[str]) -> tuple[Term, ...]:
     return tuple(found)
 
 
-def end(terms: Sequence[Term], now: datetime) -> datetime | None:
+def end(terms: Sequence[ValidityTerm], now: datetime) -> datetime | None:
     """Return the last moment at which all terms still hold, or None if one does not hold now."""
     ends = [next((last for first, last in term.periods if first <= now <= last), None) for term in terms]
     known = [each for each in ends if each is not None]
     return min(known) if known and len(known) == len(ends) else None
 
 
-def findings(terms: Sequence[Term], now: datetime, subject: str) -> Iterator[Diagnostic]:
+def findings(terms: Sequence[ValidityTerm], now: datetime, subject: str) -> Iterator[Diagnostic]:
     """Yield an error for each term that does not hold now."""
     for term in terms:
         if any(first <= now <= last for first, last in term.periods):
@@ -66,7 +66,7 @@ def together(found: Iterable[Diagnostic]) -> Iterator[Diagnostic]:
         yield replace(first, message=first.message + also)
 
 
-def dump(terms: Sequence[Term], folder: str) -> str:
+def dump(terms: Sequence[ValidityTerm], folder: str) -> str:
     """Return the terms of an enclave as text, for the record: places are relative to its folder."""
     return json.dumps(
         [
@@ -84,11 +84,11 @@ def dump(terms: Sequence[Term], folder: str) -> str:
     )
 
 
-def load(text: str, folder: str) -> tuple[Term, ...] | None:
+def load(text: str, folder: str) -> tuple[ValidityTerm, ...] | None:
     """Return the terms of :func:`dump`, or None if the text is none of its own."""
     try:
         return tuple(
-            Term(
+            ValidityTerm(
                 str(code),
                 str(what),
                 Origin(f"{folder}/{file}", int(line)),

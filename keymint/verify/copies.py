@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from comarmor.errors import Diagnostic
-from keymint.api import Enclave, Tier, Transport, Usable, Verdict
+from keymint.api import Availability, Enclave, Tier, Transport, Verdict
 from keymint.errors import KeymintError
 from keymint.graph import Edge
 from keymint.tree import Tree
@@ -110,7 +110,7 @@ class _OnCopies:
         self._transport = transport
         self._copies = copies
 
-    def usable(self) -> Usable:
+    def usable(self) -> Availability:
         """Tell whether the transport is."""
         return self._transport.usable()
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from keymint.api import Tier, Transport, Usable
+from keymint.api import Availability, Tier, Transport
 from keymint.errors import ExitCode, KeymintError
 from keymint.plugins import Plugins
 
@@ -44,12 +44,12 @@ def choose(plugins: Plugins, chosen: Sequence[str], tier: Tier) -> dict[str, Tra
     return asked
 
 
-def usable_by_default(usable: Usable, tier: Tier) -> bool:
+def usable_by_default(usable: Availability, tier: Tier) -> bool:
     """Tell whether a transport is asked where none is named."""
     return usable.usable and usable.by_default and tier in usable.tiers
 
 
-def names_rules(usable: Usable) -> bool:
+def names_rules(usable: Availability) -> bool:
     """Tell whether a transport decides by the text of the documents only, and so can name the rule that decides."""
     return usable.tiers == (Tier.DECISION,)
 

@@ -8,7 +8,7 @@ from typing import cast
 
 from comarmor.errors import Origin
 from comarmor.text import did_you_mean, nearest_word
-from keymint.api import AppliedProfile, Enclave, LoadedPolicy, PolicyDecision, RulePlaces, Tier, Transport
+from keymint.api import AppliedProfile, Enclave, LoadedPolicy, PolicyDecision, RuleLocator, Tier, Transport
 from keymint.errors import ExitCode, KeymintError
 from keymint.graph import LABELLED, Edge, Object
 from keymint.ir import Rule
@@ -200,4 +200,4 @@ def _places(session: Session, name: str, files: Mapping[str, bytes], rules: Sequ
     if not hasattr(package_type, "rule_places"):
         return [rule.origin for rule in rules]
     folder = session.workspace.shown(session.workspace.src / name)
-    return cast("RulePlaces", package_type).rule_places(name, folder, files)
+    return cast("RuleLocator", package_type).rule_places(name, folder, files)

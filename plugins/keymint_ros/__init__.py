@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 from comarmor.errors import Origin
-from keymint.api import API_VERSION, Bootstrap, Package, Profile
+from keymint.api import API_VERSION, Bootstrap, Package, WorkspaceProfile
 from keymint.ir import SubjectRules
 from keymint_ros import bootstrap, create, distros, package, profile, settings
 from keymint_ros.manifest import MARKER
@@ -37,7 +37,7 @@ class RosProfileType:
         """Tell whether these files of a profile space are of this type."""
         return profile.MANIFEST in files
 
-    def load(self, root: Path, files: Mapping[str, bytes]) -> Profile:
+    def load(self, root: Path, files: Mapping[str, bytes]) -> WorkspaceProfile:
         """Load a profile from its files.
 
         Raises:
@@ -53,7 +53,7 @@ class RosProfileType:
         """
         return profile.with_policy(files, policy)
 
-    def settings(self, profile: Profile) -> Mapping[str, str]:
+    def settings(self, profile: WorkspaceProfile) -> Mapping[str, str]:
         """Return the value of each option of ``init``; see :class:`keymint.api.ProfileSettings`.
 
         Raises:
@@ -69,7 +69,7 @@ class RosPackageType:
     MARKER = MARKER
 
     def create(
-        self, profile: Profile, rules: SubjectRules, existing: Mapping[str, bytes], *, force: bool
+        self, profile: WorkspaceProfile, rules: SubjectRules, existing: Mapping[str, bytes], *, force: bool
     ) -> Mapping[str, bytes]:
         """Return the files to write for a package, by name relative to its folder.
 
@@ -81,7 +81,7 @@ class RosPackageType:
         """
         return create.create(profile, rules, existing, force=force)
 
-    def load(self, profile: Profile, name: str, folder: str, files: Mapping[str, bytes]) -> Package:
+    def load(self, profile: WorkspaceProfile, name: str, folder: str, files: Mapping[str, bytes]) -> Package:
         """Load a package from its files; what it leaves out is taken from the profile's defaults.
 
         Raises:
@@ -90,7 +90,7 @@ class RosPackageType:
         return package.load(profile, name, folder, files)
 
     def rule_places(self, name: str, folder: str, files: Mapping[str, bytes]) -> Sequence[Origin]:
-        """Return the place in ``permissions.xml`` of each rule of a package; see :class:`keymint.api.RulePlaces`."""
+        """Return the place in ``permissions.xml`` of each rule of a package; see :class:`keymint.api.RuleLocator`."""
         return package.rule_places(name, folder, files)
 
 

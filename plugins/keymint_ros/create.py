@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 from comarmor.errors import Origin
-from keymint.api import Profile
+from keymint.api import WorkspaceProfile
 from keymint.errors import KeymintError
 from keymint.ir import SubjectRules
 from keymint_ros import bootstrap, manifest, permissions, render
@@ -18,7 +18,9 @@ FORMER = ".2018"
 """What is appended to the name of a ``permissions.xml`` in the format of 2018 that a new one replaces."""
 
 
-def create(profile: Profile, rules: SubjectRules, existing: Mapping[str, bytes], *, force: bool) -> Mapping[str, bytes]:
+def create(
+    profile: WorkspaceProfile, rules: SubjectRules, existing: Mapping[str, bytes], *, force: bool
+) -> Mapping[str, bytes]:
     """Return the files to write for a package: see :meth:`keymint.api.PackageType.create`."""
     name = rules.subject.removeprefix("/")
     path = "permissions.xml"
@@ -31,7 +33,7 @@ def create(profile: Profile, rules: SubjectRules, existing: Mapping[str, bytes],
     return {**files, **_permissions(profile, rules, path, existing, force=force)}
 
 
-def _new(profile: Profile) -> Mapping[str, bytes]:
+def _new(profile: WorkspaceProfile) -> Mapping[str, bytes]:
     """Return the documents of a new package, but for its permissions."""
     return {
         MARKER: bootstrap.package_manifest(build_type(profile)),
@@ -41,7 +43,7 @@ def _new(profile: Profile) -> Mapping[str, bytes]:
 
 
 def _permissions(
-    profile: Profile, rules: SubjectRules, path: str, existing: Mapping[str, bytes], *, force: bool
+    profile: WorkspaceProfile, rules: SubjectRules, path: str, existing: Mapping[str, bytes], *, force: bool
 ) -> Mapping[str, bytes]:
     """Return the document of the rules where it is to be written.
 

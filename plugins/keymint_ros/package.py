@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, TypeVar
 
 from comarmor.errors import Diagnostic, Origin
 from comarmor.text import did_you_mean
-from keymint.api import Authority, CertificateSpec, Governance, Package, Permissions, Profile
+from keymint.api import Authority, CertificateSpec, Governance, Package, Permissions, WorkspaceProfile
 from keymint.errors import KeymintError
 from keymint_ros import certificate, governance, manifest, permissions, placeholders, validity
 from keymint_ros.document import Reader, confined, file_in, line, place, text
@@ -75,7 +75,7 @@ class _Loader:
         values: of the placeholders.
     """
 
-    profile: Profile
+    profile: WorkspaceProfile
     name: str
     folder: str
     base: str
@@ -194,7 +194,7 @@ class _Loader:
         )
 
 
-def load(profile: Profile, name: str, folder: str, files: Mapping[str, bytes]) -> Package:
+def load(profile: WorkspaceProfile, name: str, folder: str, files: Mapping[str, bytes]) -> Package:
     """Load a package: see :meth:`keymint.api.PackageType.load`."""
     file = f"{folder}/{MARKER}"
     said = manifest.read(file_in(files, MARKER, Origin(folder), "package"), file)
@@ -226,7 +226,7 @@ def load(profile: Profile, name: str, folder: str, files: Mapping[str, bytes]) -
     )
 
 
-def _issuers(profile: Profile, name: str) -> Iterator[Authority]:
+def _issuers(profile: WorkspaceProfile, name: str) -> Iterator[Authority]:
     """Yield an authority and those above it; the profile has no cycle."""
     known = {authority.name: authority for authority in profile.authorities}
     while name in known:
@@ -235,7 +235,7 @@ def _issuers(profile: Profile, name: str) -> Iterator[Authority]:
 
 
 def rule_places(name: str, folder: str, files: Mapping[str, bytes]) -> tuple[Origin, ...]:
-    """Return the place in the package of each of its rules: see :meth:`keymint.api.RulePlaces.rule_places`."""
+    """Return the place in the package of each of its rules: see :meth:`keymint.api.RuleLocator.rule_places`."""
     marker = f"{folder}/{MARKER}"
     part = manifest.read(file_in(files, MARKER, Origin(folder), "package"), marker).permissions
     path = confined(part.path, Origin(marker, part.line))

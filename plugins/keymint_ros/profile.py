@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 
 from comarmor.errors import Origin
 from comarmor.text import did_you_mean
-from keymint.api import Authority, PolicySource, Profile
+from keymint.api import Authority, PolicySource, WorkspaceProfile
 from keymint.errors import KeymintError
 from keymint_ros import bootstrap, certificate, distros, placeholders
 from keymint_ros.document import Reader, file_in, line, place, text
@@ -125,19 +125,19 @@ _read_authority_defaults = Reader("defaults_authorities", lambda root: certifica
 _read_policies = Reader("policies", _policies)
 
 
-def build_type(profile: Profile) -> str:
+def build_type(profile: WorkspaceProfile) -> str:
     """Return the build type that packages of a profile are created with."""
     content = profile.files.get(MANIFEST)
     return BUILD_TYPE if content is None else _read_manifest(content, MANIFEST).build_type
 
 
-def base_of(profile: Profile) -> str:
+def base_of(profile: WorkspaceProfile) -> str:
     """Return the profile space, ending in a slash, as the user would type it; or empty."""
     folder = "." if profile.library is None else str(profile.library.parent)
     return "" if folder == "." else f"{folder.rstrip('/')}/"
 
 
-def load(root: Path, files: Mapping[str, bytes]) -> Profile:
+def load(root: Path, files: Mapping[str, bytes]) -> WorkspaceProfile:
     """Load a profile: see :meth:`keymint.api.ProfileType.load`."""
     name = str(root / MANIFEST)
     said = _read_manifest(file_in(files, MANIFEST, Origin(str(root)), "profile"), name)
@@ -149,7 +149,7 @@ def load(root: Path, files: Mapping[str, bytes]) -> Profile:
             _unique(authority.name, authorities, authority.certificate.origin)
             authorities[authority.name], issuers[authority.name] = authority, origin
     _check_hierarchy(authorities, issuers)
-    return Profile(
+    return WorkspaceProfile(
         name=said.name,
         profile_type=NAME,
         policy_type=said.policy_type,

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import TYPE_CHECKING
 
-from keymint.api import Profile
+from keymint.api import WorkspaceProfile
 from keymint_ros import bootstrap, governance
 from keymint_ros.document import Reader, text
 
@@ -15,12 +15,12 @@ if TYPE_CHECKING:
 _GRANT_DEFAULTS = "package.defaults/permissions.xml"
 
 
-def settings(profile: Profile) -> Mapping[str, str]:
+def settings(profile: WorkspaceProfile) -> Mapping[str, str]:
     """Return the value of each option of ``init``: see :meth:`keymint.api.ProfileSettings.settings`."""
     return {"distro": profile.distro, "layout": profile.layout, **_grant_settings(profile)}
 
 
-def _grant_settings(profile: Profile) -> Mapping[str, str]:
+def _grant_settings(profile: WorkspaceProfile) -> Mapping[str, str]:
     content = profile.files.get(_GRANT_DEFAULTS)
     return {} if content is None else _read(content, _GRANT_DEFAULTS)
 

@@ -9,7 +9,14 @@ from pathlib import Path
 import comarmor
 import comarmor.language.source
 from comarmor.rules import Expectation
-from keymint.api import AppliedProfile, Learned, LoadedPolicy, PolicyDecision, PolicySource, Structure
+from keymint.api import (
+    AppliedProfile,
+    LearnedPolicy,
+    LoadedPolicy,
+    PolicyDecision,
+    PolicySource,
+    PolicyStructure,
+)
 from keymint.errors import KeymintError
 from keymint.graph import Edge, Graph
 from keymint.ir import SubjectRules
@@ -44,7 +51,7 @@ class _LoadedPolicy:
             AppliedProfile(profile.name, profile.where, profile.audit) for profile in self.policy.applicable(subject)
         )
 
-    def structure(self) -> Structure:
+    def structure(self) -> PolicyStructure:
         """Return the policy as it is written."""
         from keymint_ros2_comarmor.structure import structure  # noqa: PLC0415 - few verbs need it
 
@@ -98,7 +105,7 @@ class ComArmorPolicyType:
 
         return expectations(path)
 
-    def learn(self, graph: Graph, existing: LoadedPolicy | None, fragments: str) -> Learned:
+    def learn(self, graph: Graph, existing: LoadedPolicy | None, fragments: str) -> LearnedPolicy:
         """See :func:`keymint_ros2_comarmor.learn.learn`.
 
         Raises:

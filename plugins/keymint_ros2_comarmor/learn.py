@@ -7,7 +7,7 @@ for: an action or parameter its parts; an endpoint in several partitions each of
 from __future__ import annotations
 
 import comarmor
-from keymint.api import Learned
+from keymint.api import LearnedPolicy
 from keymint.graph import Edge, Graph
 from keymint_ros2_comarmor.common_parts import share
 from keymint_ros2_comarmor.learned_rules import Needs, grant_of
@@ -15,7 +15,7 @@ from keymint_ros2_comarmor.review import conflict, unused
 from keymint_ros2_comarmor.writing import document, fragment
 
 
-def learn(graph: Graph, existing: comarmor.Policy | None, fragments: str) -> Learned:
+def learn(graph: Graph, existing: comarmor.Policy | None, fragments: str) -> LearnedPolicy:
     """Return the policy that a graph needs beside an existing one; see :meth:`keymint.api.PolicyLearner.learn`."""
     missing: list[Edge] = []
     conflicts = []
@@ -38,7 +38,7 @@ def learn(graph: Graph, existing: comarmor.Policy | None, fragments: str) -> Lea
         kind, name, permission, partitions = grant_of(edge)
         needs[edge.subject].setdefault((kind, name), {}).setdefault(permission, set()).update(partitions)
     parts = share(needs) if fragments else ()
-    return Learned(
+    return LearnedPolicy(
         document=document(needs, parts, fragments, _note(graph)) if needs else b"",
         fragments={part.name: fragment(part) for part in parts},
         missing=tuple(missing),

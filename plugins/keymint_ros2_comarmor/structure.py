@@ -6,16 +6,16 @@ from collections.abc import Callable, Iterator
 
 import comarmor
 from comarmor.language.template import for_parts
-from keymint.api import AttachedProfile, Clause, Structure
+from keymint.api import PolicyStructure, WrittenProfile, WrittenRule
 
 _Around = tuple[tuple[str, ...], ...]
 
 
-def structure(policy: comarmor.Policy) -> Structure:
+def structure(policy: comarmor.Policy) -> PolicyStructure:
     """Return the profiles and rules of a policy as they are written."""
     nested = tuple(_nested(policy.profiles, ()))
     profiles = (
-        AttachedProfile(
+        WrittenProfile(
             profile.name,
             profile.where,
             around,
@@ -24,7 +24,7 @@ def structure(policy: comarmor.Policy) -> Structure:
         for profile, around in nested
     )
     clauses = (
-        Clause(
+        WrittenRule(
             (*around, _texts(profile)),
             rule.with_expressions(attachment.text for attachment in rule.attachments),
             _expanding(rule),
@@ -35,7 +35,7 @@ def structure(policy: comarmor.Policy) -> Structure:
         for rule in profile.rules
     )
     unused = ((tunable.name, tunable.where) for tunable in policy.unused_tunables)
-    return Structure(tuple(profiles), tuple(clauses), tuple(unused))
+    return PolicyStructure(tuple(profiles), tuple(clauses), tuple(unused))
 
 
 def _nested(profiles: tuple[comarmor.Profile, ...], around: _Around) -> Iterator[tuple[comarmor.Profile, _Around]]:

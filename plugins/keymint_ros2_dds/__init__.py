@@ -7,17 +7,17 @@ from collections.abc import Mapping, Sequence
 from comarmor.errors import Diagnostic
 from keymint.api import (
     API_VERSION,
-    Anchors,
     Artifact,
     BuildOptions,
-    Built,
+    BuildResult,
     Claim,
-    Credentials,
     Enclave,
+    EnclaveCredentials,
     Inspection,
-    Obligation,
     Package,
-    Term,
+    ProofTask,
+    TrustAnchors,
+    ValidityTerm,
 )
 from keymint.graph import Edge
 
@@ -29,7 +29,7 @@ class DdsSecurity:
 
     API = API_VERSION
 
-    def build(self, package: Package, options: BuildOptions) -> Built:
+    def build(self, package: Package, options: BuildOptions) -> BuildResult:
         """See :func:`keymint_ros2_dds.build.build`."""
         from keymint_ros2_dds.build import build  # noqa: PLC0415 - listing plugins must not load XML and cryptography
 
@@ -39,7 +39,7 @@ class DdsSecurity:
         self,
         package: Package,
         documents: Mapping[str, bytes],
-        credentials: Credentials,
+        credentials: EnclaveCredentials,
         layout: str,
         installed: Mapping[str, bytes],
     ) -> Mapping[str, Artifact]:
@@ -84,24 +84,24 @@ class DdsSecurity:
 
         return ASSUMPTIONS
 
-    def differences(self, files: Mapping[str, bytes], folder: str, anchors: Anchors) -> Sequence[Diagnostic]:
+    def differences(self, files: Mapping[str, bytes], folder: str, anchors: TrustAnchors) -> Sequence[Diagnostic]:
         """See :func:`keymint_ros2_dds.proving.trust_anchors.differences`."""
         from keymint_ros2_dds.proving.trust_anchors import differences  # noqa: PLC0415
 
         return differences(files, folder, anchors)
 
-    def terms(self, files: Mapping[str, bytes], folder: str, anchors: Anchors) -> Sequence[Term]:
+    def terms(self, files: Mapping[str, bytes], folder: str, anchors: TrustAnchors) -> Sequence[ValidityTerm]:
         """See :func:`keymint_ros2_dds.proving.enclave_proof.terms`."""
         from keymint_ros2_dds.proving import terms  # noqa: PLC0415
 
         return terms(files, folder, anchors)
 
-    def prove(self, obligation: Obligation) -> Sequence[Claim]:
+    def prove(self, task: ProofTask) -> Sequence[Claim]:
         """See :func:`keymint_ros2_dds.proving.prove`."""
         from keymint_ros2_dds.decision import OMG  # noqa: PLC0415
         from keymint_ros2_dds.proving import prove  # noqa: PLC0415
 
-        return prove(obligation, models=(OMG.name,) if obligation.standard_only else None)
+        return prove(task, models=(OMG.name,) if task.standard_only else None)
 
     def mentioned(self, enclave: Enclave) -> Sequence[tuple[str, Sequence[str]]]:
         """See :func:`keymint_ros2_dds.document_topics.mentioned`."""

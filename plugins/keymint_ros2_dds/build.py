@@ -6,7 +6,7 @@ from collections.abc import Iterator
 from functools import lru_cache
 
 from comarmor.errors import Diagnostic, Origin, Severity
-from keymint.api import BuildOptions, Built, Package
+from keymint.api import BuildOptions, BuildResult, Package
 from keymint.errors import KeymintError
 from keymint.pki import names
 from keymint_ros2_dds import governance_warnings, vendor_limits
@@ -16,7 +16,7 @@ from keymint_ros2_dds.emission import emit
 from keymint_ros2_dds.layout import GOVERNANCE, GOVERNANCE_XML, PERMISSIONS, PERMISSIONS_XML
 
 
-def build(package: Package, options: BuildOptions) -> Built:
+def build(package: Package, options: BuildOptions) -> BuildResult:
     """Return the unsigned permissions and governance documents of a package; a pure function of its arguments.
 
     Raises:
@@ -49,7 +49,7 @@ def build(package: Package, options: BuildOptions) -> Built:
     for name, kind in ((PERMISSIONS_XML, PERMISSIONS), (GOVERNANCE_XML, GOVERNANCE)):
         about = emitted.lowered if emitted and kind == PERMISSIONS else None
         notes += tuple(vendor_limits.check_size(vendor_limits.signed_size(documents[name]), kind, package, about))
-    return Built(documents, notes, {PERMISSIONS_XML: emitted.plain_size} if emitted else {})
+    return BuildResult(documents, notes, {PERMISSIONS_XML: emitted.plain_size} if emitted else {})
 
 
 def _check(package: Package) -> Iterator[Diagnostic]:

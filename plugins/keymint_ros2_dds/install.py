@@ -7,7 +7,7 @@ from functools import lru_cache
 
 from comarmor.errors import Origin
 from keymint import api
-from keymint.api import Artifact, Credentials, Package
+from keymint.api import Artifact, EnclaveCredentials, Package
 from keymint.errors import KeymintError
 from keymint.pki import smime
 from keymint_ros2_dds.documents import dds_xml
@@ -30,7 +30,7 @@ from keymint_ros2_dds.layout import (
 def install(
     package: Package,
     documents: Mapping[str, bytes],
-    credentials: Credentials,
+    credentials: EnclaveCredentials,
     layout: str,
     installed: Mapping[str, bytes],
 ) -> Mapping[str, Artifact]:
@@ -76,7 +76,7 @@ def _document(package: Package, documents: Mapping[str, bytes], kind: str) -> by
     return content
 
 
-def _signed(content: bytes, kind: str, credentials: Credentials, installed: Mapping[str, bytes]) -> bytes:
+def _signed(content: bytes, kind: str, credentials: EnclaveCredentials, installed: Mapping[str, bytes]) -> bytes:
     """Return a signed document: the installed one where it still holds, else a new one."""
     signer = smime.load_signer(credentials.signer)
     present = installed.get(f"{kind}.p7s")
@@ -88,7 +88,7 @@ def _signed(content: bytes, kind: str, credentials: Credentials, installed: Mapp
 
 
 @lru_cache(maxsize=16)
-def _sign_once(content: bytes, signer: api.Signer) -> bytes:
+def _sign_once(content: bytes, signer: api.SigningAuthority) -> bytes:
     """Sign a document that many enclaves share."""
     loaded = smime.load_signer(signer)
     return smime.sign(content, loaded.certificate, loaded.key, Origin(GOVERNANCE_XML))

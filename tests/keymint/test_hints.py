@@ -7,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from keymint import graph_json
-from keymint.api import Demand
+from keymint.api import Hint
 from keymint.errors import KeymintError
 from keymint.graph import Edge, Graph, Object
 from keymint.hints import load_hints, unknown_subjects
@@ -26,19 +26,19 @@ def test_counts_of_one_edge_add_up() -> None:
         f"{HEAD}/talker,ros_publish,/b,3\n\n/talker,ros_publish,/a,1\n/talker,ros_publish,/b,4\n".encode(), "h"
     )
     a, b = (Edge("/talker", "ros_publish", Object("ros_topic", name)) for name in ("/a", "/b"))
-    assert found == (Demand(a, 1), Demand(b, 7))
+    assert found == (Hint(a, 1), Hint(b, 7))
 
 
 def test_columns_may_stand_in_any_order_and_name_partitions() -> None:
     text = 'count,object,partition,permission,subject\r\n2,"a,b",p,subscribe,/cell/arm\r\n'
     (found,) = load_hints(text.encode("utf-8-sig"), "h")
-    assert found == Demand(Edge("/cell/arm", "subscribe", Object("topic", "a,b", ("p",))), 2)
+    assert found == Hint(Edge("/cell/arm", "subscribe", Object("topic", "a,b", ("p",))), 2)
 
 
 @given(st.lists(st.tuples(st.sampled_from(["/a", "/b/c"]), st.sampled_from(["/x", "/y/z"])), max_size=5))
 def test_a_graph_counts_every_edge_once(pairs) -> None:
     graph = Graph.of(Edge(subject, "ros_call", Object("ros_service", name)) for subject, name in pairs)
-    assert load_hints(graph_json.dump(graph), "g") == tuple(Demand(edge, 1) for edge in graph.edges)
+    assert load_hints(graph_json.dump(graph), "g") == tuple(Hint(edge, 1) for edge in graph.edges)
 
 
 @pytest.mark.parametrize(
@@ -72,7 +72,7 @@ def test_every_line_that_is_wrong_is_said() -> None:
 
 
 def test_a_subject_that_is_not_there_is_a_warning() -> None:
-    hints = [Demand(Edge("/talkr", "ros_publish", Object("ros_topic", "/a")), 1)]
+    hints = [Hint(Edge("/talkr", "ros_publish", Object("ros_topic", "/a")), 1)]
     (found,) = unknown_subjects(hints, ["/talker", "/listener"], "hints.csv")
     assert "did you mean '/talker'?" in str(found)
     assert found.severity == "warning"

@@ -12,7 +12,7 @@ import pytest
 from keymint_ros2_dds.vendors import probe_builds
 from keymint_ros2_dds.vendors.participants import CycloneDDS, FastDDS, System, Vendor
 
-from keymint.api import Usable
+from keymint.api import Availability
 
 from .handmade import Authorities
 from .provisioning import provision
@@ -29,7 +29,7 @@ def missing(error: probe_builds.MissingVendorError) -> NoReturn:
     pytest.skip(str(error))
 
 
-def missing_transport(usable: Usable) -> NoReturn:
+def missing_transport(usable: Availability) -> NoReturn:
     """Skip or fail in the same way where a transport cannot be used."""
     missing(probe_builds.MissingVendorError("transport", usable.reason, (usable.help,)))
 

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 import pytest
 from keymint_ros2_dds.transports import cyclonedds_0_10, fastdds_2_9, real_cyclonedds, real_fastdds
 
-from keymint.api import Enclave, Surroundings, Tier, Transport, Verdict
+from keymint.api import Enclave, Environment, Tier, Transport, Verdict
 from keymint.errors import KeymintError
 from keymint.graph import Edge, Object
 from keymint.pki import smime
@@ -38,13 +38,13 @@ def vendor_name(request: pytest.FixtureRequest) -> str:
 
 
 @pytest.fixture
-def surroundings(probe_cache: Path) -> Surroundings:
-    return Surroundings(datetime.now(UTC), probe_cache, {"PATH": os.environ["PATH"]})
+def environment(probe_cache: Path) -> Environment:
+    return Environment(datetime.now(UTC), probe_cache, {"PATH": os.environ["PATH"]})
 
 
 @pytest.fixture
-def transport(vendor_name: str, surroundings: Surroundings) -> Transport:
-    opened = {"cyclonedds": real_cyclonedds, "fastdds": real_fastdds}[vendor_name].open(surroundings)
+def transport(vendor_name: str, environment: Environment) -> Transport:
+    opened = {"cyclonedds": real_cyclonedds, "fastdds": real_fastdds}[vendor_name].open(environment)
     usable = opened.usable()
     if Tier.EXCHANGE not in usable.tiers:
         missing_transport(usable)
@@ -52,8 +52,8 @@ def transport(vendor_name: str, surroundings: Surroundings) -> Transport:
 
 
 @pytest.fixture
-def model(vendor_name: str, surroundings: Surroundings) -> Transport:
-    return MODELS[vendor_name].open(surroundings)
+def model(vendor_name: str, environment: Environment) -> Transport:
+    return MODELS[vendor_name].open(environment)
 
 
 def enclave(authorities: Authorities, folder: Path, rules: str = "", **more: str) -> Path:
@@ -149,11 +149,11 @@ def test_domains_are_asked_apart(authorities: Authorities, transport: Transport,
 
 @pytest.mark.cyclonedds
 def test_a_document_that_stops_cyclone_dds_is_not_given_to_it(
-    authorities: Authorities, cyclone_plugins: None, surroundings: Surroundings, tmp_path: Path
+    authorities: Authorities, cyclone_plugins: None, environment: Environment, tmp_path: Path
 ) -> None:
     stopping = rule("allow", criteria("publish", ["rt/x"])).replace("<id>0</id>", "<id_range><max>3</max></id_range>")
     folder = enclave(authorities, tmp_path, stopping)
-    opened = real_cyclonedds.open(surroundings)
+    opened = real_cyclonedds.open(environment)
     [found] = labelled(opened, [Enclave("/talker", folder, "humble")], Tier.DECISION, talker("publish", X))
     assert (found.allowed, "stops Cyclone DDS" in found.reason) == (False, True)
 
@@ -162,13 +162,13 @@ def test_a_document_that_stops_cyclone_dds_is_not_given_to_it(
 def test_cyclone_dds_prints_nothing_on_our_standard_output(
     authorities: Authorities,
     cyclone_plugins: None,
-    surroundings: Surroundings,
+    environment: Environment,
     tmp_path: Path,
     capfd: pytest.CaptureFixture,
 ) -> None:
     """Its parser does, for each document that it refuses; that would end up in the middle of ``--json``."""
     folder = enclave(authorities, tmp_path, rule("allow", criteria("publish", ["rt/x"]), domain=231))
-    opened = real_cyclonedds.open(surroundings)
+    opened = real_cyclonedds.open(environment)
     [found] = labelled(opened, [Enclave("/talker", folder, "humble")], Tier.DECISION, talker("publish", X))
     ctypes.CDLL(None).fflush(None)
     assert not found.allowed
@@ -190,7 +190,7 @@ def test_without_compiler_and_library_a_transport_says_how_to_install_it(
         raise OSError("libddsc.so: cannot open shared object file")
 
     monkeypatch.setattr(cyclone_access_control, "library", absent)
-    nowhere = Surroundings(datetime.now(UTC), tmp_path, {"PATH": str(tmp_path)})
+    nowhere = Environment(datetime.now(UTC), tmp_path, {"PATH": str(tmp_path)})
     opened = {"cyclonedds": real_cyclonedds, "fastdds": real_fastdds}[vendor_name].open(nowhere)
     usable = opened.usable()
     assert (usable.usable, usable.tiers) == (False, ())
@@ -199,13 +199,13 @@ def test_without_compiler_and_library_a_transport_says_how_to_install_it(
         opened.label([], [], Tier.DECISION)
 
 
-def test_models_agree_on_random_documents(transport: Transport, vendor_name: str, surroundings: Surroundings) -> None:
+def test_models_agree_on_random_documents(transport: Transport, vendor_name: str, environment: Environment) -> None:
     """A small share of what ``benchmarks/agreement.py`` compares."""
     from keymint.plugins import Plugins
 
     benchmark = _benchmark("agreement.py")
     documents = 100 if vendor_name == "cyclonedds" else 25
-    compared = list(benchmark(Plugins(surroundings=surroundings), vendor_name, documents, 30, 7))
+    compared = list(benchmark(Plugins(environment=environment), vendor_name, documents, 30, 7))
     assert len(compared) == documents * 30
     assert [text for _, text in compared if text] == []
     assert any(allowed for allowed, _ in compared)

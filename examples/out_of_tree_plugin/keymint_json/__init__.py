@@ -14,7 +14,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
 from comarmor.errors import Diagnostic, Origin, Severity
-from keymint.api import Artifact, BuildOptions, Built, Credentials, Inspection, Package
+from keymint.api import Artifact, BuildOptions, BuildResult, EnclaveCredentials, Inspection, Package
 from keymint.errors import KeymintError
 from keymint.pki import certificates, keys, smime
 from keymint.pki.verify import verify_chain
@@ -33,7 +33,7 @@ class JsonBuildType:
 
     API = "1.0"
 
-    def build(self, package: Package, options: BuildOptions) -> Built:
+    def build(self, package: Package, options: BuildOptions) -> BuildResult:
         """Return the rules as JSON; the same rules give the same bytes, in whatever order a policy has them."""
         del options  # every rule can be said in JSON, so there is nothing to be lenient about
         permissions = package.permissions
@@ -54,13 +54,13 @@ class JsonBuildType:
             "domains": [[domains.first, domains.last] for domains in sorted(permissions.domains)],
             "rules": sorted(rules, key=lambda rule: json.dumps(rule, sort_keys=True)),
         }
-        return Built({DOCUMENT: (json.dumps(document, indent=2, sort_keys=True) + "\n").encode()})
+        return BuildResult({DOCUMENT: (json.dumps(document, indent=2, sort_keys=True) + "\n").encode()})
 
     def install(
         self,
         package: Package,
         documents: Mapping[str, bytes],
-        credentials: Credentials,
+        credentials: EnclaveCredentials,
         layout: str,
         installed: Mapping[str, bytes],
     ) -> Mapping[str, Artifact]:

@@ -12,7 +12,7 @@ from comarmor.patterns.printing import exact
 from comarmor.patterns.relations import disjoint, sort_key
 from comarmor.patterns.steps import StepLimitError, step_limit
 from comarmor.rules import Effect
-from keymint.api import BuildOptions, Demand, Permissions
+from keymint.api import BuildOptions, Hint, Permissions
 from keymint.errors import KeymintError
 from keymint.ir import Rule
 from keymint_ros2_dds.compiling import partitions
@@ -114,7 +114,7 @@ def _plain(lowered: Lowered, report: _PortabilityReport) -> tuple[GrantRule[str]
     return report.with_expressions(rule_per_policy_rule(portable_rules(lowered), lowered))
 
 
-def _endpoint_counts(demand: Iterable[Demand], distro: str) -> list[EndpointCount]:
+def _endpoint_counts(demand: Iterable[Hint], distro: str) -> list[EndpointCount]:
     counts: Counter[tuple[str, str, str]] = Counter()
     for each in demand:
         if not has_kind(distro, each.edge.object.kind):

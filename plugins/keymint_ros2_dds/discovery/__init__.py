@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 
-from keymint.api import API_VERSION, Discovered, Usable
+from keymint.api import API_VERSION, Availability, DiscoveredGraph
 from keymint.graph import Graph
 
 __all__ = ["DdsGraphs", "graph_source"]
@@ -15,13 +15,13 @@ class DdsGraphs:
 
     API = API_VERSION
 
-    def usable(self) -> Usable:
+    def usable(self) -> Availability:
         """Tell whether Cyclone DDS, which observes, is installed."""
         from keymint_ros2_dds.discovery import cyclonedds_observer  # noqa: PLC0415 - listing plugins must not load a vendor
 
         return cyclonedds_observer.usable()
 
-    def observe(self, domain: int, go_on: Callable[[], bool], names: Mapping[str, str]) -> Discovered:
+    def observe(self, domain: int, go_on: Callable[[], bool], names: Mapping[str, str]) -> DiscoveredGraph:
         """See :func:`keymint_ros2_dds.discovery.cyclonedds_observer.observe`."""
         from keymint_ros2_dds.discovery import capture, cyclonedds_observer  # noqa: PLC0415
 
@@ -33,7 +33,7 @@ class DdsGraphs:
 
         return admin_console.recognises(content)
 
-    def read(self, content: bytes, name: str, names: Mapping[str, str]) -> Discovered:
+    def read(self, content: bytes, name: str, names: Mapping[str, str]) -> DiscoveredGraph:
         """See :func:`keymint_ros2_dds.discovery.admin_console.read`."""
         from keymint_ros2_dds.discovery import admin_console, capture  # noqa: PLC0415
 

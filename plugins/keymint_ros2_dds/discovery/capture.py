@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 from comarmor.errors import Diagnostic, Severity
-from keymint.api import Discovered
+from keymint.api import DiscoveredGraph
 from keymint.graph import Edge, Graph, Object
 from keymint.graph_json import legal_text, partitions
 from keymint_ros2_dds.discovery.participant_names import name_participants
@@ -61,7 +61,7 @@ class Capture:
     endpoints: tuple[DiscoveredEndpoint, ...]
 
 
-def discovered(capture: Capture, names: Mapping[str, str]) -> Discovered:
+def discovered(capture: Capture, names: Mapping[str, str]) -> DiscoveredGraph:
     """Return a capture as a graph whose objects are DDS topics.
 
     Args:
@@ -84,7 +84,7 @@ def discovered(capture: Capture, names: Mapping[str, str]) -> Discovered:
         Edge(subjects[seen.participant], seen.permission, seen.object, domains[seen.participant]) for seen in sound
     ]
     types = [(seen.object, seen.type) for seen in sound if seen.type]
-    return Discovered(Graph.of(edges, subjects.values(), types), tuple(diagnostics))
+    return DiscoveredGraph(Graph.of(edges, subjects.values(), types), tuple(diagnostics))
 
 
 def _sound(seen: DiscoveredEndpoint) -> bool:

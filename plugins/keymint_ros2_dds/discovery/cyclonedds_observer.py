@@ -13,7 +13,7 @@ from functools import cache, partial
 from threading import Event
 from typing import Any, Self
 
-from keymint.api import Usable
+from keymint.api import Availability
 from keymint.errors import KeymintError
 from keymint_ros2_dds.discovery.capture import Capture, DiscoveredEndpoint, DiscoveredParticipant
 
@@ -112,13 +112,13 @@ def _library() -> Any:
     return found
 
 
-def usable() -> Usable:
+def usable() -> Availability:
     """Tell whether the library is installed."""
     try:
         _library()
     except OSError as error:
-        return Usable(usable=False, reason=str(error), help=INSTALL)
-    return Usable(usable=True, version="0.10")
+        return Availability(usable=False, reason=str(error), help=INSTALL)
+    return Availability(usable=True, version="0.10")
 
 
 def observe(domain: int, go_on: Callable[[], bool]) -> Capture:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 
 from comarmor.errors import Origin
-from keymint.api import Anchors, Claim, Obligation, Term
+from keymint.api import Claim, ProofTask, TrustAnchors, ValidityTerm
 from keymint.errors import KeymintError
 from keymint.pki import smime
 from keymint_ros2_dds import decision
@@ -18,35 +18,35 @@ from keymint_ros2_dds.proving.trust_anchors import differences
 from keymint_ros2_dds.transports.enclave_files import subject_name
 
 
-def prove(obligation: Obligation, *, models: Sequence[str] | None = None) -> tuple[Claim, ...]:
+def prove(task: ProofTask, *, models: Sequence[str] | None = None) -> tuple[Claim, ...]:
     """Return the claims about an enclave, by model, action and domains.
 
     Nothing is claimed of an enclave that does not rest on the workspace's authorities.
 
     Args:
-        obligation: what is to be proven.
+        task: what is to be proven.
         models: names of the models; None: all.
 
     Raises:
         KeymintError: a file of the enclave is missing, cannot be read, or does not rest on the anchors, or a rule of
             the policy cannot be mapped.
     """
-    files, folder = obligation.files, obligation.folder
-    if found := differences(files, folder, obligation.anchors):
+    files, folder = task.files, task.folder
+    if found := differences(files, folder, task.anchors):
         raise KeymintError.of(found)
-    content, place = _document(files, folder, obligation.anchors)
+    content, place = _document(files, folder, task.anchors)
     held = ProofSpec(
         _subject_name(files, folder),
-        obligation.rules,
-        obligation.distro,
-        obligation.domains,
-        obligation.states,
-        obligation.go_on,
+        task.rules,
+        task.distro,
+        task.domains,
+        task.states,
+        task.go_on,
     )
-    return prove_content(content, place, held, models=models, governing=_governing(obligation))
+    return prove_content(content, place, held, models=models, governing=_governing(task))
 
 
-def terms(files: Mapping[str, bytes], folder: str, anchors: Anchors) -> tuple[Term, ...]:
+def terms(files: Mapping[str, bytes], folder: str, anchors: TrustAnchors) -> tuple[ValidityTerm, ...]:
     """Return when an enclave is permitted anything; see :meth:`keymint.api.Prover.terms`.
 
     Raises:
@@ -58,7 +58,7 @@ def terms(files: Mapping[str, bytes], folder: str, anchors: Anchors) -> tuple[Te
     return (*of_grants, *validity_terms.of_certificates(files, folder))
 
 
-def _document(files: Mapping[str, bytes], folder: str, anchors: Anchors) -> tuple[bytes, tuple[str, int]]:
+def _document(files: Mapping[str, bytes], folder: str, anchors: TrustAnchors) -> tuple[bytes, tuple[str, int]]:
     """Return the signed permissions document, and its place: a file, and how many lines of it come before."""
     file, where = _file(files, folder, PERMISSIONS_P7S), Origin(f"{folder}/{PERMISSIONS_P7S}")
     signed = smime.read(file, anchors.permissions.chain, where=where)
@@ -67,15 +67,13 @@ def _document(files: Mapping[str, bytes], folder: str, anchors: Anchors) -> tupl
     return signed.content, (f"{folder}/{name}", offset)
 
 
-def _governing(obligation: Obligation) -> EnclaveGovernance:
+def _governing(task: ProofTask) -> EnclaveGovernance:
     """Read the signed governance beside what the sources say of it."""
-    file = f"{obligation.folder}/{GOVERNANCE_P7S}"
-    document = _file(obligation.files, obligation.folder, GOVERNANCE_P7S)
-    signed = smime.read(document, obligation.anchors.permissions.chain, where=Origin(file))
+    file = f"{task.folder}/{GOVERNANCE_P7S}"
+    document = _file(task.files, task.folder, GOVERNANCE_P7S)
+    signed = smime.read(document, task.anchors.permissions.chain, where=Origin(file))
     place = (file, signed.lines_before)
-    return EnclaveGovernance.of(
-        signed.content, place, obligation.governance, obligation.rules.subject, obligation.distro
-    )
+    return EnclaveGovernance.of(signed.content, place, task.governance, task.rules.subject, task.distro)
 
 
 def _subject_name(files: Mapping[str, bytes], folder: str) -> str:

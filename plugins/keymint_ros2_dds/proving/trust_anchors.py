@@ -14,7 +14,7 @@ from functools import lru_cache
 from cryptography import x509
 
 from comarmor.errors import Diagnostic, Origin, Severity
-from keymint.api import Anchor, Anchors
+from keymint.api import TrustAnchor, TrustAnchors
 from keymint.errors import KeymintError
 from keymint.pki import certificates, keys, names, smime, verify
 from keymint_ros2_dds import revocation
@@ -40,13 +40,13 @@ _TIMES = frozenset(("certificate-expired", "certificate-not-yet-valid"))
 """What a certificate is at a time is not a matter of whom it rests on."""
 
 
-def differences(files: Mapping[str, bytes], folder: str, anchors: Anchors) -> tuple[Diagnostic, ...]:
+def differences(files: Mapping[str, bytes], folder: str, anchors: TrustAnchors) -> tuple[Diagnostic, ...]:
     """Return what does not rest on the workspace's authorities; see :meth:`keymint.api.Prover.differences`."""
     missing = tuple(_missing(anchors))
     return missing or tuple(_AnchorCheck(files, folder, anchors).found())
 
 
-def _missing(anchors: Anchors) -> Iterator[Diagnostic]:
+def _missing(anchors: TrustAnchors) -> Iterator[Diagnostic]:
     for anchor in dict.fromkeys((anchors.identity, anchors.permissions)):
         if not anchor.chain:
             message = (
@@ -64,7 +64,7 @@ def _missing(anchors: Anchors) -> Iterator[Diagnostic]:
 class _AnchorCheck:
     """One enclave, held against what it must rest on."""
 
-    def __init__(self, files: Mapping[str, bytes], folder: str, anchors: Anchors) -> None:
+    def __init__(self, files: Mapping[str, bytes], folder: str, anchors: TrustAnchors) -> None:
         self._files = files
         self._folder = folder
         self._anchors = anchors
@@ -113,7 +113,7 @@ class _AnchorCheck:
 
     def _authorities(self) -> Iterator[Diagnostic]:
         """Compare the authorities that the enclave trusts, also those that its layout does not have."""
-        wanted: Mapping[str, Anchor] = {
+        wanted: Mapping[str, TrustAnchor] = {
             IDENTITY_CA: self._anchors.identity,
             PERMISSIONS_CA: self._anchors.permissions,
             CA: self._anchors.permissions,

@@ -8,7 +8,7 @@ from datetime import UTC, datetime, timedelta
 from functools import cache, lru_cache
 
 from comarmor.errors import Origin
-from keymint.api import Term
+from keymint.api import ValidityTerm
 from keymint.errors import KeymintError
 from keymint.pki import certificates, names
 from keymint_ros2_dds import revocation
@@ -22,7 +22,7 @@ _SECOND = timedelta(seconds=1)
 _LAST = datetime.max.replace(tzinfo=UTC) - _SECOND
 
 
-def of_certificates(files: Mapping[str, bytes], folder: str) -> Iterator[Term]:
+def of_certificates(files: Mapping[str, bytes], folder: str) -> Iterator[ValidityTerm]:
     """Yield a term for each certificate of an enclave, and for its revocation list.
 
     Raises:
@@ -37,9 +37,9 @@ def of_certificates(files: Mapping[str, bytes], folder: str) -> Iterator[Term]:
             except KeymintError as error:
                 raise KeymintError.of([replace(each, where=where) for each in error.diagnostics]) from None
             for subject, period in found:
-                yield Term(code, f"the certificate of {subject!r}", where, (period,))
+                yield ValidityTerm(code, f"the certificate of {subject!r}", where, (period,))
     if CRL in files and (listed := revocation.period(files[CRL])):
-        yield Term("revocation-list", "the revocation list", Origin(f"{folder}/{CRL}"), (listed,))
+        yield ValidityTerm("revocation-list", "the revocation list", Origin(f"{folder}/{CRL}"), (listed,))
 
 
 # As a rule all enclaves have the same authorities.
@@ -51,7 +51,7 @@ def _certificates(pem: bytes) -> tuple[tuple[str, Period], ...]:
     )
 
 
-def of_grants(document: PermissionsDocument, subject_name: str) -> Iterator[Term]:
+def of_grants(document: PermissionsDocument, subject_name: str) -> Iterator[ValidityTerm]:
     """Yield when a grant of the document is in force, as each model reads it; models that agree have one term.
 
     A model that refuses the document, or finds no grant in it, has none: a claim says so.
@@ -72,7 +72,7 @@ def of_grants(document: PermissionsDocument, subject_name: str) -> Iterator[Term
             together.setdefault((counting[0].line, periods), []).append(name)
     for (line, periods), models in together.items():
         where = Origin(document.file, line + document.offset)
-        yield Term("grant", f"the grant of {subject_name!r}", where, periods, tuple(models))
+        yield ValidityTerm("grant", f"the grant of {subject_name!r}", where, periods, tuple(models))
 
 
 def joined(periods: Iterable[Period]) -> tuple[Period, ...]:

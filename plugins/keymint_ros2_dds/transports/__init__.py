@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from keymint.api import API_VERSION, Surroundings, Transport
+from keymint.api import API_VERSION, Environment, Transport
 
 __all__ = [
     "Opener", "ardent_cyclonedds", "ardent_cyclonedds_0_10", "ardent_omg", "cyclonedds_0_10", "fastdds_2_9", "omg",
@@ -21,40 +21,40 @@ class Opener:
 
     API = API_VERSION
 
-    def __init__(self, make: Callable[[Surroundings], Transport]) -> None:
+    def __init__(self, make: Callable[[Environment], Transport]) -> None:
         self._make = make
 
-    def open(self, surroundings: Surroundings) -> Transport:
+    def open(self, environment: Environment) -> Transport:
         """Return the transport, which is then asked whether it is usable."""
-        return self._make(surroundings)
+        return self._make(environment)
 
 
 def _simulated(name: str) -> Opener:
-    def make(surroundings: Surroundings) -> Transport:
+    def make(environment: Environment) -> Transport:
         from keymint_ros2_dds.transports.simulated import Simulated  # noqa: PLC0415 - listing plugins loads no XML
 
-        return Simulated.of(name, surroundings)
+        return Simulated.of(name, environment)
 
     return Opener(make)
 
 
-def _cyclonedds(surroundings: Surroundings) -> Transport:
+def _cyclonedds(environment: Environment) -> Transport:
     from keymint_ros2_dds.transports.cyclonedds_transport import CycloneDDSTransport  # noqa: PLC0415
 
-    return CycloneDDSTransport(surroundings)
+    return CycloneDDSTransport(environment)
 
 
-def _fastdds(surroundings: Surroundings) -> Transport:
+def _fastdds(environment: Environment) -> Transport:
     from keymint_ros2_dds.transports.fastdds_transport import FastDDSTransport  # noqa: PLC0415
 
-    return FastDDSTransport(surroundings)
+    return FastDDSTransport(environment)
 
 
 def _of_ardent(opener: Opener) -> Opener:
-    def make(surroundings: Surroundings) -> Transport:
+    def make(environment: Environment) -> Transport:
         from keymint_ros2_dds.transports.ardent_middleware import ArdentMiddleware  # noqa: PLC0415
 
-        return ArdentMiddleware(opener.open(surroundings))
+        return ArdentMiddleware(opener.open(environment))
 
     return Opener(make)
 

@@ -6,7 +6,7 @@ from collections.abc import Iterable, Iterator, Sequence
 from itertools import groupby
 from typing import cast
 
-from keymint.api import Tier, Usable, Verdict
+from keymint.api import Availability, Tier, Verdict
 from keymint.errors import KeymintError
 from keymint.graph import Edge
 from keymint_ros2_dds.decision import Variation
@@ -54,7 +54,7 @@ def verdict(
     return Verdict(allowed, said or ("it is allowed" if allowed else "it is denied"), line, deviation)
 
 
-def refused(tier: Tier, usable: Usable, name: str) -> KeymintError:
+def refused(tier: Tier, usable: Availability, name: str) -> KeymintError:
     """Return the error for a tier that cannot be used here."""
     reason = usable.reason or f"it has no tier {tier}"
     return KeymintError(

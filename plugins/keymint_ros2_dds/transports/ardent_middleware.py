@@ -12,7 +12,7 @@ from collections import deque
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 
-from keymint.api import Enclave, Tier, Transport, Usable, Verdict
+from keymint.api import Availability, Enclave, Tier, Transport, Verdict
 from keymint.graph import Edge
 from keymint_ros2_dds.lowering.endpoints import endpoints
 from keymint_ros2_dds.lowering.mapping import ARDENT
@@ -52,7 +52,7 @@ class ArdentMiddleware:
 
     transport: Transport
 
-    def usable(self) -> Usable:
+    def usable(self) -> Availability:
         """Tell whether the transport is; delivery of data is another matter, since partitions change in between."""
         found = self.transport.usable()
         tiers = tuple(tier for tier in found.tiers if tier is not Tier.EXCHANGE)

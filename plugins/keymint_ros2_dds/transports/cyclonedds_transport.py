@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import cast
 
 from comarmor.errors import Origin
-from keymint.api import Tier, Usable, Verdict
+from keymint.api import Availability, Tier, Verdict
 from keymint.errors import KeymintError
 from keymint.graph import Edge
 from keymint.pki import smime
@@ -33,18 +33,20 @@ class CycloneDDSTransport(RealTransport):
     PROBE = probe_builds.CYCLONEDDS
     NONCONFORMING = probe_builds.CYCLONEDDS_NONCONFORMING
 
-    def _found(self, environment: Mapping[str, str]) -> Usable:
+    def _found(self, environment: Mapping[str, str]) -> Availability:
         """Without a compiler and headers there is the decision alone."""
         try:
             probe_builds.require_cyclone_plugins()
         except probe_builds.MissingVendorError as error:
-            return Usable(usable=False, reason=error.reason, help=error.help)
+            return Availability(usable=False, reason=error.reason, help=error.help)
         version = probe_builds.CYCLONEDDS.version("dds/version.h", "DDS_VERSION", environment) or "0.10"
         try:
             probe_builds.CYCLONEDDS.require(environment)
         except probe_builds.MissingVendorError as error:
-            return Usable(usable=True, version=version, reason=error.reason, help=error.help, tiers=(Tier.DECISION,))
-        return Usable(usable=True, version=version, tiers=tuple(Tier))
+            return Availability(
+                usable=True, version=version, reason=error.reason, help=error.help, tiers=(Tier.DECISION,)
+            )
+        return Availability(usable=True, version=version, tiers=tuple(Tier))
 
     def _decision(self, models: EnclaveModels, edges: Iterable[Edge]) -> Iterator[tuple[Edge, Verdict]]:
         return _decision(models, edges)

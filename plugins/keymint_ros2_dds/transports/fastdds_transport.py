@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-from keymint.api import Tier, Usable
+from keymint.api import Availability, Tier
 from keymint_ros2_dds.decision import FASTDDS_2_9
 from keymint_ros2_dds.transports.participants_transport import RealTransport
 from keymint_ros2_dds.vendors import probe_builds
@@ -20,11 +20,11 @@ class FastDDSTransport(RealTransport):
     PROBE = probe_builds.FASTDDS
     NONCONFORMING = probe_builds.FASTDDS_NONCONFORMING
 
-    def _found(self, environment: Mapping[str, str]) -> Usable:
+    def _found(self, environment: Mapping[str, str]) -> Availability:
         """It takes a compiler and headers."""
         try:
             probe_builds.FASTDDS.require(environment)
         except probe_builds.MissingVendorError as error:
-            return Usable(usable=False, reason=error.reason, help=error.help)
+            return Availability(usable=False, reason=error.reason, help=error.help)
         version = probe_builds.FASTDDS.version("fastrtps/config.h", "FASTRTPS_VERSION_STR", environment)
-        return Usable(usable=True, version=version, tiers=tuple(Tier))
+        return Availability(usable=True, version=version, tiers=tuple(Tier))

@@ -7,7 +7,7 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from functools import cached_property
 from typing import ClassVar
 
-from keymint.api import Enclave, Surroundings, Tier, Usable, Verdict
+from keymint.api import Availability, Enclave, Environment, Tier, Verdict
 from keymint.errors import KeymintError
 from keymint.graph import Edge
 from keymint_ros2_dds.decision import Variation
@@ -35,19 +35,19 @@ class RealTransport(ABC):
     PROBE: ClassVar[probe_builds.Probe]
     NONCONFORMING: ClassVar[probe_builds.Probe]
 
-    def __init__(self, surroundings: Surroundings) -> None:
-        self._surroundings = surroundings
+    def __init__(self, environment: Environment) -> None:
+        self._environment = environment
 
-    def usable(self) -> Usable:
+    def usable(self) -> Availability:
         """Tell which tiers can be used here; looked for once."""
         return self._usable
 
     @cached_property
-    def _usable(self) -> Usable:
-        return self._found(self._surroundings.environment)
+    def _usable(self) -> Availability:
+        return self._found(self._environment.variables)
 
     @abstractmethod
-    def _found(self, environment: Mapping[str, str]) -> Usable:
+    def _found(self, environment: Mapping[str, str]) -> Availability:
         """Look for what the tiers need."""
 
     def label(self, enclaves: Sequence[Enclave], edges: Iterable[Edge], tier: Tier) -> Iterator[tuple[Edge, Verdict]]:
@@ -55,7 +55,7 @@ class RealTransport(ABC):
         usable = self.usable()
         if tier not in usable.tiers:
             raise admission.refused(tier, usable, self.NAME)
-        models = EnclaveModels(enclaves, self._surroundings.now)
+        models = EnclaveModels(enclaves, self._environment.now)
         if tier is Tier.DECISION:
             return self._decision(models, edges)
         vendor = self._vendor(nonconforming=tier is Tier.EXCHANGE)
@@ -70,7 +70,7 @@ class RealTransport(ABC):
         return admission.admission(self._vendor(nonconforming=False), self.MODEL, models, edges)
 
     def _vendor(self, *, nonconforming: bool) -> Vendor:
-        cache, environment = self._surroundings.cache / "probes", probe_builds.inherited(self._surroundings.environment)
+        cache, environment = self._environment.cache / "probes", probe_builds.inherited(self._environment.variables)
         try:
             return self.VENDOR(
                 self.PROBE.build(cache, environment),

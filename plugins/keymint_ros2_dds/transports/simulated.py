@@ -9,7 +9,7 @@ from functools import cached_property
 from pathlib import Path
 
 from comarmor.errors import Origin
-from keymint.api import Enclave, Surroundings, Tier, Usable, Verdict
+from keymint.api import Availability, Enclave, Environment, Tier, Verdict
 from keymint.errors import KeymintError
 from keymint.graph import Edge
 from keymint.pki import smime
@@ -139,15 +139,15 @@ class Simulated:
     now: datetime
 
     @classmethod
-    def of(cls, name: str, surroundings: Surroundings) -> Simulated:
+    def of(cls, name: str, environment: Environment) -> Simulated:
         """Return the simulated transport of this name."""
-        return cls(decision.VARIATIONS[name], surroundings.now)
+        return cls(decision.VARIATIONS[name], environment.now)
 
-    def usable(self) -> Usable:
+    def usable(self) -> Availability:
         """Tell that it is."""
         versions = {"omg": "1.1"}
         version = versions.get(self.variation.name) or self.variation.name.rpartition("-")[2]
-        return Usable(usable=True, version=version, tiers=(Tier.DECISION,))
+        return Availability(usable=True, version=version, tiers=(Tier.DECISION,))
 
     def label(self, enclaves: Sequence[Enclave], edges: Iterable[Edge], tier: Tier) -> Iterator[tuple[Edge, Verdict]]:
         """See :meth:`keymint.api.Transport.label`."""

@@ -204,7 +204,7 @@ def test_of_the_same_content_everything_but_the_signature_is_the_same(authority:
 
 def test_a_signer_is_loaded_once_and_keeps_its_secrets(authority: certificates.Issuer) -> None:
     pem = keys.to_pem(authority.key, b"correct horse")
-    signer = api.Signer("permissions_ca", _pem(authority), pem, b"correct horse")
+    signer = api.SigningAuthority("permissions_ca", _pem(authority), pem, b"correct horse")
     loaded = smime.load_signer(signer)
     assert smime.load_signer(replace(signer)) is loaded
     assert smime.verify(smime.sign(CONTENT, loaded.certificate, loaded.key), _pem(authority)) == CONTENT
@@ -214,4 +214,4 @@ def test_a_signer_is_loaded_once_and_keeps_its_secrets(authority: certificates.I
 
 def test_a_signer_whose_key_is_anothers_is_refused(authority: certificates.Issuer, other: certificates.Issuer) -> None:
     with pytest.raises(KeymintError, match="authority permissions_ca: the private key does not belong"):
-        smime.load_signer(api.Signer("permissions_ca", _pem(authority), keys.to_pem(other.key)))
+        smime.load_signer(api.SigningAuthority("permissions_ca", _pem(authority), keys.to_pem(other.key)))

@@ -12,7 +12,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from comarmor.errors import Origin, Reason
-from keymint.api import Enclave, PolicyDecision, Tier, Usable, Verdict
+from keymint.api import Availability, Enclave, PolicyDecision, Tier, Verdict
 from keymint.errors import KeymintError
 from keymint.graph import ConfusionMatrix, Edge, Graph, Object, complete
 from keymint.verify.compare import ENCLAVE_REFUSED, compare, error_of, label_enclave
@@ -31,8 +31,8 @@ class Transport:
     code: str = ENCLAVE_REFUSED
     asked: list[tuple[tuple[str, ...], Tier]] = field(default_factory=list)
 
-    def usable(self) -> Usable:
-        return Usable(True, "9", tiers=(Tier.DECISION, Tier.EXCHANGE))
+    def usable(self) -> Availability:
+        return Availability(True, "9", tiers=(Tier.DECISION, Tier.EXCHANGE))
 
     def label(self, enclaves: Sequence[Enclave], edges: Iterable[Edge], tier: Tier) -> Iterator[tuple[Edge, Verdict]]:
         self.asked.append((tuple(enclave.subject for enclave in enclaves), tier))

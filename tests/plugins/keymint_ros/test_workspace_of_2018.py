@@ -6,7 +6,7 @@ import pytest
 from keymint_ros import package_type, profile_type
 from keymint_ros2_comarmor import policy_type
 
-from keymint.api import DomainRange, KeySpec, Package, Profile
+from keymint.api import DomainRange, KeySpec, Package, WorkspaceProfile
 from keymint.errors import KeymintError
 
 from .workspaces import REFERENCE, read_folder
@@ -15,11 +15,11 @@ pytestmark = pytest.mark.skipif(not REFERENCE.is_dir(), reason="no ../shared/ref
 
 
 @pytest.fixture
-def profile() -> Profile:
+def profile() -> WorkspaceProfile:
     return profile_type.load(REFERENCE / "profile", read_folder(REFERENCE / "profile"))
 
 
-def _load(profile: Profile, name: str) -> Package:
+def _load(profile: WorkspaceProfile, name: str) -> Package:
     files = read_folder(REFERENCE / "src" / name)
     policy = policy_type.load(profile.policies, profile.library)
     rules = policy.rules(f"/{name}")
@@ -29,7 +29,7 @@ def _load(profile: Profile, name: str) -> Package:
     return package_type.load(profile, name, f"src/{name}", {**files, **created})
 
 
-def test_its_profile(profile: Profile) -> None:
+def test_its_profile(profile: WorkspaceProfile) -> None:
     assert profile.name == "default_keymint_ros2_comarmor"
     assert (profile.layout, profile.policy_type) == ("sros2", "keymint_ros2_comarmor")
     assert profile.policies[0].path == REFERENCE / "profile" / "comarmor.d"
@@ -42,7 +42,7 @@ def test_its_profile(profile: Profile) -> None:
 
 
 @pytest.mark.parametrize("name", ["talker", "listener"])
-def test_its_packages(profile: Profile, name: str) -> None:
+def test_its_packages(profile: WorkspaceProfile, name: str) -> None:
     package = _load(profile, name)
     assert package.identity.subject_name == f"CN={name}" == package.permissions.subject_name
     assert (package.identity.issuer, package.permissions.issuer, package.governance.issuer) == ("ca", "ca", "ca")
@@ -53,7 +53,7 @@ def test_its_packages(profile: Profile, name: str) -> None:
     assert [(rule.expression, rule.enable_liveliness_protection) for rule in domain.topic_rules] == [("*", True)]
 
 
-def test_its_old_permissions_say_how_they_are_created_anew(profile: Profile) -> None:
+def test_its_old_permissions_say_how_they_are_created_anew(profile: WorkspaceProfile) -> None:
     with pytest.raises(KeymintError) as error:
         package_type.load(profile, "talker", "src/talker", read_folder(REFERENCE / "src" / "talker"))
     (found,) = error.value.diagnostics

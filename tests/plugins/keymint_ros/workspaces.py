@@ -11,7 +11,7 @@ from keymint_ros import package_type, profile_type
 
 from comarmor.errors import Origin
 from comarmor.rules import Effect
-from keymint.api import Bootstrap, Package, Profile
+from keymint.api import Bootstrap, Package, WorkspaceProfile
 from keymint.ir import Rule, SubjectRules
 
 NOW = datetime(2026, 11, 21, 15, 30, tzinfo=UTC)
@@ -88,7 +88,7 @@ class Workspace:
         assert key in files
         return replace(self, **{space: {name: content for name, content in files.items() if name != key}})
 
-    def load_profile(self) -> Profile:
+    def load_profile(self) -> WorkspaceProfile:
         return profile_type.load(ROOT, self.profile)
 
     def load(self) -> Package:

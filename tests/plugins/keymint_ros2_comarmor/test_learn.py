@@ -14,7 +14,7 @@ from keymint_ros2_comarmor import policy_type
 import comarmor
 from comarmor.errors import Origin
 from comarmor.rules import PARTS
-from keymint.api import Learned, PolicySource
+from keymint.api import LearnedPolicy, PolicySource
 from keymint.graph import Edge, Graph, Object, complete
 from keymint.graph_json import KIND_OF
 
@@ -41,7 +41,7 @@ def some_edges(draw: st.DrawFn) -> Edge:
 graphs = st.builds(Graph.of, st.lists(some_edges(), max_size=25), st.lists(st.sampled_from(SUBJECTS), max_size=2))
 
 
-def loaded(learned: Learned, folder: Path, name: str = "policy.xml") -> comarmor.Policy:
+def loaded(learned: LearnedPolicy, folder: Path, name: str = "policy.xml") -> comarmor.Policy:
     """Return a learned policy, from files as a user has them."""
     (folder / "policy.d").mkdir(exist_ok=True)
     for fragment, content in learned.fragments.items():

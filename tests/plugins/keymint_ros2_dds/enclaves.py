@@ -11,15 +11,15 @@ from cryptography.hazmat.primitives import hashes, serialization
 from keymint_ros2_dds import build_type
 
 from keymint.api import (
-    Anchor,
-    Anchors,
     BuildOptions,
     CertificateSpec,
-    Credentials,
+    EnclaveCredentials,
     Inspection,
     KeySpec,
     Package,
-    Signer,
+    SigningAuthority,
+    TrustAnchor,
+    TrustAnchors,
     Validity,
 )
 from keymint.pki import certificates, keys
@@ -42,8 +42,8 @@ class Ca:
         return certificates.to_pem(self.certificate)
 
     @property
-    def signer(self) -> Signer:
-        return Signer(self.name, self.pem, keys.to_pem(self.key))
+    def signer(self) -> SigningAuthority:
+        return SigningAuthority(self.name, self.pem, keys.to_pem(self.key))
 
 
 @cache
@@ -53,13 +53,15 @@ def authority(name: str) -> Ca:
     return Ca(name, key, certificates.issue_authority(spec, key, None).certificate)
 
 
-def credentials(package: Package, identity: str = "identity_ca", permissions: str = "permissions_ca") -> Credentials:
+def credentials(
+    package: Package, identity: str = "identity_ca", permissions: str = "permissions_ca"
+) -> EnclaveCredentials:
     key = keys.generate(EC)
     issuer, signer = authority(identity), authority(permissions)
     issued = certificates.issue_identity(
         package.identity, key.public_key(), certificates.Issuer(issuer.certificate, issuer.key)
     )
-    return Credentials(issued.pem, keys.to_pem(key), issuer.pem, signer.pem, signer.signer)
+    return EnclaveCredentials(issued.pem, keys.to_pem(key), issuer.pem, signer.pem, signer.signer)
 
 
 def installed(package: Package, layout: str = "sros2", **authorities: str) -> dict[str, bytes]:
@@ -84,13 +86,13 @@ def inspection(package: Package, files: dict[str, bytes], **fields) -> Inspectio
     return replace(usual, **fields)
 
 
-def anchors(package: Package, layout: str = "sros2", **chains: bytes) -> Anchors:
+def anchors(package: Package, layout: str = "sros2", **chains: bytes) -> TrustAnchors:
     """Return the authorities that the enclave of a package must rest on."""
     identity, permissions = (
-        Anchor(name, f"public/{name}.cert.pem", chains.get(name, authority(name).pem))
+        TrustAnchor(name, f"public/{name}.cert.pem", chains.get(name, authority(name).pem))
         for name in ("identity_ca", "permissions_ca")
     )
-    return Anchors(identity, permissions, package.identity.subject_name, layout)
+    return TrustAnchors(identity, permissions, package.identity.subject_name, layout)
 
 
 def revoking(issuer: str, serial: int) -> bytes:

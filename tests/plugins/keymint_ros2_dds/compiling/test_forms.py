@@ -16,7 +16,7 @@ from keymint_ros2_dds.compiling import compile, gathering  # noqa: A004 - the mo
 from lxml import etree
 
 from comarmor.errors import Severity
-from keymint.api import BuildOptions, Claim, Demand, DomainRange, Governance, Proof
+from keymint.api import BuildOptions, Claim, DomainRange, Governance, Hint, Proof
 from keymint.errors import KeymintError
 from keymint.graph import Edge, Object
 from tests.plugins.keymint_ros2_dds.packages import domain_rule, package, rule
@@ -47,13 +47,13 @@ def always_gathered() -> Iterator[None]:
         yield
 
 
-def demands() -> st.SearchStrategy[tuple[Demand, ...]]:
+def demands() -> st.SearchStrategy[tuple[Hint, ...]]:
     edge = st.builds(
         lambda permission, name: Edge("/talker", permission, Object("ros_topic", name)),
         st.sampled_from(["ros_publish", "ros_subscribe"]),
         ROS,
     )
-    return st.lists(st.builds(Demand, edge, st.integers(0, 9)), max_size=6).map(tuple)
+    return st.lists(st.builds(Hint, edge, st.integers(0, 9)), max_size=6).map(tuple)
 
 
 def held_against_the_policy(drawn, options: BuildOptions, names, asked) -> None:
@@ -184,7 +184,7 @@ class TestGathering:
         relays = rule("ALLOW", "ros_topic", "ros_relay", "/axle001")
         loaded = package(rule("ALLOW", *TOPIC, *self.AXLES), relays)
         edge = Edge("/talker", "ros_publish", Object("ros_topic", "/axle001"))
-        built = build_type.build(loaded, BuildOptions(demand=(Demand(edge, 9),)))
+        built = build_type.build(loaded, BuildOptions(demand=(Hint(edge, 9),)))
         assert "rewriting-unproven" not in [found.code for found in built.diagnostics]
         assert gathering.GUARD in topics(built.documents["permissions.xml"])
 
@@ -198,7 +198,7 @@ class TestGathering:
 class TestPriority:
     def demand(self, *asked: tuple[str, int], permission: str = "ros_publish") -> BuildOptions:
         edges = ((Edge("/talker", permission, Object("ros_topic", name)), times) for name, times in asked)
-        return BuildOptions(demand=tuple(Demand(edge, times) for edge, times in edges))
+        return BuildOptions(demand=tuple(Hint(edge, times) for edge, times in edges))
 
     def test_expressions_stand_by_how_often_they_are_asked_for(self) -> None:
         loaded = package(rule("ALLOW", *TOPIC, "/a", "/b", "/c*"))
@@ -209,7 +209,7 @@ class TestPriority:
     def test_rules_about_other_partitions_change_places(self) -> None:
         raw = [rule("ALLOW", "topic", "publish", name, partitions=[name]) for name in ("p", "q")]
         loaded = package(*raw)
-        hinted = BuildOptions(demand=(Demand(Edge("/talker", "publish", Object("topic", "q", ("q",))), 5),))
+        hinted = BuildOptions(demand=(Hint(Edge("/talker", "publish", Object("topic", "q", ("q",))), 5),))
         assert topics(document(loaded)) == ["p", "q"]
         assert topics(document(loaded, hinted)) == ["q", "p"]
 
@@ -221,7 +221,7 @@ class TestPriority:
     def test_what_nobody_can_ask_for_is_passed_over(self) -> None:
         loaded = package(rule("ALLOW", *TOPIC, "/a"), distro="ardent")
         edge = Edge("/talker", "ros_request", Object("ros_action", "/fibonacci"))
-        assert topics(document(loaded, BuildOptions(demand=(Demand(edge, 1),)))) == ["a"]
+        assert topics(document(loaded, BuildOptions(demand=(Hint(edge, 1),)))) == ["a"]
 
 
 class TestWhatIsNotProven:

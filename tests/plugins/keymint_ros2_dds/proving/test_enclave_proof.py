@@ -13,7 +13,7 @@ from keymint_ros2_dds.lowering.lower import lower
 from keymint_ros2_dds.transports.enclave_files import subject_name
 
 from comarmor.errors import Origin
-from keymint.api import BuildOptions, DomainRange, Obligation, Proof
+from keymint.api import BuildOptions, DomainRange, Proof, ProofTask
 from keymint.errors import KeymintError
 from keymint.pki import certificates, keys, smime
 from tests.plugins.keymint_ros2_dds.compiling.test_decisions import DENIED, PARTITIONS, rules
@@ -41,7 +41,7 @@ def obligation(loaded, files, **fields):
         "files": files, "folder": "install/talker", "anchors": anchors(loaded),
         "states": 200_000, "go_on": lambda: True,
     }  # fmt: skip
-    return Obligation(**{**given_, **fields})
+    return ProofTask(**{**given_, **fields})
 
 
 def claims(loaded, files, **fields):

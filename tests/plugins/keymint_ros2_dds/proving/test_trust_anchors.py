@@ -10,7 +10,7 @@ import pytest
 from keymint_ros2_dds import build_type
 from keymint_ros2_dds.proving import prove
 
-from keymint.api import KeySpec, Obligation, Proof
+from keymint.api import KeySpec, Proof, ProofTask
 from keymint.errors import KeymintError
 from keymint.pki import certificates, keys
 from tests.plugins.keymint_ros2_dds.enclaves import NOW, anchors, authority, installed, revoking
@@ -25,7 +25,7 @@ SUBSETS = list(chain.from_iterable(combinations(SIGNIFICANT, size) for size in r
 
 
 def claims(files, wanted=None):
-    return prove(Obligation(
+    return prove(ProofTask(
         PLAIN.permissions.rules, PLAIN.distro, PLAIN.permissions.domains, files, "install/talker",
         wanted or anchors(PLAIN), 10_000, lambda: True,
     ))  # fmt: skip

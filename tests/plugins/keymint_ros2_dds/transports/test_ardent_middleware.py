@@ -10,7 +10,7 @@ from keymint_ros2_dds.lowering.endpoints import endpoints
 from keymint_ros2_dds.transports import ardent_omg
 from keymint_ros2_dds.transports.ardent_middleware import DEVIATION, ArdentMiddleware, created
 
-from keymint.api import Enclave, Surroundings, Tier, Usable, Verdict
+from keymint.api import Availability, Enclave, Environment, Tier, Verdict
 from keymint.graph import Edge, Object
 
 SERVICE = Edge("/t", "ros_call", Object("ros_service", "/n/s"))
@@ -26,8 +26,8 @@ class Recorder:
         self.allowed = allowed
         self.asked: list[Edge] = []
 
-    def usable(self) -> Usable:
-        return Usable(usable=True, version="1", tiers=tuple(Tier))
+    def usable(self) -> Availability:
+        return Availability(usable=True, version="1", tiers=tuple(Tier))
 
     def label(self, enclaves, edges, tier):
         assert (len(enclaves), tier) == (1, Tier.DECISION)
@@ -85,5 +85,5 @@ def test_it_is_asked_only_when_it_is_named_and_never_for_data():
 
 
 def test_the_registered_one_stands_on_the_simulated_standard(tmp_path: Path):
-    usable = ardent_omg.open(Surroundings(datetime(2027, 1, 1, tzinfo=UTC), tmp_path)).usable()
+    usable = ardent_omg.open(Environment(datetime(2027, 1, 1, tzinfo=UTC), tmp_path)).usable()
     assert (usable.usable, usable.by_default) == (True, False)

@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 from keymint_ros2_dds.transports import cyclonedds_0_10, fastdds_2_9, omg
 
-from keymint.api import Enclave, Surroundings, Tier, Verdict
+from keymint.api import Enclave, Environment, Tier, Verdict
 from keymint.errors import KeymintError
 from keymint.graph import Edge, Graph, Object, complete
 from keymint.pki import smime
@@ -42,7 +42,7 @@ def verdicts(name: str, folder: Path, files: Mapping[str, bytes], *edges: Edge, 
     folder.mkdir(exist_ok=True)
     for file, content in files.items():
         (folder / file).write_bytes(content)
-    transport = OPENERS[name].open(Surroundings(now, folder / "no-cache"))
+    transport = OPENERS[name].open(Environment(now, folder / "no-cache"))
     assert transport.usable().tiers == (Tier.DECISION,)
     enclaves = [Enclave(SUBJECT, folder, "humble")]
     found = list(transport.label(enclaves, iter(edges), Tier.DECISION))
@@ -130,7 +130,7 @@ def test_time_is_that_of_the_surroundings(name: str, tmp_path: Path, files: Mapp
 
 
 def test_a_subject_without_an_enclave_is_an_error(name: str, tmp_path: Path) -> None:
-    transport = OPENERS[name].open(Surroundings(NOW, tmp_path))
+    transport = OPENERS[name].open(Environment(NOW, tmp_path))
     with pytest.raises(KeymintError, match="/talker has no installed enclave"):
         list(transport.label([], [edge("ros_publish")], Tier.DECISION))
 
@@ -161,7 +161,7 @@ def test_memory_is_that_of_one_subject(tmp_path: Path, files: Mapping[str, bytes
             taken += 1
             yield each
 
-    labelled = omg.open(Surroundings(NOW, tmp_path)).label(
+    labelled = omg.open(Environment(NOW, tmp_path)).label(
         [Enclave(SUBJECT, tmp_path / "e", "humble")], edges(), Tier.DECISION
     )
     next(labelled)
