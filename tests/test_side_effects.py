@@ -14,7 +14,7 @@ import pytest
 
 from tests.conftest import CHECKOUT
 
-WRITERS = {f"keymint/{name}.py" for name in ("store", "staging", "exchange", "writing")}
+WRITERS = {f"keymint/{name}.py" for name in ("store", "folder_staging", "folder_swap", "file_writing")}
 TEMPORARY = {"keymint/git.py", "keymint/verify/copies.py"}
 """Extract trees of a revision, or copy enclaves for transports, into a temporary folder that they remove."""
 VENDORS = "plugins/keymint_ros2_dds/vendors/"
