@@ -7,7 +7,7 @@ from concurrent.futures import ThreadPoolExecutor
 from itertools import groupby
 
 from keymint.changes import File, Plan, Step
-from keymint.plan import ignored, known_keys
+from keymint.plan import gitignore, key_record
 from keymint.state import State, dump_mark
 from keymint.store import Store
 from keymint.workspace import Workspace
@@ -39,7 +39,7 @@ def execute(
         KeymintError: the system refuses a write; every file is whole, and a later run goes on from here.
     """
     record = plan.state.dump()
-    guards = ignored.missing(workspace, plan)
+    guards = gitignore.missing(workspace, plan)
     if not guards and not plan.writes() and record == before.dump() and not store.is_marked():
         for step in plan.steps:
             on_step(step)
@@ -51,7 +51,7 @@ def execute(
         for file in change.files.values()
         if not file.secret
     ]
-    with store.marked(dump_mark(before, public, known_keys.new_fingerprints(before, plan.state))):
+    with store.marked(dump_mark(before, public, key_record.new_fingerprints(before, plan.state))):
         for guard in guards:  # before the first secret is there
             store.write(guard.folder, guard.files, private=guard.private)
         for batch in _batches(plan.steps):

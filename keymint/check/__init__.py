@@ -15,9 +15,9 @@ from comarmor.errors import Diagnostic, Origin, Severity
 from keymint.api import Inspection
 from keymint.check.authorities import authorities, authority_keys, in_defect
 from keymint.check.enclaves import identity_key, inspection, on_disk, shared_keys
-from keymint.check.exposed import exposed
+from keymint.check.file_status import places
+from keymint.check.git_exposure import exposed
 from keymint.check.install_space import shared
-from keymint.check.places import places
 from keymint.errors import KeymintError
 from keymint.plan.enclaves import unaccounted
 from keymint.plan.identity_keys import Keyring

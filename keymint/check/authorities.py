@@ -12,11 +12,11 @@ from cryptography import x509
 from comarmor.errors import Diagnostic, Origin, Severity
 from keymint.errors import KeymintError
 from keymint.pki import certificates, keys
-from keymint.plan import authority_places
+from keymint.plan import authority_files
 from keymint.plan.authorities import in_order, satisfies
-from keymint.plan.authority_places import Place
+from keymint.plan.authority_files import AuthorityFiles
 from keymint.plan.enclaves import deployed_authorities
-from keymint.plan.secrets import load_key
+from keymint.plan.private_keys import load_key
 from keymint.session import Inputs, Session
 
 
@@ -26,38 +26,38 @@ def authorities(session: Session, within: timedelta) -> Iterator[Diagnostic]:
     issuers: dict[str, x509.Certificate] = {}
     fingerprints: dict[str, str] = {}
     for authority in in_order(session.profile.authorities):
-        place = authority_places.look(session, authority, deployed)
-        key, found = _key(session, place)
+        files = authority_files.look(session, authority, deployed)
+        key, found = _key(session, files)
         yield from found
         if key is not None:
             fingerprints[authority.name] = keys.fingerprint(key)
-        if place.content is None:
+        if files.content is None:
             yield Diagnostic(
                 "authority-missing",
                 Severity.ERROR,
                 f"the authority {authority.name!r} has no certificate",
-                Origin(place.certificate_file),
+                Origin(files.certificate_file),
                 "'keymint install' restores it"
-                if place.key
-                else f"restore it; {authority_places.choice(authority.name)}",
+                if files.key
+                else f"restore it; {authority_files.choice(authority.name)}",
             )
-        elif place.certificate is None:
-            yield from _unreadable(place)
+        elif files.certificate is None:
+            yield from _unreadable(files)
         else:
-            issuers[authority.name] = place.certificate
-            fingerprints.setdefault(authority.name, keys.fingerprint(certificates.public_key(place.certificate)))
-            yield from _certificate(place, place.certificate, key, issuers)
-            yield from _validity(session, place, place.certificate, within)
-    yield from _refused(lambda: authority_places.require_own_keys(session, fingerprints))
+            issuers[authority.name] = files.certificate
+            fingerprints.setdefault(authority.name, keys.fingerprint(certificates.public_key(files.certificate)))
+            yield from _certificate(files, files.certificate, key, issuers)
+            yield from _validity(session, files, files.certificate, within)
+    yield from _refused(lambda: authority_files.require_own_keys(session, fingerprints))
 
 
 def authority_keys(session: Session) -> Mapping[str, str]:
     """Return the names of the authorities by the fingerprints of the keys that their certificates certify."""
-    places = (authority_places.look(session, authority, tuple) for authority in session.profile.authorities)
+    places = (authority_files.look(session, authority, tuple) for authority in session.profile.authorities)
     return {
-        keys.fingerprint(certificates.public_key(place.certificate)): place.authority.name
-        for place in places
-        if place.certificate is not None
+        keys.fingerprint(certificates.public_key(files.certificate)): files.authority.name
+        for files in places
+        if files.certificate is not None
     }
 
 
@@ -78,17 +78,17 @@ _DECIDED_BY_A_PERSON = frozenset(
 )
 
 
-def _key(inputs: Inputs, place: Place) -> tuple[keys.PublicKey | None, Iterator[Diagnostic]]:
+def _key(inputs: Inputs, files: AuthorityFiles) -> tuple[keys.PublicKey | None, Iterator[Diagnostic]]:
     """Return the public key of a private key that can be read here, and what is found on it."""
-    spec, name = place.authority.certificate, place.authority.name
-    if place.key is None:
+    spec, name = files.authority.certificate, files.authority.name
+    if files.key is None:
         message = f"the private key of {name!r} is not here"
-        where, help_ = Origin(place.certificate_file), "restore it to sign anything"
+        where, help_ = Origin(files.certificate_file), "restore it to sign anything"
         note = Diagnostic("authority-key-missing", Severity.NOTE, message, where, help_)
-        return None, iter((note,) if place.content is not None else ())
-    remedy = f"restore it from a backup; {authority_places.choice(name)}"
+        return None, iter((note,) if files.content is not None else ())
+    remedy = f"restore it from a backup; {authority_files.choice(name)}"
     try:
-        key = load_key(place.key, spec.key, inputs.environment, Origin(place.key_file), spec.origin, remedy)
+        key = load_key(files.key, spec.key, inputs.environment, Origin(files.key_file), spec.origin, remedy)
     except KeymintError as error:
         return None, map(_about_key, error.diagnostics)
     return key.public_key(), iter(())
@@ -99,11 +99,11 @@ def _about_key(found: Diagnostic) -> Diagnostic:
     return replace(found, severity=Severity.NOTE) if found.code == "password-missing" else found
 
 
-def _unreadable(place: Place) -> Iterator[Diagnostic]:
-    where = Origin(place.certificate_file)
-    help_ = "'keymint install' restores it" if place.key else "restore it from a backup"
+def _unreadable(files: AuthorityFiles) -> Iterator[Diagnostic]:
+    where = Origin(files.certificate_file)
+    help_ = "'keymint install' restores it" if files.key else "restore it from a backup"
     try:
-        certificates.public_key(certificates.load(place.content or b"", where), where)
+        certificates.public_key(certificates.load(files.content or b"", where), where)
     except KeymintError as error:
         yield from (replace(found, help=help_) for found in error.diagnostics)
 
@@ -117,32 +117,34 @@ def _refused(require: Callable[[], None]) -> Iterator[Diagnostic]:
 
 
 def _certificate(
-    place: Place,
+    files: AuthorityFiles,
     certificate: x509.Certificate,
     key: keys.PublicKey | None,
     issuers: Mapping[str, x509.Certificate],
 ) -> Iterator[Diagnostic]:
     """Judge a certificate: against the key beside it, against what is in use, against the profile."""
-    spec, public = place.authority.certificate, certificates.public_key(certificate)
+    spec, public = files.authority.certificate, certificates.public_key(certificate)
     found = [
-        *(_refused(lambda: authority_places.require_fit(place, key)) if key is not None else ()),
-        *_refused(lambda: authority_places.require_name(place)),
+        *(_refused(lambda: authority_files.require_fit(files, key)) if key is not None else ()),
+        *_refused(lambda: authority_files.require_name(files)),
     ]
-    found += () if found else _refused(lambda: authority_places.require_known(place, public))
+    found += () if found else _refused(lambda: authority_files.require_known(files, public))
     yield from found
-    if not found and not satisfies(place.content or b"", spec, public, issuers.get(spec.issuer)):
+    if not found and not satisfies(files.content or b"", spec, public, issuers.get(spec.issuer)):
         yield Diagnostic(
             "authority-drift",
             Severity.ERROR,
-            f"the certificate of {place.authority.name!r} is not what the profile asks for",
-            Origin(place.certificate_file),
+            f"the certificate of {files.authority.name!r} is not what the profile asks for",
+            Origin(files.certificate_file),
             "run 'keymint install', which issues it again for the same key, and redeploy all enclaves",
         )
 
 
-def _validity(inputs: Inputs, place: Place, certificate: x509.Certificate, within: timedelta) -> Iterator[Diagnostic]:
-    name, where, end = place.authority.name, Origin(place.certificate_file), certificate.not_valid_after_utc
-    help_ = f"extend its validity at {place.authority.certificate.origin}, and run 'keymint install'"
+def _validity(
+    inputs: Inputs, files: AuthorityFiles, certificate: x509.Certificate, within: timedelta
+) -> Iterator[Diagnostic]:
+    name, where, end = files.authority.name, Origin(files.certificate_file), certificate.not_valid_after_utc
+    help_ = f"extend its validity at {files.authority.certificate.origin}, and run 'keymint install'"
     if end < inputs.now:
         message = f"the certificate of {name!r} expired on {end:%Y-%m-%d %H:%M} UTC"
         yield Diagnostic("authority-expired", Severity.ERROR, message, where, help_)

@@ -8,7 +8,7 @@ from datetime import timedelta
 
 from comarmor.errors import Diagnostic, Origin, Severity
 from keymint.api import BuildOptions, Inspection, Package
-from keymint.check.places import linked_twice, modes
+from keymint.check.file_status import linked_twice, modes
 from keymint.errors import KeymintError
 from keymint.pki import keys
 from keymint.plan import identity_keys, install

@@ -7,9 +7,9 @@ from pathlib import Path
 
 from comarmor.errors import Diagnostic, Origin, Severity
 from keymint.api import Artifact
-from keymint.check.places import modes
+from keymint.check.file_status import modes
 from keymint.errors import KeymintError
-from keymint.plan import ignored
+from keymint.plan import gitignore
 from keymint.plan.enclaves import enclave_files, installed
 from keymint.session import Inputs, Session
 from keymint.workspace import packages
@@ -33,7 +33,7 @@ def shared(session: Session) -> Iterator[Diagnostic]:
             expected |= {path: artifact.content for path, artifact in shared.items()}
     for path in _files_below(session, workspace.install):
         relative = str(path.relative_to(workspace.install))
-        if path.parent in enclaves or path == workspace.install / ignored.NAME:
+        if path.parent in enclaves or path == workspace.install / gitignore.NAME:
             continue
         if relative not in expected:
             yield Diagnostic(

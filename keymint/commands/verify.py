@@ -26,8 +26,8 @@ from keymint.output.junit import junit as junit_document
 from keymint.output.mismatches import SARIF_RULES, diagnostics, junit_suites, sarif_results
 from keymint.output.report import Report
 from keymint.output.sarif import sarif as sarif_log
-from keymint.plan.anchors import differences
 from keymint.plan.policy import load_policy
+from keymint.plan.trust_anchors import differences
 from keymint.verify.compare import compare
 from keymint.verify.copies import copied
 from keymint.verify.endpoint_policy import EndpointPolicy, label

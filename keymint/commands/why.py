@@ -26,8 +26,8 @@ from keymint.output.mismatches import (
     verb_of,
 )
 from keymint.output.report import Report
-from keymint.plan.anchors import differences
 from keymint.plan.policy import load_policy
+from keymint.plan.trust_anchors import differences
 from keymint.session import Session
 from keymint.verify.usable_transports import choose, models
 from keymint.verify.why import Explanation, MatchedRule, explain, request, usual_domain

@@ -15,10 +15,10 @@ from keymint.api import Authority, CertificateSpec, SigningAuthority
 from keymint.changes import Action, File, FolderChange, Plan, Step, changed
 from keymint.errors import ExitCode, KeymintError
 from keymint.pki import certificates, keys
-from keymint.plan import authority_places, known_keys
-from keymint.plan.authority_places import Place
+from keymint.plan import authority_files, key_record
+from keymint.plan.authority_files import AuthorityFiles
 from keymint.plan.enclaves import deployed_authorities
-from keymint.plan.secrets import load_key, password
+from keymint.plan.private_keys import load_key, password
 from keymint.session import Inputs, Session
 
 STAGE = "authorities"
@@ -88,9 +88,9 @@ def plan_authorities(session: Session, new: Sequence[str] = ()) -> tuple[Plan, M
     for authority in in_order(session.profile.authorities):
         if authority.certificate.issuer and authority.certificate.issuer not in minted:
             continue  # its issuer has a defect
-        place = authority_places.look(session, authority, deployed)
+        files = authority_files.look(session, authority, deployed)
         try:
-            result, changes, diagnostics = _plan_authority(session, place, minted, renew=authority.name in new)
+            result, changes, diagnostics = _plan_authority(session, files, minted, renew=authority.name in new)
         except KeymintError as error:
             errors += error.diagnostics
             continue
@@ -101,8 +101,8 @@ def plan_authorities(session: Session, new: Sequence[str] = ()) -> tuple[Plan, M
     if errors:
         raise KeymintError.of(errors)
     fingerprints = {name: keys.fingerprint(certificates.public_key(each.certificate)) for name, each in minted.items()}
-    authority_places.require_own_keys(session, fingerprints)
-    state = known_keys.record(session.state, known_keys.AUTHORITIES, fingerprints)
+    authority_files.require_own_keys(session, fingerprints)
+    state = key_record.record(session.state, key_record.AUTHORITIES, fingerprints)
     return Plan(tuple(steps), state, tuple(said)), minted
 
 
@@ -152,52 +152,52 @@ def satisfies(pem: bytes, spec: CertificateSpec, key: keys.PublicKey, issuer: x5
 
 
 def _plan_authority(
-    inputs: Inputs, place: Place, minted: Mapping[str, MintedAuthority], *, renew: bool
+    inputs: Inputs, files: AuthorityFiles, minted: Mapping[str, MintedAuthority], *, renew: bool
 ) -> tuple[MintedAuthority, tuple[FolderChange, ...], Sequence[Diagnostic]]:
-    spec = place.authority.certificate
+    spec = files.authority.certificate
     above = minted[spec.issuer] if spec.issuer else None
-    lacking = _lacking(inputs, place)
-    if lacking is not None and place.content is not None and not renew:
-        return _without_key(place, above, lacking), (), ()
+    lacking = _lacking(inputs, files)
+    if lacking is not None and files.content is not None and not renew:
+        return _without_key(files, above, lacking), (), ()
     secret = password(spec.key, inputs.environment, spec.origin)
-    if place.key is None and not renew:
-        authority_places.require_unused(place)
-    if place.key is None or renew:
-        return _mint(inputs, place, above, secret)
-    pem = place.key
-    remedy = f"restore it from a backup; {authority_places.choice(place.authority.name)}"
-    key = load_key(pem, spec.key, inputs.environment, Origin(place.key_file), spec.origin, remedy)
+    if files.key is None and not renew:
+        authority_files.require_unused(files)
+    if files.key is None or renew:
+        return _mint(inputs, files, above, secret)
+    pem = files.key
+    remedy = f"restore it from a backup; {authority_files.choice(files.authority.name)}"
+    key = load_key(pem, spec.key, inputs.environment, Origin(files.key_file), spec.origin, remedy)
     public = key.public_key()
-    if known_keys.was_under_way(inputs.state, keys.fingerprint(public)):
-        place = place.without_other_certificate(public)
+    if key_record.was_under_way(inputs.state, keys.fingerprint(public)):
+        files = files.without_other_certificate(public)
     else:
-        authority_places.require_fit(place, public)
-        authority_places.require_name(place)
-        authority_places.require_known(place, public)
-    certificate, said = _certificate(place, key, above)
-    return _minted(inputs, place, certificate, (key, pem, secret), above, (), said)
+        authority_files.require_fit(files, public)
+        authority_files.require_name(files)
+        authority_files.require_known(files, public)
+    certificate, said = _certificate(files, key, above)
+    return _minted(inputs, files, certificate, (key, pem, secret), above, (), said)
 
 
 def _mint(
-    inputs: Inputs, place: Place, above: MintedAuthority | None, secret: bytes | None
+    inputs: Inputs, files: AuthorityFiles, above: MintedAuthority | None, secret: bytes | None
 ) -> tuple[MintedAuthority, tuple[FolderChange, ...], Sequence[Diagnostic]]:
     """Plan a new key, and its certificate."""
-    spec, name = place.authority.certificate, place.authority.name
+    spec, name = files.authority.certificate, files.authority.name
     key = keys.generate(spec.key, spec.origin)
     pem = keys.to_pem(key, secret)
     path = inputs.workspace.authority_key(name)
     changes = (FolderChange(path.parent, {path.name: File(pem, secret=True)}, private=True),)
     issued = certificates.issue_authority(spec, key, above.issuer if above else None)
     said = list(issued.diagnostics)
-    if place.known():
-        message = f"{name!r} is a new authority: {authority_places.COST}"
-        said.append(Diagnostic("authority-new", Severity.WARNING, message, Origin(place.certificate_file)))
-    return _minted(inputs, place, issued.pem, (key, pem, secret), above, changes, said)
+    if files.known():
+        message = f"{name!r} is a new authority: {authority_files.COST}"
+        said.append(Diagnostic("authority-new", Severity.WARNING, message, Origin(files.certificate_file)))
+    return _minted(inputs, files, issued.pem, (key, pem, secret), above, changes, said)
 
 
 def _minted(
     inputs: Inputs,
-    place: Place,
+    files: AuthorityFiles,
     certificate: bytes,
     key: tuple[keys.PrivateKey, bytes, bytes | None],
     above: MintedAuthority | None,
@@ -205,33 +205,33 @@ def _minted(
     said: Sequence[Diagnostic],
 ) -> tuple[MintedAuthority, tuple[FolderChange, ...], Sequence[Diagnostic]]:
     """Return an authority with its key (as an object, PEM, and password), and all that changes for it."""
-    path = inputs.workspace.authority_certificate(place.authority.name)
+    path = inputs.workspace.authority_certificate(files.authority.name)
     changes += changed(inputs.tree, path.parent, {path.name: File(certificate)})
     loaded = certificates.load(certificate)
     private, pem, secret = key
-    keyed = certificates.Issuer(loaded, private), SigningAuthority(place.authority.name, certificate, pem, secret)
+    keyed = certificates.Issuer(loaded, private), SigningAuthority(files.authority.name, certificate, pem, secret)
     return MintedAuthority(loaded, certificate + (above.chain if above else b""), keyed), changes, said
 
 
 def _certificate(
-    place: Place, key: keys.PrivateKey, above: MintedAuthority | None
+    files: AuthorityFiles, key: keys.PrivateKey, above: MintedAuthority | None
 ) -> tuple[bytes, Sequence[Diagnostic]]:
     """Return the certificate of a key: one that is there if the profile asks for no other, else a new one."""
-    spec, public = place.authority.certificate, key.public_key()
+    spec, public = files.authority.certificate, key.public_key()
     issuer = above.certificate if above else None
-    candidates = chain(() if place.certificate is None else (place.certificate,), _lazily(place.in_use))
+    candidates = chain(() if files.certificate is None else (files.certificate,), _lazily(files.in_use))
     for candidate in candidates:
         pem = certificates.to_pem(candidate)
         if satisfies(pem, spec, public, issuer):
             return pem, ()
     issued = certificates.issue_authority(spec, key, above.issuer if above else None)
-    if not place.in_use():
+    if not files.in_use():
         return issued.pem, issued.diagnostics
     again = Diagnostic(
         "authority-reissued",
         Severity.WARNING,
-        f"the certificate of the authority {place.authority.name!r} is issued again, for the same key",
-        Origin(place.certificate_file),
+        f"the certificate of the authority {files.authority.name!r} is issued again, for the same key",
+        Origin(files.certificate_file),
         "deploy all enclaves together: if it signs permissions, some vendors let participants that hold different "
         "certificates of it not communicate",
     )
@@ -242,14 +242,14 @@ def _lazily(make: Callable[[], Iterable[x509.Certificate]]) -> Iterator[x509.Cer
     yield from make()
 
 
-def _lacking(inputs: Inputs, place: Place) -> KeymintError | None:
+def _lacking(inputs: Inputs, files: AuthorityFiles) -> KeymintError | None:
     """Return what keeps an authority's private key from being used here, or None: an offline root is no defect."""
-    spec, name = place.authority.certificate, place.authority.name
-    if place.key is None:
+    spec, name = files.authority.certificate, files.authority.name
+    if files.key is None:
         return KeymintError(
             f"the private key of the authority {name!r} is not here, and is needed to sign",
-            where=Origin(place.key_file),
-            help=f"restore it; {authority_places.choice(name)}",
+            where=Origin(files.key_file),
+            help=f"restore it; {authority_files.choice(name)}",
             code="authority-key-missing",
         )
     try:
@@ -259,18 +259,18 @@ def _lacking(inputs: Inputs, place: Place) -> KeymintError | None:
     return None
 
 
-def _without_key(place: Place, above: MintedAuthority | None, lacking: KeymintError) -> MintedAuthority:
+def _without_key(files: AuthorityFiles, above: MintedAuthority | None, lacking: KeymintError) -> MintedAuthority:
     """Return an authority whose private key cannot be used here.
 
     Raises:
         KeymintError: the certificate is damaged or was replaced, or the profile asks for another one, which takes the
             key.
     """
-    spec, content = place.authority.certificate, place.content or b""
-    certificate = certificates.load(content, Origin(place.certificate_file))
-    public_key = certificates.public_key(certificate, Origin(place.certificate_file))
-    authority_places.require_known(place, public_key)
-    authority_places.require_name(place)
+    spec, content = files.authority.certificate, files.content or b""
+    certificate = certificates.load(content, Origin(files.certificate_file))
+    public_key = certificates.public_key(certificate, Origin(files.certificate_file))
+    authority_files.require_known(files, public_key)
+    authority_files.require_name(files)
     if not keys.fits(public_key, spec.key) or not satisfies(
         content, spec, public_key, above.certificate if above else None
     ):

@@ -10,7 +10,7 @@ from comarmor.errors import Diagnostic, Origin
 from keymint.api import BuildOptions, BuildResult
 from keymint.changes import Action, DocumentSize, File, FolderChange, Plan, Step, changed
 from keymint.errors import KeymintError
-from keymint.plan import identity_keys, known_keys, lifetimes
+from keymint.plan import identity_keys, key_record, lifetimes
 from keymint.plan.lifetimes import Lifetime
 from keymint.session import Inputs, Session
 from keymint.state import Stamp, digest, digest_files
@@ -64,7 +64,7 @@ def plan_build(
     diagnostics |= dict.fromkeys(lifetimes.findings(of_packages, session))
     stamps = {each.step.package: each.stamp for each in planned if each.stamp}
     minted = {each.step.package: each.fingerprint for each in planned if each.fingerprint}
-    state = known_keys.record(session.state.updated(STAGE, stamps), known_keys.IDENTITIES, minted)
+    state = key_record.record(session.state.updated(STAGE, stamps), key_record.IDENTITIES, minted)
     return Plan(tuple(each.step for each in planned), state, tuple(diagnostics))
 
 

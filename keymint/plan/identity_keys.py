@@ -14,9 +14,9 @@ from keymint.api import Package
 from keymint.changes import File, FolderChange
 from keymint.errors import KeymintError
 from keymint.pki import certificates, keys
-from keymint.plan import known_keys
+from keymint.plan import key_record
 from keymint.plan.enclaves import INSTALLED, KEY, installed, installed_certificate
-from keymint.plan.secrets import load_key, password
+from keymint.plan.private_keys import load_key, password
 from keymint.session import Inputs, Session
 
 
@@ -31,7 +31,7 @@ def _new(name: str) -> str:
 
 
 def load(inputs: Inputs, package: Package, path: Path, pem: bytes) -> keys.PrivateKey:
-    """Load the stored key of a package; errors as :func:`keymint.plan.secrets.load_key`."""
+    """Load the stored key of a package; errors as :func:`keymint.plan.private_keys.load_key`."""
     identity, shown = package.identity, Origin(inputs.workspace.shown(path))
     return load_key(pem, identity.key, inputs.environment, shown, identity.origin, remedy(package.name))
 
@@ -75,7 +75,7 @@ def known_fingerprint(session: Session, name: str) -> str:
     That is the key on record, or if the record was lost that of the installed certificate. Before anything was
     installed the subject has none: a key of the user's own may take the place of the one that was minted.
     """
-    recorded = known_keys.recorded(session.state, known_keys.IDENTITIES, name)
+    recorded = key_record.recorded(session.state, key_record.IDENTITIES, name)
     if recorded and session.state.stamp(INSTALLED, name):
         return recorded
     certificate = installed_certificate(session, name)
@@ -115,7 +115,7 @@ class Keyring:
                 help=remedy(name),
                 code="key-of-authority",
             )
-        if known_keys.was_under_way(state, fingerprint):
+        if key_record.was_under_way(state, fingerprint):
             return
         known = known_fingerprint(self._session, name)
         if known and known != fingerprint:
@@ -125,7 +125,7 @@ class Keyring:
                 help=remedy(name),
                 code="key-replaced",
             )
-        if known_keys.recorded(state, known_keys.IDENTITIES, name) != fingerprint:  # so it may not be ours
+        if key_record.recorded(state, key_record.IDENTITIES, name) != fingerprint:  # so it may not be ours
             for other in self._owners.get(fingerprint, ()):
                 if other != name:
                     raise shared(name, other, shown)
@@ -133,7 +133,7 @@ class Keyring:
     @functools.cached_property
     def _owners(self) -> Mapping[str, Sequence[str]]:
         """The names of the packages by the fingerprints of the keys that they have."""
-        recorded = self._session.state.stamps.get(known_keys.IDENTITIES, {})
+        recorded = self._session.state.stamps.get(key_record.IDENTITIES, {})
         found: dict[str, list[str]] = {}
         for name in sorted({*recorded, *installed(self._session)}):
             if name in recorded:

@@ -13,7 +13,7 @@ from keymint.api import Artifact, EnclaveCredentials, Package
 from keymint.changes import Action, File, FolderChange, Plan, Step, changed
 from keymint.errors import KeymintError
 from keymint.pki import certificates, keys
-from keymint.plan import build, identity_keys, known_keys, lifetimes
+from keymint.plan import build, identity_keys, key_record, lifetimes
 from keymint.plan.authorities import MintedAuthority
 from keymint.plan.enclaves import (
     CERTIFICATE,
@@ -96,9 +96,9 @@ def plan_install(
     stamps = {enclave.step.package: enclave.stamp for enclave in planned if enclave.stamp}
     state = session.state.updated(STAGE, stamps, removed=left if prune else ())
     fingerprints = {enclave.step.package: enclave.fingerprint for enclave in planned if enclave.fingerprint}
-    state = known_keys.record(state, known_keys.IDENTITIES, fingerprints)
+    state = key_record.record(state, key_record.IDENTITIES, fingerprints)
     if prune:
-        state = known_keys.forget(state, known_keys.IDENTITIES, left)
+        state = key_record.forget(state, key_record.IDENTITIES, left)
     return Plan(tuple(steps), state, tuple(said))
 
 

@@ -16,10 +16,10 @@ from keymint import __version__
 from keymint.api import Claim, DomainRange, LoadedPolicy, Package, Proof, ProofTask, Prover, ValidityTerm
 from keymint.errors import KeymintError
 from keymint.ir import SubjectRules
-from keymint.plan import terms, vouching
-from keymint.plan.anchors import anchors_of
+from keymint.plan import authority_evidence, terms
 from keymint.plan.authorities import trusted_chains
 from keymint.plan.enclaves import INSTALLED, TAKEN, enclave_files
+from keymint.plan.trust_anchors import anchors_of
 from keymint.session import Session
 from keymint.state import Stamp, State, digest, digest_files
 
@@ -129,7 +129,7 @@ class _Stage:
         self._standard_only = standard_only
         self._folder = folder
         self._chains = trusted_chains(session)
-        self._doubts = vouching.doubts(session)
+        self._doubts = authority_evidence.doubts(session)
         self._seen = digest(*(f"{path} {value.hex()}" for path, value in sorted(policy.seen.items())))
         self._found: list[Proven] = []
         self._stamps: dict[str, Stamp] = {}
@@ -154,7 +154,7 @@ class _Stage:
             self._found.append(Proven(f"/{name}", (), diagnostics=defects))
             self._refuted.add(name)
             return
-        if self._doubts and (doubts := vouching.about(self._doubts, self._session.package(name))):
+        if self._doubts and (doubts := authority_evidence.about(self._doubts, self._session.package(name))):
             self._found.append(Proven(f"/{name}", (), diagnostics=doubts))
             return
         wanted = self._wanted(source, files)

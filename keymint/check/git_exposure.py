@@ -9,7 +9,7 @@ from pathlib import Path
 from comarmor.errors import Diagnostic, Origin, Severity
 from keymint.errors import KeymintError
 from keymint.git import GIT_MISSING, run_git
-from keymint.plan import ignored
+from keymint.plan import gitignore
 from keymint.session import Inputs
 
 _MOST = 64 * 1024
@@ -41,7 +41,7 @@ def _of_space(inputs: Inputs, space: Path) -> Iterator[Diagnostic]:
             message = f"whether git tracks private keys is unknown: {found.message}"
             yield Diagnostic("git-unknown", Severity.NOTE, message, Origin(inputs.workspace.shown(space)))
         return
-    guard = inputs.workspace.shown(space / ignored.NAME)
+    guard = inputs.workspace.shown(space / gitignore.NAME)
     stop = f"write the line '*' into {guard}"
     replace = "replace it, since whoever has the repository has it"
     yield from _finding(inputs, keys, tracked, "key-tracked", "that git tracks", f"'git rm --cached' it, and {replace}")
@@ -90,7 +90,7 @@ def _files(inputs: Inputs, folder: Path) -> Iterator[Path]:
 def _is_secret(inputs: Inputs, path: Path) -> bool:
     """Tell whether a file holds a private key; in the private space all do."""
     if path.is_relative_to(inputs.workspace.private):
-        return path.name != ignored.NAME
+        return path.name != gitignore.NAME
     status = inputs.tree.status(path)
     try:
         return status is not None and status.st_size <= _MOST and b"PRIVATE KEY-----" in (inputs.tree.read(path) or b"")

@@ -8,7 +8,7 @@ from typing import cast
 
 from comarmor.errors import Diagnostic
 from keymint.api import Package, Prover, TrustAnchor, TrustAnchors
-from keymint.plan import vouching
+from keymint.plan import authority_evidence
 from keymint.plan.authorities import trusted_chains
 from keymint.plan.enclaves import TAKEN, enclave_files
 from keymint.session import Session
@@ -44,7 +44,7 @@ def differences(session: Session, names: Sequence[str]) -> tuple[Diagnostic, ...
         KeymintError: a package has defects.
     """
     found: list[Diagnostic] = []
-    chains, doubts = trusted_chains(session), vouching.doubts(session)
+    chains, doubts = trusted_chains(session), authority_evidence.doubts(session)
     for name in names:
         folder = session.workspace.enclaves(session.profile.layout) / name
         files, unread = enclave_files(session, folder, f"/{name}")
@@ -52,7 +52,7 @@ def differences(session: Session, names: Sequence[str]) -> tuple[Diagnostic, ...
         if not files:
             continue
         package = session.package(name)
-        found += vouching.about(doubts, package)
+        found += authority_evidence.about(doubts, package)
         build_type = session.plugins.build_type(package.build_type, session.package_marker(name))
         if hasattr(build_type, "differences"):
             anchors = anchors_of(session, package, chains)

@@ -14,7 +14,7 @@ from comarmor.errors import Origin
 from keymint.api import Authority
 from keymint.errors import KeymintError
 from keymint.pki import certificates, keys, names
-from keymint.plan import known_keys
+from keymint.plan import key_record
 from keymint.plan.enclaves import INSTALLED
 from keymint.session import Inputs
 
@@ -23,7 +23,7 @@ COST = "no deployed enclave trusts it until all are redeployed"
 
 
 @dataclass(frozen=True, slots=True)
-class Place:
+class AuthorityFiles:
     """The files of an authority.
 
     Attributes:
@@ -63,19 +63,19 @@ class Place:
             return frozenset({self.recorded})
         return frozenset(keys.fingerprint(certificates.public_key(each)) for each in self.in_use())
 
-    def without_other_certificate(self, key: keys.PublicKey) -> Place:
+    def without_other_certificate(self, key: keys.PublicKey) -> AuthorityFiles:
         """Return the place without a certificate of another key: what a killed run had not replaced yet."""
         if self.certificate is None or certificates.public_key(self.certificate) == key:
             return self
         return replace(self, certificate=None)
 
 
-def look(inputs: Inputs, authority: Authority, deployed: Callable[[], Sequence[x509.Certificate]]) -> Place:
+def look(inputs: Inputs, authority: Authority, deployed: Callable[[], Sequence[x509.Certificate]]) -> AuthorityFiles:
     """Return what lies in the place of an authority."""
     workspace = inputs.workspace
     key_path, path = workspace.authority_key(authority.name), workspace.authority_certificate(authority.name)
     content = inputs.tree.read(path)
-    return Place(
+    return AuthorityFiles(
         authority=authority,
         key_file=workspace.shown(key_path),
         certificate_file=workspace.shown(path),
@@ -83,7 +83,7 @@ def look(inputs: Inputs, authority: Authority, deployed: Callable[[], Sequence[x
         content=content,
         certificate=_readable(content),
         # Before anything was installed nobody trusts the authority: one of the user's own may take its place.
-        recorded=known_keys.recorded(inputs.state, known_keys.AUTHORITIES, authority.name)
+        recorded=key_record.recorded(inputs.state, key_record.AUTHORITIES, authority.name)
         if inputs.state.stamps.get(INSTALLED)
         else "",
         deployed=deployed,
@@ -106,78 +106,78 @@ def choice(name: str) -> str:
     return f"'keymint install --new-authority {name}' makes a new authority ({COST})"
 
 
-def require_unused(place: Place) -> None:
+def require_unused(files: AuthorityFiles) -> None:
     """Require that no enclave trusts an authority that has neither key nor certificate here.
 
     Raises:
         KeymintError: one does, so that what is here was lost.
     """
-    if place.in_use():
-        name = place.authority.name
+    if files.in_use():
+        name = files.authority.name
         raise KeymintError(
             f"the authority {name!r} has neither key nor certificate here, but enclaves that are installed trust it",
-            where=Origin(place.certificate_file),
+            where=Origin(files.certificate_file),
             help=f"restore them, or the certificate alone from an enclave; {choice(name)}",
             code="authority-lost",
         )
 
 
-def require_fit(place: Place, key: keys.PublicKey) -> None:
+def require_fit(files: AuthorityFiles, key: keys.PublicKey) -> None:
     """Require that a private key is the one that the certificate in place certifies.
 
     Raises:
         KeymintError: it is not; says which of the two files is the wrong one, if that is known.
     """
-    if place.certificate is None or certificates.public_key(place.certificate) == key:
+    if files.certificate is None or certificates.public_key(files.certificate) == key:
         return
-    name = place.authority.name
-    if keys.fingerprint(key) in place.known():
+    name = files.authority.name
+    if keys.fingerprint(key) in files.known():
         raise KeymintError(
-            f"is the certificate of another key than {place.key_file}, which is the key of {name!r}",
-            where=Origin(place.certificate_file),
+            f"is the certificate of another key than {files.key_file}, which is the key of {name!r}",
+            where=Origin(files.certificate_file),
             help=f"restore it, or remove it and run 'keymint install'; {choice(name)}",
             code="authority-key-mismatch",
         )
     raise KeymintError(
-        f"is not the private key of {place.certificate_file}",
-        where=Origin(place.key_file),
+        f"is not the private key of {files.certificate_file}",
+        where=Origin(files.key_file),
         help=f"restore the file that is wrong; {choice(name)}",
         code="authority-key-mismatch",
     )
 
 
-def require_name(place: Place) -> None:
+def require_name(files: AuthorityFiles) -> None:
     """Require that the certificate in place has the name that the profile asks for.
 
     Raises:
         KeymintError: it has another name: under the one that is asked for there would be a new authority.
     """
-    if place.certificate is None or place.certificate.subject == place.subject:
+    if files.certificate is None or files.certificate.subject == files.subject:
         return
-    spec, name = place.authority.certificate, place.authority.name
+    spec, name = files.authority.certificate, files.authority.name
     raise KeymintError(
-        f"is for {names.to_text(place.certificate.subject)!r}, but {spec.origin} asks for "
-        f"{names.to_text(place.subject)!r}",
-        where=Origin(place.certificate_file),
+        f"is for {names.to_text(files.certificate.subject)!r}, but {spec.origin} asks for "
+        f"{names.to_text(files.subject)!r}",
+        where=Origin(files.certificate_file),
         help=f"restore the file or the subject_name; {choice(name)}",
         code="authority-renamed",
     )
 
 
-def require_known(place: Place, key: keys.PublicKey) -> None:
+def require_known(files: AuthorityFiles, key: keys.PublicKey) -> None:
     """Require that a key is the one that the authority had before.
 
     Raises:
         KeymintError: the record, or where it was lost every installed enclave, has another key of this authority.
     """
-    known = place.known()
+    known = files.known()
     if not known or keys.fingerprint(key) in known:
         return
-    name = place.authority.name
+    name = files.authority.name
     raise KeymintError(
         f"the key of the authority {name!r} was replaced: it is not the one that signed what is deployed",
-        where=Origin(place.certificate_file if place.key is None else place.key_file),
-        help=f"restore {place.key_file} and {place.certificate_file}; {choice(name)}",
+        where=Origin(files.certificate_file if files.key is None else files.key_file),
+        help=f"restore {files.key_file} and {files.certificate_file}; {choice(name)}",
         code="authority-replaced",
     )
 
@@ -196,7 +196,7 @@ def require_own_keys(inputs: Inputs, fingerprints: Mapping[str, str]) -> None:
     for name, fingerprint in fingerprints.items():
         other = owners.setdefault(fingerprint, name)
         if other != name:
-            stamped = known_keys.recorded(inputs.state, known_keys.AUTHORITIES, other) == fingerprint
+            stamped = key_record.recorded(inputs.state, key_record.AUTHORITIES, other) == fingerprint
             wrong = name if stamped else other
             raise KeymintError(
                 f"the authorities {other!r} and {name!r} have one and the same key",

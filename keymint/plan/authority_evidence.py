@@ -15,10 +15,10 @@ from comarmor.errors import Diagnostic, Origin
 from keymint.api import Package
 from keymint.errors import KeymintError
 from keymint.pki import certificates, keys
-from keymint.plan import authority_places, known_keys
+from keymint.plan import authority_files, key_record
 from keymint.plan.authorities import in_order
-from keymint.plan.authority_places import Place
-from keymint.plan.secrets import password
+from keymint.plan.authority_files import AuthorityFiles
+from keymint.plan.private_keys import password
 from keymint.session import Inputs, Session
 
 Doubts = Mapping[str, tuple[Diagnostic, ...]]
@@ -32,8 +32,8 @@ def doubts(session: Session) -> Doubts:
     """
     found: dict[str, tuple[Diagnostic, ...]] = {}
     for authority in in_order(session.profile.authorities):
-        place = authority_places.look(session, authority, tuple)
-        own = () if place.content is None else tuple(_against(session, place, place.content))
+        files = authority_files.look(session, authority, tuple)
+        own = () if files.content is None else tuple(_against(session, files, files.content))
         if all_ := (*own, *found.get(authority.certificate.issuer, ())):
             found[authority.name] = all_
     return found
@@ -45,33 +45,33 @@ def about(found: Doubts, package: Package) -> tuple[Diagnostic, ...]:
     return tuple(dict.fromkeys(each for issuer in issuers for each in found.get(issuer, ())))
 
 
-def _against(inputs: Inputs, place: Place, content: bytes) -> Iterator[Diagnostic]:
-    where = Origin(place.certificate_file)
+def _against(inputs: Inputs, files: AuthorityFiles, content: bytes) -> Iterator[Diagnostic]:
+    where = Origin(files.certificate_file)
     try:
         # Vendors differ in what they read of a file with several blocks: Fast DDS trusts each certificate in it.
         certificates.load(content, where)
         certificate = certificates.load_first(content, where)
         public = certificates.public_key(certificate, where)
-        authority_places.require_name(place)
-        _require_key(inputs, place, certificate)
-        authority_places.require_known(place, public)
+        authority_files.require_name(files)
+        _require_key(inputs, files, certificate)
+        authority_files.require_known(files, public)
     except KeymintError as error:
         yield from error.diagnostics
 
 
-def _require_key(inputs: Inputs, place: Place, certificate: x509.Certificate) -> None:
+def _require_key(inputs: Inputs, files: AuthorityFiles, certificate: x509.Certificate) -> None:
     """Require that the private key beside a certificate is its own; one that cannot be read here is no evidence.
 
     Raises:
         KeymintError: it is another one.
     """
-    spec = place.authority.certificate
-    if place.key is None:
+    spec = files.authority.certificate
+    if files.key is None:
         return
     try:
         secret = password(spec.key, inputs.environment, spec.origin)
-        key = keys.from_pem(place.key, secret, Origin(place.key_file)).public_key()
+        key = keys.from_pem(files.key, secret, Origin(files.key_file)).public_key()
     except KeymintError:
         return
-    if not known_keys.was_under_way(inputs.state, keys.fingerprint(key)) and certificate == place.certificate:
-        authority_places.require_fit(place, key)
+    if not key_record.was_under_way(inputs.state, keys.fingerprint(key)) and certificate == files.certificate:
+        authority_files.require_fit(files, key)
