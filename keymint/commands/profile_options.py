@@ -38,6 +38,8 @@ def refuse_contradiction(run: Run, workspace: Workspace, given: ProfileOptions, 
         return
     profile = run.inputs(workspace).session().profile
     profile_type = run.plugins.profile_type(profile.profile_type)
+    if given.distro is not None:
+        profile_type.library(given.distro)  # an unknown distribution is a usage error, as for a new workspace
     present = {"profile-type": profile.profile_type}
     if isinstance(profile_type, ProfileSettings):
         present |= profile_type.settings(profile)

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from typing import Any
 
 import click
 
 from comarmor.errors import Diagnostic, Origin, Severity, cited
-from keymint.api import AppliedProfile, Tier
+from keymint.api import AppliedProfile, DomainRange, Tier
 from keymint.commands.options import transport_option
 from keymint.commands.policies import typed
 from keymint.commands.run import Run
@@ -29,8 +29,9 @@ from keymint.output.report import Report
 from keymint.plan.policy import load_policy
 from keymint.plan.trust_anchors import differences
 from keymint.session import Session
+from keymint.verify.mismatch import Mismatch
 from keymint.verify.usable_transports import choose, models
-from keymint.verify.why import Explanation, MatchedRule, explain, request, usual_domain
+from keymint.verify.why import Explanation, MatchedRule, explain, granted_domains, request
 
 _PERMISSIONS = [permission for permissions in LABELLED.values() for permission in permissions]
 
@@ -66,15 +67,17 @@ def why(
     workspace = run.workspace()
     inputs = run.snapshot(workspace)
     session = inputs.session()
-    asked = usual_domain(session, subject) if domain is None else domain
-    edge = request(subject, permission, object_name, partitions, asked)
+    granted = granted_domains(session, subject)
+    if domain is None:
+        domain = granted[0].first if granted else 0
+    edge = request(subject, permission, object_name, partitions, domain)
     transports = choose(run.plugins, chosen, Tier.DECISION)
     found = explain(session, load_policy(session), edge, transports, lambda: models(run.plugins))
 
     as_typed = typed(run)
     for line in _lines(found, as_typed):
         run.console.line(line.replace(f"{run.setting.cwd}/", ""))
-    said = [*_strange(session, found), *_findings(found)]
+    said = [*_strange(session, found), *_mismatches(found, granted)]
     result = _document(found, as_typed)
     return Report(run.verb, workspace, (), said, result, ExitCode.FINDINGS if said else ExitCode.DONE)
 
@@ -86,8 +89,8 @@ def _strange(session: Session, found: Explanation) -> tuple[Diagnostic, ...]:
     return differences(session, (found.edge.subject.removeprefix("/"),))
 
 
-def _findings(found: Explanation) -> list[Diagnostic]:
-    """Return what transports decide otherwise than the policy, told together where it is the same."""
+def _mismatches(found: Explanation, granted: Sequence[DomainRange]) -> list[Diagnostic]:
+    """Return the mismatches between policy and transports, one for all transports with the same reason."""
     together: dict[tuple[str, int], list[str]] = {}
     for name, label in found.wrong.items():
         together.setdefault((document_reason(label), label.document.line), []).append(name)
@@ -97,12 +100,23 @@ def _findings(found: Explanation) -> list[Diagnostic]:
             Severity.ERROR,
             mismatch_text(names, label, at_rule=True),
             label.policy.where or label.document,
-            remedy(label),
+            _remedy(label, granted),
             found.edge.subject,
         )
         for names in together.values()
         for label in [found.wrong[names[0]]]
     ]
+
+
+def _remedy(label: Mismatch, granted: Sequence[DomainRange]) -> str:
+    """Return how to fix a mismatch; no build fixes a request in a domain that is not granted."""
+    edge = label.edge
+    if not granted or any(each.first <= edge.domain <= each.last for each in granted):
+        return remedy(label)
+    domains = enumerated(
+        [f"{each.first}" if each.first == each.last else f"{each.first}-{each.last}" for each in granted]
+    )
+    return f"{edge.subject} is granted domain {domains}, not {edge.domain}: leave out --domain"
 
 
 def _lines(found: Explanation, typed: Callable[[str], str]) -> Iterator[str]:

@@ -4,11 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import cast
 
 from comarmor.errors import Origin
 from comarmor.text import did_you_mean, nearest_word
-from keymint.api import AppliedProfile, Enclave, LoadedPolicy, PolicyDecision, RuleLocator, Tier, Transport
+from keymint.api import AppliedProfile, DomainRange, Enclave, LoadedPolicy, PolicyDecision, RuleLocator, Tier, Transport
 from keymint.errors import ExitCode, KeymintError
 from keymint.graph import LABELLED, Edge, Object
 from keymint.ir import Rule
@@ -110,17 +109,16 @@ def request(subject: str, permission: str, name: str, partitions: Sequence[str],
     return Edge(full, permission, Object(kind, name, tuple(sorted(set(partitions)))), domain)
 
 
-def usual_domain(session: Session, subject: str) -> int:
-    """Return the first DDS domain of the grant of a subject; 0 where there is no package.
+def granted_domains(session: Session, subject: str) -> tuple[DomainRange, ...]:
+    """Return the DDS domains of the grant of a subject; none if it has no source package.
 
     Raises:
         KeymintError: the source package has defects.
     """
     name = subject.removeprefix("/")
     if name not in packages(session.tree, session.workspace.src):
-        return 0
-    domains = session.package(name).permissions.domains
-    return domains[0].first if domains else 0
+        return ()
+    return session.package(name).permissions.domains
 
 
 def explain(
@@ -197,7 +195,7 @@ def _package(session: Session, name: str, edge: Edge) -> tuple[Sequence[MatchedR
 def _places(session: Session, name: str, files: Mapping[str, bytes], rules: Sequence[Rule]) -> Sequence[Origin]:
     """Return where each rule of a package stands in the package, or in the policy where that is not told."""
     package_type = session.plugins.package_type(session.profile.package_type, session.profile_marker())
-    if not hasattr(package_type, "rule_places"):
+    if not isinstance(package_type, RuleLocator):
         return [rule.origin for rule in rules]
     folder = session.workspace.shown(session.workspace.src / name)
-    return cast("RuleLocator", package_type).rule_places(name, folder, files)
+    return package_type.rule_places(name, folder, files)

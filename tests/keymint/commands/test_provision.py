@@ -136,6 +136,18 @@ def test_a_domain_of_ones_own(keymint, policy: Path, tmp_path: Path) -> None:
         assert "<id>42</id>" in (tmp_path / "ws/build/talker" / file).read_text()
 
 
+@pytest.mark.parametrize("verb", ["init", "provision"])
+def test_an_unknown_distribution_is_a_usage_error_also_for_an_existing_workspace(
+    keymint, policy: Path, verb: str
+) -> None:
+    arguments = ("--policy", policy, "ws") if verb == "init" else (policy, "-w", "ws")
+    new = keymint(verb, *arguments, "--distro", "nosuch")
+    assert keymint(verb, *arguments).code == 0
+    again = keymint(verb, *arguments, "--distro", "nosuch")
+    assert (new.code, again.code) == (2, 2)
+    assert "nosuch" in again.err
+
+
 class TestWorkspaceOf2018:
     """The format that this kind of tool had in 2018 loads, unmodified."""
 

@@ -182,3 +182,5 @@ def test_it_asks_in_the_domain_of_the_subject(keymint, tmp_path: Path) -> None:
     assert [each["allowed"] for each in result["transports"]] == [True]
     outcome = keymint("why", "/cell/arm", "ros_subscribe", "/estop", "-w", "there", "-t", "omg", "--domain", "0")
     assert outcome.code == 3
+    assert "/cell/arm is granted domain 42, not 0: leave out --domain" in outcome.err
+    assert "keymint build" not in outcome.err, "a new build would change nothing"
