@@ -31,7 +31,7 @@ from keymint.analysis.rule_lists import (
     text,
     universe,
 )
-from keymint.api import LoadedPolicy, PolicyStructure, WrittenRule
+from keymint.api import LoadedPolicy, PolicyStructure, StructuredPolicy, WrittenRule
 from keymint.ir import Rule
 
 EVERY = parse("/*")
@@ -46,10 +46,8 @@ _NODE = "ros_parameter"
 
 
 def structure(policy: LoadedPolicy) -> PolicyStructure | None:
-    """Return a policy as it is written, or None if its type does not tell."""
-    of = getattr(policy, "structure", None)
-    found = of() if of else None
-    return found if isinstance(found, PolicyStructure) else None
+    """Return the profiles of a policy as written, or None if its type does not offer them."""
+    return policy.structure() if isinstance(policy, StructuredPolicy) else None
 
 
 def rules_of(policy: LoadedPolicy, subject: str) -> tuple[Rule, ...]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from datetime import datetime
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 from comarmor.errors import Diagnostic
 from keymint.api.packages import Package
@@ -166,6 +166,7 @@ class BuildType(Protocol):
         """Return findings that concern several enclaves together, e.g. names that a vendor confuses."""
 
 
+@runtime_checkable
 class NameMapping(Protocol):
     """What a build type may offer beside :class:`BuildType`: the endpoints of a transport that an edge stands for.
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 from comarmor.errors import Diagnostic
 from keymint.api.policies import LoadedPolicy
@@ -83,6 +83,7 @@ class LearnedPolicy:
     unused: tuple[Diagnostic, ...] = ()
 
 
+@runtime_checkable
 class PolicyLearner(Protocol):
     """What a policy type may offer beside :class:`PolicyType`: the policy that a graph needs."""
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 from comarmor.errors import Origin, Reason
 from comarmor.rules import Expectation
@@ -118,13 +118,15 @@ class PolicyStructure:
     unused: tuple[tuple[str, Origin], ...] = ()
 
 
+@runtime_checkable
 class StructuredPolicy(Protocol):
     """What a policy may offer beside :class:`LoadedPolicy`: itself as it is written, for subjects it does not name."""
 
-    def structure(self) -> PolicyStructure:
+    def structure(self) -> PolicyStructure | None:
         """Return the policy as it is written."""
 
 
+@runtime_checkable
 class PolicyTypeWithTests(Protocol):
     """What a policy type may offer beside :class:`PolicyType`: reading of a policy's own unit tests."""
 

@@ -163,6 +163,7 @@ class PackageType(Protocol):
         """
 
 
+@runtime_checkable
 class RuleLocator(Protocol):
     """What a package type may offer beside :class:`PackageType`: where the rules of a package stand in its files."""
 

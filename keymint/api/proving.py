@@ -6,7 +6,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from datetime import datetime
 from enum import StrEnum
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 from comarmor.errors import Diagnostic, Origin
 from keymint.api.packages import DomainRange, Governance
@@ -152,6 +152,7 @@ class ValidityTerm:
     models: tuple[str, ...] = ()
 
 
+@runtime_checkable
 class Prover(Protocol):
     """What a build type may offer beside :class:`BuildType`: proofs about what it installs."""
 

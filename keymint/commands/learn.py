@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, cast
+from typing import Any
 
 import click
 
@@ -48,7 +48,7 @@ def learn(
     """
     policies = Policies(run, policy_options)
     learner = run.plugins.policy_type(policy_options.policy_type)
-    if not hasattr(learner, "learn"):
+    if not isinstance(learner, PolicyLearner):
         raise KeymintError(f"the policy type {policy_options.policy_type!r} cannot learn", code="learn-unsupported")
     if policy_options.distro:
         policies.shipped()  # an unknown distribution is an error with and without --policy
@@ -57,7 +57,7 @@ def learn(
     if output and existing:
         _refuse_overwriting(run, output, existing)
     folder = f"{output.stem}.d" if output else ""
-    learned = cast("PolicyLearner", learner).learn(wanted, existing, folder)
+    learned = learner.learn(wanted, existing, folder)
     learned = replace(learned, unused=tuple(as_typed(found, run.setting.cwd) for found in learned.unused))
     written: list[str] = []
     if output and learned.document:

@@ -9,7 +9,7 @@ import click
 
 from comarmor.errors import Diagnostic, Origin, Severity
 from keymint.analysis.policy_tests import ExpectationChecker, ExpectationResult, Place, diagnostics
-from keymint.api import Expectation
+from keymint.api import Expectation, PolicyTypeWithTests
 from keymint.commands.options import Number, PolicyOptions, policy_options
 from keymint.commands.policies import Policies, typed
 from keymint.commands.run import Run
@@ -57,8 +57,8 @@ def test(
     expectation is about. Ends with 3 when an expectation does not hold.
     """
     policies = Policies(run, policy_options)
-    read = getattr(run.plugins.policy_type(policy_options.policy_type), "expectations", None)
-    if read is None:
+    policy_type = run.plugins.policy_type(policy_options.policy_type)
+    if not isinstance(policy_type, PolicyTypeWithTests):
         raise KeymintError(f"the policy type {policy_options.policy_type} has no unit tests", code="tests-none")
     folders, library = policies.places(policy)
     missing = next((folder for folder in folders if not folder.exists()), None)
@@ -70,7 +70,7 @@ def test(
         )
     files: dict[Path, Sequence[Expectation]] = {}
     for folder in folders:
-        files |= read(folder)
+        files |= policy_type.expectations(folder)
     if not any(files.values()):
         shown = typed(run)(str(folders[0]))
         beside = f"{shown}/*.test.xml" if folders[0].is_dir() else f"{shown.removesuffix('.xml')}.test.xml"

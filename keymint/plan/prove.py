@@ -9,7 +9,6 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from datetime import datetime
 from pathlib import Path
-from typing import cast
 
 from comarmor.errors import Diagnostic, Origin, Severity
 from keymint import __version__
@@ -228,13 +227,12 @@ class _Stage:
     def _assume(self, name: str, package: str) -> Prover | None:
         """Return what proves, and keep what its claims take for granted; None for a build type that proves nothing."""
         build_type = self._session.plugins.build_type(name, self._session.package_marker(package))
-        if not hasattr(build_type, "prove"):
+        if not isinstance(build_type, Prover):
             return None
-        prover = cast("Prover", build_type)
         if name not in self._provers:
             self._provers.add(name)
-            self._assumptions.update(prover.assumptions())
-        return prover
+            self._assumptions.update(build_type.assumptions())
+        return build_type
 
     def _wanted(self, source: Mapping[str, bytes], files: Mapping[str, bytes]) -> str:
         """Return the digest of all that a proof depends on beside the policy."""

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from typing import cast
 
 from comarmor.errors import Diagnostic
 from keymint.api import Package, Prover, TrustAnchor, TrustAnchors
@@ -54,8 +53,8 @@ def differences(session: Session, names: Sequence[str]) -> tuple[Diagnostic, ...
         package = session.package(name)
         found += authority_evidence.about(doubts, package)
         build_type = session.plugins.build_type(package.build_type, session.package_marker(name))
-        if hasattr(build_type, "differences"):
+        if isinstance(build_type, Prover):
             anchors = anchors_of(session, package, chains)
-            told = cast("Prover", build_type).differences(files, session.workspace.shown(folder), anchors)
+            told = build_type.differences(files, session.workspace.shown(folder), anchors)
             found += (replace(each, subject=package.subject) for each in told)
     return tuple(dict.fromkeys(found))

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import cast
 
 from comarmor.text import did_you_mean
 from keymint.api import Enclave, LoadedPolicy, NameMapping, Package
@@ -67,9 +66,7 @@ def verification_scope(session: Session, names: Sequence[str]) -> VerificationSc
 def naming_of(inputs: Inputs, package: Package) -> Naming | None:
     """Return how the build type of a package maps names, if it tells."""
     build_type = inputs.plugins.build_type(package.build_type, inputs.package_marker(package.name))
-    if hasattr(build_type, "endpoints") and hasattr(build_type, "meanings"):
-        return Naming(cast("NameMapping", build_type), package.distro)
-    return None
+    return Naming(build_type, package.distro) if isinstance(build_type, NameMapping) else None
 
 
 def edges_of_graph(

@@ -137,6 +137,11 @@ def base_of(profile: WorkspaceProfile) -> str:
     return "" if folder == "." else f"{folder.rstrip('/')}/"
 
 
+def recognises(files: Mapping[str, bytes]) -> bool:
+    """Tell whether these files of a profile space are of this type."""
+    return MANIFEST in files
+
+
 def load(root: Path, files: Mapping[str, bytes]) -> WorkspaceProfile:
     """Load a profile: see :meth:`keymint.api.ProfileType.load`."""
     name = str(root / MANIFEST)
