@@ -21,17 +21,17 @@ if TYPE_CHECKING:
     from comarmor.language.loading import load, load_all
     from comarmor.language.policy import Policy
     from comarmor.language.render import render
-    from comarmor.language.syntax import Decision, Expression, Profile, ProfileRule
+    from comarmor.language.syntax import Attachment, Decision, Profile, ProfileRule
     from comarmor.rules import PARTS, PERMISSIONS, Effect, Rule
 
 __all__ = [
     "PARTS",
     "PERMISSIONS",
+    "Attachment",
     "ComArmorError",
     "Decision",
     "Diagnostic",
     "Effect",
-    "Expression",
     "Origin",
     "Policy",
     "Profile",
@@ -48,7 +48,7 @@ _MODULES = {
     "comarmor.language.loading": ("load", "load_all"),
     "comarmor.language.policy": ("Policy",),
     "comarmor.language.render": ("render",),
-    "comarmor.language.syntax": ("Decision", "Expression", "Profile", "ProfileRule"),
+    "comarmor.language.syntax": ("Decision", "Attachment", "Profile", "ProfileRule"),
     "comarmor.rules": ("PARTS", "PERMISSIONS", "Effect", "Rule"),
 }
 _MODULE_OF = {name: module for module, names in _MODULES.items() for name in names}

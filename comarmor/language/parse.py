@@ -9,11 +9,12 @@ from lxml import etree
 
 from comarmor.data import locate
 from comarmor.errors import ComArmorError, Diagnostic, Origin
-from comarmor.language import template
+from comarmor.language.attachments import parse as parse_attachment
+from comarmor.language.attachments import strip
 from comarmor.language.policy import Policy
-from comarmor.language.scope import Budget, Scope
-from comarmor.language.source import INCLUDE, Document, Sources
-from comarmor.language.syntax import Expression, Profile, ProfileRule
+from comarmor.language.source import INCLUDE, PolicyFile, PolicyFiles
+from comarmor.language.syntax import Attachment, Profile, ProfileRule
+from comarmor.language.tunables import ExpansionBudget, TunableScope
 from comarmor.patterns.expression import literal
 from comarmor.ros_names import is_fully_qualified
 from comarmor.rules import PERMISSIONS, Effect
@@ -28,11 +29,11 @@ _MOST_DIAGNOSTICS = 100
 
 
 @dataclass(frozen=True, slots=True)
-class _Item:
+class _PlacedElement:
     """An element, and the file it stands in, with the chain of includes that led there."""
 
     element: etree._Element
-    document: Document
+    document: PolicyFile
     chain: tuple[Origin, ...]
 
     @property
@@ -41,11 +42,11 @@ class _Item:
 
 
 @dataclass(slots=True)
-class _Parser:
+class _PolicyParser:
     """Goes through the documents of a policy once, in order, and gathers every defect."""
 
-    checked: set[Document] = field(default_factory=set)
-    budget: Budget = field(default_factory=Budget)
+    checked: set[PolicyFile] = field(default_factory=set)
+    budget: ExpansionBudget = field(default_factory=ExpansionBudget)
     found: list[Diagnostic] = field(default_factory=list)
 
     def note(self, error: ComArmorError, where: Origin) -> None:
@@ -61,7 +62,7 @@ class _Parser:
         """Keep a defect, and go on."""
         self.note(ComArmorError(message, where=where, help=help_, code=code), where)
 
-    def validate(self, document: Document, chain: tuple[Origin, ...]) -> None:
+    def validate(self, document: PolicyFile, chain: tuple[Origin, ...]) -> None:
         """Hold a document and what it includes against the schema, each once, in the place where it is met first."""
         if document in self.checked:
             return
@@ -73,10 +74,10 @@ class _Parser:
         for element, included in document.includes.items():
             self.validate(included, (_place(document, element), *chain))
 
-    def root(self, document: Document) -> tuple[Profile, ...]:
+    def root(self, document: PolicyFile) -> tuple[Profile, ...]:
         """Return the profiles of a root file."""
-        scope = Scope(self.budget)
-        item = _Item(document.root, document, ())
+        scope = TunableScope(self.budget)
+        item = _PlacedElement(document.root, document, ())
         if document.root.tag == "profiles":
             return self.profiles(item, scope)
         if document.root.tag == "profile":
@@ -89,21 +90,21 @@ class _Parser:
         )
         return ()
 
-    def children(self, item: _Item) -> Iterator[_Item]:
+    def children(self, item: _PlacedElement) -> Iterator[_PlacedElement]:
         """Yield the elements in an element, those of included files in the place of the include."""
         for element in item.element:
             if element.tag != INCLUDE:
-                yield _Item(element, item.document, item.chain)
+                yield _PlacedElement(element, item.document, item.chain)
                 continue
             included = item.document.includes[element]
             chain = (_place(item.document, element), *item.chain)
-            inner = _Item(included.root, included, chain)
+            inner = _PlacedElement(included.root, included, chain)
             if included.root.tag == "profiles":
                 yield from self.children(inner)
             else:
                 yield inner
 
-    def profiles(self, item: _Item, scope: Scope) -> tuple[Profile, ...]:
+    def profiles(self, item: _PlacedElement, scope: TunableScope) -> tuple[Profile, ...]:
         """Return the profiles in a ``<profiles>`` element."""
         found: list[Profile] = []
         for child in self.children(item):
@@ -120,14 +121,14 @@ class _Parser:
                 )
         return tuple(found)
 
-    def profile(self, item: _Item, around: Scope, *, audit: bool, depth: int) -> Iterator[Profile]:
+    def profile(self, item: _PlacedElement, around: TunableScope, *, audit: bool, depth: int) -> Iterator[Profile]:
         """Yield the profile of a ``<profile>`` element, unless it is defective."""
         if depth > _DEEPEST:
             self.refuse(f"profiles are nested more than {_DEEPEST} deep", item.where, "xml-limit")
             return
         scope = around.inner()
         audit = audit or item.element.get("modifier") == "AUDIT"
-        attachments: list[Expression] = []
+        attachments: list[Attachment] = []
         inner: list[Profile] = []
         rules: list[ProfileRule] = []
         for child in self.children(item):
@@ -143,15 +144,15 @@ class _Parser:
         name = item.element.get("name", "")
         yield Profile(name, audit, _unique(attachments), tuple(inner), tuple(rules), item.where)
 
-    def tunable(self, item: _Item, scope: Scope) -> None:
+    def tunable(self, item: _PlacedElement, scope: TunableScope) -> None:
         """Declare a tunable."""
-        values = [template.strip(value.text or "") for value in item.element]
+        values = [strip(value.text or "") for value in item.element]
         try:
             scope.declare(item.element.get("name", ""), values, item.where)
         except ComArmorError as error:
             self.note(error, item.where)
 
-    def subjects(self, item: _Item, scope: Scope) -> Iterator[Expression]:
+    def subjects(self, item: _PlacedElement, scope: TunableScope) -> Iterator[Attachment]:
         """Yield the attachments of a profile."""
         for expression in self.attachments(item, scope):
             if expression.value:
@@ -172,7 +173,7 @@ class _Parser:
                 )
             yield expression
 
-    def attachments(self, item: _Item, scope: Scope) -> Iterator[Expression]:
+    def attachments(self, item: _PlacedElement, scope: TunableScope) -> Iterator[Attachment]:
         """Yield the expressions of an ``<attachment>`` or ``<attachments>`` element."""
         for element in item.element if item.element.tag == "attachments" else (item.element,):
             where = _place(item.document, element, item.chain)
@@ -183,13 +184,13 @@ class _Parser:
                 continue
             for value in values:
                 if any(value):
-                    yield Expression.of(value, where)
+                    yield Attachment.of(value, where)
                 else:
                     self.refuse("the attachment is empty", where, "expression", "for any name write *")
 
-    def rule(self, item: _Item, scope: Scope, *, audit: bool) -> ProfileRule:
+    def rule(self, item: _PlacedElement, scope: TunableScope, *, audit: bool) -> ProfileRule:
         """Return the rule of an element."""
-        attachments: list[Expression] = []
+        attachments: list[Attachment] = []
         held: set[str] = set()
         partitions: tuple[str, ...] = ()
         for child in item.element:
@@ -198,7 +199,7 @@ class _Parser:
             elif child.tag == "partitions":
                 partitions = self.partitions(child, item)
             else:
-                attachments += self.attachments(_Item(child, item.document, item.chain), scope)
+                attachments += self.attachments(_PlacedElement(child, item.document, item.chain), scope)
         kind = str(item.element.tag)
         return ProfileRule(
             effect=Effect(item.element.get("qualifier", "")),
@@ -210,13 +211,13 @@ class _Parser:
             where=item.where,
         )
 
-    def partitions(self, element: etree._Element, item: _Item) -> tuple[str, ...]:
+    def partitions(self, element: etree._Element, item: _PlacedElement) -> tuple[str, ...]:
         """Return the expressions of a ``<partitions>`` element; they take no tunables and no braces."""
         found: dict[str, None] = {}
         for child in element:
             where = _place(item.document, child, item.chain)
             try:
-                pieces = template.parse(template.strip(child.text or ""))
+                pieces = parse_attachment(strip(child.text or ""))
             except ComArmorError as error:
                 self.note(error, where)
                 continue
@@ -231,7 +232,7 @@ class _Parser:
         return tuple(found)
 
 
-def parse(sources: Sources) -> Policy:
+def parse(sources: PolicyFiles) -> Policy:
     """Return the policy that documents hold.
 
     Args:
@@ -240,7 +241,7 @@ def parse(sources: Sources) -> Policy:
     Raises:
         ComArmorError: with every defect that was found, each with ``file:line`` and its chain of includes.
     """
-    parser = _Parser()
+    parser = _PolicyParser()
     for document in sources.roots:
         parser.validate(document, ())
     if parser.found:
@@ -252,13 +253,13 @@ def parse(sources: Sources) -> Policy:
     return Policy(profiles, sources.files, sources.seen, unused)
 
 
-def _place(document: Document, element: etree._Element, chain: tuple[Origin, ...] = ()) -> Origin:
+def _place(document: PolicyFile, element: etree._Element, chain: tuple[Origin, ...] = ()) -> Origin:
     return Origin(document.name, line(element), chain, column(element))
 
 
-def _unique(expressions: list[Expression]) -> tuple[Expression, ...]:
+def _unique(expressions: list[Attachment]) -> tuple[Attachment, ...]:
     """Return expressions without those whose text came before."""
-    first: dict[str, Expression] = {}
+    first: dict[str, Attachment] = {}
     for expression in expressions:
         first.setdefault(expression.text, expression)
     return tuple(first.values())

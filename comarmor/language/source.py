@@ -21,16 +21,27 @@ from comarmor.errors import ComArmorError, Origin
 from comarmor.text import did_you_mean, quoted
 from comarmor.xml.reader import LIMITS, XINCLUDE, Limits, line, parse
 from comarmor.xml.sandboxed_paths import (
-    Folder,
-    confined,
+    SandboxedFolder,
+    existing_file,
     exists,
-    nearest,
-    printable,
+    path_text,
     read_bounded,
+    similar_file,
     unreadable,
 )
 
-__all__ = ["INCLUDE", "LIMITS", "TESTS", "XINCLUDE", "Document", "Limits", "Sources", "line", "load_tree", "parse"]
+__all__ = [
+    "INCLUDE",
+    "LIMITS",
+    "TESTS",
+    "XINCLUDE",
+    "Limits",
+    "PolicyFile",
+    "PolicyFiles",
+    "line",
+    "load_tree",
+    "parse",
+]
 
 INCLUDE = f"{{{XINCLUDE}}}include"
 TESTS = ".test.xml"
@@ -38,7 +49,7 @@ TESTS = ".test.xml"
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Document:
+class PolicyFile:
     """One file of a policy.
 
     Attributes:
@@ -51,13 +62,13 @@ class Document:
 
     name: str
     root: etree._Element
-    includes: Mapping[etree._Element, Document]
+    includes: Mapping[etree._Element, PolicyFile]
     nodes: int
     inclusions: int
 
 
 @dataclass(frozen=True, slots=True)
-class Sources:
+class PolicyFiles:
     """A policy as it was read.
 
     Attributes:
@@ -66,12 +77,12 @@ class Sources:
         seen: the :func:`fingerprint` of every path that was looked at, also of those that were not there.
     """
 
-    roots: tuple[Document, ...]
+    roots: tuple[PolicyFile, ...]
     files: Mapping[Path, bytes]
     seen: Mapping[Path, bytes]
 
 
-def load_tree(path: Path, library: Path | None = None, *, limits: Limits = LIMITS) -> Sources:
+def load_tree(path: Path, library: Path | None = None, *, limits: Limits = LIMITS) -> PolicyFiles:
     """Read a policy: a file, or of a directory the ``*.xml`` files directly in it, in sorted order.
 
     Args:
@@ -82,14 +93,14 @@ def load_tree(path: Path, library: Path | None = None, *, limits: Limits = LIMIT
     Raises:
         ComArmorError: something is missing, outside, too large or not well-formed, with ``file:line``.
     """
-    shown = printable(str(path))
+    shown = path_text(str(path))
     try:
         if path.is_dir():
-            folder = Folder(path.resolve(strict=True), str(path))
+            folder = SandboxedFolder(path.resolve(strict=True), str(path))
             roots = _roots(path)
         else:
             real = path.resolve(strict=True)
-            folder = Folder(real.parent, str(real.parent if path.is_symlink() else path.parent))
+            folder = SandboxedFolder(real.parent, str(real.parent if path.is_symlink() else path.parent))
             roots = [real.name]
     except (OSError, RuntimeError, ValueError) as error:
         raise ComArmorError(unreadable(error, "the policy"), where=Origin(shown), code="policy-missing") from None
@@ -100,11 +111,11 @@ def load_tree(path: Path, library: Path | None = None, *, limits: Limits = LIMIT
             help="put the policy's root files directly into it; files in sub-folders are only reached by includes",
             code="policy-empty",
         )
-    reader = _Reader(folder, _library(library), limits)
+    reader = _PolicyReader(folder, _library(library), limits)
     if path.is_dir():
         reader.seen[Path(folder.shown)] = _names_fingerprint(roots)
     documents = tuple(reader.root(name) for name in roots)
-    return Sources(documents, MappingProxyType(reader.files), MappingProxyType(reader.seen))
+    return PolicyFiles(documents, MappingProxyType(reader.files), MappingProxyType(reader.seen))
 
 
 def fingerprint(path: Path) -> bytes:
@@ -137,14 +148,14 @@ def _names_fingerprint(names: Sequence[str]) -> bytes:
     return hashlib.sha256("/".join(names).encode(errors="surrogateescape")).digest()
 
 
-def _library(library: Path | None) -> Folder | None:
+def _library(library: Path | None) -> SandboxedFolder | None:
     if library is None or not library.is_dir():
         return None
-    return Folder(library.resolve(), str(library))
+    return SandboxedFolder(library.resolve(), str(library))
 
 
 @dataclass(slots=True)
-class _Reader:
+class _PolicyReader:
     """Reads each file of a policy once.
 
     Attributes:
@@ -159,19 +170,19 @@ class _Reader:
         total: bytes read.
     """
 
-    folder: Folder
-    library: Folder | None
+    folder: SandboxedFolder
+    library: SandboxedFolder | None
     limits: Limits
     files: dict[Path, bytes] = field(default_factory=dict)
     seen: dict[Path, bytes] = field(default_factory=dict)
-    done: dict[Path, Document] = field(default_factory=dict)
-    included: dict[tuple[Folder, str, str], Document] = field(default_factory=dict)
+    done: dict[Path, PolicyFile] = field(default_factory=dict)
+    included: dict[tuple[SandboxedFolder, str, str], PolicyFile] = field(default_factory=dict)
     open: list[Path] = field(default_factory=list)
     total: int = 0
     nodes: int = 0
     inclusions: int = 0
 
-    def root(self, relative: str) -> Document:
+    def root(self, relative: str) -> PolicyFile:
         """Read a root file of the policy."""
         where = Origin(self.folder.name(relative))
         document = self.document(self.folder, relative, where, ())
@@ -180,7 +191,7 @@ class _Reader:
         self.bound(self.nodes, self.inclusions, where)
         return document
 
-    def document(self, folder: Folder, relative: str, where: Origin, chain: tuple[Origin, ...]) -> Document:
+    def document(self, folder: SandboxedFolder, relative: str, where: Origin, chain: tuple[Origin, ...]) -> PolicyFile:
         """Read a file and everything it includes.
 
         Args:
@@ -189,7 +200,7 @@ class _Reader:
             where: what to blame if it cannot be read.
             chain: the places that include it, innermost first.
         """
-        real = confined(folder, relative, where)
+        real = existing_file(folder, relative, where)
         if real in self.files:
             self.seen[Path(folder.shown, relative)] = self.files[real]
         if real in self.open:
@@ -209,7 +220,7 @@ class _Reader:
         except ComArmorError as error:
             raise _with_chain(error, chain) from None
         self.open.append(real)
-        includes: dict[etree._Element, Document] = {}
+        includes: dict[etree._Element, PolicyFile] = {}
         nodes, inclusions = 0, 0
         for element in root.iter():
             nodes += 1
@@ -226,11 +237,11 @@ class _Reader:
             inclusions += 1 + included.inclusions
             self.bound(nodes, inclusions, place)
         self.open.pop()
-        document = Document(name, root, MappingProxyType(includes), nodes, inclusions)
+        document = PolicyFile(name, root, MappingProxyType(includes), nodes, inclusions)
         self.done[real] = document
         return document
 
-    def include(self, element: etree._Element, folder: Folder, relative: str, where: Origin) -> Document:
+    def include(self, element: etree._Element, folder: SandboxedFolder, relative: str, where: Origin) -> PolicyFile:
         """Read what an ``xi:include`` element of a file refers to."""
         href = _href(element, where)
         target = posixpath.normpath(posixpath.join(posixpath.dirname(relative), href))
@@ -251,13 +262,13 @@ class _Reader:
         document = self.included[asked] = self.document(folder, target, where, chain)
         return document
 
-    def missing(self, folder: Folder, target: str, href: str, where: Origin) -> ComArmorError:
+    def missing(self, folder: SandboxedFolder, target: str, href: str, where: Origin) -> ComArmorError:
         """Return the error for an include that is nowhere: where it was looked for, and a similar name there."""
-        places, near = [folder.name(target)], nearest(folder, target, where.file)
+        places, near = [folder.name(target)], similar_file(folder, target, where.file)
         if self.library is not None:
             from_root = posixpath.normpath(href)
             places.append(self.library.name(from_root))
-            near = near or nearest(self.library, from_root)
+            near = near or similar_file(self.library, from_root)
         looked = f"looked for {' and '.join(quoted(each, 200) for each in dict.fromkeys(places))}"
         return ComArmorError(
             f"the included file {quoted(href, 200)} does not exist",
@@ -266,7 +277,7 @@ class _Reader:
             code="include-missing",
         )
 
-    def read(self, folder: Folder, real: Path, where: Origin) -> bytes:
+    def read(self, folder: SandboxedFolder, real: Path, where: Origin) -> bytes:
         """Return the bytes of a file, and note their digest."""
         try:
             content = read_bounded(folder.real, real, self.limits.file_bytes + 1)

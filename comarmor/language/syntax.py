@@ -6,12 +6,12 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 
 from comarmor.errors import Origin, Reason
-from comarmor.language.template import Placeholder, Value, for_subject
+from comarmor.language.attachments import Placeholder, Value, for_subject
 from comarmor.rules import Effect, Rule
 
 
 @dataclass(frozen=True, slots=True)
-class Expression:
+class Attachment:
     """An attachment with its tunables expanded, in canonical notation.
 
     Attributes:
@@ -25,7 +25,7 @@ class Expression:
     value: Value = ()
 
     @classmethod
-    def of(cls, value: Value, where: Origin) -> Expression:
+    def of(cls, value: Value, where: Origin) -> Attachment:
         """Return the expression of these pieces."""
         return cls("".join(value), where, value if any(isinstance(p, Placeholder) for p in value) else ())
 
@@ -60,7 +60,7 @@ class ProfileRule:
     effect: Effect
     kind: str
     permissions: tuple[str, ...]
-    attachments: tuple[Expression, ...]
+    attachments: tuple[Attachment, ...]
     partitions: tuple[str, ...]
     audit: bool
     where: Origin
@@ -91,7 +91,7 @@ class Profile:
 
     name: str
     audit: bool
-    attachments: tuple[Expression, ...]
+    attachments: tuple[Attachment, ...]
     profiles: tuple[Profile, ...]
     rules: tuple[ProfileRule, ...]
     where: Origin

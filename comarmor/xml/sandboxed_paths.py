@@ -14,7 +14,7 @@ from comarmor.text import did_you_mean, quoted
 
 
 @dataclass(frozen=True, slots=True)
-class Folder:
+class SandboxedFolder:
     """A folder that includes are confined to: resolved, and as the user would type it."""
 
     real: Path
@@ -22,10 +22,10 @@ class Folder:
 
     def name(self, relative: str) -> str:
         """Return the path of a file in this folder as the user would type it."""
-        return printable(relative if self.shown == "." else posixpath.join(self.shown, relative))
+        return path_text(relative if self.shown == "." else posixpath.join(self.shown, relative))
 
 
-def resolve(folder: Folder, relative: str, where: Origin) -> Path:
+def resolve(folder: SandboxedFolder, relative: str, where: Origin) -> Path:
     """Return the resolved path of a file in a folder, whether or not it exists.
 
     Raises:
@@ -38,7 +38,7 @@ def resolve(folder: Folder, relative: str, where: Origin) -> Path:
         raise ComArmorError(unreadable(error, "the file"), where=where, code="unreadable") from None
     if outside or not real.is_relative_to(folder.real):
         raise ComArmorError(
-            f"{quoted(relative, 200)} is outside of the policy's folder {quoted(printable(folder.shown), 200)}",
+            f"{quoted(relative, 200)} is outside of the policy's folder {quoted(path_text(folder.shown), 200)}",
             where=where,
             help="copy the file into the folder, and include the copy",
             code="include-outside",
@@ -46,7 +46,7 @@ def resolve(folder: Folder, relative: str, where: Origin) -> Path:
     return real
 
 
-def exists(folder: Folder, relative: str, where: Origin) -> bool:
+def exists(folder: SandboxedFolder, relative: str, where: Origin) -> bool:
     """Tell whether there is something at a path in a folder.
 
     Raises:
@@ -61,7 +61,7 @@ def exists(folder: Folder, relative: str, where: Origin) -> bool:
     return True
 
 
-def confined(folder: Folder, relative: str, where: Origin) -> Path:
+def existing_file(folder: SandboxedFolder, relative: str, where: Origin) -> Path:
     """Return the resolved path of a file that must exist in a folder."""
     if not exists(folder, relative, where):
         raise ComArmorError("the file does not exist", where=where, code="unreadable")
@@ -91,7 +91,7 @@ def read_bounded(folder: Path, real: Path, size: int) -> bytes:
         return stream.read(size)
 
 
-def nearest(folder: Folder, relative: str, including: str = "") -> str:
+def similar_file(folder: SandboxedFolder, relative: str, including: str = "") -> str:
     """Return a hint at a file beside the missing one that has nearly its name.
 
     Args:
@@ -117,6 +117,6 @@ def unreadable(error: Exception, what: str) -> str:
     return f"{what} cannot be read: {reason}"
 
 
-def printable(path: str) -> str:
+def path_text(path: str) -> str:
     """Return a path as text that can be printed, whatever bytes its name has."""
     return path.encode("utf-8", "surrogateescape").decode("utf-8", "backslashreplace")

@@ -13,7 +13,7 @@ from lxml import etree
 from comarmor.errors import ComArmorError, Diagnostic, Origin, Severity
 from comarmor.text import did_you_mean, quoted
 from comarmor.xml.reader import XINCLUDE, line, parse
-from comarmor.xml.xsd import XS, Vocabulary
+from comarmor.xml.xsd import XS, SchemaVocabulary
 
 _PREFIXES = {XINCLUDE: "xi:", "http://www.w3.org/XML/1998/namespace": "xml:"}
 _MOST = 50
@@ -21,9 +21,9 @@ _MOST = 50
 
 
 @lru_cache
-def _load(path: Path) -> tuple[etree.XMLSchema, Vocabulary]:
+def _load(path: Path) -> tuple[etree.XMLSchema, SchemaVocabulary]:
     """Return a compiled XSD, and the names that it declares."""
-    return etree.XMLSchema(file=str(path)), Vocabulary.of(_documents(path))
+    return etree.XMLSchema(file=str(path)), SchemaVocabulary.of(_documents(path))
 
 
 def _documents(path: Path) -> Iterator[etree._Element]:
@@ -74,7 +74,7 @@ def _element(root: etree._Element, path: str | None) -> etree._Element | None:
 _NAME = re.compile(r"\{([^}]*)\}([^\s',)]+)")
 
 
-def _unexpected(match: re.Match[str], vocabulary: Vocabulary, element: etree._Element | None) -> tuple[str, str]:
+def _unexpected(match: re.Match[str], vocabulary: SchemaVocabulary, element: etree._Element | None) -> tuple[str, str]:
     expected: Sequence[str] = match[2].split(", ") if match[2] else ()
     parent = None if element is None else element.getparent()
     if parent is not None and element is not None:
@@ -92,7 +92,7 @@ def _unexpected(match: re.Match[str], vocabulary: Vocabulary, element: etree._El
     return f"<{match[1]}> is not expected here, {what}", help_
 
 
-def _missing(match: re.Match[str], vocabulary: Vocabulary, element: etree._Element | None) -> tuple[str, str]:
+def _missing(match: re.Match[str], vocabulary: SchemaVocabulary, element: etree._Element | None) -> tuple[str, str]:
     expected: Sequence[str] = match[2].split(", ")
     if element is not None and len(element) and element[-1].tag in expected:
         # The element that may be repeated is there: the one that must follow it is missing.
@@ -101,7 +101,7 @@ def _missing(match: re.Match[str], vocabulary: Vocabulary, element: etree._Eleme
 
 
 def _with_exits(
-    expected: Sequence[str], last: etree._Element | None, parent: etree._Element, vocabulary: Vocabulary
+    expected: Sequence[str], last: etree._Element | None, parent: etree._Element, vocabulary: SchemaVocabulary
 ) -> Sequence[str]:
     """Add the elements that may follow a repeated one: libxml2 reports only the repeated one."""
     if last is None or last.tag not in expected:
@@ -111,47 +111,47 @@ def _with_exits(
     return (*expected, *allowed[max(known, default=len(allowed)) + 1 :])
 
 
-def _root(match: re.Match[str], vocabulary: Vocabulary, _e: etree._Element | None) -> tuple[str, str]:
+def _root(match: re.Match[str], vocabulary: SchemaVocabulary, _e: etree._Element | None) -> tuple[str, str]:
     roots = tuple(vocabulary.elements)
     return f"<{match[1]}> is not expected as the root, expected {_one_of(roots)}", did_you_mean(match[1], roots)
 
 
-def _attribute(match: re.Match[str], vocabulary: Vocabulary, _e: etree._Element | None) -> tuple[str, str]:
+def _attribute(match: re.Match[str], vocabulary: SchemaVocabulary, _e: etree._Element | None) -> tuple[str, str]:
     return f"<{match[1]}> has the unknown attribute '{match[2]}'", did_you_mean(match[2], vocabulary.attributes)
 
 
-def _required(match: re.Match[str], _v: Vocabulary, _e: etree._Element | None) -> tuple[str, str]:
+def _required(match: re.Match[str], _v: SchemaVocabulary, _e: etree._Element | None) -> tuple[str, str]:
     return f"<{match[1]}> lacks its attribute '{match[2]}'", ""
 
 
-def _enumeration(match: re.Match[str], _v: Vocabulary, _e: etree._Element | None) -> tuple[str, str]:
+def _enumeration(match: re.Match[str], _v: SchemaVocabulary, _e: etree._Element | None) -> tuple[str, str]:
     values = [value.strip("'") for value in match[4].split(", ")]
     return f"{_node(match)} is {quoted(match[3])}, expected {' or '.join(values)}", did_you_mean(match[3], values)
 
 
-def _short(match: re.Match[str], _v: Vocabulary, _e: etree._Element | None) -> tuple[str, str]:
+def _short(match: re.Match[str], _v: SchemaVocabulary, _e: etree._Element | None) -> tuple[str, str]:
     least = int(match[4])
     if not int(match[3]):
         return f"{_node(match)} is empty", ""
     return f"{_node(match)} has {match[3]} characters, expected {least} or more", ""
 
 
-def _simple(match: re.Match[str], _v: Vocabulary, _e: etree._Element | None) -> tuple[str, str]:
+def _simple(match: re.Match[str], _v: SchemaVocabulary, _e: etree._Element | None) -> tuple[str, str]:
     return f"<{match[1]}> can only hold text, not elements", ""
 
 
-def _text(match: re.Match[str], _v: Vocabulary, _e: etree._Element | None) -> tuple[str, str]:
+def _text(match: re.Match[str], _v: SchemaVocabulary, _e: etree._Element | None) -> tuple[str, str]:
     return f"<{match[1]}> cannot hold text", "remove the text, or put it into a comment"
 
 
-def _value(match: re.Match[str], _v: Vocabulary, _e: etree._Element | None) -> tuple[str, str]:
+def _value(match: re.Match[str], _v: SchemaVocabulary, _e: etree._Element | None) -> tuple[str, str]:
     return f"{_node(match)} is {quoted(match[3])}, which is not {match[4]}", ""
 
 
 _QUOTED = re.compile(r"'([^']*)(?:'|\Z)")
 """A value in a message of libxml2, which truncates long messages."""
 
-_Explanation = Callable[[re.Match[str], Vocabulary, Any], tuple[str, str]]
+_Explanation = Callable[[re.Match[str], SchemaVocabulary, Any], tuple[str, str]]
 
 _EXPLANATIONS: tuple[tuple[re.Pattern[str], _Explanation], ...] = tuple(
     (re.compile(pattern, re.DOTALL), explanation)
@@ -180,7 +180,7 @@ _EXPLANATIONS: tuple[tuple[re.Pattern[str], _Explanation], ...] = tuple(
 """Patterns of libxml2's messages, and the function that words each. Groups: element, attribute, value, expected."""
 
 
-def _explain(message: str, vocabulary: Vocabulary, element: etree._Element | None) -> tuple[str, str]:
+def _explain(message: str, vocabulary: SchemaVocabulary, element: etree._Element | None) -> tuple[str, str]:
     """Return message and help for a message of libxml2; an unknown message is kept, with long values cut."""
     message = _NAME.sub(lambda name: _PREFIXES.get(name[1], f"{{{name[1]}}}") + name[2], message)
     for pattern, explanation in _EXPLANATIONS:

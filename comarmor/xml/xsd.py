@@ -11,7 +11,7 @@ XS = "{http://www.w3.org/2001/XMLSchema}"
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Vocabulary:
+class SchemaVocabulary:
     """The names that an XSD declares, with those of the XSDs that it includes.
 
     Attributes:
@@ -29,7 +29,7 @@ class Vocabulary:
     attributes: tuple[str, ...]
 
     @classmethod
-    def of(cls, documents: Iterable[etree._Element]) -> Vocabulary:
+    def of(cls, documents: Iterable[etree._Element]) -> SchemaVocabulary:
         """Return the vocabulary of an XSD.
 
         Args:

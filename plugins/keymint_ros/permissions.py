@@ -19,7 +19,7 @@ from urllib.parse import unquote
 from lxml import etree
 
 from comarmor.errors import ComArmorError, Origin
-from comarmor.language.template import strip
+from comarmor.language.attachments import strip
 from comarmor.patterns.expression import parse as parse_expression
 from comarmor.rules import Effect
 from keymint.errors import KeymintError

@@ -25,7 +25,7 @@ __all__ = ["ComArmorPolicyType", "policy_type"]
 
 
 @dataclass(frozen=True, slots=True)
-class _LoadedPolicy:
+class ComArmorPolicy:
     """A ComArmor policy, loaded once per command."""
 
     policy: comarmor.Policy
@@ -71,7 +71,7 @@ class ComArmorPolicyType:
 
     API = "1.0"
 
-    def load(self, sources: Sequence[PolicySource], library: Path | None) -> _LoadedPolicy:
+    def load(self, sources: Sequence[PolicySource], library: Path | None) -> ComArmorPolicy:
         """Load policies as one: the union of their profiles.
 
         Args:
@@ -89,7 +89,7 @@ class ComArmorPolicyType:
                     help="name a ComArmor file, or a directory of *.xml files",
                     code="policy-missing",
                 )
-        return _LoadedPolicy(comarmor.load_all([source.path for source in sources], library=library))
+        return ComArmorPolicy(comarmor.load_all([source.path for source in sources], library=library))
 
     def fingerprint(self, path: Path) -> bytes:
         """Return what tells whether a path is still what it was when a policy was loaded."""
@@ -113,7 +113,7 @@ class ComArmorPolicyType:
         """
         from keymint_ros2_comarmor.learn import learn  # noqa: PLC0415 - only this verb needs it
 
-        if existing is not None and not isinstance(existing, _LoadedPolicy):
+        if existing is not None and not isinstance(existing, ComArmorPolicy):
             raise KeymintError("the existing policy is not a ComArmor policy", code="policy-type")
         return learn(graph, existing.policy if existing else None, fragments)
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping
 
 from comarmor.errors import Origin
-from comarmor.language.syntax import Expression, ProfileRule
+from comarmor.language.syntax import Attachment, ProfileRule
 from comarmor.patterns.printing import escape
 from comarmor.rules import PERMISSIONS, Effect
 from keymint.graph import Edge
@@ -59,7 +59,7 @@ def _rule(kind: str, permissions: tuple[str, ...], partitions: tuple[str, ...], 
         effect=Effect.ALLOW,
         kind=kind,
         permissions=permissions,
-        attachments=tuple(Expression(text, NOWHERE) for text in attachments),
+        attachments=tuple(Attachment(text, NOWHERE) for text in attachments),
         partitions=tuple(map(escape, partitions)),
         audit=False,
         where=NOWHERE,

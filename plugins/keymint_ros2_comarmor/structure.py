@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 
 import comarmor
-from comarmor.language.template import for_parts
+from comarmor.language.attachments import for_parts
 from keymint.api import PolicyStructure, WrittenProfile, WrittenRule
 
 _Around = tuple[tuple[str, ...], ...]

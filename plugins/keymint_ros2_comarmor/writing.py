@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 from lxml import etree
 
 import comarmor
-from comarmor.language.syntax import Expression, Profile, ProfileRule
+from comarmor.language.syntax import Attachment, Profile, ProfileRule
 from comarmor.patterns.printing import escape
 from keymint_ros2_comarmor.learned_rules import NOWHERE, Needs, fold, literal, literal_needs
 
@@ -81,7 +81,7 @@ def rules_size(rules: tuple[ProfileRule, ...]) -> int:
 
 def _profile(name: str, attachment: str, rules: tuple[ProfileRule, ...]) -> Profile:
     return Profile(
-        name, audit=False, attachments=(Expression(attachment, NOWHERE),), profiles=(), rules=rules, where=NOWHERE
+        name, audit=False, attachments=(Attachment(attachment, NOWHERE),), profiles=(), rules=rules, where=NOWHERE
     )
 
 

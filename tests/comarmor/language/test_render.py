@@ -10,8 +10,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import comarmor
-from comarmor import PERMISSIONS, Effect, Expression, Origin, Policy, Profile, ProfileRule, data
-from comarmor.language import template
+from comarmor import PERMISSIONS, Attachment, Effect, Origin, Policy, Profile, ProfileRule, data
+from comarmor.language import attachments
 from comarmor.patterns import expression
 from comarmor.patterns.printing import escape
 
@@ -38,9 +38,9 @@ PROFILE_TEXTS = st.sampled_from(["/a", "/a/b", "/b", "*", "/a*", "*/b", "/?", "/
 NAMES = ("/a", "/a/b", "/b", "/c", "a", "", "/a*", "/{", "/ ", "/a/get_parameters", "/a/_action/status")
 
 
-def expressions(texts: st.SearchStrategy[str]) -> st.SearchStrategy[tuple[Expression, ...]]:
-    def read(text: str) -> Expression:
-        return Expression.of(next(template.expand(template.parse(text), lambda _: ())), HERE)
+def expressions(texts: st.SearchStrategy[str]) -> st.SearchStrategy[tuple[Attachment, ...]]:
+    def read(text: str) -> Attachment:
+        return Attachment.of(next(attachments.expand(attachments.parse(text), lambda _: ())), HERE)
 
     return st.lists(texts.map(read), min_size=1, max_size=3, unique_by=lambda item: item.text).map(tuple)
 
@@ -138,6 +138,6 @@ def test_canonical_form(load) -> None:
 @given(st.text(alphabet=" \t\n\\a*[]{}", max_size=6))
 def test_text_of_a_name_survives_the_notation(text: str) -> None:
     written = escape(text)
-    assert template.strip(f"\n {written}\t ") == written
-    (value,) = template.expand(template.parse(written), lambda _: ())
+    assert attachments.strip(f"\n {written}\t ") == written
+    (value,) = attachments.expand(attachments.parse(written), lambda _: ())
     assert expression.literal("".join(value)) == text

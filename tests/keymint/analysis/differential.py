@@ -55,7 +55,7 @@ def compared(old: str, new: str) -> Verdict:
     return Verdict(bool(requests), undecided, "; ".join(wrong[:3]))
 
 
-def _loaded(text: str) -> keymint_ros2_comarmor._LoadedPolicy:
+def _loaded(text: str) -> keymint_ros2_comarmor.ComArmorPolicy:
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder, "policy.xml")
         path.write_text(text)
@@ -207,5 +207,5 @@ def asked(seed: int) -> Answer:
     return Answer(bool(holding), any(each.unknown for each in found), "; ".join(wrong[:3]))
 
 
-def _holds(loaded: keymint_ros2_comarmor._LoadedPolicy, each: PermissionHolder, permission: str, kind: str) -> bool:
+def _holds(loaded: keymint_ros2_comarmor.ComArmorPolicy, each: PermissionHolder, permission: str, kind: str) -> bool:
     return loaded.policy.decide(each.subject, kind, permission, each.word).allowed

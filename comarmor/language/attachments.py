@@ -27,7 +27,7 @@ class Placeholder(StrEnum):
 
 
 @dataclass(frozen=True, slots=True)
-class Reference:
+class TunableReference:
     """``@{NAME}``: each value of a tunable."""
 
     name: str
@@ -57,7 +57,7 @@ def strip(text: str) -> str:
     return bare + tail if backslashes % 2 else bare
 
 
-def parse(text: str) -> tuple[Piece | Reference, ...]:
+def parse(text: str) -> tuple[Piece | TunableReference, ...]:
     """Cut an attachment into its pieces.
 
     Raises:
@@ -65,14 +65,14 @@ def parse(text: str) -> tuple[Piece | Reference, ...]:
     """
     if len(text) > MOST_CHARACTERS:
         raise ComArmorError(f"the expression is longer than {MOST_CHARACTERS:,} characters", code="expression")
-    pieces: list[Piece | Reference] = []
+    pieces: list[Piece | TunableReference] = []
     at = 0
     while at < len(text):
         if plain := _PLAIN.match(text, at):
             _add(pieces, plain[0])
             at = plain.end()
         elif reference := _REFERENCE.match(text, at):
-            pieces.append(Reference(reference[1]))
+            pieces.append(TunableReference(reference[1]))
             at = reference.end()
         elif text[at] in "{}":
             braces = _BRACES.match(text, at)
@@ -98,7 +98,7 @@ def parse(text: str) -> tuple[Piece | Reference, ...]:
     return tuple(pieces)
 
 
-def _add(pieces: list[Piece | Reference], text: str) -> None:
+def _add(pieces: list[Piece | TunableReference], text: str) -> None:
     """Add text to pieces; text beside text is one piece."""
     if pieces and type(pieces[-1]) is str:
         pieces[-1] += text
@@ -106,7 +106,7 @@ def _add(pieces: list[Piece | Reference], text: str) -> None:
         pieces.append(text)
 
 
-def expand(pieces: Iterable[Piece | Reference], values: Callable[[str], Sequence[Value]]) -> Iterator[Value]:
+def expand(pieces: Iterable[Piece | TunableReference], values: Callable[[str], Sequence[Value]]) -> Iterator[Value]:
     """Put the values of tunables into an attachment: every combination, as AppArmor does.
 
     Args:
@@ -117,7 +117,7 @@ def expand(pieces: Iterable[Piece | Reference], values: Callable[[str], Sequence
         ComArmorError: there are too many combinations, or one is too long.
     """
     choices = [
-        [(value, True) for value in values(piece.name)] if isinstance(piece, Reference) else [((piece,), False)]
+        [(value, True) for value in values(piece.name)] if isinstance(piece, TunableReference) else [((piece,), False)]
         for piece in pieces
     ]
     number = prod(len(choice) for choice in choices)

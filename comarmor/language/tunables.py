@@ -7,9 +7,9 @@ from dataclasses import dataclass, field
 from functools import partial
 
 from comarmor.errors import ComArmorError, Origin
-from comarmor.language import template
+from comarmor.language.attachments import MOST_VALUES, TunableReference, Value, expand, strip
+from comarmor.language.attachments import parse as parse_attachment
 from comarmor.language.syntax import Tunable
-from comarmor.language.template import Value
 from comarmor.text import did_you_mean
 
 MOST_CHARACTERS = 32 * 2**20
@@ -20,7 +20,7 @@ _Key = tuple[str, int, int, str]
 
 
 @dataclass(slots=True)
-class Budget:
+class ExpansionBudget:
     """What the expressions of a policy have used: of :data:`MOST_CHARACTERS`, and of its tunables.
 
     A file that is included several times declares a tunable once.
@@ -47,7 +47,7 @@ def _key(tunable: Tunable) -> _Key:
 
 
 @dataclass(slots=True)
-class Scope:
+class TunableScope:
     """The tunables that a ``<profiles>`` or ``<profile>`` has declared so far, and the scope around it.
 
     Attributes:
@@ -57,14 +57,14 @@ class Scope:
         passed: where a name was used first that this scope had not declared, so that it meant one of a scope around.
     """
 
-    budget: Budget
-    outer: Scope | None = None
+    budget: ExpansionBudget
+    outer: TunableScope | None = None
     own: dict[str, Tunable] = field(default_factory=dict)
     passed: dict[str, Origin] = field(default_factory=dict)
 
-    def inner(self) -> Scope:
+    def inner(self) -> TunableScope:
         """Return a new scope inside of this one."""
-        return Scope(self.budget, self)
+        return TunableScope(self.budget, self)
 
     def declare(self, name: str, values: Sequence[str], where: Origin) -> None:
         """Add a tunable to this scope; from here on it hides one of the same name in the scopes around.
@@ -91,14 +91,12 @@ class Scope:
         self.own[name] = Tunable(name, (), where)  # if it is defective, its uses are not reported as well
         expanded: dict[Value, None] = {}
         for value in values:
-            pieces = template.parse(value)
-            if template.Reference(name) in pieces:
+            pieces = parse_attachment(value)
+            if TunableReference(name) in pieces:
                 raise ComArmorError(f"the tunable @{{{name}}} refers to itself", where=where, code="tunable")
-            expanded.update(dict.fromkeys(template.expand(pieces, partial(self.values, where=where))))
-            if len(expanded) > template.MOST_VALUES:
-                raise ComArmorError(
-                    f"the tunable has more than the {template.MOST_VALUES:,} values allowed", code="tunable"
-                )
+            expanded.update(dict.fromkeys(expand(pieces, partial(self.values, where=where))))
+            if len(expanded) > MOST_VALUES:
+                raise ComArmorError(f"the tunable has more than the {MOST_VALUES:,} values allowed", code="tunable")
         self.spend(expanded)
         self.own[name] = Tunable(name, tuple(expanded), where)
         self.budget.declared(self.own[name])
@@ -118,7 +116,7 @@ class Scope:
         Raises:
             ComArmorError: it is not declared above, in this scope or one around it.
         """
-        scope: Scope | None = self
+        scope: TunableScope | None = self
         known: dict[str, None] = {}
         while scope is not None:
             if name in scope.own:
@@ -133,9 +131,9 @@ class Scope:
             code="tunable",
         )
 
-    def _note_passed(self, name: str, found: Scope, where: Origin) -> None:
+    def _note_passed(self, name: str, found: TunableScope, where: Origin) -> None:
         """Note the use of a tunable in this scope and all around it up to the one that declares it."""
-        scope: Scope | None = self
+        scope: TunableScope | None = self
         while scope is not None and scope is not found:
             scope.passed.setdefault(name, where)
             scope = scope.outer
@@ -146,8 +144,8 @@ class Scope:
         Raises:
             ComArmorError: the notation is wrong, a tunable is not known, or it stands for too much; without a place.
         """
-        pieces = template.parse(template.strip(text))
-        expanded = dict.fromkeys(template.expand(pieces, partial(self.values, where=where)))
+        pieces = parse_attachment(strip(text))
+        expanded = dict.fromkeys(expand(pieces, partial(self.values, where=where)))
         self.spend(expanded)
         return tuple(expanded)
 
