@@ -148,14 +148,14 @@ def test_domains_are_asked_apart(authorities: Authorities, transport: Transport,
 
 
 @pytest.mark.cyclonedds
-def test_a_document_that_stops_cyclone_dds_is_not_given_to_it(
+def test_a_document_that_crashes_cyclone_dds_is_not_given_to_it(
     authorities: Authorities, cyclone_plugins: None, environment: Environment, tmp_path: Path
 ) -> None:
-    stopping = rule("allow", criteria("publish", ["rt/x"])).replace("<id>0</id>", "<id_range><max>3</max></id_range>")
-    folder = enclave(authorities, tmp_path, stopping)
+    crashing = rule("allow", criteria("publish", ["rt/x"])).replace("<id>0</id>", "<id_range><max>3</max></id_range>")
+    folder = enclave(authorities, tmp_path, crashing)
     opened = real_cyclonedds.open(environment)
     [found] = labelled(opened, [Enclave("/talker", folder, "humble")], Tier.DECISION, talker("publish", X))
-    assert (found.allowed, "stops Cyclone DDS" in found.reason) == (False, True)
+    assert (found.allowed, "crashes Cyclone DDS" in found.reason) == (False, True)
 
 
 @pytest.mark.cyclonedds

@@ -123,7 +123,7 @@ class DocumentEvaluator:
             return
         self._default = semantics.default_counts and found.allows
         self._default_line = found.line
-        in_domain = [rule for rule in semantics.rules(found) if _holds(rule, domain, semantics)]
+        in_domain = [rule for rule in found.rules if _holds(rule, domain, semantics)]
         self.joins = self._default or any(rule.allows for rule in in_domain)
         for step in _steps(in_domain, semantics):
             self._steps.setdefault(step.action, []).append(step)

@@ -17,11 +17,10 @@ from comarmor.patterns.tokens import Dialect
 from keymint_ros2_dds.decision import fnmatch, strictness, subject_names
 from keymint_ros2_dds.decision.strictness import Parser
 from keymint_ros2_dds.reading import dates
+from keymint_ros2_dds.reading.quirks import BLANKS
 from keymint_ros2_dds.reading.signed_governance import GovernanceDocument
 from keymint_ros2_dds.reading.signed_permissions import (
-    BLANKS,
     DocumentGrant,
-    DocumentRule,
     PermissionsDocument,
 )
 
@@ -45,9 +44,6 @@ class Semantics:
 
     Attributes:
         parser: whose parser reads the documents; it decides which documents are refused, and which are not modelled.
-        c_numbers: domain ids are read as in C.
-        first_piece: a text ends at its first comment or CDATA section.
-        default_ends: nothing that follows the default is looked at.
         selects: whether a grant's subject name is about an identity: both as text, ``CN=/talker,OU=h``.
         passes_over_invalid: a grant that is not valid now is passed over; else it ends the search.
         date: reads a date of the document; None is none: it never holds.
@@ -68,9 +64,6 @@ class Semantics:
     """
 
     parser: Parser = Parser.STANDARD
-    c_numbers: bool = False
-    first_piece: bool = False
-    default_ends: bool = False
     selects: Callable[[str, str], bool] = subject_names.same_name
     passes_over_invalid: bool = True
     date: Callable[[str], datetime | None] = dates.standard
@@ -99,12 +92,7 @@ class Semantics:
 
     def grants(self, document: PermissionsDocument, subject_name: str) -> Sequence[DocumentGrant]:
         """Return the grants that are about an identity, in the order of the document."""
-        grants = document.read_as(c_numbers=self.c_numbers, first_piece=self.first_piece)
-        return [each for each in grants if self.selects(self.reads_text(each.subject_name), subject_name)]
-
-    def rules(self, grant: DocumentGrant) -> Sequence[DocumentRule]:
-        """Return the rules of a grant that count."""
-        return grant.rules[: grant.before_default] if self.default_ends else grant.rules
+        return [each for each in document.grants if self.selects(self.reads_text(each.subject_name), subject_name)]
 
     def period(self, grant: DocumentGrant) -> tuple[datetime, datetime] | None:
         """Return when a grant is valid, both ends included; None is never."""
@@ -186,7 +174,6 @@ CYCLONE_DEVIATIONS = (
     _on("16", "trimmed-text", "white space around a text is no part of it", reads_text=trimmed),
     _on("17", "fnmatch", "no escapes; only '!' negates a set; the ']' that ends a set is a member of it",
         fnmatch=fnmatch.CYCLONE_DDS),
-    _on("23", "numbers", "domain ids are read as in C, where 010 is 8", c_numbers=True),
     _on("data tags", "tags-ignored", "data tags are not looked at", tags_count=False),
 )  # fmt: skip
 
@@ -211,8 +198,6 @@ FAST_DEVIATIONS = (
     _on("20", "topic-rules-both-ways",
         "the name of a topic is compared as an expression with the expressions of the governance, too",
         topic_rules_both_ways=True),
-    _on("24", "first-piece", "a text ends at its first comment or CDATA section", first_piece=True),
-    _on("25", "default-ends", "rules after <default> are not looked at", default_ends=True),
     _on("data tags", "tags-ignored", "data tags are not looked at", tags_count=False),
 )  # fmt: skip
 

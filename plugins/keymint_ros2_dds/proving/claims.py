@@ -241,7 +241,7 @@ class _Model:
         """Yield groups of domains in which policy and document are the same, and whether the policy holds there."""
         wanted = self._question.held.domains
         grants = [era.grant for era in self._eras]
-        rules = [rule for grant in grants for rule in self._semantics.rules(grant)]
+        rules = [rule for grant in grants for rule in grant.rules]
         edges = {0, *(d.first for d in wanted), *(d.last + 1 for d in wanted)}
         for each in (each for rule in rules for each in rule.domains):
             first = each.first or 0
@@ -308,9 +308,7 @@ class _Model:
         if governed is None or self._governing is None:
             return _Permitted(own)
         default = semantics.default_counts and grant.allows
-        joins = default or any(
-            rule.allows and permission_lists.holds(rule, domain, semantics) for rule in semantics.rules(grant)
-        )
+        joins = default or any(rule.allows and permission_lists.holds(rule, domain, semantics) for rule in grant.rules)
         if governed.rule is None:
             return _Permitted(own, REFUSED) if inside else _Permitted(own)
         if not governed.admits(joins=joins):

@@ -83,7 +83,7 @@ class EnclaveGovernance:
             domains: the domains in question.
         """
         document = self.document
-        if document.peculiarities or document.defect or self.differs or self.outlandish():
+        if document.quirks or self.differs or self.outlandish():
             return False
         try:
             closed = all(

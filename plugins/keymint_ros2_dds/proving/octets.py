@@ -104,7 +104,7 @@ def _all(
 def _expressions(grants: Iterable[DocumentGrant], semantics: Semantics) -> Iterator[tuple[str, int]]:
     """Yield the expressions that count, each with its line."""
     for grant in grants:
-        for rule in semantics.rules(grant):
+        for rule in grant.rules:
             for criteria in rule.criteria:
                 if criteria.action != Action.RELAY:
                     for text in (*criteria.topics, *(criteria.partitions or ())):

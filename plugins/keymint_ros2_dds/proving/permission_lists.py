@@ -73,7 +73,7 @@ def of_grant(
     Raises:
         PatternError: implementations read an expression differently.
     """
-    rules = [rule for rule in semantics.rules(grant) if holds(rule, domain, semantics)]
+    rules = [rule for rule in grant.rules if holds(rule, domain, semantics)]
     default = (Block(True, (EVERYTHING,)),) if semantics.default_counts and grant.allows else ()
     lists = [(*_endpoints(rules, action, semantics, pairs=pairs), *default)]
     if semantics.topic_check:

@@ -11,20 +11,18 @@ there is no verdict.
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from functools import lru_cache
 
 from lxml import etree
 
-from comarmor.data import locate
 from comarmor.errors import ComArmorError, Origin
-from comarmor.xml import schema
 from comarmor.xml.reader import line, parse
 from keymint.errors import KeymintError
-from keymint_ros2_dds.domains import MAX_DOMAIN
 from keymint_ros2_dds.layout import GOVERNANCE, GOVERNANCE_XML
-from keymint_ros2_dds.reading.quirks import FINE, REFUSES, UNMODELLED, Quirk, decorations
+from keymint_ros2_dds.reading import quirks
+from keymint_ros2_dds.reading.quirks import PLAIN, REFUSES, UNMODELLED, Quirk
 from keymint_ros2_dds.reading.signed_permissions import DocumentDomains
 
 ACCESS = {"publish": "enable_write_access_control", "subscribe": "enable_read_access_control"}
@@ -34,12 +32,7 @@ DOMAIN_PROTECTIONS = ("discovery_protection_kind", "liveliness_protection_kind",
 TOPIC_PROTECTIONS = (
     "enable_discovery_protection", "enable_liveliness_protection", "metadata_protection_kind", "data_protection_kind",
 )  # fmt: skip
-_DOMAIN_RULE = ("domains", UNAUTHENTICATED, JOIN, *DOMAIN_PROTECTIONS, "topic_access_rules")
-_TOPIC_RULE = (
-    "topic_expression", *TOPIC_PROTECTIONS[:2], ACCESS["subscribe"], ACCESS["publish"], *TOPIC_PROTECTIONS[2:],
-)  # fmt: skip
 _BOOLEANS = {"true": True, "1": True, "false": False, "0": False}
-_PLAIN_NUMBER = re.compile(r"0|[1-9][0-9]{0,8}")
 _BLANKS = " \t\r\n"
 
 
@@ -107,22 +100,21 @@ class GovernanceDocument:
     Attributes:
         file: its name, for people.
         domain_rules: in the order of the document.
-        schema_says: what the schema has against it, or an empty text, and in which line.
-        peculiarities: what a plain document has not, and what vendors make of it.
-        offset: lines of the file before the document's first one.
+        violation: how it violates the schema, or an empty text.
+        quirks: what may make vendors read it differently from a plain document, by line.
+        offset: number of lines of the file before the document.
     """
 
     file: str
     domain_rules: tuple[DocumentDomainRule, ...]
-    schema_says: tuple[str, int]
-    peculiarities: tuple[Quirk, ...]
+    violation: str
+    quirks: tuple[Quirk, ...]
     offset: int = 0
 
     @property
     def defect(self) -> str:
         """Why the schema refuses it, or an empty text."""
-        text, at = self.schema_says
-        return f"{self.place(at)}: the schema refuses it: {text}" if text else ""
+        return f"{self.place(self.quirks[0].line)}: the schema refuses it: {self.violation}" if self.violation else ""
 
     def place(self, line: int) -> Origin:
         """Return a line of the document as a place in its file."""
@@ -172,20 +164,11 @@ def _read(content: bytes) -> GovernanceDocument:
     if root.tag != "dds" or root.find("domain_access_rules") is None:
         where = Origin(GOVERNANCE_XML, line(root))
         raise KeymintError("this is not a governance document", where=where, code="document-kind")
-    said = _schema_says(root)
-    peculiarities = sorted(_peculiarities(content, root, *said), key=lambda each: each.line)
+    violation, found = quirks.of_schema(root, GOVERNANCE, GOVERNANCE_XML)
+    if violation is None:
+        found = tuple(sorted(_quirks(content, root), key=lambda quirk: quirk.line))
     rules = tuple(map(_domain_rule, root.iterfind("domain_access_rules/domain_rule")))
-    return GovernanceDocument(GOVERNANCE_XML, rules, said, tuple(peculiarities))
-
-
-def _schema_says(root: etree._Element) -> tuple[str, int]:
-    """Return what the schema has against a document, with its line in the document; or an empty text."""
-    try:
-        schema.validate(root, locate("keymint_ros2_dds", "schemas") / f"{GOVERNANCE}.xsd", GOVERNANCE_XML)
-    except ComArmorError as error:
-        first = error.diagnostics[0]
-        return first.message, first.where.line if first.where and first.where.line else 1
-    return "", 0
+    return GovernanceDocument(GOVERNANCE_XML, rules, violation.diagnostics[0].message if violation else "", found)
 
 
 def _domain_rule(element: etree._Element) -> DocumentDomainRule:
@@ -238,56 +221,21 @@ def _is_true(element: etree._Element, tag: str, *, otherwise: bool = True) -> bo
     return _BOOLEANS.get(_text(element.find(tag)), otherwise)
 
 
-def _peculiarities(content: bytes, root: etree._Element, defect: str, at: int) -> Iterator[Quirk]:
-    inner_end = content.find(b"</domain_access_rules>")
-    yield from decorations(content, comments_until=inner_end)
-    if defect:
-        missing = _only_missing(root)
-        if missing is None:
-            yield Quirk(at, "what the schema does not allow", UNMODELLED, UNMODELLED, invalid=True)
-        else:
-            tag, where = missing
-            yield Quirk(where, f"a rule without <{tag}>", REFUSES, REFUSES, invalid=True)
+def _quirks(content: bytes, root: etree._Element) -> Iterator[Quirk]:
+    """Yield the quirks of a document that its schema allows."""
+    inner_end = max(content.find(b"</domain_access_rules>"), 0)  # Fast DDS refuses a comment after it
+    for quirk in quirks.of_bytes(content, comments_until=inner_end):
+        yield Quirk(quirk.line, quirk.text, UNMODELLED, UNMODELLED)
+    yield from quirks.of_domain_ids(root)
     for element in root.iter():
+        text = _raw(element)
         if len(element):
             continue
-        text = _raw(element)
         if text != text.strip(_BLANKS):
             yield Quirk(line(element), f"white space around the text of <{element.tag}>", UNMODELLED, UNMODELLED)
         elif "\n" in text or "\r" in text:
             yield Quirk(line(element), f"a line end within the text of <{element.tag}>", UNMODELLED, UNMODELLED)
-        elif element.tag in {"id", "min", "max"}:
-            yield from _odd_number(element, text)
     for element in root.iter("id_range"):
         first, last = (_number(element.find(tag)) for tag in ("min", "max"))
-        if first is None or (last is not None and last < first):
-            yield Quirk(line(element), "a range of domains that is not in order", REFUSES, FINE)
-
-
-def _odd_number(element: etree._Element, text: str) -> Iterator[Quirk]:
-    if _PLAIN_NUMBER.fullmatch(text) is None:
-        yield Quirk(line(element), f"the domain id {text!r}", UNMODELLED, UNMODELLED)
-    elif int(text) > MAX_DOMAIN:
-        yield Quirk(line(element), f"a domain id above {MAX_DOMAIN}", REFUSES, FINE)
-
-
-def _only_missing(root: etree._Element) -> tuple[str, int] | None:
-    """Return an element that is missing and the line where, if nothing else is wrong with the order of elements."""
-    found: tuple[str, int] | None = None
-    for path, order in (("domain_rule", _DOMAIN_RULE), ("domain_rule/topic_access_rules/topic_rule", _TOPIC_RULE)):
-        for element in root.iterfind(f"domain_access_rules/{path}"):
-            tags = [str(child.tag) for child in element]
-            if not _is_part_of(tags, order):
-                return None
-            if "topic_expression" in order and "topic_expression" not in tags:
-                return None  # Cyclone DDS stops at it
-            lacking = [tag for tag in order if tag not in tags]
-            if lacking and found is None:
-                found = lacking[0], line(element)
-    return found
-
-
-def _is_part_of(tags: Sequence[str], order: Sequence[str]) -> bool:
-    """Tell whether tags are some of those of an order, each once and in that order."""
-    rest = iter(order)
-    return all(tag in rest for tag in tags)
+        if element.find("min") is None or (first is not None and last is not None and last < first):
+            yield Quirk(line(element), "a range of domains without a minimum, or not in order", REFUSES, PLAIN)

@@ -1,43 +1,33 @@
-"""A permissions document as it is signed, read into data types that know their lines.
+"""Read a permissions document into data types that know their lines (DDS Security 1.1, 9.4.1.3).
 
-Read is more than the schema allows, since vendors accept more; :attr:`PermissionsDocument.defects` says what the
-schema has against it (DDS Security 1.1, 9.4.1.3).
+Documents that the schema does not allow are read as well, since vendors accept some of them.
 """
 
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, field
-from types import MappingProxyType
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
 
 from lxml import etree
 
-from comarmor.data import locate
-from comarmor.errors import ComArmorError, Diagnostic, Origin, Severity
-from comarmor.xml import schema
+from comarmor.errors import ComArmorError, Diagnostic, Origin
 from comarmor.xml.reader import line, parse
 from keymint.errors import KeymintError
-from keymint_ros2_dds.reading import domain_ids, quirks
-from keymint_ros2_dds.reading.quirks import Quirk
+from keymint_ros2_dds.reading import dates, quirks
+from keymint_ros2_dds.reading.quirks import BLANKS, CRASHES, PLAIN, REFUSES, UNMODELLED, Quirk
 
 ACTIONS = ("publish", "subscribe", "relay")
-BLANKS = " \t\v\r\n"
-"""What is white space for XML, and for Cyclone DDS."""
 _RULES = frozenset(("allow_rule", "deny_rule"))
-_WHOLE = re.compile(r"[+-]?[0-9]+")
+_NUMBER = re.compile(r"[+-]?[0-9]+")
 
 
 @dataclass(frozen=True, slots=True)
 class DocumentDomains:
-    """Domain ids from ``first`` to ``last``; None where the document leaves an end of the range open.
-
-    ``texts`` are the numbers as they are written.
-    """
+    """Domain ids from ``first`` to ``last``; None where the range has no such end."""
 
     first: int | None
     last: int | None
-    texts: tuple[str, ...] = ()
 
     def contain(self, domain: int, *, min_only_is_exact: bool) -> bool:
         """Tell whether a domain id is in the range.
@@ -54,7 +44,7 @@ class DocumentDomains:
 
 @dataclass(frozen=True, slots=True)
 class DocumentCriteria:
-    """One ``<publish>``, ``<subscribe>`` or ``<relay>`` of a rule.
+    """A ``<publish>``, ``<subscribe>`` or ``<relay>`` of a rule.
 
     Attributes:
         action: its tag.
@@ -62,7 +52,6 @@ class DocumentCriteria:
         partitions: expressions; None without ``<partitions>``.
         tags: data tags, name and value; None without ``<data_tags>``.
         line: line of the element.
-        listed: there is a ``<topics>``.
     """
 
     action: str
@@ -70,48 +59,37 @@ class DocumentCriteria:
     partitions: tuple[str, ...] | None
     tags: tuple[tuple[str, str], ...] | None
     line: int
-    listed: bool = True
 
 
 @dataclass(frozen=True, slots=True)
 class DocumentRule:
-    """An ``<allow_rule>`` or a ``<deny_rule>``; it is bounded if there is a ``<domains>``, be it empty."""
+    """An ``<allow_rule>`` or a ``<deny_rule>``."""
 
     allows: bool
     domains: tuple[DocumentDomains, ...]
     criteria: tuple[DocumentCriteria, ...]
     line: int
-    bounded: bool = True
 
 
 @dataclass(frozen=True, slots=True)
 class DocumentGrant:
-    """The rights of a subject, for a time.
+    """The permissions of a subject in a period.
 
     Attributes:
-        name: its name attribute, or None.
         subject_name: text, with the white space around it.
         not_before: text.
         not_after: text.
         rules: in the order of the document.
-        default: text, with the white space around it; None when it is missing.
-        before_default: so many of the rules come before the default.
+        allows: the default is ALLOW.
         line: line of the element.
     """
 
-    name: str | None
     subject_name: str
     not_before: str
     not_after: str
     rules: tuple[DocumentRule, ...]
-    default: str | None
-    before_default: int
+    allows: bool
     line: int
-
-    @property
-    def allows(self) -> bool:
-        """What no rule matches is allowed."""
-        return self.default is not None and self.default.strip(BLANKS) == "ALLOW"
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -121,31 +99,23 @@ class PermissionsDocument:
     Attributes:
         file: its name, for people.
         grants: in the order of the document.
-        defects: what the schema has against it.
-        peculiarities: what a plain document has not, and what vendors make of it.
-        offset: lines of the file before the document's first one.
+        defects: how it violates the schema.
+        quirks: what may make vendors read it differently from a plain document, by line.
+        crash: what crashes Cyclone DDS 0.10 when it reads the document, or None.
+        offset: number of lines of the file before the document.
     """
 
     file: str
     grants: tuple[DocumentGrant, ...]
     defects: tuple[Diagnostic, ...]
-    peculiarities: tuple[Quirk, ...] = ()
+    quirks: tuple[Quirk, ...]
+    crash: Quirk | None
     offset: int = 0
-    _views: Mapping[tuple[bool, bool], tuple[DocumentGrant, ...]] = field(default_factory=dict, repr=False)
 
     @property
     def defect(self) -> str:
         """Why the schema refuses it, or an empty text."""
         return f"the schema refuses it: {self.defects[0]}" if self.defects else ""
-
-    def read_as(self, *, c_numbers: bool, first_piece: bool) -> tuple[DocumentGrant, ...]:
-        """Return the grants as another parser reads them.
-
-        Args:
-            c_numbers: domain ids are read as in C, where 010 is 8.
-            first_piece: a text ends at its first comment or CDATA section.
-        """
-        return self._views.get((c_numbers, first_piece), self.grants)
 
     def place(self, line: int) -> Origin:
         """Return a line of the document as a place in its file."""
@@ -158,10 +128,10 @@ def read(content: bytes, file: str = "permissions.xml", offset: int = 0) -> Perm
     Args:
         content: XML, unsigned.
         file: its name, for people.
-        offset: lines of the file before the document's first one.
+        offset: number of lines of the file before the document.
 
     Raises:
-        KeymintError: it is not well-formed, not a permissions document, or a number in it is none.
+        KeymintError: it is not well-formed, not a permissions document, or a domain id is not a whole number.
     """
     try:
         root = parse(content, file)
@@ -170,118 +140,114 @@ def read(content: bytes, file: str = "permissions.xml", offset: int = 0) -> Perm
     if root.tag != "dds" or root.find("permissions") is None:
         where = Origin(file, line(root) + offset)
         raise KeymintError("this is not a permissions document", where=where, code="document-kind")
-    defects = _defects(root, file, offset)
-    found = quirks.find(content, valid=not defects)
-    grants = _PermissionsReader(file, offset).grants(root)
-    odd = any(domain_ids.is_odd(t) for g in grants for r in g.rules for d in r.domains for t in d.texts)
-    views = {}
-    if odd or found.first_pieces:
-        firsts = {element: found.first_pieces.get(at) for at, element in enumerate(root.iter())}
-        for c_numbers, first_piece in ((True, False), (False, True), (True, True)):
-            reader = _PermissionsReader(file, offset, c_numbers=c_numbers, firsts=firsts if first_piece else {})
-            views[c_numbers, first_piece] = reader.grants(root)
-    return PermissionsDocument(file, grants, defects, found.peculiarities, offset, MappingProxyType(views))
-
-
-def _defects(root: etree._Element, file: str, offset: int) -> tuple[Diagnostic, ...]:
-    try:
-        schema.validate(root, locate("keymint_ros2_dds", "schemas") / "permissions.xsd", file)
-    except ComArmorError as error:
-        return _diagnostics(error, file, offset)
-    return ()
+    violation, found = quirks.of_schema(root, "permissions", file)
+    crash = next(_crashes(root), None)
+    if violation is None:
+        found = (*quirks.of_bytes(content), *quirks.of_domain_ids(root), *_quirks(root), *filter(None, [crash]))
+    return PermissionsDocument(
+        file,
+        tuple(_grant(element, file, offset) for element in root.iterfind("permissions/grant")),
+        _diagnostics(violation, file, offset) if violation else (),
+        tuple(sorted(found, key=lambda quirk: quirk.line)),
+        crash,
+        offset,
+    )
 
 
 def _diagnostics(error: ComArmorError, file: str, offset: int) -> tuple[Diagnostic, ...]:
     return tuple(
-        Diagnostic(
-            item.code,
-            Severity.ERROR,
-            item.message,
-            Origin(file, item.where.line + offset) if item.where and item.where.line else Origin(file),
-            item.help,
-        )
-        for item in error.diagnostics
+        replace(each, where=Origin(file, each.where.line + offset) if each.where and each.where.line else Origin(file))
+        for each in error.diagnostics
     )
 
 
-@dataclass(frozen=True, slots=True)
-class _PermissionsReader:
-    """Makes data of elements.
+def _crashes(root: etree._Element) -> Iterator[Quirk]:
+    """Yield what crashes Cyclone DDS 0.10, also of a document that the schema does not allow."""
+    for rule in root.iter(*_RULES):
+        if rule.find("domains") is None:
+            yield Quirk(line(rule), "a rule without domains", CRASHES, PLAIN)
+        for element in rule.iterfind("domains/id_range"):
+            if element.find("min") is None:
+                yield Quirk(line(element), "a range of domains without a minimum", CRASHES, PLAIN)
+        for action in ("publish", "subscribe"):
+            for element in rule.iterfind(f"{action}/topics/topic"):
+                if not _text(element).strip(BLANKS):
+                    yield Quirk(line(element), "an empty topic", CRASHES, PLAIN)
+    for element in root.iter("default"):
+        if not _text(element).strip(BLANKS):
+            yield Quirk(line(element), "an empty <default>", CRASHES, PLAIN)
 
-    Attributes:
-        file: the document's file, for people.
-        offset: lines of it before the document.
-        c_numbers: read numbers as in C.
-        firsts: texts that are read instead of an element's own.
-    """
 
-    file: str
-    offset: int
-    c_numbers: bool = False
-    firsts: Mapping[etree._Element, str | None] = field(default_factory=dict)
+def _quirks(root: etree._Element) -> Iterator[Quirk]:
+    """Yield the quirks of the texts of a document that its schema allows."""
+    for element in root.iter("subject_name", "not_before", "not_after", "topic", "partition"):
+        text = _text(element)
+        bare = text.strip(BLANKS)
+        if element.tag == "subject_name":
+            if not bare:
+                yield Quirk(line(element), "a grant without a subject name", REFUSES, REFUSES)
+        elif element.tag in {"not_before", "not_after"}:
+            if dates.fast(text) is None:
+                yield Quirk(line(element), f"the date {text!r}", PLAIN, UNMODELLED)
+        else:
+            if "\n" in bare:
+                # Cyclone DDS keeps the carriage return that S/MIME puts before it.
+                yield Quirk(line(element), "a line end within a name", UNMODELLED, PLAIN)
+            if not bare and element.tag == "topic":
+                yield Quirk(line(element), "an empty topic", PLAIN, REFUSES)
 
-    def grants(self, root: etree._Element) -> tuple[DocumentGrant, ...]:
-        """Return the grants of a document."""
-        return tuple(map(self._grant, root.iterfind("permissions/grant")))
 
-    def _text(self, element: etree._Element | None) -> str:
-        if element is None:
-            return ""
-        first = self.firsts.get(element)
-        return (element.text or "") if first is None else first
+def _text(element: etree._Element | None) -> str:
+    return "" if element is None else element.text or ""
 
-    def _grant(self, element: etree._Element) -> DocumentGrant:
-        children = [str(child.tag) for child in element]
-        default = element.find("default")
-        end = len(children) if default is None else children.index("default")
-        return DocumentGrant(
-            element.get("name"),
-            self._text(element.find("subject_name")),
-            self._text(element.find("validity/not_before")),
-            self._text(element.find("validity/not_after")),
-            tuple(self._rule(child) for child in element if child.tag in _RULES),
-            None if default is None else self._text(default),
-            sum(child in _RULES for child in children[:end]),
-            line(element),
-        )
 
-    def _rule(self, element: etree._Element) -> DocumentRule:
-        domains = element.find("domains")
-        return DocumentRule(
-            element.tag == "allow_rule",
-            () if domains is None else tuple(self._domains(domains)),
-            tuple(self._criteria(child) for child in element if child.tag in ACTIONS),
-            line(element),
-            domains is not None,
-        )
+def _grant(element: etree._Element, file: str, offset: int) -> DocumentGrant:
+    return DocumentGrant(
+        _text(element.find("subject_name")),
+        _text(element.find("validity/not_before")),
+        _text(element.find("validity/not_after")),
+        tuple(_rule(child, file, offset) for child in element if child.tag in _RULES),
+        _text(element.find("default")) == "ALLOW",
+        line(element),
+    )
 
-    def _domains(self, element: etree._Element) -> Iterator[DocumentDomains]:
-        for child in element:
-            if child.tag == "id":
-                number, text = self._number(child)
-                yield DocumentDomains(number, number, (text,))
-            elif child.tag == "id_range":
-                ends = {str(end.tag): self._number(end) for end in reversed(child) if end.tag in {"min", "max"}}
-                first, last = (ends[name][0] if name in ends else None for name in ("min", "max"))
-                yield DocumentDomains(first, last, tuple(text for _, text in ends.values()))
 
-    def _number(self, element: etree._Element) -> tuple[int, str]:
-        text = self._text(element)
-        plain = text.strip(BLANKS)
-        if _WHOLE.fullmatch(plain) is None:
-            where = Origin(self.file, line(element) + self.offset)
-            raise KeymintError(f"{plain!r} is no domain id, expected a whole number", where=where, code="domains")
-        return (domain_ids.in_c(text) if self.c_numbers else int(plain)), text
+def _rule(element: etree._Element, file: str, offset: int) -> DocumentRule:
+    domains = element.find("domains")
+    return DocumentRule(
+        element.tag == "allow_rule",
+        () if domains is None else tuple(_domains(domains, file, offset)),
+        tuple(_criteria(child) for child in element if child.tag in ACTIONS),
+        line(element),
+    )
 
-    def _criteria(self, element: etree._Element) -> DocumentCriteria:
-        topics, partitions, tags = (element.find(name) for name in ("topics", "partitions", "data_tags"))
-        return DocumentCriteria(
-            str(element.tag),
-            tuple(map(self._text, element.iterfind("topics/topic"))),
-            None if partitions is None else tuple(map(self._text, partitions.iterfind("partition"))),
-            None
-            if tags is None
-            else tuple((self._text(tag.find("name")), self._text(tag.find("value"))) for tag in tags.iterfind("tag")),
-            line(element),
-            topics is not None,
-        )
+
+def _domains(domains: etree._Element, file: str, offset: int) -> Iterator[DocumentDomains]:
+    for element in domains:
+        if element.tag == "id":
+            number = _number(element, file, offset)
+            yield DocumentDomains(number, number)
+        elif element.tag == "id_range":
+            ends = {str(end.tag): _number(end, file, offset) for end in element if end.tag in {"min", "max"}}
+            yield DocumentDomains(ends.get("min"), ends.get("max"))
+
+
+def _number(element: etree._Element, file: str, offset: int) -> int:
+    text = _text(element).strip(BLANKS)
+    if _NUMBER.fullmatch(text) is None:
+        where = Origin(file, line(element) + offset)
+        raise KeymintError(f"{text!r} is no domain id, expected a whole number", where=where, code="domains")
+    return int(text)
+
+
+def _criteria(element: etree._Element) -> DocumentCriteria:
+    partitions, tags = element.find("partitions"), element.find("data_tags")
+    return DocumentCriteria(
+        str(element.tag),
+        tuple(map(_text, element.iterfind("topics/topic"))),
+        None if partitions is None else tuple(map(_text, partitions.iterfind("partition"))),
+        None
+        if tags is None
+        else tuple((_text(tag.find("name")), _text(tag.find("value"))) for tag in tags.iterfind("tag")),
+        line(element),
+    )

@@ -13,7 +13,7 @@ from keymint.errors import KeymintError
 from keymint.graph import Edge
 from keymint.pki import smime
 from keymint_ros2_dds import decision
-from keymint_ros2_dds.decision import CYCLONEDDS_0_10, strictness
+from keymint_ros2_dds.decision import CYCLONEDDS_0_10
 from keymint_ros2_dds.layout import PERMISSIONS_P7S
 from keymint_ros2_dds.lowering.endpoints import endpoints
 from keymint_ros2_dds.transports import admission, enclave_files
@@ -82,12 +82,12 @@ def _open(folder: Path, domain: int, stack: ExitStack) -> AccessControl | str:
     """
     try:
         signed = enclave_files.content(folder, PERMISSIONS_P7S)
-        stops = strictness.crash(decision.read(smime.signed_content(signed, Origin(PERMISSIONS_P7S))))
+        crash = decision.read(smime.signed_content(signed, Origin(PERMISSIONS_P7S))).crash
     except KeymintError as error:
         enclave_files.raise_if_unread(error, folder)
         return str(error)
-    if stops:
-        return stops
+    if crash is not None:
+        return f"line {crash.line}: {crash.text} crashes Cyclone DDS"
     access = stack.enter_context(AccessControl.of_enclave(folder, domain))
     if not access.valid or not access.joins():
         return f"Cyclone DDS refuses the enclave: {access.reason}"

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import pytest
-from keymint_ros2_dds.decision import CYCLONEDDS_0_10, FASTDDS_2_9, OMG, PermissionsDocument, read, strictness
-from keymint_ros2_dds.reading import dates, domain_ids
+from keymint_ros2_dds.decision import CYCLONEDDS_0_10, FASTDDS_2_9, OMG, PermissionsDocument, read
+from keymint_ros2_dds.reading import dates
 from lxml import etree
 
 from keymint.errors import KeymintError
@@ -35,59 +35,59 @@ def does(found: PermissionsDocument, variation) -> str:
         (b"", b"", READS, READS),
         (b"<dds>", b"\xef\xbb\xbf<dds>", REFUSES, READS),
         (b"<dds>", b"<?xml version='1.0' encoding='utf-8'?><dds" + NAMESPACE + b">", READS, READS),
+        (b"<dds>", b'<?xml version="1.0" encoding="ISO-8859-1" standalone="yes"?>\n<dds>', READS, READS),
         (b"<dds>", b"<dds" + NAMESPACE + b' xsi:noNamespaceSchemaLocation="x">', READS, READS),
-        (b"<dds>", b"<dds" + NAMESPACE + b' xsi:schemaLocation="a b">', REFUSES, READS),
-        (b"<dds>", b'<dds xmlns:a="b">', REFUSES, READS),
-        (b"<dds>", b'<dds xml:lang="en">', REFUSES, READS),
-        (b"<publish>", b'<publish foo="1">', REFUSES, READS),
-        (b"<publish>", b"<publish><foo/>", REFUSES, REFUSES),
-        (b"<grant", b"<foo/><grant", REFUSES, REFUSES),
-        (b"</permissions>", b"</permissions><foo/>", REFUSES, UNKNOWN),
+        (b"<dds>", b"<dds xsi:noNamespaceSchemaLocation='x'" + NAMESPACE + b">", READS, READS),
+        (b"<dds>", b"<dds" + NAMESPACE + b' xsi:schemaLocation="a b">', UNKNOWN, READS),
+        (b"<dds>", b'<dds xmlns:a="b">', UNKNOWN, READS),
+        (b"<publish>", b'<publish xmlns:a="b"><!-- c -->', UNKNOWN, READS),
+        (b"<dds>", b'<dds xml:lang="en">', UNKNOWN, UNKNOWN),
+        (b"<publish>", b'<publish foo="1">', UNKNOWN, UNKNOWN),
+        (b"<publish>", b"<publish><foo/>", UNKNOWN, UNKNOWN),
+        (b"</permissions>", b"</permissions><foo/>", UNKNOWN, UNKNOWN),
         (b"</topic>", b"</topic >", REFUSES, READS),
+        (b"</topic>", b"</topic ><!-- c -->", REFUSES, READS),
+        (b"</topics>", b"</topics ><?a b?>", UNKNOWN, UNKNOWN),
         (b"<topic>", b"<topic >", READS, READS),
+        (b"<publish>", b"\n\t <publish>\n", READS, READS),
         (b"<publish>", b"<publish><!-- c -->", READS, READS),
-        (b"rt/x<", b"rt/<!-- c -->x<", READS, READS),
-        (b"rt/x<", b"<![CDATA[rt/x]]><", READS, READS),
-        (b"rt/x<", b"<![CDATA[rt]]><![CDATA[/x]]><", UNKNOWN, UNKNOWN),
-        (b"<id>0", b"<id><!-- c -->0", READS, UNKNOWN),
-        (b"DENY", b"DE<!-- c -->NY", READS, UNKNOWN),
-        (b"<publish>", b"<?a b?><publish>", READS, REFUSES),
-        (b"<dds>", b"<?a b?><dds>", READS, READS),
-        (b"<dds>", b"<!-- c --><?a b?><dds>", READS, REFUSES),
-        (b"</dds>", b"</dds><?a b?>", READS, REFUSES),
-        (b"rt/x<", b"rt/<?a b?>x<", UNKNOWN, REFUSES),
-        (b"rt/x<", b"rt/&#120;<", READS, READS),
-        (b"rt/x<", b"rt/&#x78;&amp;<", READS, READS),
-        (b"rt/x<", b"rt/x&#32;<", READS, UNKNOWN),
-        (b"rt/x<", b"rt/&#00000000000120;<", UNKNOWN, READS),
-        (b"<publish>", b"x<publish>", REFUSES, READS),
-        (b"<topic>rt/x</topic>", b"<TOPIC>rt/x</TOPIC>", UNKNOWN, REFUSES),
-        (b"<topic>rt/x</topic>", b"<topic/>", REFUSES, REFUSES),
+        (b"<publish>", b"<publish> <!-- <b> > --><!--</x >-->\n", READS, READS),
+        (b"<dds>", b"<!-- c --><dds>", READS, READS),
+        (b"</dds>", b"</dds><!-- c -->\n", READS, READS),
+        (b"rt/x<", b"rt/<!-- c -->x<", UNKNOWN, UNKNOWN),
+        (b"rt/x<", b"<!-- c -->rt/x<", UNKNOWN, UNKNOWN),
+        (b"rt/x<", b"rt/x> <!-- c --> <", UNKNOWN, UNKNOWN),
+        (b"<id>0", b"<id>0<!-- c --><!-- d -->", UNKNOWN, UNKNOWN),
+        (b"<id>0", b"<id><!-- c -->0", UNKNOWN, UNKNOWN),
+        (b"rt/x<", b"<![CDATA[rt/x]]><", UNKNOWN, UNKNOWN),
+        (b"DENY", b"DE<!-- c -->NY", UNKNOWN, UNKNOWN),
+        (b"<publish>", b"<?a b?><publish>", UNKNOWN, UNKNOWN),
+        (b"<dds>", b"<?a b?><dds>", UNKNOWN, UNKNOWN),
+        (b"rt/x<", b"rt/&amp;&lt;<", READS, READS),
+        (b"rt/x<", b"rt/&#120;<", UNKNOWN, UNKNOWN),
+        (b"<publish>", b"x<publish>", UNKNOWN, UNKNOWN),
+        (b"<topic>rt/x</topic>", b"<TOPIC>rt/x</TOPIC>", UNKNOWN, UNKNOWN),
+        (b"<topic>rt/x</topic>", b"<topic/>", UNKNOWN, UNKNOWN),
         (b"<topic>rt/x</topic>", b"<topic> </topic>", REFUSES, REFUSES),
-        (b"<id>0</id>", b"", READS, REFUSES),
-        (b"<id>0</id>", b"<id>08</id>", REFUSES, READS),
-        (b"<id>0</id>", b"<id>+0</id>", READS, READS),
-        (b"<id>0</id>", b"<id> 010 </id>", READS, READS),
-        (b"<id>0</id>", b"<id>2147483648</id>", REFUSES, READS),
-        (b"<id>0</id>", b"<id>-1</id>", REFUSES, READS),
-        (b"<id>0</id>", b"<id_range/>", REFUSES, REFUSES),
-        (b"<domains><id>0</id></domains>", b"", REFUSES, REFUSES),
-        (b"<domains><id>0</id></domains>", b"<domains><id>0</id></domains><domains/>", UNKNOWN, REFUSES),
-        (b"<default>DENY</default>", b"<default/>", REFUSES, REFUSES),
-        (b"<default>DENY</default>", b"<default>deny</default>", READS, REFUSES),
-        (b"<default>DENY</default>", b"<default> DENY</default>", READS, REFUSES),
-        (b"<default>DENY</default>", b"<default>DENY</default><default>ALLOW</default>", UNKNOWN, READS),
-        (b"<default>DENY</default>", b"<default>DENY</default><allow_rule/>", REFUSES, READS),
-        (b"<subject_name>", b"<subject_name>CN=/a</subject_name><subject_name>", UNKNOWN, REFUSES),
-        (b"CN=/talker,OU=4f", b"", REFUSES, REFUSES),
-        (b"</subscribe>", b"</subscribe><relay/>", READS, READS),
-        (b"</subscribe>", b"</subscribe><relay><topics><topic/></topics></relay>", READS, REFUSES),
+        (b"rt/x<", b"rt/\nx<", UNKNOWN, READS),
+        (b"<id>0</id>", b"", UNKNOWN, UNKNOWN),
+        (b"<id>0</id>", b"<id> 0 </id>", READS, READS),
+        (b"<id>0</id>", b"<id>231</id>", REFUSES, READS),
+        (b"<id>0</id>", b"<id>010</id>", UNKNOWN, UNKNOWN),
+        (b"<id>0</id>", b"<id>2147483648</id>", UNKNOWN, UNKNOWN),
+        (b"<id>0</id>", b"<id>-1</id>", UNKNOWN, UNKNOWN),
+        (b"<id>0</id>", b"<id_range><max>3</max></id_range>", REFUSES, READS),
+        (b"<domains><id>0</id></domains>", b"", UNKNOWN, UNKNOWN),
+        (b"<default>DENY</default>", b"", UNKNOWN, UNKNOWN),
+        (b"<default>DENY</default>", b"<default> DENY</default>", UNKNOWN, UNKNOWN),
+        (b"<default>DENY</default>", b"<default>DENY</default><allow_rule/>", UNKNOWN, UNKNOWN),
+        (b' name="g"', b"", UNKNOWN, UNKNOWN),
+        (b"CN=/talker,OU=4f", b" ", REFUSES, REFUSES),
         (b"</topics>", b"</topics><topics><topic>z</topic></topics>", UNKNOWN, UNKNOWN),
         (b"<permissions>", b"<permissions/><permissions>", UNKNOWN, UNKNOWN),
-        (b"2026-01-01T00:00:00", b"2026-01-01T24:00:00", READS, REFUSES),
-        (b"2026-01-01T00:00:00", b"garbage", READS, REFUSES),
-        (b"2026-01-01T00:00:00", b"2026-1-1T0:0:0", READS, UNKNOWN),
-        (b"2026-01-01T00:00:00", b"", REFUSES, REFUSES),
+        (b"2026-01-01T00:00:00", b"2026-01-01T00:00:00+02:00", READS, READS),
+        (b"2026-01-01T00:00:00", b"2026-01-01T24:00:00", READS, UNKNOWN),
+        (b"2026-01-01T00:00:00", b"garbage", UNKNOWN, UNKNOWN),
     ],
 )
 def test_what_is_not_plain(old: bytes, new: bytes, cyclone: str, fast: str) -> None:
@@ -97,9 +97,27 @@ def test_what_is_not_plain(old: bytes, new: bytes, cyclone: str, fast: str) -> N
     assert does(found, OMG) == (REFUSES if found.defects else READS)
 
 
-def test_what_is_written_in_two_bytes_a_character() -> None:
+@pytest.mark.parametrize(
+    ("old", "new"),
+    [
+        (b"<domains><id>0</id></domains>", b""),
+        (b"<id>0</id>", b"<id_range/>"),
+        (b"<id>0</id>", b"<id_range><max>3</max></id_range>"),
+        (b"<topic>rt/x</topic>", b"<topic> </topic>"),
+        (b"<topic>rt/x</topic>", b"<topic/>"),
+        (b"<default>DENY</default>", b"<default/>"),
+    ],
+)
+def test_what_crashes_cyclone_dds_is_found_in_any_document(old: bytes, new: bytes) -> None:
+    assert read(PLAIN).crash is None
+    assert read(PLAIN.replace(old, new, 1)).crash is not None
+
+
+def test_what_is_written_in_another_encoding() -> None:
     text = '<?xml version="1.0" encoding="UTF-16"?>' + PLAIN.decode()
-    assert {does(read(text.encode("utf-16")), each) for each in (CYCLONEDDS_0_10, FASTDDS_2_9)} == {UNKNOWN}
+    latin = '<?xml version="1.0" encoding="ISO-8859-1"?>' + PLAIN.decode().replace("rt/x", "rt/\u00e9")
+    for content in (text.encode("utf-16"), latin.encode("latin-1")):
+        assert {does(read(content), each) for each in (CYCLONEDDS_0_10, FASTDDS_2_9)} == {UNKNOWN}
 
 
 def altered() -> list[bytes]:
@@ -131,8 +149,7 @@ def altered() -> list[bytes]:
     return found
 
 
-def test_nothing_that_the_schema_refuses_is_taken_for_plain() -> None:
-    """Whatever is wrong is named by its kind, with what each vendor makes of it, and not by chance."""
+def test_of_what_the_schema_refuses_nothing_is_claimed_of_vendors() -> None:
     wrong = 0
     for content in altered():
         try:
@@ -141,26 +158,15 @@ def test_nothing_that_the_schema_refuses_is_taken_for_plain() -> None:
             continue  # it is not read at all
         if found.defects:
             wrong += 1
-            kinds = [each for each in strictness.peculiarities(found) if each.invalid]
-            assert kinds, content
-            assert not any("the schema does not allow" in each.text for each in kinds), (content, found.defects)
+            assert {does(found, each) for each in (CYCLONEDDS_0_10, FASTDDS_2_9)} == {UNKNOWN}, content
     assert wrong > 100
 
 
 def test_a_reason_names_the_line_of_the_file() -> None:
-    content = PLAIN.replace(b"<publish>", b"<publish a='1'>", 1)
-    line = content[: content.index(b"<publish a")].count(b"\n") + 1
+    content = b"<!-- a\ncomment -->" + PLAIN.replace(b"</publish>", b"</publish ><!-- c -->", 1)
+    line = content[: content.index(b"</publish >")].count(b"\n") + 1
     reason = CYCLONEDDS_0_10.semantics.refusal(read(content, "p.p7s", 10))
-    assert reason == f"p.p7s:{line + 10}: Cyclone DDS refuses the attribute 'a' of <publish>"
-
-
-@pytest.mark.parametrize(
-    ("text", "found"),
-    [("0", 0), ("230", 230), ("010", 8), ("-0", 0), ("+7", 7), ("08", None), ("4294967297", 1), ("2147483648", None),
-     ("99999999999999999999", None), ("-4294967295", 1)],
-)  # fmt: skip
-def test_numbers_as_in_c(text: str, found: int | None) -> None:
-    assert domain_ids.in_c(text) == (domain_ids.REFUSED if found is None else found)
+    assert reason == f"p.p7s:{line + 10}: Cyclone DDS refuses white space in an end tag"
 
 
 @pytest.mark.parametrize(
@@ -170,7 +176,7 @@ def test_numbers_as_in_c(text: str, found: int | None) -> None:
         ("2030-01-01T00:00:00+02:00", "2029-12-31T22", "2029-12-31T22", "2030-01-01T00"),
         ("2030-01-01T00:00:00+13:00", "2029-12-31T11", None, "2030-01-01T00"),
         ("2030-01-01T24:00:00", "2030-01-02T00", None, None),
-        ("2030-02-30T00:00:00", None, None, "2030-03-02T00"),
+        ("2030-02-30T00:00:00", None, None, None),
         ("2262-04-11T23:47:17", "2262-04-11T23", None, "2262-04-11T23"),
         ("2262-04-11T23:47:16.9", "2262-04-11T23", "2262-04-11T23", "2262-04-11T23"),
         ("12030-01-01T00:00:00", "9999-12-31T23", None, None),

@@ -184,7 +184,7 @@ PECULIAR = [
     ("</domain_access_rules>", "</domain_access_rules><!-- c -->", Proof.PROVEN, Proof.UNKNOWN),
     ("<topic_expression>*", "<topic_expression> *", Proof.COUNTEREXAMPLE, Proof.UNKNOWN),
     ("<topic_expression>*", "<topic_expression><![CDATA[*]]>", Proof.PROVEN, Proof.UNKNOWN),
-    (f"<{READ}>true</{READ}>", "", Proof.COUNTEREXAMPLE, Proof.COUNTEREXAMPLE),
+    (f"<{READ}>true</{READ}>", "", Proof.COUNTEREXAMPLE, Proof.UNKNOWN),
     (f"<{READ}>true</{READ}>", f"<{READ}>TRUE</{READ}>", Proof.COUNTEREXAMPLE, Proof.UNKNOWN),
     (f"<{READ}>true</{READ}>", f"<{READ}> true </{READ}>", Proof.PROVEN, Proof.UNKNOWN),
     ("</domain_rule>", "<foo/></domain_rule>", Proof.COUNTEREXAMPLE, Proof.UNKNOWN),
