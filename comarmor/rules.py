@@ -75,6 +75,10 @@ PERMISSIONS: Mapping[str, tuple[str, ...]] = MappingProxyType(
     }
 )
 """The kinds of rules, and the permissions of each."""
+KIND_OF: Mapping[str, str] = MappingProxyType(
+    {permission: kind for kind, permissions in PERMISSIONS.items() for permission in permissions}
+)
+"""The kind of each permission."""
 
 _GOAL_SERVICES = ("/_action/send_goal", "/_action/cancel_goal", "/_action/get_result")
 _GOAL_TOPICS = ("/_action/feedback", "/_action/status")

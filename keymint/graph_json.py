@@ -9,7 +9,7 @@ from typing import Any, NoReturn
 
 from comarmor.errors import Origin
 from comarmor.ros_names import is_fully_qualified
-from comarmor.rules import PERMISSIONS
+from comarmor.rules import KIND_OF, PERMISSIONS
 from comarmor.text import did_you_mean
 from keymint.errors import KeymintError
 from keymint.graph import Edge, Graph, Object
@@ -22,11 +22,6 @@ MAX_NAME = 1024
 """Characters of a name."""
 MAX_DOMAIN = 232
 """Highest DDS domain id whose ports are ports (RTPS 2.2, 9.6.1.1, with the default gains)."""
-
-KIND_OF: Mapping[str, str] = {
-    permission: kind for kind, permissions in PERMISSIONS.items() for permission in permissions
-}
-"""The kind of objects that each permission is about."""
 
 _CONTROL = re.compile(r"[\x00-\x1f\x7f\ud800-\udfff\ufffe\uffff]")
 

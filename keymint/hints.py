@@ -14,12 +14,13 @@ import csv
 from collections.abc import Iterator, Mapping, Sequence
 
 from comarmor.errors import Diagnostic, Origin, Severity
+from comarmor.rules import KIND_OF
 from comarmor.text import counted, did_you_mean
 from keymint import graph_json
 from keymint.api import Hint
 from keymint.errors import KeymintError
 from keymint.graph import Edge, Object
-from keymint.graph_json import KIND_OF, legal_subject, legal_text
+from keymint.graph_json import legal_subject, legal_text
 
 COLUMNS = ("subject", "permission", "object", "count")
 OPTIONAL = ("partition",)

@@ -1,4 +1,4 @@
-"""Policies as people ask about them: what is in vain, what changed, who may do what, what is expected.
+"""Policy analysis: redundant rules, semantic diff, queries and policy tests.
 
-Pure functions over rules and the proof engine: an answer holds for every name there is, not for a list of samples.
+Pure functions over rules and the proof engine. Answers hold for all possible names, not for samples.
 """

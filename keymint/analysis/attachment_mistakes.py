@@ -1,7 +1,7 @@
-"""Slips in how profiles are attached, which give rights to a subject without a word: copies, and wildcards too wide.
+"""Find likely mistakes in attachments that give a subject unintended rights: copied profiles and too wide wildcards.
 
-What is meant and what is a slip look alike. So there is no warning about the ways that the documentation
-shows: a profile for all subjects, a profile around others, and profiles that list several subjects each.
+Mistakes can look like intent, so the documented styles cause no warning: a profile for all subjects, a profile around
+others, and profiles that list several subjects each.
 """
 
 from __future__ import annotations
@@ -10,35 +10,34 @@ from collections import defaultdict
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
-from comarmor.errors import Diagnostic, Severity
+from comarmor.errors import Diagnostic
 from comarmor.patterns.glob import Glob, literal, parse
 from comarmor.patterns.pattern_index import PatternIndex
 from comarmor.patterns.steps import StepLimitError, step_limit
 from comarmor.patterns.tokens import Star
 from comarmor.rules import Effect
+from comarmor.text import first_few
+from keymint.analysis.findings import undecided, warning
+from keymint.analysis.subject_patterns import fixed_expressions, profile_chain
 from keymint.api import PolicyStructure, WrittenProfile, WrittenRule
 
 STEPS = 2_000_000
-"""Steps that the search for subjects that a wildcard matches may take."""
+"""Maximum steps of the search for subjects that a wildcard matches."""
 
 CODES: Mapping[str, str] = {
     "profile-name-twice": "Two profiles side by side have the same name.",
     "profile-copied": "Two profiles side by side are attached to the same subjects.",
     "profile-wide": "A wildcard gives rights to a subject that has a profile of its own.",
 }
-"""The findings of this room, each with one line that says what it means."""
+"""Diagnostic codes of this module with their descriptions."""
 
 _Texts = tuple[str, ...]
 _Chain = tuple[_Texts, ...]
 
 
 def attachment_mistakes(written: PolicyStructure) -> Iterator[Diagnostic]:
-    """Yield what is likely a slip, each cause once.
-
-    Args:
-        written: a policy.
-    """
-    # A file that is included several times has its profiles once.
+    """Yield warnings about likely mistakes, each cause once."""
+    # A profile of a file that is included several times counts once.
     profiles = list({(each.where.spot, each.around): each for each in written.profiles}.values())
     yield from _named_twice(profiles)
     yield from _copied(profiles)
@@ -50,36 +49,36 @@ def _named_twice(profiles: Iterable[WrittenProfile]) -> Iterator[Diagnostic]:
     for each in profiles:
         other = first.setdefault((each.around, each.name), each)
         if other is not each:
-            yield _said(
+            yield warning(
                 "profile-name-twice",
-                f"two profiles are named {each.name!r}, the other one at {other.where.alone()}; both count",
-                each,
-                "give each a name of its own, or make one of them; a copy whose attachment was not changed gives its "
-                "rights to the subjects of the other",
+                f"two profiles are named {each.name!r}, the other one at {other.where.alone()}; both apply",
+                each.where,
+                "rename one, or merge them; if one is a copy with an unchanged attachment, it gives its rights to the "
+                "subjects of the other",
             )
 
 
 def _copied(profiles: Iterable[WrittenProfile]) -> Iterator[Diagnostic]:
-    """Yield profiles of one file with the same exact attachments; another file may add to what one says."""
+    """Yield profiles of one file with the same exact attachments; another file may extend a profile."""
     first: dict[tuple[_Chain, str, frozenset[str]], WrittenProfile] = {}
     for each in profiles:
         texts = frozenset(_texts(each))
         if not all(literal(parse(text)) is not None for text in texts):
             continue
         other = first.setdefault((each.around, each.where.file, texts), each)
-        if other is not each and other.name != each.name:  # equal names are reported already
-            yield _said(
+        if other is not each and other.name != each.name:  # same names are reported by _named_twice
+            yield warning(
                 "profile-copied",
                 f"the profiles {other.name!r} ({other.where.alone()}) and {each.name!r} are both attached to "
-                f"{_listed(sorted(texts))}, who has the rights of both",
-                each,
-                "mend the attachment of the copy, or make one profile of them",
+                f"{first_few(sorted(texts), 3)}, which gets the rights of both",
+                each.where,
+                "fix the attachment of the copy, or merge the profiles",
             )
 
 
 @dataclass(frozen=True, slots=True)
-class _Right:
-    """What a rule of a profile itself allows: kind, permission, and the expression as it is written."""
+class _GrantedRight:
+    """A right by a rule in the profile itself: kind, permission, and expression."""
 
     kind: str
     permission: str
@@ -87,7 +86,7 @@ class _Right:
 
 
 def _wide(profiles: Sequence[WrittenProfile], clauses: Iterable[WrittenRule]) -> Iterator[Diagnostic]:
-    """Yield profiles whose wildcards match subjects with a profile of their own that is not inside of them."""
+    """Yield profiles whose wildcards match subjects that have a profile of their own beside it."""
     wild = [(each, text, parse(text)) for each in profiles for text in _texts(each)]
     wild = [(each, text, glob) for each, text, glob in wild if literal(glob) is None and not _is_for_all(glob)]
     if not wild:
@@ -96,20 +95,18 @@ def _wide(profiles: Sequence[WrittenProfile], clauses: Iterable[WrittenRule]) ->
     near = PatternIndex(
         (parse(text), each) for each in profiles for text in _texts(each) if literal(parse(text)) is not None
     )
-    told: set[tuple[_Chain, str]] = set()
+    checked: set[tuple[_Chain, str]] = set()
     for each, text, glob in wild:
-        granted = rights.get(_chain(each), {})
-        if not granted or (_chain(each), text) in told:
+        granted = rights.get(profile_chain(each), {})
+        if not granted or (profile_chain(each), text) in checked:
             continue
-        told.add((_chain(each), text))
+        checked.add((profile_chain(each), text))
         try:
             with step_limit(STEPS):
                 gaining = list(_gaining(each, granted, near.meeting(glob), rights))
-        except StepLimitError as spent:
-            yield Diagnostic(
-                "lint-unknown",
-                Severity.NOTE,
-                f"whom profile {each.name!r} applies to by {text!r} was {spent}",
+        except StepLimitError as limit:
+            yield undecided(
+                f"the subjects that profile {each.name!r} gets by {text!r} are unknown: {limit}",
                 each.where,
                 "attach it to fewer subjects, or lint parts of the policy",
             )
@@ -117,73 +114,62 @@ def _wide(profiles: Sequence[WrittenProfile], clauses: Iterable[WrittenRule]) ->
         if gaining:
             subject, own, right = gaining[0]
             more = f" and {len(gaining) - 1:,} more" if len(gaining) > 1 else ""
-            yield _said(
+            yield warning(
                 "profile-wide",
                 f"profile {each.name!r} applies to {subject}{more} by {text!r}, and gives rights that its own profile "
                 f"{own.name!r} ({own.where.alone()}) does not have, e.g. {right.permission} on {right.expression!r}",
-                each,
-                f"if that is meant, put profile {own.name!r} into profile {each.name!r}, or what is common into a file "
-                "that both include; else attach it to the subjects that are meant",
+                each.where,
+                f"if intended, nest profile {own.name!r} in profile {each.name!r}, or move common rules to a file that "
+                "both include; else attach it to the intended subjects only",
             )
 
 
 def _gaining(
     wide: WrittenProfile,
-    granted: Mapping[_Right, None],
+    granted: Mapping[_GrantedRight, None],
     near: Iterable[tuple[Glob, WrittenProfile]],
-    rights: Mapping[_Chain, Mapping[_Right, None]],
-) -> Iterator[tuple[str, WrittenProfile, _Right]]:
-    """Yield subjects, each once, that gain by a wide profile, with their own profile and a right that they gain."""
-    chain = _chain(wide)
+    rights: Mapping[_Chain, Mapping[_GrantedRight, None]],
+) -> Iterator[tuple[str, WrittenProfile, _GrantedRight]]:
+    """Yield subjects that gain rights by a wide profile, each once, with their own profile and such a right."""
+    chain = profile_chain(wide)
     own: dict[str, list[WrittenProfile]] = defaultdict(list)
     for glob, profile in near:
-        # Only beside: of what stands inside of other profiles, these are the ones to be looked at.
+        # Only siblings: for nested profiles, the outer ones are checked.
         if profile.around == wide.around and _texts(profile) != chain[-1] and not _texts_meet(profile, wide):
             own[literal(glob) or ""].append(profile)
-    for subject, listed in own.items():
-        held = {right: None for each in listed for right in rights.get(_chain(each), {})}
-        missing = next((right for right in granted if right not in held), None)
+    for subject, its_profiles in own.items():
+        existing = {right for each in its_profiles for right in rights.get(profile_chain(each), {})}
+        missing = next((right for right in granted if right not in existing), None)
         if missing is not None:
-            yield subject, listed[0], missing
+            yield subject, its_profiles[0], missing
 
 
 def _texts_meet(profile: WrittenProfile, wide: WrittenProfile) -> bool:
-    """Tell whether a profile is attached by a wildcard of the other one as well: then it is about the same subjects."""
+    """Return True if two profiles share an attachment, so that both target the same subjects."""
     return not set(_texts(profile)).isdisjoint(_texts(wide))
 
 
-def _rights(clauses: Iterable[WrittenRule]) -> dict[_Chain, dict[_Right, None]]:
-    """Return what the rules of each profile allow that stand in the profile itself and name objects for themselves.
+def _rights(clauses: Iterable[WrittenRule]) -> dict[_Chain, dict[_GrantedRight, None]]:
+    """Return the rights by rules in each profile itself whose expressions do not depend on the subject.
 
-    What depends on the subject, and what is included, is meant for several subjects.
+    Expressions that depend on the subject, and included rules, are meant for several subjects.
     """
-    found: dict[_Chain, dict[_Right, None]] = defaultdict(dict)
+    rights: dict[_Chain, dict[_GrantedRight, None]] = defaultdict(dict)
     for clause in clauses:
         rule = clause.rule
         if rule.effect is not Effect.ALLOW or clause.included:
             continue
-        texts = zip(clause.expand("/a/", "a"), clause.expand("/b/", "b"), strict=True)
-        for expression in (one for one, other in texts if one == other):
-            found[clause.profiles] |= dict.fromkeys(_Right(rule.kind, held, expression) for held in rule.permissions)
-    return found
+        for expression in fixed_expressions(clause):
+            rights[clause.profiles] |= dict.fromkeys(
+                _GrantedRight(rule.kind, each, expression) for each in rule.permissions
+            )
+    return rights
 
 
 def _is_for_all(pattern: Glob) -> bool:
-    """Tell whether an attachment is for every subject, or for every one of some name, in whatever namespace."""
+    """Return True for an attachment to every subject, or to every subject of some name in any namespace."""
     return isinstance(pattern[0], Star) or pattern == ("/", Star())
-
-
-def _chain(profile: WrittenProfile) -> _Chain:
-    return (*profile.around, _texts(profile))
 
 
 def _texts(profile: WrittenProfile) -> _Texts:
     return tuple(text for text, _ in profile.attachments)
-
-
-def _listed(names: Sequence[str]) -> str:
-    return ", ".join(names[:3]) + (", …" if len(names) > 3 else "")  # noqa: PLR2004 - as many as a line takes
-
-
-def _said(code: str, message: str, profile: WrittenProfile, help_: str) -> Diagnostic:
-    return Diagnostic(code, Severity.WARNING, message, profile.where, help_)

@@ -1,4 +1,4 @@
-"""Where the expressions of a rule are written: the attachment that each of them comes from."""
+"""Find the attachment that each expression of a rule comes from."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 from comarmor.errors import Origin, Spot
-from keymint.analysis.rule_lists import text
+from keymint.analysis.subject_patterns import expressions_for
 from keymint.api import PolicyStructure, WrittenRule
 from keymint.ir import Rule
 
@@ -17,8 +17,8 @@ class Attachment:
     """The attachment that an expression comes from.
 
     Attributes:
-        where: where it is written.
-        number: which of the expressions that are written there it is; several when a tunable has several values.
+        where: its origin.
+        number: index among the expressions of that origin; a tunable with several values has several.
     """
 
     where: Origin
@@ -29,7 +29,7 @@ class AttachmentIndex:
     """Finds the attachments of rules.
 
     Args:
-        written: the policy as it is written; None if its type does not tell, so that a rule's own place has to do.
+        written: structure of the policy; without it the rule's origin is used.
     """
 
     def __init__(self, written: PolicyStructure | None) -> None:
@@ -38,22 +38,21 @@ class AttachmentIndex:
         }
 
     def clause(self, rule: Rule, attachment: Attachment) -> tuple[WrittenRule, int] | None:
-        """Return a rule as it is written, and which of its expressions comes from an attachment; None if not known."""
+        """Return the clause of a rule, and the index of the expression of an attachment; None if unknown."""
         clause = self._clauses.get(rule.origin)
         if clause is None:
             return None
-        there = [at for at, where in enumerate(clause.places) if where.spot == attachment.where.spot]
-        return (clause, there[attachment.number]) if attachment.number < len(there) else None
+        indices = [at for at, where in enumerate(clause.places) if where.spot == attachment.where.spot]
+        return (clause, indices[attachment.number]) if attachment.number < len(indices) else None
 
     def of(self, rule: Rule, subject: str) -> Mapping[str, Attachment]:
-        """Return the attachment of each expression of a rule of a subject; of equal ones the first."""
+        """Return the attachment of each expression of a subject's rule; of equal expressions the first."""
         clause = self._clauses.get(rule.origin)
         if clause is None or not clause.places:
             return {expression: Attachment(rule.origin, at) for at, expression in enumerate(rule.expressions)}
-        head, _, last = subject.rpartition("/")
-        found: dict[str, Attachment] = {}
-        counted: Counter[Spot] = Counter()
-        for expression, where in zip(clause.expand(text((f"{head}/",)), text((last,))), clause.places, strict=True):
-            found.setdefault(expression, Attachment(where, counted[where.spot]))
-            counted[where.spot] += 1
-        return found
+        attachments: dict[str, Attachment] = {}
+        seen: Counter[Spot] = Counter()
+        for expression, where in zip(expressions_for(clause, subject), clause.places, strict=True):
+            attachments.setdefault(expression, Attachment(where, seen[where.spot]))
+            seen[where.spot] += 1
+        return attachments

@@ -19,26 +19,26 @@ from comarmor.rules import Effect
 from keymint.analysis.rule_lists import (
     RAW,
     PermissionKey,
-    allowed,
-    asked,
+    allow_only,
+    decision_list,
+    find_permitted,
     in_partition,
-    keys,
-    listed,
-    meet,
-    patterns,
-    text,
+    pattern_text,
+    permission_keys,
+    query_pattern,
+    rule_patterns,
 )
 from keymint.analysis.subject_patterns import (
     EVERY,
     at_most,
     can_exist,
-    only,
     profile_subjects,
     representatives,
+    restrict_allowed,
     rules_of,
     structure,
 )
-from keymint.analysis.subject_templates import marks, symbolic_patterns
+from keymint.analysis.subject_templates import placeholders, symbolic_patterns
 from keymint.api import LoadedPolicy, PolicyStructure
 
 FLOWS: tuple[tuple[PermissionKey, PermissionKey], ...] = (
@@ -120,7 +120,7 @@ class ChannelSearch:
             said: set[str] = set()
             for pattern in (pattern for block in mine if block.allows for pattern in block.patterns):
                 counts = self._counts(send[0], shared)
-                outcome = meet(send[0], only(pattern, mine), theirs, counts)
+                outcome = find_permitted(send[0], restrict_allowed(pattern, mine), theirs, counts)
                 if isinstance(outcome, Equal):
                     continue
                 word = outcome.word if isinstance(outcome, Witness) else ""
@@ -133,7 +133,7 @@ class ChannelSearch:
         for send, receive in FLOWS:
             for pattern in _shared(self._common(writer, send), self._common(reader, receive)):
                 mine, theirs = self._listed(writer, send), self._listed(reader, receive)
-                outcome = meet(send[0], allowed(pattern), mine, theirs, self._counts(send[0]))
+                outcome = find_permitted(send[0], allow_only(pattern), mine, theirs, self._counts(send[0]))
                 if not isinstance(outcome, Equal):
                     word = outcome.word if isinstance(outcome, Witness) else ""
                     yield Channel(writer, reader, send[0], (send[1], receive[1]), word)
@@ -151,17 +151,17 @@ class ChannelSearch:
                 mine = [one for piece in intersection(writers, EVERY) for one in at_most(written, piece, send)]
                 theirs = [one for piece in intersection(readers, EVERY) for one in at_most(written, piece, receive)]
             except TooComplexError:
-                yield Channel(text(writers), text(readers), send[0], (send[1], receive[1]), "")
+                yield Channel(pattern_text(writers), pattern_text(readers), send[0], (send[1], receive[1]), "")
                 continue
             for subject, decided in mine:
                 for other, decided2 in theirs:
                     if (literal(subject) is not None and literal(other) is not None) or not _allows(decided2):
                         continue  # whom the policy names was asked already
                     shared = _shared(self._surely(written, subject, send), self._surely(written, other, receive))
-                    outcome = meet(send[0], decided, decided2, self._counts(send[0], shared))
+                    outcome = find_permitted(send[0], decided, decided2, self._counts(send[0], shared))
                     if not isinstance(outcome, Equal) and can_exist(subject) and can_exist(other):
                         word = outcome.word if isinstance(outcome, Witness) else ""
-                        yield Channel(text(subject), text(other), send[0], (send[1], receive[1]), word)
+                        yield Channel(pattern_text(subject), pattern_text(other), send[0], (send[1], receive[1]), word)
 
     def named(self, expression: str) -> tuple[str, ...]:
         """Return the subjects of an expression; see :func:`~keymint.analysis.subject_patterns.representatives`."""
@@ -169,7 +169,7 @@ class ChannelSearch:
 
     def _listed(self, subject: str, key: PermissionKey) -> DecisionList:
         if (subject, key) not in self._known:
-            self._known[subject, key] = listed(rules_of(self.policy, subject), key)
+            self._known[subject, key] = decision_list(rules_of(self.policy, subject), key)
         return self._known[subject, key]
 
     def _common(self, subject: str, key: PermissionKey) -> tuple[Glob, ...]:
@@ -180,9 +180,9 @@ class ChannelSearch:
                 dict.fromkeys(
                     pattern
                     for rule in rules
-                    if rule.effect is Effect.ALLOW and key in keys(rule) and self.common(rule.origin)
+                    if rule.effect is Effect.ALLOW and key in permission_keys(rule) and self.common(rule.origin)
                     for expression in rule.expressions
-                    for pattern in patterns(rule, expression, key)
+                    for pattern in rule_patterns(rule, expression, key)
                 )
             )
         return self._known_common[subject, key]
@@ -192,15 +192,17 @@ class ChannelSearch:
         return tuple(
             pattern
             for clause in written.clauses
-            if clause.rule.effect is Effect.ALLOW and key in keys(clause.rule) and self.common(clause.rule.origin)
+            if clause.rule.effect is Effect.ALLOW
+            and key in permission_keys(clause.rule)
+            and self.common(clause.rule.origin)
             if any(covers(each, subjects) for each in profile_subjects(clause.profiles))
             for pattern in symbolic_patterns(clause, key)
-            if not marks(pattern)
+            if not placeholders(pattern)
         )
 
     def _counts(self, kind: str, shared: Sequence[Glob] = ()) -> DecisionList:
         """Return what permits the names that count."""
-        denied = (in_partition("*", parse(each)) if kind == RAW else asked(kind, each) for each in self.but)
+        denied = (in_partition("*", parse(each)) if kind == RAW else query_pattern(kind, each) for each in self.but)
         return (Block(False, (*denied, *shared)), Block(True, (EVERYTHING,)))
 
 

@@ -1,7 +1,7 @@
-"""Whether a denial may matter to a subject that a policy does not name.
+"""Check whether a denial may have an effect for a subject that a policy does not name.
 
-Where rules depend on the subject by ``{namespace}`` and ``{name}``, examples do not show it: what a denial is about may
-be allowed to just one subject of a pattern.
+Examples do not show this where rules depend on the subject by ``{namespace}`` and ``{name}``: an ALLOW may overlap the
+denial for just one subject of a pattern.
 """
 
 from __future__ import annotations
@@ -12,64 +12,72 @@ from comarmor.patterns.decision_lists import Equal, Unknown
 from comarmor.patterns.glob import Glob, literal
 from comarmor.patterns.relations import TooComplexError, disjoint
 from comarmor.rules import Effect
-from keymint.analysis.rule_lists import PermissionKey, allowed, keys, meet, patterns, text
+from keymint.analysis.rule_lists import (
+    PermissionKey,
+    allow_only,
+    find_permitted,
+    pattern_text,
+    permission_keys,
+    rule_patterns,
+)
 from keymint.analysis.subject_patterns import namespace_name_splits, profile_subjects
 from keymint.api import PolicyStructure, WrittenRule
 
 
 def may_deny_something(written: PolicyStructure, clause: WrittenRule, at: int) -> bool:
-    """Tell whether a rule may allow something that an expression of a DENY rule denies.
+    """Return True if a rule may allow something that an expression of a DENY rule denies.
 
-    Left out are rules that depend on the subject in the same way: any example shows what they have in common.
+    Rules that depend on the subject in the same way are ignored: any example shows their overlap.
 
     Args:
-        written: the policy.
+        written: structure of the policy.
         clause: the DENY rule.
-        at: which of its expressions.
+        at: index of the expression.
 
     Raises:
-        TooComplexError: that was not decided.
-        EffortError: it takes too many steps.
+        TooComplexError: the answer is unknown.
+        StepLimitError: the check takes too many steps.
     """
-    begins = _beginning(clause, at)
+    prefix = _subject_prefix(clause, at)
     others = [
         (other, number)
         for other in written.clauses
-        if other.rule.effect is Effect.ALLOW and not set(keys(other.rule)).isdisjoint(keys(clause.rule))
+        if other.rule.effect is Effect.ALLOW
+        and not set(permission_keys(other.rule)).isdisjoint(permission_keys(clause.rule))
         for number in range(len(other.places))
-        if begins is None or _beginning(other, number) != begins
+        if prefix is None or _subject_prefix(other, number) != prefix
     ]
     return any(
         _overlap(key[0], one, two)
         for other, number in others
-        for key in keys(clause.rule)
+        for key in permission_keys(clause.rule)
         for subjects in profile_subjects((*clause.profiles, *other.profiles))
         if literal(subjects) is None
-        for one in _about(clause, at, subjects, key)
-        for two in _about(other, number, subjects, key)
+        for one in _object_patterns(clause, at, subjects, key)
+        for two in _object_patterns(other, number, subjects, key)
     )
 
 
-def _beginning(clause: WrittenRule, at: int) -> str | None:
-    """Return with what of its subject an expression begins that otherwise does not depend on it; None for others."""
+def _subject_prefix(clause: WrittenRule, at: int) -> str | None:
+    """Return the subject-dependent prefix of an expression whose rest is fixed; None for other expressions."""
     one, other = (clause.expand(namespace, name)[at] for namespace, name in (("/a/", "a"), ("/b/", "b")))
-    for beginning in ("", "/{}/", "/{}/{}"):
-        mine, theirs = beginning.format("a", "a"), beginning.format("b", "b")
+    for prefix in ("", "/{}/", "/{}/{}"):
+        mine, theirs = prefix.format("a", "a"), prefix.format("b", "b")
         if one.startswith(mine) and other.startswith(theirs) and one[len(mine) :] == other[len(theirs) :]:
-            return beginning
+            return prefix
     return None
 
 
-def _about(clause: WrittenRule, at: int, subjects: Glob, key: PermissionKey) -> Iterator[Glob]:
-    """Yield patterns that together match what an expression is about for any of some subjects."""
+def _object_patterns(clause: WrittenRule, at: int, subjects: Glob, key: PermissionKey) -> Iterator[Glob]:
+    """Yield patterns that together match the objects of an expression for any subject of a pattern."""
     for namespace, name in namespace_name_splits(subjects):
-        yield from patterns(clause.rule, clause.expand(text(namespace), text(name))[at], key)
+        yield from rule_patterns(clause.rule, clause.expand(pattern_text(namespace), pattern_text(name))[at], key)
 
 
 def _overlap(kind: str, one: Glob, other: Glob) -> bool:
     if disjoint(one, other):
         return False
-    found = meet(kind, allowed(one), allowed(other))
-    if isinstance(found, Unknown):
+    outcome = find_permitted(kind, allow_only(one), allow_only(other))
+    if isinstance(outcome, Unknown):
         raise TooComplexError
-    return not isinstance(found, Equal)
+    return not isinstance(outcome, Equal)

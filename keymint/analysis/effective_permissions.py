@@ -1,4 +1,4 @@
-"""What a subject can do: its rules, read as what is left of them."""
+"""List the effective permissions of a subject: what its ALLOW rules allow after its DENY rules."""
 
 from __future__ import annotations
 
@@ -10,20 +10,27 @@ from comarmor.patterns.decision_lists import Equal
 from comarmor.patterns.glob import parse
 from comarmor.patterns.relations import disjoint
 from comarmor.rules import Effect, parts
-from keymint.analysis.rule_lists import RAW, allowed, in_partition, meet, part_lists, patterns
+from keymint.analysis.rule_lists import (
+    RAW,
+    allow_only,
+    find_permitted,
+    in_partition,
+    part_lists,
+    rule_patterns,
+)
 from keymint.ir import Rule
 
 
 @dataclass(frozen=True, slots=True)
 class EffectivePermission:
-    """A permission that a subject has on what an expression matches.
+    """A permission that a subject has on objects that match an expression.
 
     Attributes:
         permission: the permission.
         expression: the expression of the rule.
-        partitions: DDS partitions, as the rule has them.
-        but: expressions of DENY rules that take some of it away.
-        audit: it is to be watched.
+        partitions: DDS partitions of the rule.
+        but: expressions of DENY rules that deny a part of it.
+        audit: the rule asks for monitoring.
         where: the rule.
     """
 
@@ -36,7 +43,7 @@ class EffectivePermission:
 
 
 def effective_permissions(rules: Sequence[Rule]) -> Iterator[EffectivePermission]:
-    """Yield what rules allow of which anything is left."""
+    """Yield the permissions by ALLOW rules that DENY rules do not deny completely."""
     denials = [rule for rule in rules if rule.effect is Effect.DENY]
     for rule in rules:
         if rule.effect is not Effect.ALLOW:
@@ -44,27 +51,27 @@ def effective_permissions(rules: Sequence[Rule]) -> Iterator[EffectivePermission
         for permission in rule.permissions:
             lists = part_lists(rules, rule.kind, permission)
             for expression in rule.expressions:
-                asked = [parse(expression)]
+                words = [parse(expression)]
                 if rule.kind == RAW:
-                    asked = [in_partition(each, asked[0]) for each in rule.partitions or ("",)]
-                if all(isinstance(meet(rule.kind, allowed(one), *lists), Equal) for one in asked):
+                    words = [in_partition(each, words[0]) for each in rule.partitions or ("",)]
+                if all(isinstance(find_permitted(rule.kind, allow_only(one), *lists), Equal) for one in words):
                     continue
-                but = _taken(rule, expression, permission, denials)
+                but = _denied_expressions(rule, expression, permission, denials)
                 yield EffectivePermission(permission, expression, rule.partitions, but, rule.audit, rule.origin)
 
 
-def _taken(rule: Rule, expression: str, permission: str, denials: Sequence[Rule]) -> tuple[str, ...]:
+def _denied_expressions(rule: Rule, expression: str, permission: str, denials: Sequence[Rule]) -> tuple[str, ...]:
     keys = [(kind, part) for kind, part, _ in parts(rule.kind, permission)]
     return tuple(
         dict.fromkeys(
-            theirs + "".join(f" in partition {each!r}" for each in denial.partitions)
+            denied + "".join(f" in partition {each!r}" for each in denial.partitions)
             for denial in denials
-            for theirs in denial.expressions
+            for denied in denial.expressions
             for key in keys
             if any(
                 not disjoint(one, other)
-                for one in patterns(rule, expression, key)
-                for other in patterns(denial, theirs, key)
+                for one in rule_patterns(rule, expression, key)
+                for other in rule_patterns(denial, denied, key)
             )
         )
     )

@@ -1,4 +1,4 @@
-"""Names that are nearly alike, where the other one would fit: what a slip of the pen leaves behind."""
+"""Find likely typos: similar names where one of them would fit the other's use."""
 
 from __future__ import annotations
 
@@ -7,13 +7,14 @@ import re
 from collections import defaultdict
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 
-from comarmor.errors import Diagnostic, Origin, Severity
+from comarmor.errors import Diagnostic, Origin
 from comarmor.patterns.edit_distance import NameTrie
 from comarmor.patterns.glob import Glob, literal, parse
 from comarmor.patterns.pattern_index import PatternIndex
 from comarmor.patterns.steps import StepLimitError, spend, step_limit
 from comarmor.rules import Effect
 from keymint.analysis.attachments import AttachmentIndex
+from keymint.analysis.findings import undecided, warning
 from keymint.analysis.rule_lists import RAW
 from keymint.api import PolicyStructure
 from keymint.ir import Rule
@@ -28,49 +29,47 @@ _SIDES = {
     "ros_request": ("ros_action", "ros_operate"),
     "ros_operate": ("ros_action", "ros_request"),
 }
-"""The kind of a permission, and the permission of whoever is at the other end."""
+"""The kind of a permission, and the permission of the peer."""
 _MOST_EDITS = 2
 _SHORTEST = 4
-_ALIKE = 0.8
-"""How much two names must be alike, as :meth:`difflib.SequenceMatcher.ratio` says."""
+_SIMILAR = 0.8
+"""Minimum similarity of two names by :meth:`difflib.SequenceMatcher.ratio`."""
 _FEW = 64
-"""Names of the same words that are looked at."""
+"""Maximum number of compared names with the same words."""
 _STEPS = 2_000
-"""Steps that the search for a name may take."""
+"""Maximum steps of the search for one name."""
 _DIGITS = re.compile(r"\d+")
 
 
 def similar_names(subjects: Mapping[str, tuple[Rule, ...]], attachments: AttachmentIndex) -> Iterator[Diagnostic]:
-    """Yield names that nobody is at the other end of, where a name that is nearly the same has nobody at this end.
+    """Yield names without a peer where a similar name lacks exactly this peer.
 
     Args:
         subjects: the rules of each subject that a policy names.
-        attachments: where their expressions are written.
+        attachments: attachments of their expressions.
     """
     exact, wild = _allowed(subjects)
-
     wilds = {permission: PatternIndex((pattern, None) for pattern in patterns) for permission, patterns in wild.items()}
 
-    def alone(permission: str, name: str) -> bool:
+    def has_no_peer(permission: str, name: str) -> bool:
         other = _SIDES[permission][1]
         matching = wilds[other].meeting((name,)) if other in wilds else ()
         return name not in exact[other] and not any(True for _ in matching)
 
-    told: set[frozenset[str]] = set()
+    reported: set[frozenset[str]] = set()
     given_up: list[str] = []
     for permission, (kind, other) in _SIDES.items():
-        candidates = _Candidates(name for name in exact[other] if alone(other, name))
+        candidates = _CandidateNames(name for name in exact[other] if has_no_peer(other, name))
         for name, (subject, rule) in exact[permission].items():
-            near = _given(candidates, name, _MOST_EDITS, given_up) if alone(permission, name) else None
-            if near and frozenset((name, near)) not in told:
-                told.add(frozenset((name, near)))
-                whose, theirs = exact[other][near]
-                there = attachments.of(theirs, whose)[near].where
-                yield Diagnostic(
+            near = _nearest(candidates, name, _MOST_EDITS, given_up) if has_no_peer(permission, name) else None
+            if near and frozenset((name, near)) not in reported:
+                reported.add(frozenset((name, near)))
+                peer, peer_rule = exact[other][near]
+                peer_place = attachments.of(peer_rule, peer)[near].where
+                yield warning(
                     "name-similar",
-                    Severity.WARNING,
                     f"{subject} may {_plain(permission)} the {kind} {name!r} and nobody may {_plain(other)} it, "
-                    f"but {whose} may {_plain(other)} {near!r} ({there.alone()})",
+                    f"but {peer} may {_plain(other)} {near!r} ({peer_place.alone()})",
                     attachments.of(rule, subject)[name].where,
                     f"did you mean {near!r}?",
                     subject,
@@ -79,11 +78,7 @@ def similar_names(subjects: Mapping[str, tuple[Rule, ...]], attachments: Attachm
 
 
 def similar_subjects(written: PolicyStructure) -> Iterator[Diagnostic]:
-    """Yield subjects that one profile names, where several name another one that differs in a single character.
-
-    Args:
-        written: the policy.
-    """
+    """Yield subjects in one profile where several profiles name a subject that differs in a single character."""
     named: dict[str, dict[Origin, Origin]] = defaultdict(dict)
     for profile in written.profiles:
         for expression, where in profile.attachments:
@@ -91,14 +86,13 @@ def similar_subjects(written: PolicyStructure) -> Iterator[Diagnostic]:
             if name is not None:
                 named[name][profile.where] = where
     given_up: list[str] = []
-    often = _Candidates(name for name, places in named.items() if len(places) > 1)
+    often = _CandidateNames(name for name, places in named.items() if len(places) > 1)
     for name, places in named.items():
-        near = _given(often, name, 1, given_up) if len(places) == 1 else None
+        near = _nearest(often, name, 1, given_up) if len(places) == 1 else None
         if near:
-            yield Diagnostic(
+            yield warning(
                 "name-similar",
-                Severity.WARNING,
-                f"one profile is about the subject {name!r}, and {len(named[near])} are about {near!r}",
+                f"one profile applies to the subject {name!r}, and {len(named[near])} apply to {near!r}",
                 next(iter(places.values())),
                 f"did you mean {near!r}?",
             )
@@ -108,7 +102,7 @@ def similar_subjects(written: PolicyStructure) -> Iterator[Diagnostic]:
 def _allowed(
     subjects: Mapping[str, tuple[Rule, ...]],
 ) -> tuple[dict[str, dict[str, tuple[str, Rule]]], dict[str, dict[Glob, None]]]:
-    """Return, by permission, the names that are allowed exactly, with who and by which rule, and the patterns."""
+    """Return, by permission, the exact names that are allowed, with a subject and rule, and the patterns."""
     exact: dict[str, dict[str, tuple[str, Rule]]] = defaultdict(dict)
     wild: dict[str, dict[Glob, None]] = defaultdict(dict)
     for subject, rules in subjects.items():
@@ -131,8 +125,8 @@ def _plain(permission: str) -> str:
     return f"{plain} to" if plain == "subscribe" else plain
 
 
-def _given(candidates: _Candidates, name: str, most: int, given_up: list[str]) -> str | None:
-    """Return the nearest of some candidates; note the name where that takes too many steps."""
+def _nearest(candidates: _CandidateNames, name: str, most: int, given_up: list[str]) -> str | None:
+    """Return the most similar candidate; add the name to ``given_up`` if the search takes too many steps."""
     try:
         return candidates.nearest(name, most)
     except StepLimitError:
@@ -141,23 +135,20 @@ def _given(candidates: _Candidates, name: str, most: int, given_up: list[str]) -
 
 
 def _unknown(given_up: Sequence[str]) -> Iterator[Diagnostic]:
-    """Yield a note on names that were not held against all others."""
+    """Yield a note on names that were not compared with all others."""
     if given_up:
-        yield Diagnostic(
-            "lint-unknown",
-            Severity.NOTE,
-            f"it was not found out which names are nearly like {given_up[0]!r}"
-            + (f" and {len(given_up) - 1:,} others" if len(given_up) > 1 else "")
-            + f": there are too many within {_STEPS:,} steps",
+        others = f" and {len(given_up) - 1:,} others" if len(given_up) > 1 else ""
+        yield undecided(
+            f"names similar to {given_up[0]!r}{others} are unknown: too many to compare within {_STEPS:,} steps",
             None,
-            "look at these names yourself, or lint parts of the policy",
+            "check these names yourself, or lint parts of the policy",
         )
 
 
-class _Candidates:
-    """Names that another one may have been meant to be.
+class _CandidateNames:
+    """Names to compare with.
 
-    Numbers are left out of the search: names that differ in numbers only are no slips.
+    The search ignores numbers: names that differ only in numbers are not typos.
     """
 
     def __init__(self, names: Iterable[str]) -> None:
@@ -171,10 +162,10 @@ class _Candidates:
         self._words = NameTrie(self._by_words)
 
     def nearest(self, name: str, most: int) -> str | None:
-        """Return the name that is most alike of those that differ by a slip of the pen, and not in numbers only.
+        """Return the most similar name within some edits that does not differ only in numbers.
 
         Raises:
-            EffortError: there are too many names like it.
+            StepLimitError: there are too many similar names.
         """
         if len(name) < _SHORTEST:
             return None
@@ -185,12 +176,12 @@ class _Candidates:
                 for near in self._likely(name, other) if other != words else ():
                     spend(len(name))
                     ratio = difflib.SequenceMatcher(None, name, near).ratio()
-                    if ratio >= _ALIKE and _edits(name, near) <= most and (best is None or (ratio, near) > best):
+                    if ratio >= _SIMILAR and _edits(name, near) <= most and (best is None or (ratio, near) > best):
                         best = (ratio, near)
         return best[1] if best else None
 
     def _likely(self, name: str, words: str) -> Sequence[str]:
-        """Return the names of some words that have the numbers of another name, or else a few."""
+        """Return the names with these words and the numbers of ``name``, or else a few with these words."""
         same = self._by_numbers.get((words, tuple(_DIGITS.findall(name))), ())
         return same or self._by_words[words][:_FEW]
 

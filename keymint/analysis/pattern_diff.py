@@ -17,9 +17,9 @@ from comarmor.patterns.matching import matches
 from comarmor.patterns.relations import disjoint
 from comarmor.rules import PERMISSIONS, Effect
 from keymint.analysis.query_budget import QueryBudget
-from keymint.analysis.rule_lists import PermissionKey, is_composite, listed, meet, negated
-from keymint.analysis.subject_patterns import EVERY, example, rules_of
-from keymint.analysis.subject_templates import fill_placeholders, fit_pattern, marks
+from keymint.analysis.rule_lists import PermissionKey, decision_list, find_permitted, is_composite, negated
+from keymint.analysis.subject_patterns import EVERY, example_subject, rules_of
+from keymint.analysis.subject_templates import fill_placeholders, fit_pattern, placeholders
 from keymint.analysis.symbolic_rules import SymbolicRule, SymbolicRules
 from keymint.analysis.symbolic_search import (
     EVERYBODY,
@@ -66,7 +66,7 @@ def pattern_differences(
     policies: tuple[LoadedPolicy, LoadedPolicy],
     written: tuple[SymbolicRules, SymbolicRules],
     named: Iterable[str],
-    purse: QueryBudget,
+    budget: QueryBudget,
 ) -> Iterator[PatternDifference]:
     """Yield what subjects gain or lose; where nothing is yielded none does, whatever its name.
 
@@ -74,18 +74,18 @@ def pattern_differences(
         policies: the older one and the newer one.
         written: what the rules of both say.
         named: subjects that do not count.
-        purse: pays for it.
+        budget: pays for it.
     """
     old, new = written
     named = tuple(named)
     for comparison in (
-        _PatternComparison(True, policies, (old, new), named, purse),
-        _PatternComparison(False, policies[::-1], (new, old), named, purse),
+        _PatternComparison(True, policies, (old, new), named, budget),
+        _PatternComparison(False, policies[::-1], (new, old), named, budget),
     ):
         for key in KEYS:
             for found in comparison.of(key):
-                if found.unknown and purse.is_empty:
-                    yield PatternDifference(found.gains, ("", ""), EVERY, (), None, "", purse.reason(found.unknown))
+                if found.unknown and budget.is_empty:
+                    yield PatternDifference(found.gains, ("", ""), EVERY, (), None, "", budget.reason(found.unknown))
                     return
                 yield found
 
@@ -98,7 +98,7 @@ class _PatternComparison:
         policies: the one that does not allow it, and the one that does.
         books: what the rules of both say.
         named: subjects that do not count.
-        purse: pays for it.
+        budget: pays for it.
     """
 
     def __init__(
@@ -107,13 +107,13 @@ class _PatternComparison:
         policies: Sequence[LoadedPolicy],
         books: tuple[SymbolicRules, SymbolicRules],
         named: tuple[str, ...],
-        purse: QueryBudget,
+        budget: QueryBudget,
     ) -> None:
         self._gains = gains
         self._policies = policies
         self._before, self._after = books
         self._named = named
-        self._purse = purse
+        self._budget = budget
         self._shown: dict[Glob, dict[str, None]] = defaultdict(dict)
         self._excluded: dict[Glob, frozenset[str]] = {}
 
@@ -143,7 +143,7 @@ class _PatternComparison:
         return PatternDifference(self._gains, key, subjects, spoken.object, spoken.where, subject, unknown)
 
     def _first(
-        self, key: PermissionKey, spoken: SymbolicRule, subjects: Glob, questions: Sequence[_Question]
+        self, key: PermissionKey, spoken: SymbolicRule, subjects: Glob, questions: Sequence[_AlternativeSearches]
     ) -> FoundSubject | Undecided | None:
         """Return the answer to the first question that finds a subject; else why one of them was not decided."""
 
@@ -159,7 +159,7 @@ class _PatternComparison:
             answer: FoundSubject | Undecided | None = None
             for within, shape, conditions in question:
                 excluded = (*self._known(within), *tried)
-                answer = find_subject(key[0], within, shape, conditions, judge, excluded, self._purse)
+                answer = find_subject(key[0], within, shape, conditions, judge, excluded, self._budget)
                 if not isinstance(answer, Undecided):
                     break
             if isinstance(answer, FoundSubject):
@@ -168,7 +168,7 @@ class _PatternComparison:
         return undecided
 
     def _example(self, subjects: Glob) -> tuple[str, ...]:
-        found = example(subjects)
+        found = example_subject(subjects)
         return () if found is None or found in self._known(subjects) else (found,)
 
     def _known(self, subjects: Glob) -> frozenset[str]:
@@ -177,7 +177,7 @@ class _PatternComparison:
             self._excluded[subjects] = frozenset(name for name in self._named if matches(subjects, name))
         return self._excluded[subjects]
 
-    def _unspoken(self, key: PermissionKey, spoken: SymbolicRule, subjects: Glob) -> _Question:
+    def _unspoken(self, key: PermissionKey, spoken: SymbolicRule, subjects: Glob) -> _AlternativeSearches:
         """Return the question whether a rule allows what no rule allowed."""
         refused = (
             *self._after.surely(key, Effect.DENY, subjects),
@@ -187,25 +187,27 @@ class _PatternComparison:
 
     def _denied(
         self, key: PermissionKey, spoken: SymbolicRule, subjects: Glob, lifted: Sequence[SymbolicRule]
-    ) -> Iterator[_Question]:
+    ) -> Iterator[_AlternativeSearches]:
         """Yield the questions whether a rule allows what was denied."""
         near = [one for one in lifted if _may_meet(one, spoken, subjects)]
         if not near:
             return
         mine = (*spoken.reach.conditions, SymbolicCondition(self._after.surely(key, Effect.DENY, subjects)))
-        entries = tuple(one.entry() for one in near if not marks(one.object))
+        entries = tuple(one.entry() for one in near if not placeholders(one.object))
         if entries:
             yield [(subjects, spoken.object, (*mine, SymbolicCondition(some=entries)))]
         for one in near:
-            if marks(one.object):
+            if placeholders(one.object):
                 yield [*self._both(spoken, subjects, one, mine)]
 
     @staticmethod
-    def _both(spoken: SymbolicRule, subjects: Glob, denial: SymbolicRule, mine: _Conditions) -> Iterator[_Way]:
+    def _both(
+        spoken: SymbolicRule, subjects: Glob, denial: SymbolicRule, mine: _Conditions
+    ) -> Iterator[_SearchArguments]:
         """Yield the ways to ask whether a rule allows what a denial that depends on the subject denied."""
         conditions = (*mine, *denial.reach.conditions, SymbolicCondition(some=(denial.entry(),)))
         ways = [(subjects, denial.object, (*conditions, SymbolicCondition(some=(spoken.entry(),))))]
-        if marks(spoken.object):
+        if placeholders(spoken.object):
             ways.append((subjects, spoken.object, conditions))
         yield from sorted(ways, key=_blurred)
 
@@ -213,22 +215,22 @@ class _PatternComparison:
         """Tell whether a subject may do by one policy, and not by the other one, something that a pattern matches."""
         head, _, last = subject.removeprefix("/").rpartition("/")
         mine = fill_placeholders(pattern, (f"{head}/",) if head else (), (last,))
-        before, after = (listed(rules_of(policy, subject), key) for policy in self._policies)
+        before, after = (decision_list(rules_of(policy, subject), key) for policy in self._policies)
         asked = (Block(True, (mine,)),)
-        outcome = meet(key[0], asked, after, negated(before), budget=self._purse.question())
+        outcome = find_permitted(key[0], asked, after, negated(before), budget=self._budget.next_query())
         if isinstance(outcome, Unknown):
-            return Undecided(self._purse.reason(outcome.reason))
+            return Undecided(self._budget.reason(outcome.reason))
         return not isinstance(outcome, Equal)
 
 
 _Conditions = tuple[SymbolicCondition, ...]
-_Way = tuple[Glob, Glob, _Conditions]
+_SearchArguments = tuple[Glob, Glob, _Conditions]
 """Arguments of :func:`~keymint.analysis.symbolic_search.find_subject`: subjects, shape of the names, conditions."""
-_Question = list[_Way]
+_AlternativeSearches = list[_SearchArguments]
 """Ways to ask the same; "there is none" is proven by any of them."""
 
 
-def _blurred(way: _Way) -> int:
+def _blurred(way: _SearchArguments) -> int:
     """Return how many expressions cannot be said exactly where the placeholders stand as in the shape of the words."""
     _, shape, conditions = way
     entries = (entry for each in conditions for entry in (*each.none, *(each.some or ())))
@@ -236,6 +238,6 @@ def _blurred(way: _Way) -> int:
 
 
 def _may_meet(denial: SymbolicRule, spoken: SymbolicRule, subjects: Glob) -> bool:
-    if not marks(denial.object) and not marks(spoken.object) and disjoint(denial.object, spoken.object):
+    if not placeholders(denial.object) and not placeholders(spoken.object) and disjoint(denial.object, spoken.object):
         return False
     return any(not disjoint(one, subjects) for one in denial.reach.subjects)

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from keymint.analysis.pattern_diff import PatternDifference, pattern_differences
 from keymint.analysis.query_budget import QueryBudget
 from keymint.analysis.rule_diff import PermissionChange, rule_changes
-from keymint.analysis.rule_lists import SEPARATOR, shown, text
+from keymint.analysis.rule_lists import SEPARATOR, display_pattern, pattern_text
 from keymint.analysis.subject_patterns import structure
 from keymint.analysis.subject_templates import as_written
 from keymint.analysis.symbolic_rules import SymbolicRules
@@ -38,7 +38,7 @@ class SubjectChanges:
     changes: tuple[PermissionChange, ...]
 
 
-def diff_policies(old: LoadedPolicy, new: LoadedPolicy, purse: QueryBudget | None = None) -> list[SubjectChanges]:
+def diff_policies(old: LoadedPolicy, new: LoadedPolicy, budget: QueryBudget | None = None) -> list[SubjectChanges]:
     """Return what changed between two policies, by subject; subjects without a change are left out.
 
     Subjects are those that either policy names, and of all others one for each pattern and rule that make a difference.
@@ -47,34 +47,34 @@ def diff_policies(old: LoadedPolicy, new: LoadedPolicy, purse: QueryBudget | Non
     Args:
         old: the older policy.
         new: the newer one.
-        purse: pays for it; what is not decided when it is spent is returned as unknown.
+        budget: pays for it; what is not decided when it is spent is returned as unknown.
     """
-    purse = purse or QueryBudget()
+    budget = budget or QueryBudget()
     written = [structure(policy) for policy in (old, new)]
     books = [SymbolicRules(each) for each in written if each]
     named = {*old.subjects(), *new.subjects()}.union(*(book.singles for book in books))
-    changed = [each for subject in sorted(named) if (each := _of_subject(old, new, subject, "", purse))]
+    changed = [each for subject in sorted(named) if (each := _of_subject(old, new, subject, "", budget))]
     if len(books) < len(written):
         return [*changed, _undecided("*", _UNWRITTEN)]
-    shown: dict[tuple[str, str], None] = {}
-    for found in pattern_differences((old, new), (books[0], books[1]), named, purse):
-        like = text(found.subjects)
+    reported: set[tuple[str, str]] = set()
+    for found in pattern_differences((old, new), (books[0], books[1]), named, budget):
+        like = pattern_text(found.subjects)
         if found.unknown:
             changed.append(_undecided(like, found.unknown, found))
-        elif (like, found.subject) not in shown:
-            shown[like, found.subject] = None
-            each = _of_subject(old, new, found.subject, like, purse)
+        elif (like, found.subject) not in reported:
+            reported.add((like, found.subject))
+            each = _of_subject(old, new, found.subject, like, budget)
             changed += [each] if each else []
     return changed
 
 
 def _of_subject(
-    old: LoadedPolicy, new: LoadedPolicy, subject: str, like: str, purse: QueryBudget
+    old: LoadedPolicy, new: LoadedPolicy, subject: str, like: str, budget: QueryBudget
 ) -> SubjectChanges | None:
     """Return what changed for a subject, each example judged by both policies; None if nothing did."""
     before, after = old.rules(subject), new.rules(subject)
     mine, theirs = (each.rules if each else () for each in (before, after))
-    changes = () if _same(mine, theirs) else tuple(rule_changes(mine, theirs, purse))
+    changes = () if _same(mine, theirs) else tuple(rule_changes(mine, theirs, budget))
     for change in changes:
         if change.word:
             _judge(old, new, subject, change)
@@ -98,7 +98,13 @@ def _undecided(like: str, reason: str, found: PatternDifference | None = None) -
         change = PermissionChange(True, "", "", "*", False, "", None, reason)
     else:
         change = PermissionChange(
-            found.gains, *found.key, as_written(shown(found.key[0], found.object)), False, "", found.where, reason
+            found.gains,
+            *found.key,
+            as_written(display_pattern(found.key[0], found.object)),
+            False,
+            "",
+            found.where,
+            reason,
         )
     return SubjectChanges("", like, before=True, after=True, changes=(change,))
 

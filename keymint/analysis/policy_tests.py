@@ -1,4 +1,4 @@
-"""Unit tests of a policy: whether what is expected holds, and which rules no expectation is about."""
+"""Check the expectations of policy tests, and which rules they cover."""
 
 from __future__ import annotations
 
@@ -6,43 +6,56 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 from comarmor.errors import Diagnostic, Origin, Severity, Spot
-from comarmor.patterns.decision_lists import Block, Equal, Witness
-from comarmor.patterns.glob import EVERYTHING, Glob, literal, parse, surround
+from comarmor.patterns.decision_lists import Equal, Witness
+from comarmor.patterns.glob import Glob, literal, parse, surround
 from comarmor.patterns.matching import matches
 from comarmor.patterns.relations import disjoint
 from comarmor.rules import Effect, parts
 from keymint.analysis.query import parse_permission
-from keymint.analysis.rule_lists import allowed, asked, keys, meet, part_lists, patterns, word
-from keymint.analysis.subject_patterns import can_exist, matching, pattern_examples, rules_of, unknown_subject
+from keymint.analysis.rule_lists import (
+    allow_only,
+    display_name,
+    find_permitted,
+    negated,
+    part_lists,
+    permission_keys,
+    query_pattern,
+    rule_patterns,
+)
+from keymint.analysis.subject_patterns import (
+    can_exist,
+    named_subjects,
+    pattern_examples,
+    rules_of,
+    unknown_subject,
+)
 from keymint.analysis.who_can import who_can
 from keymint.api import Expectation, LoadedPolicy
 from keymint.errors import KeymintError
 from keymint.ir import Rule
 
-Place = Spot
-
 
 @dataclass(frozen=True, slots=True)
 class ExpectationResult:
-    """An expectation that was checked.
+    """The result of an expectation.
 
     Attributes:
         expectation: the expectation.
-        failure: why it does not hold, on one line; empty if it holds.
-        rule: the rule that breaks it, if one does.
-        doubt: why it may not say what was meant; empty if there is no doubt.
-        exercised: places of the rules that it is about.
+        failure: why it fails, on one line; empty if it holds.
+        rule: the rule that violates it, if any.
+        doubt: why it may not mean what was intended, or empty.
+        exercised: spots of the rules that it covers.
     """
 
     expectation: Expectation
     failure: str
     rule: Origin | None
     doubt: str
-    exercised: frozenset[Place]
+    exercised: frozenset[Spot]
 
 
 class ExpectationChecker:
-    """Checks expectations.
+    """Checks expectations of a policy.
 
     Args:
         policy: the policy.
@@ -55,15 +68,15 @@ class ExpectationChecker:
             subject: rules_of(policy, subject) for subject in (*self._named, *pattern_examples(policy))
         }
 
-    def rules(self) -> dict[Place, Rule]:
-        """Return the rules that apply to any subject, by place."""
+    def rules(self) -> dict[Spot, Rule]:
+        """Return all rules that apply to any subject, by spot."""
         return {rule.origin.spot: rule for rules in self._rules.values() for rule in rules}
 
     def check(self, expected: Expectation) -> ExpectationResult:
-        """Return whether an expectation holds.
+        """Check an expectation.
 
         Raises:
-            KeymintError: it names no permission, or something that no subject or object can be named.
+            KeymintError: it has an unknown permission, or no legal subject or object name matches it.
         """
         try:
             kind, permission = parse_permission(expected.permission, expected.object)
@@ -72,94 +85,89 @@ class ExpectationChecker:
         within = parse(expected.subject)
         if not can_exist(within):
             raise KeymintError(
-                f"no subject can be named as {expected.subject!r} says",
+                f"no legal subject name matches {expected.subject!r}",
                 where=expected.where,
                 help=f"write {'/' + expected.subject!r}" if expected.subject[:1] not in ("/", "*") else "",
                 code="expectation",
             )
-        name = asked(kind, expected.object, expected.partition)
-        if isinstance(meet(kind, allowed(name)), Equal):
+        name = query_pattern(kind, expected.object, expected.partition)
+        if isinstance(find_permitted(kind, allow_only(name)), Equal):
             raise KeymintError(
-                f"no object can be named as {expected.object!r} says, so that the expectation always holds",
+                f"no legal object name matches {expected.object!r}, so the expectation always holds",
                 where=expected.where,
                 help=f"write {'/' + expected.object!r}" if expected.object[:1] not in ("/", "*") else "",
                 code="expectation",
             )
-        failed = self._allow if expected.allowed else self._deny
-        failure, rule = failed(within, kind, permission, name)
+        check = self._check_allow if expected.allowed else self._check_deny
+        failure, rule = check(within, kind, permission, name)
         exercised = frozenset(self._exercised(expected, within, kind, permission, name))
         return ExpectationResult(expected, failure, rule, unknown_subject(self._policy, within), exercised)
 
-    def _allow(self, within: Glob, kind: str, permission: str, name: Glob) -> tuple[str, Origin | None]:
-        """Check that all subjects that the policy names, of those in question, hold a permission on all names."""
+    def _check_allow(self, within: Glob, kind: str, permission: str, name: Glob) -> tuple[str, Origin | None]:
+        """Check that all matching subjects that the policy names have a permission on all names."""
         exact = literal(within)
-        subjects = (exact,) if exact is not None else matching(self._policy, within)
+        subjects = (exact,) if exact is not None else named_subjects(self._policy, within)
         if not subjects:
-            return "the policy names no subject that it is about", None
+            return "the policy names no subject that matches it", None
         for subject in subjects:
             rules = rules_of(self._policy, subject)
             for part in part_lists(rules, kind, permission):
-                refused = (*(Block(not block.allows, block.patterns) for block in part), Block(True, (EVERYTHING,)))
-                outcome = meet(kind, allowed(name), refused)
+                outcome = find_permitted(kind, allow_only(name), negated(part))
                 if isinstance(outcome, Equal):
                     continue
                 if not isinstance(outcome, Witness):
-                    return f"it was not decided for {subject}: {outcome.reason}", None
+                    return f"the answer for {subject} is unknown: {outcome.reason}", None
                 denying = self._denying(rules, kind, permission, outcome.word)
                 why = "a DENY rule matches" if denying else "no rule allows it"
-                shown = word(kind, outcome.word)
+                shown = display_name(kind, outcome.word)
                 return f"{subject} may not {permission} {shown}: {why}", denying.origin if denying else None
         return "", None
 
-    def _deny(self, within: Glob, kind: str, permission: str, name: Glob) -> tuple[str, Origin | None]:
-        """Check that no subject there is holds a permission on any of the names."""
+    def _check_deny(self, within: Glob, kind: str, permission: str, name: Glob) -> tuple[str, Origin | None]:
+        """Check that no possible subject has a permission on any of the names."""
         for each in who_can(self._policy, within, kind, permission, name):
             if each.unknown:
-                return f"it was not decided for {each.subject or f'subjects like {each.like}'}: {each.unknown}", None
-            return f"{each.subject} may {permission} {word(kind, each.word)}", each.where
+                return f"the answer for {each.subject or f'subjects like {each.like}'} is unknown: {each.unknown}", None
+            return f"{each.subject} may {permission} {display_name(kind, each.word)}", each.where
         return "", None
 
-    def _denying(self, rules: Sequence[Rule], kind: str, permission: str, found: str) -> Rule | None:
+    def _denying(self, rules: Sequence[Rule], kind: str, permission: str, word: str) -> Rule | None:
         for part_kind, part, suffix in parts(kind, permission):
             for rule in rules:
                 if rule.effect is Effect.DENY and any(
-                    matches(one, found + suffix)
+                    matches(one, word + suffix)
                     for expression in rule.expressions
-                    for one in patterns(rule, expression, (part_kind, part))
+                    for one in rule_patterns(rule, expression, (part_kind, part))
                 ):
                     return rule
         return None
 
-    def _exercised(
-        self, expected: Expectation, within: Glob, kind: str, permission: str, name: Glob
-    ) -> Iterator[Place]:
-        """Yield the places of the rules that decide what an expectation is about."""
+    def _exercised(self, expected: Expectation, within: Glob, kind: str, permission: str, name: Glob) -> Iterator[Spot]:
+        """Yield the spots of the rules that decide on subjects and objects of an expectation."""
         effect = Effect.ALLOW if expected.allowed else Effect.DENY
-        wanted = [
-            ((part_kind, part), surround("", name, suffix)) for part_kind, part, suffix in parts(kind, permission)
-        ]
+        names = [((part_kind, part), surround("", name, suffix)) for part_kind, part, suffix in parts(kind, permission)]
         for subject, rules in self._rules.items():
             if not matches(within, subject):
                 continue
             for rule in rules:
                 if rule.effect is effect and any(
-                    not disjoint(one, about)
-                    for key, about in wanted
-                    if key in keys(rule)
+                    not disjoint(one, other)
+                    for key, other in names
+                    if key in permission_keys(rule)
                     for expression in rule.expressions
-                    for one in patterns(rule, expression, key)
+                    for one in rule_patterns(rule, expression, key)
                 ):
                     yield rule.origin.spot
 
 
-def diagnostics(found: Sequence[ExpectationResult]) -> Iterator[Diagnostic]:
-    """Yield what is to be said of expectations: those that do not hold, and those that are in doubt."""
-    for each in found:
+def diagnostics(results: Sequence[ExpectationResult]) -> Iterator[Diagnostic]:
+    """Yield an error for each failed expectation, and a warning for each doubtful one."""
+    for each in results:
         where, test = each.expectation.where, each.expectation.test
         if each.failure:
             rule = f"the rule is at {each.rule.alone()}" if each.rule else ""
-            wanted = "allowed" if each.expectation.allowed else "denied"
-            message = f"{test}: expected to be {wanted}, but {each.failure}"
+            expected = "allowed" if each.expectation.allowed else "denied"
+            message = f"{test}: expected to be {expected}, but {each.failure}"
             yield Diagnostic("expectation-failed", Severity.ERROR, message, where, rule)
         if each.doubt:
             yield Diagnostic("expectation-subject", Severity.WARNING, f"{test}: {each.doubt}", where)

@@ -1,13 +1,15 @@
-"""What a build type says of the rules of a policy, before there is any package."""
+"""Check with a build type whether the rules of a policy can be compiled portably, without a package."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from datetime import datetime, timedelta
 
 from comarmor.errors import Diagnostic, Origin, Severity
 from comarmor.patterns.steps import step_limit
+from keymint.analysis.findings import undecided, warning
+from keymint.analysis.subject_patterns import with_distinct_rules
 from keymint.api import (
     BuildOptions,
     BuildType,
@@ -31,71 +33,45 @@ STEPS = 40_000_000
 def portability(
     build_type: BuildType, name: str, distro: str, subjects: Iterable[tuple[str, tuple[Rule, ...]]], now: datetime
 ) -> Iterator[Diagnostic]:
-    """Yield what cannot be built of the rules of subjects so that all vendors read it alike, or is built to nothing.
+    """Yield rules of subjects that cannot be compiled portably for all vendors, or that compile to nothing.
 
     Args:
         build_type: compiles rules.
         name: its name.
         distro: ROS 2 distribution whose name mapping applies.
         subjects: subjects with their rules.
-        now: the clock, UTC; nothing that is said depends on it.
+        now: the clock, UTC; the results do not depend on it.
     """
-    said: set[tuple[str, Origin | None, str]] = set()
+    reported: set[tuple[str, Origin | None, str]] = set()
     spent = 0
-    for subject, rules in _different(subjects):
+    for subject, rules in with_distinct_rules(subjects):
         if spent > STEPS:
-            yield _given_up(subject)
+            yield undecided(
+                f"{subject} and the subjects after it were not compiled: {STEPS:,} steps were spent on those before it",
+                None,
+                "'keymint build' compiles each of them; or lint parts of the policy",
+            )
             return
-        with step_limit(None) as effort:
-            found = list(_of_subject(build_type, _Asked(name, distro, subject, rules, now), said))
-        spent += effort.spent
-        yield from found
+        with step_limit(None) as counter:
+            package = package_of(name, distro, subject, rules, now)
+            diagnostics = list(_of_package(build_type, package, reported))
+        spent += counter.spent
+        yield from diagnostics
 
 
-@dataclass(frozen=True, slots=True)
-class _Asked:
-    """The rules of a subject, and what the build type needs to know beside them."""
-
-    name: str
-    distro: str
-    subject: str
-    rules: tuple[Rule, ...]
-    now: datetime
-
-
-def _different(subjects: Iterable[tuple[str, tuple[Rule, ...]]]) -> Iterator[tuple[str, tuple[Rule, ...]]]:
-    """Yield subjects, of those with the very same rules the first: nothing else is asked about."""
-    seen: dict[tuple[int, ...], tuple[Rule, ...]] = {}  # which holds the rules, so that no other ones get their ids
-    for subject, rules in subjects:
-        key = tuple(map(id, rules))
-        if key not in seen:
-            seen[key] = rules
-            yield subject, rules
-
-
-def _given_up(subject: str) -> Diagnostic:
-    return Diagnostic(
-        "lint-unknown",
-        Severity.NOTE,
-        f"{subject} and the subjects after it were not compiled: {STEPS:,} steps were spent on those before it",
-        None,
-        "'keymint build' compiles each of them; or lint parts of the policy",
-    )
-
-
-def _of_subject(
-    build_type: BuildType, asked: _Asked, said: set[tuple[str, Origin | None, str]]
+def _of_package(
+    build_type: BuildType, package: Package, reported: set[tuple[str, Origin | None, str]]
 ) -> Iterator[Diagnostic]:
-    places = {rule.origin.spot for rule in asked.rules}
-    package = package_of(asked.name, asked.distro, asked.subject, asked.rules, asked.now)
-    for found in (*_relaying(asked.rules), *_built(build_type, package)):
-        where = found.where
-        if found.severity is Severity.NOTE or where is None or where.spot not in places:
-            continue  # it is about what only a package has
-        key = (found.code, where.alone(), found.message if found.code == "never-matches" else "")
-        if key not in said:
-            said.add(key)
-            yield replace(found, severity=Severity.WARNING, subject=found.subject or asked.subject)
+    rules = package.permissions.rules.rules
+    places = {rule.origin.spot for rule in rules}
+    for each in (*_relay_only(rules), *_built(build_type, package)):
+        where = each.where
+        if each.severity is Severity.NOTE or where is None or where.spot not in places:
+            continue  # concerns the package, not its rules
+        key = (each.code, where.alone(), each.message if each.code == "never-matches" else "")
+        if key not in reported:
+            reported.add(key)
+            yield replace(each, severity=Severity.WARNING, subject=each.subject or package.subject)
 
 
 def _built(build_type: BuildType, package: Package) -> tuple[Diagnostic, ...]:
@@ -105,20 +81,15 @@ def _built(build_type: BuildType, package: Package) -> tuple[Diagnostic, ...]:
         return error.diagnostics
 
 
-def _relaying(rules: Iterable[Rule]) -> Iterator[Diagnostic]:
+def _relay_only(rules: Iterable[Rule]) -> Iterator[Diagnostic]:
     for rule in rules:
         if rule.permissions and all(permission in _RELAYS for permission in rule.permissions):
-            yield Diagnostic(
-                "portability-relay",
-                Severity.WARNING,
-                f"this {rule.effect} {rule.kind} rule is about relaying only, which no vendor of DDS decides",
-                rule.origin,
-                "say who may publish and subscribe instead",
-            )
+            message = f"this {rule.effect} {rule.kind} rule only concerns relaying, which no DDS vendor enforces"
+            yield warning("portability-relay", message, rule.origin, "control who may publish and subscribe instead")
 
 
 def package_of(name: str, distro: str, subject: str, rules: tuple[Rule, ...], now: datetime) -> Package:
-    """Return a package that has nothing to complain of but its rules."""
+    """Return a package with valid defaults for all but its rules."""
     origin = Origin(subject)
     validity = Validity(now, now + timedelta(days=365))
     common_name = f"CN={subject}"

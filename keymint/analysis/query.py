@@ -1,4 +1,4 @@
-"""Questions to a policy, in words."""
+"""Parse queries such as ``who can publish /scan``."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 from comarmor.patterns.glob import parse
 from comarmor.patterns.tokens import PatternError
-from comarmor.rules import PERMISSIONS
+from comarmor.rules import KIND_OF
 from comarmor.text import did_you_mean
 from keymint.errors import ExitCode, KeymintError
 
@@ -19,18 +19,17 @@ FORMS = (
     "isolated SUBJECT SUBJECT",
 )
 HEADS = tuple(form.split()[0] for form in FORMS)
-_KIND_OF = {permission: kind for kind, permissions in PERMISSIONS.items() for permission in permissions}
-_PLAIN = tuple(permission.removeprefix("ros_") for permission in _KIND_OF)
+_PLAIN = tuple(permission.removeprefix("ros_") for permission in KIND_OF)
 
 
 @dataclass(frozen=True, slots=True)
 class PolicyQuery:
-    """A question.
+    """A parsed query.
 
     Attributes:
         head: ``who``, ``what``, ``can``, ``flows`` or ``isolated``.
         subjects: expressions of subjects.
-        kind: kind of the object; empty if it is not about one.
+        kind: kind of the object; empty without an object.
         permission: a permission of that kind.
         object: expression of the object.
     """
@@ -43,15 +42,15 @@ class PolicyQuery:
 
 
 def parse_query(words: Sequence[str]) -> PolicyQuery:
-    """Return the question that words ask.
+    """Parse the words of a query.
 
     Raises:
-        KeymintError: it is none of the forms; says which is meant.
+        KeymintError: the query has none of the forms.
     """
     head, rest = (words[0], list(words[1:])) if words else ("", [])
     if head not in HEADS:
-        hint = did_you_mean(head, HEADS, f"ask one of: {'; '.join(FORMS)}")
-        raise _wrong(f"{head!r} begins no question" if head else "there is no question", hint)
+        hint = did_you_mean(head, HEADS, f"queries are: {'; '.join(FORMS)}")
+        raise _error(f"no query starts with {head!r}" if head else "the query is empty", hint)
     form = next(form for form in FORMS if form.startswith(head))
     if head in ("flows", "isolated"):
         return PolicyQuery(head, tuple(map(_subject, _exactly(rest, 2, form))))
@@ -70,40 +69,40 @@ def parse_query(words: Sequence[str]) -> PolicyQuery:
 
 
 def parse_permission(text: str, name: str) -> tuple[str, str]:
-    """Return the kind and the permission that a word means; ``ros_`` may be missing.
+    """Return the kind and the permission for a word; ``ros_`` is optional.
 
-    ``publish``, ``subscribe`` and ``relay`` are about a raw DDS topic where the name cannot be a ROS name.
+    ``publish``, ``subscribe`` and ``relay`` mean a DDS topic if the name cannot be a ROS name.
 
     Args:
         text: the word, e.g. ``publish`` or ``ros_call``.
         name: expression of the object.
 
     Raises:
-        KeymintError: it means none.
+        KeymintError: there is no such permission.
     """
     with_ros = f"ros_{text}"
-    if with_ros in _KIND_OF and (text not in _KIND_OF or name[:1] in tuple("/*?[\\")):
-        return _KIND_OF[with_ros], with_ros
-    if text in _KIND_OF:
-        return _KIND_OF[text], text
-    hint = did_you_mean(text, (*_KIND_OF, *_PLAIN), f"permissions are {', '.join(dict.fromkeys(_PLAIN))}")
-    raise _wrong(f"there is no permission {text!r}", hint)
+    if with_ros in KIND_OF and (text not in KIND_OF or name[:1] in tuple("/*?[\\")):
+        return KIND_OF[with_ros], with_ros
+    if text in KIND_OF:
+        return KIND_OF[text], text
+    hint = did_you_mean(text, (*KIND_OF, *_PLAIN), f"permissions are {', '.join(dict.fromkeys(_PLAIN))}")
+    raise _error(f"there is no permission {text!r}", hint)
 
 
 def _exactly(words: list[str], number: int, form: str) -> list[str]:
     if len(words) != number:
-        raise _wrong(f"the question has {'too few' if len(words) < number else 'too many'} words", f"ask '{form}'")
+        raise _error(f"the query has too {'few' if len(words) < number else 'many'} words", f"write '{form}'")
     return words
 
 
-def _fixed(words: list[str], at: int, wanted: str, form: str) -> None:
-    if words[at : at + 1] != [wanted]:
-        raise _wrong(f"expected {wanted!r}" + (f", not {words[at]!r}" if at < len(words) else ""), f"ask '{form}'")
+def _fixed(words: list[str], at: int, expected: str, form: str) -> None:
+    if words[at : at + 1] != [expected]:
+        raise _error(f"expected {expected!r}" + (f", not {words[at]!r}" if at < len(words) else ""), f"write '{form}'")
 
 
 def _subject(text: str) -> str:
     if text[:1] not in ("/", "*"):
-        raise _wrong(f"{text!r} is no subject", f"a subject begins with '/': did you mean {'/' + text!r}?")
+        raise _error(f"{text!r} is not a subject", f"subjects begin with '/': did you mean {'/' + text!r}?")
     return _expression(text)
 
 
@@ -112,9 +111,9 @@ def _expression(text: str) -> str:
         parse(text)
     except PatternError as error:
         diagnostic = error.diagnostics[0]
-        raise _wrong(f"{text!r}: {diagnostic.message}", diagnostic.help) from None
+        raise _error(f"{text!r}: {diagnostic.message}", diagnostic.help) from None
     return text
 
 
-def _wrong(message: str, help_: str) -> KeymintError:
+def _error(message: str, help_: str) -> KeymintError:
     return KeymintError(message, help=help_, code="question", exit_code=ExitCode.USAGE)

@@ -1,7 +1,6 @@
-"""Rules without effect: what is allowed or denied elsewhere as well, and what nothing is left of.
+"""Find rules without effect: unreachable rules, and rules that repeat others.
 
-Every question has a limit of steps, and so have all of them together; where it is reached the answer is unknown, which
-is reported.
+Every check has a limit of steps, and so have all checks together. Checks that reach it are reported as unknown.
 """
 
 from __future__ import annotations
@@ -10,7 +9,7 @@ from collections import Counter, defaultdict
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 
-from comarmor.errors import Diagnostic, Origin, Severity, Spot
+from comarmor.errors import Diagnostic, Origin, Spot
 from comarmor.patterns.decision_lists import Block, Equal, ProofResult, Unknown
 from comarmor.patterns.glob import Glob
 from comarmor.patterns.pattern_index import PatternIndex
@@ -20,26 +19,35 @@ from comarmor.patterns.steps import StepLimitError, step_limit
 from comarmor.rules import Effect
 from keymint.analysis.attachments import Attachment, AttachmentIndex
 from keymint.analysis.deny_overlap import may_deny_something
-from keymint.analysis.rule_lists import PermissionKey, allowed, keys, meet, names, patterns, universe
-from keymint.analysis.unreachable_profiles import quoted
+from keymint.analysis.findings import undecided, warning
+from keymint.analysis.rule_lists import (
+    PermissionKey,
+    allow_only,
+    find_permitted,
+    legal_names,
+    permission_keys,
+    rule_patterns,
+    universe,
+)
+from keymint.analysis.subject_patterns import with_distinct_rules
+from keymint.analysis.unreachable_profiles import quoted_list
 from keymint.api import PolicyStructure
 from keymint.ir import Rule
 
 UNIT = 300_000
-"""Steps that the questions about one expression may take."""
+"""Maximum steps of the checks of one expression."""
 TOGETHER = 20_000_000
-"""Steps that all questions may take, and :data:`EACH` more for each expression."""
+"""Maximum steps of all checks, and :data:`EACH` more for each expression."""
 EACH = 1_000
 MOST_PAIRS = 1_000_000
-"""Pairs of a subject and a rule that are looked at."""
+"""Maximum number of checked pairs of a subject and a rule."""
 
 
 @dataclass(frozen=True, slots=True)
-class _Unit:
-    """An expression of a rule that is written at a place: the same one for every subject that it is expanded for.
+class _RuleExpression:
+    """An expression of a rule in a policy, the same one for all subjects.
 
-    The place of its attachment and its number there identify the expression, since its text may differ from subject to
-    subject.
+    The spot of its attachment and its number there identify it, as its text may depend on the subject.
     """
 
     place: Spot
@@ -52,27 +60,27 @@ _Side = tuple[PermissionKey, Effect]
 
 
 @dataclass(slots=True)
-class _Applied:
-    """What the units say for one subject: by kind, permission and effect, the patterns of each.
+class _SubjectRules:
+    """The rules of one subject.
 
     Attributes:
-        units: a rule of each unit, its expression, and where it is attached.
-        own: the patterns of each unit, by kind and permission.
-        near: all patterns with their units.
+        expanded: rule, text and attachment of each expression.
+        patterns: patterns of each expression, by kind and permission.
+        index: all patterns with their expressions.
     """
 
-    units: dict[_Unit, tuple[Rule, str, Origin]] = field(default_factory=dict)
-    own: dict[_Unit, dict[PermissionKey, dict[Glob, None]]] = field(default_factory=dict)
-    near: dict[_Side, PatternIndex[_Unit]] = field(default_factory=dict)
+    expanded: dict[_RuleExpression, tuple[Rule, str, Origin]] = field(default_factory=dict)
+    patterns: dict[_RuleExpression, dict[PermissionKey, dict[Glob, None]]] = field(default_factory=dict)
+    index: dict[_Side, PatternIndex[_RuleExpression]] = field(default_factory=dict)
 
 
 class RedundantRules:
-    """Looks for rules without effect.
+    """Finds rules without effect.
 
     Args:
         subjects: rules of each subject.
-        attachments: where their expressions are written.
-        written: the policy as it is written, if its type tells.
+        attachments: attachments of their expressions.
+        written: structure of the policy, if its type provides it.
     """
 
     def __init__(
@@ -80,212 +88,220 @@ class RedundantRules:
     ) -> None:
         self._attachments = attachments
         self._written = written
-        # Subjects with the very same rules are asked about once.
-        alike: dict[tuple[int, ...], str] = {}
-        for subject, rules in subjects.items():
-            alike.setdefault(tuple(map(id, rules)), subject)
-        chosen = alike.values()
-        self._applied = {subject: _applied(subjects[subject], subject, attachments) for subject in chosen}
-        self._by_unit: dict[_Unit, list[str]] = defaultdict(list)
-        for subject, applied in self._applied.items():
-            for unit in applied.units:
-                self._by_unit[unit].append(subject)
-        self._of_rule = Counter((unit.place, unit.effect) for unit in self._by_unit)
-        self._gone: set[_Unit] = set()
-        self._unknown: list[_Unit] = []
+        self._subjects = {
+            subject: _subject_rules(rules, subject, attachments)
+            for subject, rules in with_distinct_rules(subjects.items())
+        }
+        self._subjects_of: dict[_RuleExpression, list[str]] = defaultdict(list)
+        for subject, its_rules in self._subjects.items():
+            for each in its_rules.expanded:
+                self._subjects_of[each].append(subject)
+        self._count_of_rule = Counter((each.place, each.effect) for each in self._subjects_of)
+        self._removed: set[_RuleExpression] = set()
+        self._unknown: list[_RuleExpression] = []
 
     def findings(self) -> Iterator[Diagnostic]:
-        """Yield what is found, the expressions of a rule together if it is about all of them, else each by itself.
+        """Yield findings: one for a rule if it concerns all its expressions, else one for each attachment.
 
-        An expression that no object can match is left out: it is reported as such.
+        Expressions that no object can match are left out: they are reported as such.
         """
-        found: dict[tuple[Spot, str], list[_Unit]] = defaultdict(list)
-        with step_limit(TOGETHER + EACH * len(self._by_unit)):
-            # From the last: of two that say the same the later one goes; and what went is no reason for another to go.
-            for unit in sorted(self._by_unit, key=lambda each: (each.place, each.attached, each.number), reverse=True):
-                code = self._asked(unit)
+        by_code: dict[tuple[Spot, str], list[_RuleExpression]] = defaultdict(list)
+        with step_limit(TOGETHER + EACH * len(self._subjects_of)):
+            # In reverse order: of two equal rules the later one is redundant, and it is no reason to remove the other.
+            for each in sorted(
+                self._subjects_of, key=lambda each: (each.place, each.attached, each.number), reverse=True
+            ):
+                code = self._code_or_unknown(each)
                 if code:
-                    self._gone.add(unit)
-                    found[unit.place, code].append(unit)
-        for (place, code), units in found.items():
-            if self._of_rule[place, units[0].effect] == len(units):
-                yield self._said(code, units[::-1], whole=True)
+                    self._removed.add(each)
+                    by_code[each.place, code].append(each)
+        for (place, code), expressions in by_code.items():
+            if self._count_of_rule[place, expressions[0].effect] == len(expressions):
+                yield self._finding(code, expressions[::-1], of_rule=True)
                 continue
-            by_attachment: dict[Spot, list[_Unit]] = defaultdict(list)
-            for unit in units[::-1]:
-                by_attachment[unit.attached].append(unit)
+            by_attachment: dict[Spot, list[_RuleExpression]] = defaultdict(list)
+            for each in expressions[::-1]:
+                by_attachment[each.attached].append(each)
             for together in by_attachment.values():
-                yield self._said(code, together, whole=False)
-        yield from self._given_up()
+                yield self._finding(code, together, of_rule=False)
+        yield from self._unknown_note()
 
-    def _asked(self, unit: _Unit) -> str:
-        """Return the finding on an expression, or an empty text; note it where that takes too many steps."""
+    def _code_or_unknown(self, expression: _RuleExpression) -> str:
+        """Return the code of the finding on an expression, or an empty text; record it if that takes too many steps."""
         try:
             with step_limit(UNIT):
-                code = self._code(unit)
-                return code if code and self._can_match(unit) else self._set_aside(unit, code)
+                code = self._code(expression)
+                if code and not self._can_match(expression):
+                    self._removed.add(expression)  # reported as object-never, and no reason for other findings
+                    return ""
+                return code
         except (StepLimitError, TooComplexError):
-            self._unknown.append(unit)
+            self._unknown.append(expression)
             return ""
 
-    def _set_aside(self, unit: _Unit, code: str) -> str:
-        """Leave out an expression that no object can match from the reasons of others."""
-        if code:
-            self._gone.add(unit)
-        return ""
-
-    def _given_up(self) -> Iterator[Diagnostic]:
-        """Yield a note on the first expression that was not decided about, and how many there are."""
+    def _unknown_note(self) -> Iterator[Diagnostic]:
+        """Yield a note on the first undecided expression and the number of the others."""
         if self._unknown:
-            unit = self._unknown[-1]
-            rule, expression, where = self._applied[self._by_unit[unit][0]].units[unit]
-            more = f", nor for {len(self._unknown) - 1:,} other expressions" if len(self._unknown) > 1 else ""
-            yield Diagnostic(
-                "lint-unknown",
-                Severity.NOTE,
-                f"it was not found out whether {expression!r} in this {rule.effect} {rule.kind} rule has an effect"
-                f"{more}: it overlaps with others in too many ways",
+            rule, text, where = self._an_expansion(self._unknown[-1])
+            more = f" and {len(self._unknown) - 1:,} other expressions" if len(self._unknown) > 1 else ""
+            yield undecided(
+                f"whether {text!r} in this {rule.effect} {rule.kind} rule{more} is redundant is unknown: "
+                "it overlaps with others in too many ways",
                 where,
                 "use fewer expressions with wildcards for one subject, or lint parts of the policy",
             )
 
-    def _can_match(self, unit: _Unit) -> bool:
-        """Tell whether an object can match an expression, for any of its subjects."""
-        texts = dict.fromkeys(self._applied[subject].units[unit][:2] for subject in self._by_unit[unit])
-        return any(can_name_exist(rule, expression) for rule, expression in texts)
+    def _an_expansion(self, expression: _RuleExpression) -> tuple[Rule, str, Origin]:
+        """Return rule, text and attachment of an expression for its first subject."""
+        return self._subjects[self._subjects_of[expression][0]].expanded[expression]
 
-    def _code(self, unit: _Unit) -> str:
-        subjects = self._by_unit[unit]
-        if unit.effect is Effect.DENY:
-            if all(self._meets_nothing(subject, unit) for subject in subjects) and not self._may_matter(unit):
+    def _can_match(self, expression: _RuleExpression) -> bool:
+        """Return True if an object can match an expression, for any of its subjects."""
+        texts = dict.fromkeys(
+            self._subjects[subject].expanded[expression][:2] for subject in self._subjects_of[expression]
+        )
+        return any(can_name_exist(rule, text) for rule, text in texts)
+
+    def _code(self, expression: _RuleExpression) -> str:
+        subjects = self._subjects_of[expression]
+        if expression.effect is Effect.DENY:
+            if all(self._denies_nothing(subject, expression) for subject in subjects) and not self._may_deny_something(
+                expression
+            ):
                 return "deny-nothing"
-            return "deny-redundant" if all(self._within(subject, unit, Effect.DENY) for subject in subjects) else ""
-        if all(self._within(subject, unit, Effect.DENY) for subject in subjects):
+            is_redundant = all(self._is_covered(subject, expression, Effect.DENY) for subject in subjects)
+            return "deny-redundant" if is_redundant else ""
+        if all(self._is_covered(subject, expression, Effect.DENY) for subject in subjects):
             return "rule-shadowed"
-        return "rule-redundant" if all(self._within(subject, unit, Effect.ALLOW) for subject in subjects) else ""
+        is_redundant = all(self._is_covered(subject, expression, Effect.ALLOW) for subject in subjects)
+        return "rule-redundant" if is_redundant else ""
 
-    def _near(self, subject: str, key: PermissionKey, effect: Effect, pattern: Glob) -> Iterator[tuple[Glob, _Unit]]:
-        index = self._applied[subject].near.get((key, effect))
+    def _overlapping(
+        self, subject: str, key: PermissionKey, effect: Effect, pattern: Glob
+    ) -> Iterator[tuple[Glob, _RuleExpression]]:
+        index = self._subjects[subject].index.get((key, effect))
         return iter(()) if index is None else index.meeting(pattern)
 
-    def _within(self, subject: str, unit: _Unit, effect: Effect) -> bool:
-        """Tell whether other rules of an effect are about all that an expression is about."""
-        for key, found in self._applied[subject].own[unit].items():
-            for pattern in found:
-                others = self._near(subject, key, effect, pattern)
-                near = tuple(dict.fromkeys(one for one, whose in others if whose != unit and whose not in self._gone))
-                if not near:
+    def _is_covered(self, subject: str, expression: _RuleExpression, effect: Effect) -> bool:
+        """Return True if other rules of an effect match all that an expression matches."""
+        for key, patterns in self._subjects[subject].patterns[expression].items():
+            for pattern in patterns:
+                others = tuple(
+                    dict.fromkeys(
+                        other
+                        for other, owner in self._overlapping(subject, key, effect, pattern)
+                        if owner != expression and owner not in self._removed
+                    )
+                )
+                if not others:
                     return False
-                mine = (*(block for block in names(key[0]) if not block.allows), Block(True, (pattern,)))
-                if not _surely(implies(mine, (Block(True, near),), universe(key[0]))):
-                    return False
-        return True
-
-    def _meets_nothing(self, subject: str, unit: _Unit) -> bool:
-        """Tell whether no rule allows anything of what an expression denies."""
-        for key, found in self._applied[subject].own[unit].items():
-            for pattern in found:
-                # Also what is reported as shadowed: this one may shadow it.
-                near = tuple(dict.fromkeys(one for one, _ in self._near(subject, key, Effect.ALLOW, pattern)))
-                if near and not _surely(meet(key[0], allowed(pattern), (Block(True, near),))):
+                legal = (*(block for block in legal_names(key[0]) if not block.allows), Block(True, (pattern,)))
+                if not _is_proven(implies(legal, (Block(True, others),), universe(key[0]))):
                     return False
         return True
 
-    def _may_matter(self, unit: _Unit) -> bool:
-        """Tell whether a denial may matter to a subject that is no example."""
+    def _denies_nothing(self, subject: str, expression: _RuleExpression) -> bool:
+        """Return True if no rule allows anything that an expression denies."""
+        for key, patterns in self._subjects[subject].patterns[expression].items():
+            for pattern in patterns:
+                # Includes rules reported as shadowed: this expression may shadow them.
+                others = tuple(
+                    dict.fromkeys(other for other, _ in self._overlapping(subject, key, Effect.ALLOW, pattern))
+                )
+                if others and not _is_proven(find_permitted(key[0], allow_only(pattern), (Block(True, others),))):
+                    return False
+        return True
+
+    def _may_deny_something(self, expression: _RuleExpression) -> bool:
+        """Return True if a denial may have an effect for a subject that is no example."""
         if self._written is None:
             return False
-        applied = (self._applied[subject].units[unit] for subject in self._by_unit[unit])
-        found = {self._attachments.clause(rule, Attachment(where, unit.number)) for rule, _, where in applied}
-        return any(may_deny_something(self._written, *each) for each in found if each is not None)
+        expanded = (self._subjects[subject].expanded[expression] for subject in self._subjects_of[expression])
+        clauses = {self._attachments.clause(rule, Attachment(where, expression.number)) for rule, _, where in expanded}
+        return any(may_deny_something(self._written, *each) for each in clauses if each is not None)
 
-    def _said(self, code: str, units: Sequence[_Unit], *, whole: bool) -> Diagnostic:
-        rule, _, attached = self._applied[self._by_unit[units[0]][0]].units[units[0]]
-        texts = [self._applied[self._by_unit[unit][0]].units[unit][1] for unit in units]
-        about = f"{'' if whole else f'{quoted(texts)} in '}this {rule.effect} {rule.kind} rule"
-        held = ", ".join(rule.permissions)
-        by = self._by(units, Effect.ALLOW if code == "rule-redundant" else Effect.DENY)
-        said = {
-            "rule-shadowed": f"allows nothing: DENY rules deny all of it{by}",
-            "rule-redundant": f"adds nothing: all of it is allowed elsewhere{by}",
-            "deny-redundant": f"adds nothing: all of it is denied elsewhere{by}",
-            "deny-nothing": "denies nothing: no rule allows any of it",
+    def _finding(self, code: str, expressions: Sequence[_RuleExpression], *, of_rule: bool) -> Diagnostic:
+        rule, _, attached = self._an_expansion(expressions[0])
+        texts = [self._an_expansion(each)[1] for each in expressions]
+        permissions = ", ".join(rule.permissions)
+        by = self._example_place(expressions, Effect.ALLOW if code == "rule-redundant" else Effect.DENY)
+        problem, help_ = {
+            "rule-shadowed": (
+                f"is unreachable: DENY rules override all of it{by}",
+                "remove it, or narrow the DENY: a DENY overrides every ALLOW",
+            ),
+            "rule-redundant": (f"is redundant: other rules allow all of it{by}", "remove it, or narrow the other"),
+            "deny-redundant": (f"is redundant: other rules deny all of it{by}", "remove it, or narrow the other"),
+            "deny-nothing": (
+                "denies nothing that any rule allows",
+                "remove it, or fix its attachment: without an ALLOW everything is denied",
+            ),
         }[code]
-        helps = {
-            "rule-shadowed": "remove it, or narrow the DENY: a DENY wins over every ALLOW",
-            "rule-redundant": "remove it, or narrow the other",
-            "deny-redundant": "remove it, or narrow the other",
-            "deny-nothing": "remove it, or mend its attachment: what nothing allows is denied anyway",
-        }
-        return warning(code, f"{about} ({held}) {said}", rule.origin if whole else attached, helps[code])
+        subject = f"{'' if of_rule else f'{quoted_list(texts)} in '}this {rule.effect} {rule.kind} rule"
+        return warning(code, f"{subject} ({permissions}) {problem}", rule.origin if of_rule else attached, help_)
 
-    def _by(self, units: Iterable[_Unit], effect: Effect) -> str:
-        """Return the place of an expression of an effect that is about what others are about, in words."""
-        for unit in units:
-            subject = self._by_unit[unit][0]
-            for key, found in self._applied[subject].own[unit].items():
-                near = {other for pattern in found for _, other in self._near(subject, key, effect, pattern)}
-                for other in self._applied[subject].units if near else ():
-                    if other in near and other != unit and other not in self._gone:
-                        return f", e.g. at {self._applied[subject].units[other][2].alone()}"
+    def _example_place(self, expressions: Iterable[_RuleExpression], effect: Effect) -> str:
+        """Return the place of an overlapping expression of an effect, as text for a message."""
+        for each in expressions:
+            subject = self._subjects_of[each][0]
+            its_rules = self._subjects[subject]
+            for key, patterns in its_rules.patterns[each].items():
+                overlapping = {
+                    other for pattern in patterns for _, other in self._overlapping(subject, key, effect, pattern)
+                }
+                for other in its_rules.expanded if overlapping else ():
+                    if other in overlapping and other != each and other not in self._removed:
+                        return f", e.g. at {its_rules.expanded[other][2].alone()}"
         return ""
 
 
 def can_name_exist(rule: Rule, expression: str) -> bool:
-    """Tell whether an object can have a name that an expression of a rule matches; True where that is not decided."""
+    """Return True unless no legal name matches an expression of a rule."""
     return any(
-        not isinstance(meet(key[0], allowed(pattern)), Equal)
-        for key in keys(rule)
-        for pattern in patterns(rule, expression, key)
+        not isinstance(find_permitted(key[0], allow_only(pattern)), Equal)
+        for key in permission_keys(rule)
+        for pattern in rule_patterns(rule, expression, key)
     )
 
 
-def warning(code: str, message: str, where: Origin, help_: str) -> Diagnostic:
-    """Return a finding."""
-    return Diagnostic(code, Severity.WARNING, message, where, help_)
-
-
-def _surely(outcome: ProofResult) -> bool:
-    """Tell whether the answer to a question is yes.
+def _is_proven(outcome: ProofResult) -> bool:
+    """Return True for a proven answer.
 
     Raises:
-        EffortError: it was not decided.
+        StepLimitError: it is unknown.
     """
     if isinstance(outcome, Unknown):
         raise StepLimitError(UNIT)
     return isinstance(outcome, Equal)
 
 
-def _applied(rules: Sequence[Rule], subject: str, attachments: AttachmentIndex) -> _Applied:
-    found = _Applied()
-    sides: dict[_Side, list[tuple[Glob, _Unit]]] = defaultdict(list)
+def _subject_rules(rules: Sequence[Rule], subject: str, attachments: AttachmentIndex) -> _SubjectRules:
+    its_rules = _SubjectRules()
+    sides: dict[_Side, list[tuple[Glob, _RuleExpression]]] = defaultdict(list)
     for rule in rules:
-        written = attachments.of(rule, subject)
-        for expression in rule.expressions:
-            attachment = written[expression]
-            unit = _Unit(rule.origin.spot, rule.effect, attachment.where.spot, attachment.number)
-            found.units.setdefault(unit, (rule, expression, attachment.where))
-            own = found.own.setdefault(unit, {})
-            for key in keys(rule):
-                for pattern in patterns(rule, expression, key):
-                    own.setdefault(key, {})[pattern] = None
-                    sides[key, rule.effect].append((pattern, unit))
-    found.near = {side: PatternIndex(items) for side, items in sides.items()}
-    return found
+        attached = attachments.of(rule, subject)
+        for text in rule.expressions:
+            attachment = attached[text]
+            expression = _RuleExpression(rule.origin.spot, rule.effect, attachment.where.spot, attachment.number)
+            its_rules.expanded.setdefault(expression, (rule, text, attachment.where))
+            patterns = its_rules.patterns.setdefault(expression, {})
+            for key in permission_keys(rule):
+                for pattern in rule_patterns(rule, text, key):
+                    patterns.setdefault(key, {})[pattern] = None
+                    sides[key, rule.effect].append((pattern, expression))
+    its_rules.index = {side: PatternIndex(items) for side, items in sides.items()}
+    return its_rules
 
 
-_Rules = Mapping[str, tuple[Rule, ...]]
-
-
-def within_bounds(subjects: Iterable[str], rules: Callable[[str], tuple[Rule, ...]]) -> tuple[_Rules, list[str]]:
-    """Return the rules of subjects, and the subjects that there was no room for."""
-    found: dict[str, tuple[Rule, ...]] = {}
-    left_out: list[str] = []
+def within_bounds(
+    subjects: Iterable[str], rules: Callable[[str], tuple[Rule, ...]]
+) -> tuple[Mapping[str, tuple[Rule, ...]], bool]:
+    """Return the rules of subjects, up to :data:`MOST_PAIRS` rules, and whether these are all subjects."""
+    within: dict[str, tuple[Rule, ...]] = {}
     pairs = 0
     for subject in subjects:
-        if pairs < MOST_PAIRS:
-            found[subject] = rules(subject)
-            pairs += len(found[subject])
-        else:
-            left_out.append(subject)
-    return found, left_out
+        if pairs >= MOST_PAIRS:
+            return within, False
+        within[subject] = rules(subject)
+        pairs += len(within[subject])
+    return within, True

@@ -14,19 +14,19 @@ from comarmor.rules import PERMISSIONS, Effect, parts
 from keymint.analysis.query_budget import QueryBudget
 from keymint.analysis.rule_lists import (
     PermissionKey,
-    allowed,
+    allow_only,
+    decision_list,
+    display_name,
+    display_pattern,
+    find_permitted,
     is_composite,
-    keys,
-    listed,
-    meet,
     negated,
     part_lists,
-    patterns,
-    shown,
+    permission_keys,
+    rule_patterns,
     universe,
-    word,
 )
-from keymint.analysis.subject_patterns import only
+from keymint.analysis.subject_patterns import restrict_allowed
 from keymint.ir import Rule
 
 
@@ -57,23 +57,25 @@ class PermissionChange:
     @property
     def example(self) -> str:
         """The shortest name that changes, for a person."""
-        return word(self.kind, self.word)
+        return display_name(self.kind, self.word)
 
 
 def rule_changes(
-    old: Sequence[Rule], new: Sequence[Rule], purse: QueryBudget | None = None
+    old: Sequence[Rule], new: Sequence[Rule], budget: QueryBudget | None = None
 ) -> Iterator[PermissionChange]:
     """Yield what a subject gains and loses when its rules change, gains first.
 
     Args:
         old: its older rules.
         new: its newer ones.
-        purse: pays for it.
+        budget: pays for it.
     """
-    purse = purse or QueryBudget()
+    budget = budget or QueryBudget()
     for is_gain, before, after in ((True, old, new), (False, new, old)):
-        for kind, permission, pattern, example, whole, where, unknown in _RuleComparison(before, after, purse).found():
-            yield PermissionChange(is_gain, kind, permission, shown(kind, pattern), whole, example, where, unknown)
+        for kind, permission, pattern, example, whole, where, unknown in _RuleComparison(before, after, budget).found():
+            yield PermissionChange(
+                is_gain, kind, permission, display_pattern(kind, pattern), whole, example, where, unknown
+            )
 
 
 _Found = tuple[str, str, Glob, str, bool, Origin, str]
@@ -86,13 +88,13 @@ class _RuleComparison:
     Args:
         before: the rules that do not allow it.
         after: the rules that do.
-        purse: pays for it.
+        budget: pays for it.
     """
 
-    def __init__(self, before: Sequence[Rule], after: Sequence[Rule], purse: QueryBudget) -> None:
+    def __init__(self, before: Sequence[Rule], after: Sequence[Rule], budget: QueryBudget) -> None:
         self._before = before
         self._after = after
-        self._purse = purse
+        self._budget = budget
 
     def found(self) -> Iterator[_Found]:
         """Yield what the rules make a difference to: permissions without parts first."""
@@ -112,23 +114,23 @@ class _RuleComparison:
         yield from composite
 
     def _is_changed(self, key: PermissionKey, piece: Glob) -> bool:
-        return self._is_whole(key[0], piece, listed(self._before, key), listed(self._after, key))
+        return self._is_whole(key[0], piece, decision_list(self._before, key), decision_list(self._after, key))
 
     def _meet(self, kind: str, *lists: DecisionList) -> ProofResult:
-        return meet(kind, *lists, budget=self._purse.question())
+        return find_permitted(kind, *lists, budget=self._budget.next_query())
 
     def _elementary(self, key: PermissionKey) -> list[_Found]:
         """Return what rules allow of a kind and permission without parts that earlier ones do not."""
-        old, new = listed(self._before, key), listed(self._after, key)
-        if isinstance(difference(old, new, universe=universe(key[0]), budget=self._purse.question()), Equal):
+        old, new = decision_list(self._before, key), decision_list(self._after, key)
+        if isinstance(difference(old, new, universe=universe(key[0]), budget=self._budget.next_query()), Equal):
             return []
         denied = tuple(dict.fromkeys(pattern for block in old if not block.allows for pattern in block.patterns))
         found: list[_Found] = []
         for rule in self._after:
-            if rule.effect is not Effect.ALLOW or key not in keys(rule):
+            if rule.effect is not Effect.ALLOW or key not in permission_keys(rule):
                 continue
             for expression in rule.expressions:
-                for pattern in patterns(rule, expression, key):
+                for pattern in rule_patterns(rule, expression, key):
                     found += self._of_pattern(pattern, old, new, denied, key, rule.origin)
         return _largest(found)
 
@@ -143,7 +145,7 @@ class _RuleComparison:
     ) -> Iterator[_Found]:
         """Yield what of a pattern is allowed now and was not: what was denied, and what nothing allowed."""
         kind, permission = key
-        mine = only(pattern, new)
+        mine = restrict_allowed(pattern, new)
         unspoken: DecisionList = (*(block for block in old if not block.allows), *negated(old)[1:])
         outcome = self._meet(kind, mine, unspoken)
         if not isinstance(outcome, Equal):
@@ -155,7 +157,7 @@ class _RuleComparison:
             except TooComplexError:
                 pieces = (pattern,)
             for piece in pieces:
-                outcome = self._meet(kind, allowed(piece), allowed(each), mine)
+                outcome = self._meet(kind, allow_only(piece), allow_only(each), mine)
                 if not isinstance(outcome, Equal):
                     yield _found((kind, permission), piece, outcome, self._is_whole(kind, piece, old, new), where)
 
@@ -173,18 +175,18 @@ class _RuleComparison:
         old, new = part_lists(self._before, kind, permission), part_lists(self._after, kind, permission)
         found: list[_Found] = []
         for pattern, where in candidates.items():
-            outcomes = [self._meet(kind, allowed(pattern), *new, negated(part)) for part in old]
+            outcomes = [self._meet(kind, allow_only(pattern), *new, negated(part)) for part in old]
             outcome = _shortest(outcomes)
             if outcome is not None:
-                had = not isinstance(self._meet(kind, allowed(pattern), *old), Equal)
-                lacks = any(not isinstance(self._meet(kind, allowed(pattern), negated(part)), Equal) for part in new)
+                had = not isinstance(self._meet(kind, allow_only(pattern), *old), Equal)
+                lacks = any(not isinstance(self._meet(kind, allow_only(pattern), negated(part)), Equal) for part in new)
                 found.append(_found((kind, permission), pattern, outcome, not had and not lacks, where))
         return _largest(found)
 
     def _is_whole(self, kind: str, pattern: Glob, old: DecisionList, new: DecisionList) -> bool:
         """Tell whether the older list refuses, and the newer one permits, all that a pattern matches."""
-        refused_before = self._meet(kind, allowed(pattern), old)
-        refused_now = self._meet(kind, allowed(pattern), negated(new))
+        refused_before = self._meet(kind, allow_only(pattern), old)
+        refused_now = self._meet(kind, allow_only(pattern), negated(new))
         return isinstance(refused_before, Equal) and isinstance(refused_now, Equal)
 
 

@@ -1,7 +1,7 @@
-"""Rules as decision lists of the proof engine, one for each kind and permission that has no parts.
+"""Convert rules to decision lists of the proof engine, one for each kind and permission without parts.
 
 A word is the name of an object; for kind ``topic`` it is a partition, NUL and the name of the DDS topic. An endpoint in
-several partitions is allowed when it is in each of them, so that one partition at a time says all.
+several partitions is allowed if it is allowed in each of them, so deciding one partition at a time is enough.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from keymint.ir import Rule
 RAW = "topic"
 SEPARATOR = "\0"
 PermissionKey = tuple[str, str]
-"""A kind, and a permission of it that has no parts."""
+"""A kind, and a permission of it without parts."""
 
 _ROS = Universe(charset((ord(char), ord(char)) for char in string.ascii_letters + string.digits + "_/"))
 _RAW = Universe(charset(((ord(" "), MAX_CODE),)), fields=2, separator=SEPARATOR)
@@ -33,74 +33,75 @@ _RAW_NAMES: DecisionList = (Block(True, (normalise((STAR, SEPARATOR, ANY, STAR))
 
 
 def universe(kind: str) -> Universe:
-    """Return the words that a question about a kind is about."""
+    """Return the words of a kind."""
     return _RAW if kind == RAW else _ROS
 
 
-def names(kind: str) -> DecisionList:
-    """Return what permits the names that an object of a kind can have (ROS 2 design, "Topic and Service name mapping").
+def legal_names(kind: str) -> DecisionList:
+    """Return the decision list of the legal names of a kind (ROS 2 design, "Topic and Service name mapping").
 
-    A fully qualified ROS name is made of segments of letters, digits and ``_`` that do not begin with a digit, each
-    after a ``/``; a DDS topic has any name that is not empty.
+    A fully qualified ROS name consists of segments of letters, digits and ``_`` that do not begin with a digit, each
+    after a ``/``. A DDS topic has any nonempty name.
     """
     return _RAW_NAMES if kind == RAW else _ROS_NAMES
 
 
-def keys(rule: Rule) -> Iterator[PermissionKey]:
-    """Yield what a rule is about, its permissions taken apart."""
-    yield from dict.fromkeys((kind, part) for held in rule.permissions for kind, part, _ in parts(rule.kind, held))
+def permission_keys(rule: Rule) -> Iterator[PermissionKey]:
+    """Yield the kinds and permissions of a rule, with composite permissions replaced by their parts."""
+    yield from dict.fromkeys((kind, part) for each in rule.permissions for kind, part, _ in parts(rule.kind, each))
 
 
-def patterns(rule: Rule, expression: str, key: PermissionKey) -> tuple[Glob, ...]:
-    """Return the words of a kind and permission that an expression of a rule is about."""
+def rule_patterns(rule: Rule, expression: str, key: PermissionKey) -> tuple[Glob, ...]:
+    """Return patterns of the words of a kind and permission that an expression of a rule matches."""
     parsed = parse(expression)
     if rule.kind == RAW:
-        if key not in keys(rule):
+        if key not in permission_keys(rule):
             return ()
         default = ("*",) if rule.effect is Effect.DENY else ("",)
         return tuple(in_partition(partition, parsed) for partition in rule.partitions or default)
     return tuple(
         surround("", parsed, suffix)
-        for held in rule.permissions
-        for kind, part, suffix in parts(rule.kind, held)
+        for permission in rule.permissions
+        for kind, part, suffix in parts(rule.kind, permission)
         if (kind, part) == key
     )
 
 
 def in_partition(partition: str, name: Glob) -> Glob:
-    """Return the words of a DDS topic in the partitions that an expression matches."""
+    """Return the pattern of a DDS topic in the partitions that an expression matches."""
     return normalise((*parse(partition), SEPARATOR, *name))
 
 
-def asked(kind: str, expression: str, partition: str = "") -> Glob:
-    """Return the words that a question for names is about."""
+def query_pattern(kind: str, expression: str, partition: str = "") -> Glob:
+    """Return the pattern of words for an expression in a query."""
     return in_partition(partition, parse(expression)) if kind == RAW else parse(expression)
 
 
-def listed(rules: Iterable[Rule], key: PermissionKey) -> DecisionList:
-    """Return what rules say of a kind and permission that has no parts: denials, then what is allowed."""
-    found: dict[Effect, dict[Glob, None]] = {Effect.DENY: {}, Effect.ALLOW: {}}
+def decision_list(rules: Iterable[Rule], key: PermissionKey) -> DecisionList:
+    """Return the decision list of rules for a kind and permission without parts."""
+    by_effect: dict[Effect, dict[Glob, None]] = {Effect.DENY: {}, Effect.ALLOW: {}}
     for rule in rules:
         for expression in rule.expressions:
-            found[rule.effect] |= dict.fromkeys(patterns(rule, expression, key))
-    return decisions(found[Effect.DENY], found[Effect.ALLOW])
+            by_effect[rule.effect] |= dict.fromkeys(rule_patterns(rule, expression, key))
+    return deny_over_allow(by_effect[Effect.DENY], by_effect[Effect.ALLOW])
 
 
-def decisions(denied: Iterable[Glob], allowed: Iterable[Glob]) -> DecisionList:
-    """Return the decision list of denials that override what is allowed."""
+def deny_over_allow(denied: Iterable[Glob], allowed: Iterable[Glob]) -> DecisionList:
+    """Return the decision list in which denied patterns override allowed ones."""
     return (Block(False, tuple(denied)), Block(True, tuple(allowed)))
 
 
 def part_lists(rules: Iterable[Rule], kind: str, permission: str) -> tuple[DecisionList, ...]:
-    """Return lists of which all must permit a name for the permission to be held: one for each part."""
+    """Return a decision list for each part of a permission; the permission requires all of them."""
     rules = tuple(rules)
     return tuple(
-        without(listed(rules, (part_kind, part)), suffix) for part_kind, part, suffix in parts(kind, permission)
+        strip_suffix(decision_list(rules, (part_kind, part)), suffix)
+        for part_kind, part, suffix in parts(kind, permission)
     )
 
 
-def without(decided: DecisionList, suffix: str) -> DecisionList:
-    """Return what a list says of ``name + suffix``, as a list about the name."""
+def strip_suffix(decided: DecisionList, suffix: str) -> DecisionList:
+    """Return the list of names for which a list decides on ``name + suffix``."""
     if not suffix:
         return decided
     return tuple(
@@ -111,59 +112,59 @@ def without(decided: DecisionList, suffix: str) -> DecisionList:
 
 @lru_cache(maxsize=1 << 14)
 def _before(pattern: Glob, suffix: str) -> tuple[Glob, ...]:
-    text = literal(pattern)
-    if text is not None:
-        left = text.removesuffix(suffix)
-        return () if left == text else ((left,) if left else (),)
+    name = literal(pattern)
+    if name is not None:
+        left = name.removesuffix(suffix)
+        return () if left == name else ((left,) if left else (),)
     backwards = normalise(reversed(units(pattern)))
     return tuple(normalise(reversed(units(left))) for left in after(backwards, suffix[::-1]))
 
 
-def allowed(pattern: Glob) -> DecisionList:
-    """Return what permits the words that a pattern matches, and no others."""
+def allow_only(pattern: Glob) -> DecisionList:
+    """Return the list that allows exactly the words that a pattern matches."""
     return (Block(True, (pattern,)),)
 
 
 def negated(decided: DecisionList) -> DecisionList:
-    """Return the list that permits exactly what another one refuses."""
+    """Return the list that allows exactly what another one denies."""
     return (*(Block(not block.allows, block.patterns) for block in decided), Block(True, (EVERYTHING,)))
 
 
-def meet(kind: str, *lists: DecisionList, budget: SearchBudget | None = None) -> ProofResult:
-    """Tell whether there is a legal name that all of some lists permit.
+def find_permitted(kind: str, *lists: DecisionList, budget: SearchBudget | None = None) -> ProofResult:
+    """Find a legal name that all lists allow.
 
     Args:
         kind: kind of the objects.
         lists: the lists.
-        budget: what the answer may cost.
+        budget: limit of the search.
 
     Returns:
-        a shortest ``Witness`` if so; else ``Equal`` (there is none), or ``Unknown``.
+        A shortest ``Witness``, ``Equal`` if there is none, or ``Unknown``.
     """
-    return difference((), *lists, names(kind), universe=universe(kind), budget=budget)
+    return difference((), *lists, legal_names(kind), universe=universe(kind), budget=budget)
 
 
 def is_composite(kind: str, permission: str) -> bool:
-    """Tell whether a permission is a shorthand for several."""
+    """Return True for a permission with parts."""
     return (kind, permission) in PARTS
 
 
-def text(pattern: Glob) -> str:
+def pattern_text(pattern: Glob) -> str:
     """Return a pattern as an expression."""
     return exact(pattern, unescaped="_/.")
 
 
-def shown(kind: str, pattern: Glob) -> str:
-    """Return a pattern for a person: the expression of the name, and of the partition if it is not the default one."""
+def display_pattern(kind: str, pattern: Glob) -> str:
+    """Return a pattern as display text: the expression of the name, and the partition if it is not the default."""
     if kind != RAW:
-        return text(pattern)
+        return pattern_text(pattern)
     flat = units(pattern)
     at = flat.index(SEPARATOR)
-    partition, name = text(normalise(flat[:at])), text(normalise(flat[at + 1 :]))
+    partition, name = pattern_text(normalise(flat[:at])), pattern_text(normalise(flat[at + 1 :]))
     return f"{name} in partition {partition!r}" if partition else name
 
 
-def word(kind: str, found: str) -> str:
-    """Return a word for a person: the name, and the partition if it is not the default one."""
-    partition, _, name = found.rpartition(SEPARATOR)
+def display_name(kind: str, word: str) -> str:
+    """Return a word as display text: the name, and the partition if it is not the default."""
+    partition, _, name = word.rpartition(SEPARATOR)
     return f"{name} in partition {partition!r}" if kind == RAW and partition else name

@@ -14,16 +14,16 @@ from functools import lru_cache
 from comarmor.patterns.glob import Glob, literal, normalise, units
 from comarmor.patterns.relations import disjoint
 from comarmor.patterns.tokens import STAR, Star, Token
-from keymint.analysis.rule_lists import PermissionKey, patterns
+from keymint.analysis.rule_lists import PermissionKey, rule_patterns
 from keymint.api import WrittenRule
 
 NAMESPACE = "\x01"
 """Stands for the subject's namespace without its leading ``/``. XML cannot hold this character."""
 NAME = "\x02"
 """Stands for the last segment of the subject."""
-MARKS = (NAMESPACE, NAME)
+PLACEHOLDERS = (NAMESPACE, NAME)
 _MOST_PIECES = 256
-_Units = tuple[Token, ...]
+_Tokens = tuple[Token, ...]
 
 
 @dataclass(frozen=True, slots=True)
@@ -61,19 +61,19 @@ def symbolic_patterns(clause: WrittenRule, key: PermissionKey) -> tuple[Glob, ..
         dict.fromkeys(
             pattern
             for expression in expressions
-            for pattern in patterns(clause.rule, expression.replace(f"{NAMESPACE}/", NAMESPACE), key)
+            for pattern in rule_patterns(clause.rule, expression.replace(f"{NAMESPACE}/", NAMESPACE), key)
         )
     )
 
 
-def marks(pattern: Glob) -> tuple[str, ...]:
+def placeholders(pattern: Glob) -> tuple[str, ...]:
     """Return the marks of a pattern, in their order."""
-    return tuple(char for token in pattern if isinstance(token, str) for char in token if char in MARKS)
+    return tuple(char for token in pattern if isinstance(token, str) for char in token if char in PLACEHOLDERS)
 
 
 def fill_placeholders(pattern: Glob, namespace: Glob, name: Glob) -> Glob:
     """Return a pattern with patterns of the namespace and the name in place of the marks."""
-    if not marks(pattern):
+    if not placeholders(pattern):
         return pattern
     values = {NAMESPACE: namespace, NAME: name}
     return normalise(
@@ -105,22 +105,26 @@ def fit_pattern(pattern: Glob, shape: Glob, namespace: Glob, name: Glob, *, wide
         wide: where the answer is not exact it matches too much, else too little.
     """
     mine, other = units(pattern), units(shape)
-    head = _common(mine, other)
-    tail = _common(mine[head:][::-1], other[head:][::-1])
+    head = _common_prefix(mine, other)
+    tail = _common_prefix(mine[head:][::-1], other[head:][::-1])
     end, end2 = len(mine) - tail, len(other) - tail
-    if _apart(mine[head:end], other[head:end2]) or _apart(mine[head:end][::-1], other[head:end2][::-1]):
+    if _surely_disjoint(mine[head:end], other[head:end2]) or _surely_disjoint(
+        mine[head:end][::-1], other[head:end2][::-1]
+    ):
         return FittedPattern((), exact=True)
     exact = True
     middle, others = mine[head:end], other[head:end2]
-    if _has_mark(middle) and not _has_mark(others):
-        return _reversed(mine[:head], middle, others, mine[end:], {NAMESPACE: namespace, NAME: name}, wide=wide)
-    if _has_mark(middle):
+    if _has_placeholder(middle) and not _has_placeholder(others):
+        return _fit_concrete_shape(
+            mine[:head], middle, others, mine[end:], {NAMESPACE: namespace, NAME: name}, wide=wide
+        )
+    if _has_placeholder(middle):
         exact = False
         if wide:
             middle = units(fill_placeholders(normalise(middle), namespace, name))
     segments = _segments(other[head:end2])
     found: dict[tuple[tuple[Glob, ...], tuple[Glob, ...], Glob], None] = {}
-    for parts in _parted(middle, segments, {NAMESPACE: namespace, NAME: name}):
+    for parts in _splits(middle, segments, {NAMESPACE: namespace, NAME: name}):
         if len(found) == _MOST_PIECES:
             whole = ((), (), shape)
             return FittedPattern((whole,) if wide else tuple(found), exact=False)
@@ -140,8 +144,8 @@ def fit_pattern(pattern: Glob, shape: Glob, namespace: Glob, name: Glob, *, wide
     return FittedPattern(tuple(found), exact)
 
 
-def _reversed(
-    head: _Units, middle: _Units, shape: _Units, tail: _Units, values: dict[str, Glob], *, wide: bool
+def _fit_concrete_shape(
+    head: _Tokens, middle: _Tokens, shape: _Tokens, tail: _Tokens, values: dict[str, Glob], *, wide: bool
 ) -> FittedPattern:
     """Say a pattern with marks of words without: cut the shape where the marks stand, to tell what they must be.
 
@@ -152,7 +156,7 @@ def _reversed(
         return FittedPattern((), exact=False)
     segments = _segments(middle)
     found: dict[tuple[tuple[Glob, ...], tuple[Glob, ...], Glob], None] = {}
-    for parts in _parted(shape, segments, values):
+    for parts in _splits(shape, segments, values):
         if len(found) == _MOST_PIECES:
             all_ = ((), (), normalise((*head, *shape, *tail)))
             return FittedPattern((all_,) if wide else tuple(found), exact=False)
@@ -164,7 +168,7 @@ def _reversed(
     return FittedPattern(tuple(found), exact)
 
 
-def _common(one: _Units, other: _Units) -> int:
+def _common_prefix(one: _Tokens, other: _Tokens) -> int:
     """Return how many letters two patterns begin with alike."""
     count = 0
     for mine, theirs in zip(one, other, strict=False):
@@ -174,47 +178,47 @@ def _common(one: _Units, other: _Units) -> int:
     return count
 
 
-def _apart(one: _Units, other: _Units) -> bool:
+def _surely_disjoint(one: _Tokens, other: _Tokens) -> bool:
     """Tell whether two patterns begin with different letters, so that they have no word in common."""
     if not (one and other and isinstance(one[0], str) and isinstance(other[0], str)):
         return False
-    return one[0] not in MARKS and other[0] not in MARKS and one[0] != other[0]
+    return one[0] not in PLACEHOLDERS and other[0] not in PLACEHOLDERS and one[0] != other[0]
 
 
-def _segments(shape: _Units) -> list[_Units]:
+def _segments(shape: _Tokens) -> list[_Tokens]:
     """Return the parts of a pattern between its marks, and the marks: at even places parts, at odd ones marks."""
-    found: list[_Units] = [()]
+    found: list[_Tokens] = [()]
     for token in shape:
-        if isinstance(token, str) and token in MARKS:
+        if isinstance(token, str) and token in PLACEHOLDERS:
             found += [(token,), ()]
         else:
             found[-1] = (*found[-1], token)
     return found
 
 
-def _parted(pattern: _Units, segments: list[_Units], values: dict[str, Glob]) -> Iterator[tuple[_Units, ...]]:
+def _splits(pattern: _Tokens, segments: list[_Tokens], values: dict[str, Glob]) -> Iterator[tuple[_Tokens, ...]]:
     """Yield the ways to cut a pattern into as many parts as there are segments.
 
     A part that belongs to a mark is that mark, or a pattern of what it stands for.
     """
     first, rest = segments[0], segments[1:]
-    mark = first[0] if len(first) == 1 and isinstance(first[0], str) and first[0] in MARKS else None
+    mark = first[0] if len(first) == 1 and isinstance(first[0], str) and first[0] in PLACEHOLDERS else None
     outer = values[str(mark)] if mark else normalise(first)
     for left, right in _cuts(pattern) if rest else ((pattern, ()),):
-        if left != (mark,) and (_has_mark(left) or disjoint(normalise(left), outer)):
+        if left != (mark,) and (_has_placeholder(left) or disjoint(normalise(left), outer)):
             continue
         if not rest:
             yield (left,)
             continue
-        for parts in _parted(right, rest, values):
+        for parts in _splits(right, rest, values):
             yield (left, *parts)
 
 
-def _has_mark(pattern: _Units) -> bool:
-    return any(isinstance(token, str) and token in MARKS for token in pattern)
+def _has_placeholder(pattern: _Tokens) -> bool:
+    return any(isinstance(token, str) and token in PLACEHOLDERS for token in pattern)
 
 
-def _cuts(pattern: _Units) -> Iterator[tuple[_Units, _Units]]:
+def _cuts(pattern: _Tokens) -> Iterator[tuple[_Tokens, _Tokens]]:
     """Yield the ways to cut a pattern in two.
 
     Beside a star the cut is in it, so that both sides have it; a mark is also cut off by itself.
@@ -224,5 +228,5 @@ def _cuts(pattern: _Units) -> Iterator[tuple[_Units, _Units]]:
         if right and isinstance(right[0], Star):
             yield pattern[: at + 1], right
         beside_star = any(isinstance(token, Star) for token in (*left[-1:], *right[:1]))
-        if not beside_star or _has_mark((*left[-1:], *right[:1])):
+        if not beside_star or _has_placeholder((*left[-1:], *right[:1])):
             yield left, right

@@ -11,7 +11,7 @@ from comarmor.patterns.glob import Glob, literal, parse
 from comarmor.patterns.relations import TooComplexError, disjoint
 from comarmor.patterns.tokens import STAR
 from comarmor.rules import Effect
-from keymint.analysis.rule_lists import PermissionKey, keys
+from keymint.analysis.rule_lists import PermissionKey, permission_keys
 from keymint.analysis.subject_patterns import EVERY, profile_subjects
 from keymint.analysis.subject_templates import symbolic_patterns
 from keymint.analysis.symbolic_search import SymbolicCondition, SymbolicEntry, namespace_name_pairs
@@ -88,7 +88,7 @@ class SymbolicRules:
     def __init__(self, written: PolicyStructure) -> None:
         self.singles: dict[str, None] = {}
         self._found: dict[tuple[PermissionKey, Effect], dict[tuple[_Profiles, Glob], SymbolicRule]] = defaultdict(dict)
-        self._near: dict[tuple[PermissionKey, Effect], _Near] = {}
+        self._near: dict[tuple[PermissionKey, Effect], _ProfileIndex] = {}
         reaches: dict[_Profiles, ProfileReach] = {}
         for clause in written.clauses:
             if clause.profiles not in reaches:
@@ -97,7 +97,7 @@ class SymbolicRules:
             subjects = reaches[clause.profiles]
             if not subjects.subjects:
                 continue
-            for key in keys(clause.rule):
+            for key in permission_keys(clause.rule):
                 for pattern in symbolic_patterns(clause, key):
                     spoken = SymbolicRule(clause.profiles, subjects, pattern, clause.rule.origin)
                     self._found[key, clause.rule.effect].setdefault(spoken.said, spoken)
@@ -116,11 +116,11 @@ class SymbolicRules:
 
     def _about(self, key: PermissionKey, effect: Effect, subjects: Glob) -> Iterator[SymbolicRule]:
         if (key, effect) not in self._near:
-            self._near[key, effect] = _Near(self.all(key, effect))
+            self._near[key, effect] = _ProfileIndex(self.all(key, effect))
         yield from self._near[key, effect].of(subjects)
 
 
-class _Near:
+class _ProfileIndex:
     """What rules say, by the profiles that they stand in."""
 
     def __init__(self, found: dict[tuple[_Profiles, Glob], SymbolicRule]) -> None:

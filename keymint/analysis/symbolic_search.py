@@ -24,14 +24,14 @@ from keymint.analysis.query_budget import QueryBudget
 from keymint.analysis.rule_lists import RAW, SEPARATOR, universe
 from keymint.analysis.subject_patterns import namespace_name_splits
 from keymint.analysis.subject_templates import (
-    MARKS,
     NAME,
     NAMESPACE,
+    PLACEHOLDERS,
     TemplatePiece,
     concrete_name,
     fill_placeholders,
     fit_pattern,
-    marks,
+    placeholders,
 )
 
 _SPELLED = 16
@@ -107,7 +107,7 @@ def find_subject(
     conditions: Sequence[SymbolicCondition],
     judge: SubjectCheck,
     excluded: Iterable[str],
-    purse: QueryBudget,
+    budget: QueryBudget,
 ) -> FoundSubject | Undecided | None:
     """Return a subject for which some word is as was asked for; None if there is none.
 
@@ -118,12 +118,12 @@ def find_subject(
         conditions: the word must be like all of them.
         judge: judges each candidate.
         excluded: subjects that do not count.
-        purse: pays for it.
+        budget: pays for it.
     """
     excluded = tuple(excluded)
     undecided: Undecided | None = None
-    for namespace, name in _singled(namespace_name_pairs(subjects), marks(shape)):
-        found = _Search(kind, namespace, name, shape, conditions, purse).run(judge, excluded)
+    for namespace, name in _singled(namespace_name_pairs(subjects), placeholders(shape)):
+        found = _Search(kind, namespace, name, shape, conditions, budget).run(judge, excluded)
         if isinstance(found, FoundSubject):
             return found
         undecided = undecided or found
@@ -161,13 +161,13 @@ class _Search:
         name: Glob,
         shape: Glob,
         conditions: Sequence[SymbolicCondition],
-        purse: QueryBudget,
+        budget: QueryBudget,
     ) -> None:
         self._kind = kind
         self._namespace, self._name = namespace, name
         self._shape = self._fixed(shape, namespace, name)
         self._conditions = conditions
-        self._purse = purse
+        self._budget = budget
         self._universe = Universe(_alphabet(kind), 4 if kind == RAW else 3, SEPARATOR, last_nonempty=kind == RAW)
 
     def run(self, judge: SubjectCheck, excluded: Iterable[str]) -> FoundSubject | Undecided | None:
@@ -183,13 +183,13 @@ class _Search:
                 (denied, Block(True, positives[0])),
                 *((Block(True, each),) for each in positives[1:]),
             ]
-            if self._purse.is_empty:
-                return Undecided(self._purse.reason(""))
-            outcome = difference((), *lists, universe=self._universe, budget=self._purse.question(len(lists)))
+            if self._budget.is_empty:
+                return Undecided(self._budget.reason(""))
+            outcome = difference((), *lists, universe=self._universe, budget=self._budget.next_query(len(lists)))
             if isinstance(outcome, Equal):
                 return None
             if isinstance(outcome, Unknown):
-                return Undecided(self._purse.reason(outcome.reason))
+                return Undecided(self._budget.reason(outcome.reason))
             namespace, name, word = outcome.word.split(SEPARATOR, 2)
             subject = f"/{namespace}{name}"
             judged = judge(subject)
@@ -221,7 +221,7 @@ class _Search:
                 if not wide:
                     continue
                 mine = product((self._namespace,), (self._name,))
-            for namespace, name in _singled(mine, marks(entry.object)):
+            for namespace, name in _singled(mine, placeholders(entry.object)):
                 pattern = self._fixed(entry.object, namespace, name)
                 found = fit_pattern(pattern, self._shape, namespace, name, wide=wide)
                 for limits, limits2, object_ in found.pieces:
@@ -241,7 +241,7 @@ class _Search:
         exact = (_text(namespace), _text(name))
         for condition in self._conditions:
             for entry in condition.none:
-                used = marks(entry.object)
+                used = placeholders(entry.object)
                 if not used or not matches(fill_placeholders(entry.object, *exact), word):
                     continue
                 for one, other in entry.subjects:
@@ -254,8 +254,8 @@ class _Search:
 
     def _miscounted(self) -> Iterator[Glob]:
         """Yield the words that have more marks than the shape: what a star of it matches has none."""
-        used = marks(self._shape)
-        for mark in MARKS:
+        used = placeholders(self._shape)
+        for mark in PLACEHOLDERS:
             yield normalise((STAR, *(each for _ in range(used.count(mark) + 1) for each in (mark, STAR))))
 
     def _subject(self, subject: str) -> Glob:
@@ -295,9 +295,9 @@ def _alphabet(kind: str) -> Charset:
 
 @lru_cache(maxsize=8)
 def _illegal(kind: str) -> tuple[Glob, ...]:
-    """Return patterns of the words that are about no subject, or no object, that there can be.
+    """Return patterns of the words with an illegal subject or object name.
 
-    A subject is a fully qualified ROS name (:mod:`keymint.names`); objects: :func:`keymint.analysis.rule_lists.names`.
+    See :mod:`keymint.names` for subjects and :func:`keymint.analysis.rule_lists.legal_names` for objects.
     """
     rest = (STAR, SEPARATOR, STAR) if kind == RAW else (STAR,)
     digit = parse(_DIGITS)

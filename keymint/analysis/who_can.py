@@ -12,8 +12,16 @@ from comarmor.patterns.matching import matches
 from comarmor.patterns.relations import TooComplexError, intersection
 from comarmor.rules import Effect, parts
 from keymint.analysis.query_budget import QueryBudget
-from keymint.analysis.rule_lists import allowed, keys, meet, part_lists, patterns, text, without
-from keymint.analysis.subject_patterns import can_exist, example, matching, rules_of, structure
+from keymint.analysis.rule_lists import (
+    allow_only,
+    find_permitted,
+    part_lists,
+    pattern_text,
+    permission_keys,
+    rule_patterns,
+    strip_suffix,
+)
+from keymint.analysis.subject_patterns import can_exist, example_subject, named_subjects, rules_of, structure
 from keymint.analysis.symbolic_rules import SymbolicRule, SymbolicRules
 from keymint.analysis.symbolic_search import (
     EVERYBODY,
@@ -47,7 +55,7 @@ class PermissionHolder:
 
 
 def who_can(
-    policy: LoadedPolicy, within: Glob, kind: str, permission: str, name: Glob, purse: QueryBudget | None = None
+    policy: LoadedPolicy, within: Glob, kind: str, permission: str, name: Glob, budget: QueryBudget | None = None
 ) -> Iterator[PermissionHolder]:
     """Yield who holds a permission: subjects that a policy names first, then one for each pattern of others.
 
@@ -60,7 +68,7 @@ def who_can(
         kind: kind of the objects.
         permission: a permission of that kind.
         name: pattern of the objects in question; for kind ``topic`` with the partition.
-        purse: pays for it.
+        budget: pays for it.
     """
     exact = literal(within)
     written = structure(policy) if exact is None else None
@@ -68,22 +76,22 @@ def who_can(
     singles = (
         [subject for subject in book.singles if matches(within, subject) and can_exist((subject,))] if book else []
     )
-    named = (exact,) if exact is not None else tuple(dict.fromkeys((*matching(policy, within), *singles)))
+    named = (exact,) if exact is not None else tuple(dict.fromkeys((*named_subjects(policy, within), *singles)))
     for subject in named:
         found = shortest_granted(rules_of(policy, subject), kind, permission, name)
         if found is not None:
             yield _said(subject, "", found, policy, kind, permission)
     if book is not None:
-        question = _HolderSearch(policy, book, kind, permission, name, frozenset(named), purse or QueryBudget())
+        question = _HolderSearch(policy, book, kind, permission, name, frozenset(named), budget or QueryBudget())
         yield from question.others(within)
 
 
 def shortest_granted(
-    rules: Sequence[Rule], kind: str, permission: str, name: Glob, purse: QueryBudget | None = None
+    rules: Sequence[Rule], kind: str, permission: str, name: Glob, budget: QueryBudget | None = None
 ) -> Witness | Unknown | None:
     """Return the shortest of some names on which rules grant a permission, or None."""
     lists = part_lists(rules, kind, permission)
-    outcome = meet(kind, allowed(name), *lists, budget=purse.question(len(lists)) if purse else None)
+    outcome = find_permitted(kind, allow_only(name), *lists, budget=budget.next_query(len(lists)) if budget else None)
     return None if isinstance(outcome, Equal) else outcome
 
 
@@ -91,10 +99,10 @@ def granting_rule(rules: Sequence[Rule], kind: str, permission: str, word: str) 
     """Return the first rule that allows a name, itself or its first part."""
     part_kind, part, suffix = parts(kind, permission)[0]
     for rule in rules:
-        if rule.effect is not Effect.ALLOW or (part_kind, part) not in keys(rule):
+        if rule.effect is not Effect.ALLOW or (part_kind, part) not in permission_keys(rule):
             continue
         for expression in rule.expressions:
-            if any(matches(one, word + suffix) for one in patterns(rule, expression, (part_kind, part))):
+            if any(matches(one, word + suffix) for one in rule_patterns(rule, expression, (part_kind, part))):
                 return rule
     return None
 
@@ -118,7 +126,7 @@ class _HolderSearch:
         permission: the permission.
         name: pattern of the objects in question.
         named: subjects that were asked already.
-        purse: pays for it.
+        budget: pays for it.
     """
 
     def __init__(
@@ -129,13 +137,13 @@ class _HolderSearch:
         permission: str,
         name: Glob,
         named: frozenset[str],
-        purse: QueryBudget,
+        budget: QueryBudget,
     ) -> None:
         self._policy = policy
         self._book = book
         self._kind, self._permission, self._name = kind, permission, name
         self._named = named
-        self._purse = purse
+        self._budget = budget
 
     def others(self, within: Glob) -> Iterator[PermissionHolder]:
         """Yield one holder for each pattern of subjects, where there is one."""
@@ -156,17 +164,17 @@ class _HolderSearch:
                         break
         for subjects, reason in doubts.items():
             if subjects not in told:
-                yield PermissionHolder("", text(subjects), "", None, reason)
+                yield PermissionHolder("", pattern_text(subjects), "", None, reason)
 
     def _holder(self, subjects: Glob, shape: Glob, spoken: SymbolicRule) -> FoundSubject | Undecided | None:
-        first = example(subjects)
+        first = example_subject(subjects)
         tried = [] if first is None or first in self._named else [first]
         for subject in tried:
             if self._judge(subject) is True:
                 return FoundSubject(subject)
         excluded = {subject for subject in self._named if matches(subjects, subject)}
         conditions = (*spoken.reach.conditions, *self._conditions(subjects))
-        return find_subject(self._kind, subjects, shape, conditions, self._judge, (*excluded, *tried), self._purse)
+        return find_subject(self._kind, subjects, shape, conditions, self._judge, (*excluded, *tried), self._budget)
 
     def _conditions(self, subjects: Glob) -> Iterator[SymbolicCondition]:
         """Yield what the rules require: of an action or parameter that each of its parts is allowed."""
@@ -178,13 +186,15 @@ class _HolderSearch:
                 yield SymbolicCondition(some=tuple(_without(self._book.perhaps(key, Effect.ALLOW, subjects), suffix)))
 
     def _judge(self, subject: str) -> bool | Undecided:
-        found = shortest_granted(rules_of(self._policy, subject), self._kind, self._permission, self._name, self._purse)
-        return Undecided(self._purse.reason(found.reason)) if isinstance(found, Unknown) else found is not None
+        found = shortest_granted(
+            rules_of(self._policy, subject), self._kind, self._permission, self._name, self._budget
+        )
+        return Undecided(self._budget.reason(found.reason)) if isinstance(found, Unknown) else found is not None
 
     def _said(self, subject: str, subjects: Glob) -> Iterator[PermissionHolder]:
         found = shortest_granted(rules_of(self._policy, subject), self._kind, self._permission, self._name)
         if found is not None:
-            yield _said(subject, text(subjects), found, self._policy, self._kind, self._permission)
+            yield _said(subject, pattern_text(subjects), found, self._policy, self._kind, self._permission)
 
 
 def _both(one: Glob, other: Glob) -> tuple[Glob, ...]:
@@ -197,7 +207,7 @@ def _both(one: Glob, other: Glob) -> tuple[Glob, ...]:
 
 def _before(pattern: Glob, suffix: str) -> tuple[Glob, ...]:
     """Return patterns of the words that a pattern matches with a suffix."""
-    return without(allowed(pattern), suffix)[0].patterns
+    return strip_suffix(allow_only(pattern), suffix)[0].patterns
 
 
 def _without(entries: Sequence[SymbolicEntry], suffix: str) -> Iterator[SymbolicEntry]:

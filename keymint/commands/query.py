@@ -16,7 +16,7 @@ from comarmor.text import counted
 from keymint.analysis.channels import Channel, ChannelSearch
 from keymint.analysis.effective_permissions import effective_permissions
 from keymint.analysis.query import FORMS, HEADS, PolicyQuery, parse_query
-from keymint.analysis.rule_lists import RAW, allowed, asked, meet, word
+from keymint.analysis.rule_lists import RAW, allow_only, display_name, find_permitted, query_pattern
 from keymint.analysis.subject_patterns import rules_of, unknown_subject
 from keymint.analysis.who_can import PermissionHolder, who_can
 from keymint.api import LoadedPolicy
@@ -101,7 +101,7 @@ def _doubts(policy: LoadedPolicy, question: PolicyQuery, partition: str, verdict
     name, kind = question.object, question.kind
     if not name:
         return
-    if isinstance(meet(kind, allowed(asked(kind, name, partition))), Equal):
+    if isinstance(find_permitted(kind, allow_only(query_pattern(kind, name, partition))), Equal):
         help_ = "segments are letters, digits and '_', do not begin with a digit, and none is empty"
         yield Diagnostic("query-object", Severity.WARNING, f"no {kind} can be named as {name!r} says", help=help_)
     elif kind == RAW and verdict == "no" and not name.startswith(("rt/", "rq/", "rr/")):
@@ -123,7 +123,7 @@ def _read(words: Sequence[str], folder: Path) -> tuple[Path | None, PolicyQuery]
 
 
 def _who(run: Run, policy: LoadedPolicy, question: PolicyQuery, partition: str) -> _Answer:
-    name = asked(question.kind, question.object, partition)
+    name = query_pattern(question.kind, question.object, partition)
     found = list(who_can(policy, parse("*"), question.kind, question.permission, name))
     for each in found:
         run.console.line(_holder(run, each, question))
@@ -133,7 +133,7 @@ def _who(run: Run, policy: LoadedPolicy, question: PolicyQuery, partition: str) 
 
 
 def _can(run: Run, policy: LoadedPolicy, question: PolicyQuery, partition: str) -> _Answer:
-    name = asked(question.kind, question.object, partition)
+    name = query_pattern(question.kind, question.object, partition)
     (subject,) = question.subjects
     found = list(who_can(policy, parse(subject), question.kind, question.permission, name))
     certain = next((each for each in found if not each.unknown), None)
@@ -158,7 +158,7 @@ def _holder(run: Run, each: PermissionHolder, question: PolicyQuery) -> str:
     like = f" (like {each.like})" if each.like and each.like != each.subject else ""
     if each.unknown:
         return f"perhaps {each.subject or f'subjects like {each.like}'}: {each.unknown}"
-    name = word(question.kind, each.word)
+    name = display_name(question.kind, each.word)
     return f"{each.subject}{like} {question.permission} {name} ({place(run, each.where)})"
 
 
@@ -167,7 +167,7 @@ def _as_data(each: PermissionHolder, question: PolicyQuery) -> dict[str, Any]:
         "subject": each.subject or None,
         "like": each.like or None,
         "permission": question.permission,
-        "object": word(question.kind, each.word) or None,
+        "object": display_name(question.kind, each.word) or None,
         "rule": {"file": each.where.file, "line": each.where.line} if each.where else None,
         "unknown": each.unknown or None,
     }
@@ -290,7 +290,7 @@ def _but_for(channels: ChannelSearch, infrastructure: Sequence[Channel]) -> str:
 
 
 def _names(infrastructure: Sequence[Channel]) -> str:
-    return ", ".join(dict.fromkeys(word(each.kind, each.word) for each in infrastructure))
+    return ", ".join(dict.fromkeys(display_name(each.kind, each.word) for each in infrastructure))
 
 
 def _unnamed(channels: ChannelSearch, first: str, second: str) -> list[Channel]:
@@ -304,7 +304,7 @@ def _unnamed(channels: ChannelSearch, first: str, second: str) -> list[Channel]:
 
 def _step(channel: Channel) -> str:
     mine, theirs = channel.permissions
-    name = word(channel.kind, channel.word) or "a name that was not found"
+    name = display_name(channel.kind, channel.word) or "a name that was not found"
     return f"{channel.writer} → {channel.reader} by {channel.kind} {name} ({mine}, {theirs})"
 
 
@@ -314,5 +314,5 @@ def _channel(channel: Channel) -> dict[str, Any]:
         "reader": channel.reader,
         "kind": channel.kind,
         "permissions": list(channel.permissions),
-        "object": word(channel.kind, channel.word) or None,
+        "object": display_name(channel.kind, channel.word) or None,
     }

@@ -7,8 +7,8 @@ from pathlib import Path
 
 import click
 
-from comarmor.errors import Diagnostic, Origin, Severity
-from keymint.analysis.policy_tests import ExpectationChecker, ExpectationResult, Place, diagnostics
+from comarmor.errors import Diagnostic, Origin, Severity, Spot
+from keymint.analysis.policy_tests import ExpectationChecker, ExpectationResult, diagnostics
 from keymint.api import Expectation, PolicyTypeWithTests
 from keymint.commands.options import Number, PolicyOptions, policy_options
 from keymint.commands.policies import Policies, typed
@@ -123,10 +123,10 @@ def _checked(checks: ExpectationChecker, expected: Sequence[Expectation]) -> lis
     return found
 
 
-def _own(rules: Mapping[Place, Rule], folders: Sequence[Path], library: Path) -> dict[Place, Rule]:
+def _own(rules: Mapping[Spot, Rule], folders: Sequence[Path], library: Path) -> dict[Spot, Rule]:
     """Return the rules of the policy itself: those of the library are not for its tests."""
     own = [folder if folder.is_dir() else folder.parent for folder in folders]
-    found: dict[Place, Rule] = {}
+    found: dict[Spot, Rule] = {}
     for place in sorted(rules):
         file = Path(place[0]).resolve()
         if any(file.is_relative_to(folder) for folder in own) and not file.is_relative_to(library):

@@ -9,9 +9,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from comarmor.rules import KIND_OF
 from keymint.errors import KeymintError
 from keymint.graph import Edge, Graph, Object
-from keymint.graph_json import KIND_OF, dump, legal_subject, load, merge
+from keymint.graph_json import dump, legal_subject, load, merge
 from tests.conftest import CHECKOUT
 
 SCHEMA = json.loads((CHECKOUT / "schemas/keymint/graph.schema.json").read_text())

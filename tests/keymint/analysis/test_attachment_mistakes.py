@@ -10,7 +10,7 @@ from comarmor.patterns.decision_lists import Equal
 from comarmor.patterns.glob import parse
 from comarmor.patterns.ros_names import advice, is_possible
 from keymint.analysis.attachment_mistakes import attachment_mistakes
-from keymint.analysis.rule_lists import allowed, meet
+from keymint.analysis.rule_lists import allow_only, find_permitted
 from keymint.analysis.subject_patterns import structure
 from tests.generated import tokens
 from tests.keymint.analysis.policies import deny, loaded_text, rule
@@ -154,5 +154,5 @@ def test_the_quick_decision_agrees_with_the_proof_engine() -> None:
     }
     for text in texts:
         pattern = parse(text)
-        proven = isinstance(meet("ros_topic", allowed(pattern)), Equal)
+        proven = isinstance(find_permitted("ros_topic", allow_only(pattern)), Equal)
         assert is_possible(pattern) is not proven, text

@@ -211,13 +211,13 @@ def test_many_nested_wildcards_are_a_product(tmp_path: Path) -> None:
     inside = rule(*PUB, "/x")
     for letter in "abcdef":
         inside = profile(f"*{letter}*", inside)
-    purse = QueryBudget()
+    budget = QueryBudget()
     one, other = (
         loaded(tmp_path, text, name=f"{n}.xml") for n, text in enumerate((profile("/y"), profile("/y") + inside))
     )
-    found = [change for each in diff_policies(one, other, purse) for change in each.changes]
+    found = [change for each in diff_policies(one, other, budget) for change in each.changes]
     assert [change.unknown for change in found] == [""] * 6
-    assert purse.spent < STATES // 5
+    assert budget.spent < STATES // 5
 
 
 def test_a_spent_budget_is_never_equivalent(tmp_path: Path) -> None:
@@ -239,9 +239,9 @@ def test_a_large_policy_is_compared_by_what_changed(tmp_path: Path) -> None:
 
     spent = []
     for number in (20, 200):
-        purse = QueryBudget()
+        budget = QueryBudget()
         old = loaded(tmp_path, fleet(number), name="old.xml")
         new = loaded(tmp_path, fleet(number) + profile("/robot3/arm*", rule(*PUB, "/y")), name="new.xml")
-        assert [each.like for each in diff_policies(old, new, purse)] == ["/robot3/arm*"]
-        spent.append(purse.spent)
+        assert [each.like for each in diff_policies(old, new, budget)] == ["/robot3/arm*"]
+        spent.append(budget.spent)
     assert spent[1] <= 2 * spent[0]

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from comarmor.patterns.glob import parse
 from keymint.analysis.channels import ChannelSearch
 from keymint.analysis.query import parse_permission
-from keymint.analysis.rule_lists import asked
+from keymint.analysis.rule_lists import query_pattern
 from keymint.analysis.who_can import who_can
 from keymint.graph import Edge, Object
 from tests.keymint.analysis.policies import deny, loaded, profile, rule
@@ -23,7 +23,7 @@ SUB = ("ros_topic", "ros_subscribe")
 def who(folder: Path, policy: str, permission: str, name: str, within: str = "*") -> list[tuple[str, str]]:
     """Return subjects and names; what is uncertain has no subject."""
     kind, permission = parse_permission(permission, name)
-    found = who_can(loaded(folder, policy), parse(within), kind, permission, asked(kind, name))
+    found = who_can(loaded(folder, policy), parse(within), kind, permission, query_pattern(kind, name))
     return [(each.subject, each.word) for each in found]
 
 

@@ -1,0 +1,15 @@
+"""Diagnostics of the analysis."""
+
+from __future__ import annotations
+
+from comarmor.errors import Diagnostic, Origin, Severity
+
+
+def warning(code: str, message: str, where: Origin, help_: str, subject: str = "") -> Diagnostic:
+    """Return a finding."""
+    return Diagnostic(code, Severity.WARNING, message, where, help_, subject)
+
+
+def undecided(message: str, where: Origin | None, help_: str) -> Diagnostic:
+    """Return a note that a check ended at its limit of steps."""
+    return Diagnostic("lint-unknown", Severity.NOTE, message, where, help_)
