@@ -94,7 +94,7 @@ def test_partitions(keymint, tmp_path: Path) -> None:
         ("whom can publish /x", "did you mean 'who'?"),
         ("what can /a", "expected 'do'"),
         ("flows /a", "too few words"),
-        ("who can publish \\", "backslash"),
+        ("who can publish \\", "ends with a lone"),
         ("who can publish /x --except /y", "takes no --except"),
         ("who can publish /x --infrastructure", "takes no --infrastructure"),
     ],
