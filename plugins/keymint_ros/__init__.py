@@ -23,7 +23,7 @@ class RosProfileType:
 
 
 class RosPackageType:
-    """Source packages; implements :class:`keymint.api.PackageType` and :class:`keymint.api.RulePlaces`."""
+    """Source packages; implements :class:`keymint.api.PackageType` and :class:`keymint.api.RuleLocator`."""
 
     API = API_VERSION
     MARKER = MARKER

@@ -1,4 +1,4 @@
-"""New profiles and new packages: conservative defaults, written out so that a person sees and can change them."""
+"""New profiles and packages: conservative defaults, written out so that a person can see and change them."""
 
 from __future__ import annotations
 
@@ -18,10 +18,10 @@ if TYPE_CHECKING:
     import jinja2
 
 _AUTHORITIES = {"sros2": ("identity_ca", "permissions_ca"), "flat": ("ca", "ca")}
-"""By layout: who issues identities, and who signs permissions. Ardent's layout has one ``ca.cert.pem`` for both."""
+"""By layout: issuer of identities, signer of permissions. Ardent's layout has one ``ca.cert.pem`` for both."""
 SUBJECT_NAMES = {"unique": "OU={unique},CN={common_name}", "sros2": "CN={subject}"}
 _MAX_DOMAIN = 230
-"""Cyclone DDS refuses documents with a larger domain id."""
+"""Cyclone DDS rejects documents with a larger domain id."""
 _AUTHORITY_YEARS = 10
 _PACKAGE_YEARS = 1
 _EXAMPLE = "comarmor.d"
@@ -44,12 +44,12 @@ def bootstrap(request: Bootstrap) -> Mapping[str, bytes]:
     _check_choice("subject format", request.subject_format, SUBJECT_NAMES)
     if not 0 <= request.domain <= _MAX_DOMAIN:
         raise KeymintError(
-            f"the domain {request.domain} is not a DDS domain id from 0 to {_MAX_DOMAIN}",
-            help="take the ROS_DOMAIN_ID of your robots; 0 is usual",
+            f"{request.domain} is not a DDS domain id from 0 to {_MAX_DOMAIN}",
+            help="use the ROS_DOMAIN_ID of your robots, usually 0",
             code="domain-range",
         )
     _check_line("name of the profile", request.name)
-    # A day of slack, for clocks that run behind, and for vendors that read dates without zone as local time.
+    # Start a day early: clocks may be slow, and some vendors read dates without zone as local time.
     start = request.now.replace(hour=0, minute=0, second=0, microsecond=0) - timedelta(days=1)
     issuer, signer = _AUTHORITIES[layout]
     values = {
@@ -82,10 +82,10 @@ def policies(path: str) -> bytes:
     """Return the ``policies.xml`` of a profile with one policy.
 
     Args:
-        path: of the policy, relative to the profile or absolute.
+        path: path of the policy, relative to the profile or absolute.
 
     Raises:
-        KeymintError: the path cannot be written into an XML document.
+        KeymintError: the path is not one line of printable text.
     """
     _check_line("path of the policy", path)
     return _render("profile/policies.xml.j2", name=PurePosixPath(path).stem or "policy", path=path)
@@ -93,13 +93,13 @@ def policies(path: str) -> bytes:
 
 @lru_cache
 def package_manifest(build_type: str) -> bytes:
-    """Return the ``keymint_package.xml`` of new packages that a plugin builds."""
+    """Return the ``keymint_package.xml`` of a new package with this build type."""
     return _render("package/keymint_package.xml.j2", build_type=build_type)
 
 
 @lru_cache
 def package_document(name: str) -> bytes:
-    """Return a document of a new package that leaves everything to the defaults, and shows how to override them."""
+    """Return a document of a new package: it only has defaults, and shows in comments how to override them."""
     return (locate("keymint_ros", "templates") / "package" / name).read_bytes()
 
 
@@ -109,7 +109,7 @@ def _render(template: str, **values: object) -> bytes:
 
 @lru_cache(maxsize=1)
 def _environment() -> jinja2.Environment:
-    import jinja2  # noqa: PLC0415 - only what writes new files needs it
+    import jinja2  # noqa: PLC0415 - only needed to write new files
 
     return jinja2.Environment(
         loader=jinja2.FileSystemLoader(locate("keymint_ros", "templates")),
@@ -125,19 +125,19 @@ def _date(date: datetime) -> str:
     return f"{date:%Y-%m-%dT%H:%M:%S}"
 
 
-def _check_choice(what: str, value: str, known: Mapping[str, object]) -> None:
+def _check_choice(option: str, value: str, known: Mapping[str, object]) -> None:
     if value not in known:
         raise KeymintError(
-            f"unknown {what} {value!r}",
+            f"unknown {option} {value!r}",
             help=did_you_mean(value, known, f"known are {', '.join(known)}"),
-            code=f"{what.replace(' ', '-')}-unknown",
+            code=f"{option.replace(' ', '-')}-unknown",
         )
 
 
-def _check_line(what: str, value: str) -> None:
+def _check_line(noun: str, value: str) -> None:
     if not value or value != value.strip() or not value.isprintable() or "  " in value:
         raise KeymintError(
-            f"the {what} {value!r} is not one line of printable text without space around it",
+            f"the {noun} {value!r} is not one line of printable text without surrounding or double spaces",
             help="choose another one",
             code="text-invalid",
         )

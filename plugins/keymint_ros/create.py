@@ -1,4 +1,4 @@
-"""Source packages: created from the rules of a subject."""
+"""Creates source packages from the rules of a subject."""
 
 from __future__ import annotations
 
@@ -8,14 +8,14 @@ from comarmor.errors import Origin
 from keymint.api import WorkspaceProfile
 from keymint.errors import KeymintError
 from keymint.ir import SubjectRules
-from keymint_ros import bootstrap, manifest, permissions, render
-from keymint_ros.document import confined
+from keymint_ros import bootstrap, manifest, permissions, permissions_writer
+from keymint_ros.document import normal_path
 from keymint_ros.manifest import MARKER
 from keymint_ros.permissions import Grant
 from keymint_ros.profile import base_of, build_type
 
 FORMER = ".2018"
-"""What is appended to the name of a ``permissions.xml`` in the format of 2018 that a new one replaces."""
+"""Suffix of the backup of a ``permissions.xml`` in the format of 2018 that a new one replaces."""
 
 
 def create(
@@ -27,14 +27,14 @@ def create(
     files: dict[str, bytes] = {}
     if MARKER in existing:
         part = manifest.read(existing[MARKER], f"{name}/{MARKER}").permissions
-        path = confined(part.path, Origin(f"{name}/{MARKER}", part.line))
+        path = normal_path(part.path, Origin(f"{name}/{MARKER}", part.line))
     else:
         files = {file: content for file, content in _new(profile).items() if file not in existing}
     return {**files, **_permissions(profile, rules, path, existing, force=force)}
 
 
 def _new(profile: WorkspaceProfile) -> Mapping[str, bytes]:
-    """Return the documents of a new package, but for its permissions."""
+    """Return the documents of a new package except its permissions."""
     return {
         MARKER: bootstrap.package_manifest(build_type(profile)),
         "governance.xml": bootstrap.package_document("governance.xml"),
@@ -45,17 +45,17 @@ def _new(profile: WorkspaceProfile) -> Mapping[str, bytes]:
 def _permissions(
     profile: WorkspaceProfile, rules: SubjectRules, path: str, existing: Mapping[str, bytes], *, force: bool
 ) -> Mapping[str, bytes]:
-    """Return the document of the rules where it is to be written.
+    """Return the permissions document if it must be written.
 
-    Three states are compared, as dpkg does for configuration files: what the policy said when the document was
-    written, what the document says, and what the policy says now.
+    Like dpkg for configuration files, this compares three states of the rules: those of the policy when the document
+    was written, those in the document, and those of the policy now.
     """
     base = base_of(profile)
-    written = render.render(rules, base)
+    new = permissions_writer.render(rules, base)
     current = existing.get(path)
     if current is None:
-        return {path: written}
-    if current == written:
+        return {path: new}
+    if current == new:
         return {}
     file = f"{rules.subject.removeprefix('/')}/{path}"
     try:
@@ -65,24 +65,24 @@ def _permissions(
         if not old and not force:
             raise
         former = {path + FORMER: current} if old and path + FORMER not in existing else {}
-        return {**former, path: written}  # in this order, so that a killed run loses nothing
+        return {**former, path: new}  # the backup first, so that a killed run loses nothing
     if permissions.says(grant, rules) or (not force and _keeps_edit(grant, permissions.digest(rules.rules), file)):
         return {}
-    return {path: render.render(rules, base, name=grant.name, overrides=grant.overrides)}
+    return {path: permissions_writer.render(rules, base, name=grant.name, overrides=grant.overrides)}
 
 
 def _keeps_edit(grant: Grant, now: str, file: str) -> bool:
-    """Tell whether a document was edited by hand and stays, since the policy says (digest ``now``) what it said.
+    """Tell whether a document was edited by hand and is kept, since the policy's rules (digest ``now``) did not change.
 
     Raises:
-        KeymintError: it was edited, and the policy says something else than before and than the edit.
+        KeymintError: the document was edited, and the policy changed too, to other rules than the edit's.
     """
     if not grant.edited or grant.current == now:
         return False
     if grant.base == now:
         return True
     raise KeymintError(
-        "these permissions were edited by hand, and the policy changed as well",
+        "these permissions were edited by hand, and the policy changed too",
         where=Origin(file, grant.line),
         help="move the edits into the policy, then replace the file with --force",
         code="hand-edited",

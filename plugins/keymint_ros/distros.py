@@ -15,13 +15,13 @@ _FAMILIES = {
     "foxy": ("foxy", "galactic", "humble"),
     "iron": ("iron", "jazzy", "kilted", "lyrical", "rolling"),
 }
-"""Distributions whose nodes need the same.
+"""Distributions whose nodes need the same permissions.
 
 Nodes of Ardent have no ``rosout`` and are clients of their own parameters; Foxy brings ``ros_discovery_info``, Iron the
 type description service.
 """
 DISTROS = {distro: family for family, distros in _FAMILIES.items() for distro in distros}
-"""The first distribution of the family that each belongs to."""
+"""For each distribution, the first one of its family."""
 DEFAULT = "jazzy"
 
 
@@ -29,7 +29,7 @@ def check(distro: str, where: Origin | None = None) -> str:
     """Return the name of a known distribution.
 
     Raises:
-        KeymintError: it is not known; wrong usage where no file names it.
+        KeymintError: the distribution is not known; a usage error if ``where`` is None.
     """
     if distro in DISTROS:
         return distro
@@ -38,17 +38,17 @@ def check(distro: str, where: Origin | None = None) -> str:
         where=where,
         help=did_you_mean(distro, DISTROS, f"known are {', '.join(DISTROS)}"),
         code="distro-unknown",
-        exit_code=ExitCode.FAILURE if where else ExitCode.USAGE,  # no file says it, so an option or $ROS_DISTRO does
+        exit_code=ExitCode.FAILURE if where else ExitCode.USAGE,  # without a file, an option or $ROS_DISTRO names it
     )
 
 
 def layout(distro: str) -> str:
-    """Return the layout of the install space that a distribution reads: Ardent knows the flat one only."""
+    """Return the layout of the install space that a distribution reads: Ardent only reads the flat one."""
     return "flat" if distro == "ardent" else "sros2"
 
 
 def library(distro: str) -> Path:
-    """Return the folder of policy fragments that ship for a distribution; it holds ``common/node.xml``.
+    """Return the folder of the policy fragments shipped for a distribution, such as ``common/node.xml``.
 
     Raises:
         KeymintError: the distribution is not known.

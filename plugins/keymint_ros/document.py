@@ -1,7 +1,7 @@
-"""Reads the XML documents of profiles and packages: safely, strictly, and equal ones only once.
+"""Reads the XML documents of profiles and packages: safely, strictly, and identical ones only once.
 
-Many packages of a workspace hold equal documents. A document is therefore read without knowing its name, which is put
-into the messages afterwards, and what is read is remembered by content.
+Many packages of a workspace contain identical documents. The result of reading one is therefore cached by content.
+Reading does not know the document's name; :class:`Reader` inserts it into the messages afterwards.
 """
 
 from __future__ import annotations
@@ -24,10 +24,10 @@ from keymint.errors import KeymintError
 _T = TypeVar("_T")
 
 _NAMELESS = "<document>"
-_REMEMBERED = 256
-"""Documents of one kind to remember: all that packages share, and few that only one of them has."""
+_CACHE_SIZE = 256
+"""Documents of one kind to cache: enough for all that packages share."""
 _PLAIN = re.compile(r"[a-z_]+(\.[a-z_]+)*(/[a-z_]+(\.[a-z_]+)*)*")
-"""The usual paths, which are in their normal form."""
+"""The usual paths, which are already normalized."""
 
 
 class Reader(Generic[_T]):
@@ -35,26 +35,26 @@ class Reader(Generic[_T]):
 
     Args:
         schema_name: name of the schema in ``schemas/keymint_ros/``, without its suffix.
-        convert: turns a valid root element into immutable data; places in it know their line only.
+        convert: turns a valid root element into immutable data, whose places have a line but no file.
     """
 
     def __init__(self, schema_name: str, convert: Callable[[etree._Element], _T]) -> None:
         self._schema = schema_name
         self._convert = convert
-        self._remembered = lru_cache(maxsize=_REMEMBERED)(self._read)
+        self._cached = lru_cache(maxsize=_CACHE_SIZE)(self._read)
 
     def __call__(self, content: bytes, name: str) -> _T:
-        """Return what a document says.
+        """Return the data of a document.
 
         Args:
             content: the document.
             name: its path as the user would type it, for messages.
 
         Raises:
-            KeymintError: it is not well-formed or not valid, with ``file:line`` of each defect.
+            KeymintError: the document is not well-formed or not valid, with ``file:line`` of each defect.
         """
         try:
-            return self._remembered(content)
+            return self._cached(content)
         except KeymintError as error:
             raise KeymintError.of(_named(diagnostic, name) for diagnostic in error.diagnostics) from None
 
@@ -66,7 +66,7 @@ def parse(content: bytes, name: str, schema_name: str = "") -> etree._Element:
     """Return the root element of a document, valid against a schema if one is given.
 
     Raises:
-        KeymintError: it is not well-formed or not valid.
+        KeymintError: the document is not well-formed or not valid.
     """
     root = reader.parse(content, name)
     if schema_name:
@@ -80,24 +80,29 @@ def _named(diagnostic: Diagnostic, name: str) -> Diagnostic:
 
 
 def place(element: etree._Element) -> Origin:
-    """Return where an element stands in the document that is being read."""
+    """Return the place of an element in the document that is being read."""
     return Origin(_NAMELESS, line(element))
 
 
 def line(element: etree._Element) -> int:
     """Return the line of an element, from 1."""
-    counted: int | None = element.sourceline  # type: ignore[assignment] # lxml-stubs say it is an ellipsis
-    return counted or 0
+    number: int | None = element.sourceline  # type: ignore[assignment] # lxml-stubs declare an ellipsis
+    return number or 0
 
 
 def text(element: etree._Element | None) -> str | None:
-    """Return the text of an element without the space around it, or None when there is no element."""
+    """Return the text of an element without surrounding white space, or None if there is no element."""
     return None if element is None else (element.text or "").strip()
 
 
-def truth(element: etree._Element | None) -> bool | None:
-    """Return the value of an ``xs:boolean``, or None when there is no element."""
-    return None if element is None else text(element) in {"true", "1"}
+def incomplete(owner: str, tag: str, defaults: Origin) -> KeymintError:
+    """Return the error for a ``certificate`` or ``grant`` that lacks an element in its document and its defaults."""
+    return KeymintError(
+        f"the {owner} has no <{tag}>, neither in its own document nor in these defaults",
+        where=defaults,
+        help=f"add a <{tag}>",
+        code=f"{owner}-incomplete",
+    )
 
 
 def file_in(files: Mapping[str, bytes], path: str, where: Origin, space: str) -> bytes:
@@ -105,14 +110,14 @@ def file_in(files: Mapping[str, bytes], path: str, where: Origin, space: str) ->
 
     Args:
         files: the files by path relative to their space.
-        path: the path as the document says it.
-        where: where the document says it.
-        space: what the files are those of, for messages.
+        path: the path as the document gives it.
+        where: the place that gives it.
+        space: the noun for the collection of files, for messages.
 
     Raises:
         KeymintError: the path leads out of the space, or there is no such file.
     """
-    inside = confined(path, where)
+    inside = normal_path(path, where)
     if inside not in files:
         raise KeymintError(
             f"there is no file {path!r} in the {space}",
@@ -123,11 +128,11 @@ def file_in(files: Mapping[str, bytes], path: str, where: Origin, space: str) ->
     return files[inside]
 
 
-def confined(path: str, where: Origin) -> str:
-    """Return a relative path in its normal form.
+def normal_path(path: str, where: Origin) -> str:
+    """Normalize a relative path.
 
     Raises:
-        KeymintError: it is absolute or has ``..``.
+        KeymintError: the path is absolute or contains ``..``.
     """
     if _PLAIN.fullmatch(path):
         return path

@@ -1,12 +1,10 @@
-"""``keymint_package.xml``: what makes a folder a package, and where its parts are."""
+"""``keymint_package.xml``: makes a folder a package, and names the documents of its parts."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from comarmor.errors import Origin
-from keymint.errors import KeymintError
 from keymint_ros.document import Reader, line, text
 
 if TYPE_CHECKING:
@@ -17,15 +15,15 @@ BUILD_TYPE = "keymint_ros2_dds"
 
 
 @dataclass(frozen=True, slots=True)
-class Part:
-    """A part of a package.
+class PackagePart:
+    """A part of a package: its permissions, governance or identity.
 
     Attributes:
-        line: line of its element, or of the root when the manifest does not mention it.
-        path: of its document, relative to the package.
-        named: the manifest gives the path.
+        line: line of its element, or of the root if the manifest does not mention the part.
+        path: path of its document, relative to the package.
+        named: whether the manifest gives the path.
         defaults: path of its defaults, relative to the package or else to the profile.
-        issuer: name of the authority that signs it; empty when it is not given.
+        issuer: name of the authority that signs it; empty if not given.
     """
 
     line: int
@@ -36,26 +34,26 @@ class Part:
 
 
 @dataclass(frozen=True, slots=True)
-class Manifest:
-    """What a manifest says, with the usual paths where it says nothing.
+class PackageManifest:
+    """A package manifest, with the usual paths where it gives none.
 
     Attributes:
-        name: empty where it is that of the folder without saying so.
-        name_line: its line.
+        name: empty if not given; the folder names the package then.
+        name_line: line of the name.
         build_type: the plugin that builds the package.
     """
 
     name: str
     name_line: int
-    permissions: Part
-    governance: Part
-    identities: Part
+    permissions: PackagePart
+    governance: PackagePart
+    identities: PackagePart
     build_type: str
 
 
-def _manifest(root: etree._Element) -> Manifest:
+def _manifest(root: etree._Element) -> PackageManifest:
     name = root.find("name")
-    return Manifest(
+    return PackageManifest(
         name=text(name) or "",
         name_line=line(root if name is None else name),
         permissions=_part(root, "permissions", "permission", "permissions.xml"),
@@ -65,12 +63,12 @@ def _manifest(root: etree._Element) -> Manifest:
     )
 
 
-def _part(root: etree._Element, group: str, item: str, usual: str) -> Part:
+def _part(root: etree._Element, group: str, item: str, usual: str) -> PackagePart:
     element = root.find(group)
     if element is None:
-        return Part(line(root), usual, named=False, defaults=f"package.defaults/{usual}", issuer="")
+        return PackagePart(line(root), usual, named=False, defaults=f"package.defaults/{usual}", issuer="")
     path = text(element.find(f"{item}/{item}_path"))
-    return Part(
+    return PackagePart(
         line=line(element),
         path=path or usual,
         named=path is not None,
@@ -80,20 +78,9 @@ def _part(root: etree._Element, group: str, item: str, usual: str) -> Part:
 
 
 read = Reader("keymint_package", _manifest)
-"""Reads a manifest."""
+"""Reads a package manifest."""
 
 
-def check_name(manifest: Manifest, name: str, file: str) -> None:
-    """Check that a manifest gives the name that the package's folder has, in full or its last segment, or none.
-
-    Raises:
-        KeymintError: it gives another one.
-    """
-    last = name.rpartition("/")[2]
-    if manifest.name.removeprefix("/") not in {"", name, last}:
-        raise KeymintError(
-            f"the package is named {manifest.name!r}, but its folder is that of {name!r}",
-            where=Origin(file, manifest.name_line),
-            help=f"write <name>{last}</name> or leave it out, or move the folder",
-            code="name-mismatch",
-        )
+def is_name_of(given: str, package: str) -> bool:
+    """Tell whether a name in a document is the package's full name, its last segment, or empty."""
+    return given.removeprefix("/") in {"", package, package.rpartition("/")[2]}

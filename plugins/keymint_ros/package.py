@@ -1,9 +1,9 @@
-"""Source packages: loaded, with what their profile says by default."""
+"""Loads source packages, completed by the defaults of their profile."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, TypeVar
 
 from comarmor.errors import Diagnostic, Origin
@@ -11,8 +11,8 @@ from comarmor.text import did_you_mean
 from keymint.api import Authority, CertificateSpec, Governance, Package, Permissions, WorkspaceProfile
 from keymint.errors import KeymintError
 from keymint_ros import certificate, governance, manifest, permissions, placeholders, validity
-from keymint_ros.document import Reader, confined, file_in, line, place, text
-from keymint_ros.manifest import MARKER, Manifest, Part
+from keymint_ros.document import Reader, file_in, incomplete, line, normal_path, text
+from keymint_ros.manifest import MARKER, PackageManifest, PackagePart
 from keymint_ros.profile import OPEN_GOVERNANCE, base_of
 
 if TYPE_CHECKING:
@@ -24,35 +24,32 @@ _T = TypeVar("_T")
 
 
 @dataclass(frozen=True, slots=True)
-class _Identity:
+class _IdentityElement:
     name: str
-    certificate: certificate.Written
+    certificate: certificate.CertificateElement
 
 
 @dataclass(frozen=True, slots=True)
 class _GrantDefaults:
     line: int
     issuer: str
-    domains: tuple[DomainRange, ...] | None
+    domains: tuple[DomainRange, ...]
     subject_name: str | None
     validity: Validity | None
 
 
-def _identity(root: etree._Element) -> _Identity:
+def _identity(root: etree._Element) -> _IdentityElement:
     (element,) = root.iterfind("identities/identity")
-    return _Identity(element.get("name", "").strip(), certificate.read(element, placeholders.SUBJECT))
+    return _IdentityElement(element.get("name", "").strip(), certificate.read(element, placeholders.SUBJECT))
 
 
 def _grant_defaults(root: etree._Element) -> _GrantDefaults:
-    subject, period = root.find("subject_name"), root.find("validity")
     return _GrantDefaults(
         line=line(root),
         issuer=text(root.find("issuer_name")) or "",
         domains=governance.domains(root.find("domains")),
-        subject_name=None
-        if subject is None
-        else placeholders.check(text(subject) or "", placeholders.SUBJECT, place(subject)),
-        validity=None if period is None else validity.read(period),
+        subject_name=placeholders.read(root.find("subject_name"), placeholders.SUBJECT),
+        validity=validity.read(root.find("validity")),
     )
 
 
@@ -62,17 +59,15 @@ _read_grant_defaults = Reader("defaults_permissions", _grant_defaults)
 
 
 @dataclass(frozen=True, slots=True)
-class _Loader:
-    """Loads one package; each method one part of it.
+class _PackageLoader:
+    """Loads one package; each method loads one part.
 
     Attributes:
-        profile: the profile.
-        name: package name.
-        folder: its folder as the user would type it.
-        base: the profile space, ending in a slash, as the user would type it; or empty.
-        files: its files.
-        manifest: its manifest.
-        values: of the placeholders.
+        name: the package's name.
+        folder: the package's folder as the user would type it.
+        base: path of the profile space as the user would type it, ending in a slash; or empty.
+        files: the package's files.
+        values: values of the placeholders.
     """
 
     profile: WorkspaceProfile
@@ -80,13 +75,18 @@ class _Loader:
     folder: str
     base: str
     files: Mapping[str, bytes]
-    manifest: Manifest
+    manifest: PackageManifest
     values: Mapping[str, str]
 
-    def own(self, part: Part, create: str = "") -> tuple[str, bytes | None]:
-        """Return the path, for messages, and the content of a part's document, None where there is none."""
+    def own(self, part: PackagePart, create: str = "") -> tuple[str, bytes | None]:
+        """Return the path of a part's document, for messages, and its content, or None if there is no document.
+
+        Args:
+            part: the part.
+            create: help for the error if the document is missing; empty if it is optional.
+        """
         where = Origin(self.file(MARKER), part.line)
-        path = confined(part.path, where)
+        path = normal_path(part.path, where)
         content = self.files.get(path)
         if content is None and (part.named or create):
             raise KeymintError(
@@ -97,10 +97,10 @@ class _Loader:
             )
         return self.file(path), content
 
-    def defaults(self, part: Part) -> tuple[str, bytes]:
-        """Return the path, for messages, and the content of a part's defaults: the package's own, or the profile's."""
+    def defaults(self, part: PackagePart) -> tuple[str, bytes]:
+        """Return the path, for messages, and the content of a part's defaults in the package or the profile."""
         where = Origin(self.file(MARKER), part.line)
-        path = confined(part.defaults, where)
+        path = normal_path(part.defaults, where)
         if path in self.files:
             return self.file(path), self.files[path]
         return self.base + path, file_in(self.profile.files, path, where, "package or its profile")
@@ -113,14 +113,13 @@ class _Loader:
         """Return the certificate of the subject."""
         file, content = self.own(self.manifest.identities)
         defaults_file, defaults_content = self.defaults(self.manifest.identities)
-        defaults = certificate.Source(defaults_file, _read_identity_defaults(defaults_content, defaults_file))
-        own = None
+        own = defaults = replace(_read_identity_defaults(defaults_content, defaults_file), file=defaults_file)
         if content is not None:
-            said = _read_identity(content, file)
-            own = certificate.Source(file, said.certificate)
-            if said.name and said.name.removeprefix("/") not in {self.name, self.name.rpartition("/")[2]}:
+            element = _read_identity(content, file)
+            own = replace(element.certificate, file=file)
+            if not manifest.is_name_of(element.name, self.name):
                 raise KeymintError(
-                    f"the identity is named {said.name!r}, but the package {self.name!r}",
+                    f"the identity is named {element.name!r}, but the package {self.name!r}",
                     where=own.origin,
                     help="give it the name of the package, or none",
                     code="name-mismatch",
@@ -137,21 +136,16 @@ class _Loader:
         defaults_file, defaults_content = self.defaults(part)
         defaults = _read_grant_defaults(defaults_content, defaults_file)
         subject_name = grant.subject_name or defaults.subject_name
-        period = validity.written(grant.validity, file, defaults.validity, defaults_file)
+        period = validity.effective(grant.validity, file, defaults.validity, defaults_file)
         if subject_name is None or period is None:
             missing = "subject_name" if subject_name is None else "validity"
-            raise KeymintError(
-                f"the grant has no <{missing}>, neither in the package nor in these defaults",
-                where=Origin(defaults_file, defaults.line),
-                help=f"add a <{missing}> to it",
-                code="grant-incomplete",
-            )
+            raise incomplete("grant", missing, Origin(defaults_file, defaults.line))
         return Permissions(
             issuer=self.signer(part, defaults.issuer, Origin(defaults_file, defaults.line)),
             grant_name=grant.name,
             subject_name=placeholders.expand(subject_name, self.values),
             validity=period,
-            domains=grant.domains or defaults.domains or governance.STRICT.domains or (),
+            domains=grant.domains or defaults.domains or governance.DEFAULT_DOMAINS,
             rules=permissions.to_ir(grant, subject, file, self.base),
             origin=Origin(file, grant.line),
             domains_origin=None if grant.domains else Origin(defaults_file, defaults.line),
@@ -166,12 +160,12 @@ class _Loader:
         defaults_file, defaults_content = self.defaults(part)
         defaults = governance.read_defaults(defaults_content, defaults_file)
         return Governance(
-            issuer=self.signer(part, defaults.issuer or "", Origin(defaults_file, defaults.line)),
+            issuer=self.signer(part, defaults.issuer, Origin(defaults_file, defaults.line)),
             domain_rules=governance.complete(own, file, defaults, defaults_file),
             accepts_open=OPEN_GOVERNANCE in self.profile.accepts,
         )
 
-    def signer(self, part: Part, default: str, default_origin: Origin) -> str:
+    def signer(self, part: PackagePart, default: str, default_origin: Origin) -> str:
         """Return the authority that signs a document."""
         if part.issuer:
             return self.known_authority(part.issuer, Origin(self.file(MARKER), part.line), "signs this")
@@ -180,14 +174,14 @@ class _Loader:
         return self.known_authority(default or only, default_origin, "signs this")
 
     def known_authority(self, name: str, where: Origin, job: str) -> str:
-        """Return the name of an authority that the profile has."""
+        """Check that the profile has an authority, and return its name."""
         known = [authority.name for authority in self.profile.authorities]
         if name in known:
             return name
         raise KeymintError(
             f"there is no authority {name!r} in the profile"
             if name
-            else f"no <issuer_name> says which authority {job}",
+            else f"no <issuer_name> names the authority that {job}",
             where=where,
             help=did_you_mean(name, known, f"the profile's authorities are {', '.join(known)}"),
             code="authority-unknown",
@@ -197,10 +191,18 @@ class _Loader:
 def load(profile: WorkspaceProfile, name: str, folder: str, files: Mapping[str, bytes]) -> Package:
     """Load a package: see :meth:`keymint.api.PackageType.load`."""
     file = f"{folder}/{MARKER}"
-    said = manifest.read(file_in(files, MARKER, Origin(folder), "package"), file)
-    manifest.check_name(said, name, file)
+    package_manifest = manifest.read(file_in(files, MARKER, Origin(folder), "package"), file)
+    if not manifest.is_name_of(package_manifest.name, name):
+        last = name.rpartition("/")[2]
+        raise KeymintError(
+            f"the package is named {package_manifest.name!r}, but its folder {name!r}",
+            where=Origin(file, package_manifest.name_line),
+            help=f"write <name>{last}</name> or leave it out, or move the folder",
+            code="name-mismatch",
+        )
     subject = f"/{name}"
-    loader = _Loader(profile, name, folder, base_of(profile), files, said, placeholders.of_subject(subject))
+    values = placeholders.of_subject(subject)
+    loader = _PackageLoader(profile, name, folder, base_of(profile), files, package_manifest, values)
     diagnostics: list[Diagnostic] = []
     identity = _attempt(loader.identity, diagnostics)
     grant = _attempt(loader.permissions, diagnostics)
@@ -210,14 +212,14 @@ def load(profile: WorkspaceProfile, name: str, folder: str, files: Mapping[str, 
     if grant.issuer != protection.issuer:
         raise KeymintError(
             f"permissions are signed by {grant.issuer!r}, governance by {protection.issuer!r}",
-            where=Origin(file, said.governance.line),
-            help="name the same authority for both: a DDS participant verifies both with one certificate",
+            where=Origin(file, package_manifest.governance.line),
+            help="use the same authority for both: a DDS participant verifies both with one certificate",
             code="signers-differ",
         )
     return Package(
         name=name,
         subject=subject,
-        build_type=said.build_type,
+        build_type=package_manifest.build_type,
         distro=profile.distro,
         identity=identity,
         permissions=grant,
@@ -227,7 +229,7 @@ def load(profile: WorkspaceProfile, name: str, folder: str, files: Mapping[str, 
 
 
 def _issuers(profile: WorkspaceProfile, name: str) -> Iterator[Authority]:
-    """Yield an authority and those above it; the profile has no cycle."""
+    """Yield an authority and its issuers up to the root; the profile has no cycle."""
     known = {authority.name: authority for authority in profile.authorities}
     while name in known:
         yield known[name]
@@ -238,13 +240,13 @@ def rule_places(name: str, folder: str, files: Mapping[str, bytes]) -> tuple[Ori
     """Return the place in the package of each of its rules: see :meth:`keymint.api.RuleLocator.rule_places`."""
     marker = f"{folder}/{MARKER}"
     part = manifest.read(file_in(files, MARKER, Origin(folder), "package"), marker).permissions
-    path = confined(part.path, Origin(marker, part.line))
+    path = normal_path(part.path, Origin(marker, part.line))
     grant = permissions.read(files.get(path, b""), f"{folder}/{path}", f"/{name}")
     return tuple(Origin(f"{folder}/{path}", rule.line) for rule in grant.rules)
 
 
 def _attempt(part: Callable[[], _T], diagnostics: list[Diagnostic]) -> _T | None:
-    """Return a part of the package, or None after noting why it cannot be had."""
+    """Return a part of the package, or None after adding its errors to the diagnostics."""
     try:
         return part()
     except KeymintError as error:

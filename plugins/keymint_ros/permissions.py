@@ -25,7 +25,7 @@ from comarmor.rules import Effect
 from keymint.errors import KeymintError
 from keymint.ir import Rule, SubjectRules
 from keymint_ros import document, placeholders, validity
-from keymint_ros.document import Reader, line, place, text
+from keymint_ros.document import Reader, line, place
 from keymint_ros.governance import domains
 
 if TYPE_CHECKING:
@@ -60,9 +60,8 @@ class Grant:
     Attributes:
         line: line of the grant.
         name: the grant's label.
-        domains: None where the defaults apply, as for the next two.
-        subject_name: distinguished name, with placeholders.
-        subject_line: its line.
+        domains: empty where the defaults apply.
+        subject_name: distinguished name, with placeholders; None where the default applies, as for the validity.
         validity: period of the grant.
         rules: the rules in order.
         base: digest of the rules that the policy said when the document was written; empty if that is not known.
@@ -72,9 +71,8 @@ class Grant:
 
     line: int
     name: str
-    domains: tuple[DomainRange, ...] | None
+    domains: tuple[DomainRange, ...]
     subject_name: str | None
-    subject_line: int
     validity: Validity | None
     rules: tuple[WrittenRule, ...]
     base: str
@@ -138,7 +136,7 @@ def read(content: bytes, name: str, subject: str) -> Grant:
     raise KeymintError(
         "these permissions are in the format of 2018",
         where=old,
-        help=f"'keymint create {subject.removeprefix('/')}' creates them anew from the policy",
+        help=f"'keymint create {subject.removeprefix('/')}' recreates them from the policy",
         code=OLD_FORMAT,
     )
 
@@ -146,7 +144,6 @@ def read(content: bytes, name: str, subject: str) -> Grant:
 def _grant(root: etree._Element) -> Grant:
     (grant,) = root.iterfind("permissions/grant")
     own = {part.tag: part for part in grant if part.tag in _OVERRIDES}
-    subject_name, period = own.get("subject_name"), own.get("validity")
     rules = tuple(_rule(rule) for rule in grant if rule.tag not in _OVERRIDES)
     base, current = root.get("digest", "").strip(), digest(rules)
     if base != current:
@@ -155,9 +152,8 @@ def _grant(root: etree._Element) -> Grant:
         line=line(grant),
         name=grant.get("name", "").strip(),
         domains=domains(own.get("domains")),
-        subject_name=_subject_name(subject_name),
-        subject_line=line(grant if subject_name is None else subject_name),
-        validity=None if period is None else validity.read(period),
+        subject_name=placeholders.read(own.get("subject_name"), placeholders.SUBJECT),
+        validity=validity.read(own.get("validity")),
         rules=rules,
         base=base,
         current=current,
@@ -187,10 +183,6 @@ def _rule(element: etree._Element) -> WrittenRule:
         line=line(element),
         origin=element.get("origin", ""),
     )
-
-
-def _subject_name(element: etree._Element | None) -> str | None:
-    return None if element is None else placeholders.check(text(element) or "", placeholders.SUBJECT, place(element))
 
 
 def _check_edited(grant: etree._Element) -> None:

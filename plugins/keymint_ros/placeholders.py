@@ -1,48 +1,55 @@
-"""Placeholders in distinguished names: ``{name}`` and its like, and no other use of braces."""
+"""Placeholders in distinguished names, such as ``{name}``; braces have no other use there."""
 
 from __future__ import annotations
 
 import re
 from collections.abc import Collection, Mapping
+from typing import TYPE_CHECKING
 
-from comarmor.errors import Origin
 from comarmor.text import did_you_mean
 from keymint.errors import KeymintError
+from keymint_ros.document import place, text
+
+if TYPE_CHECKING:
+    from lxml import etree
 
 AUTHORITY = ("name",)
-"""Of an authority: its name in the profile."""
+"""Placeholders of an authority: its name in the profile."""
 SUBJECT = ("name", "subject", "common_name", "unique")
-"""Of a package: its name, ``/`` + name, and the two that :mod:`keymint.pki.names` makes of that."""
+"""Placeholders of a package: its name, ``/`` + name, and the two that :mod:`keymint.pki.names` derives from that."""
 
 _BRACES = re.compile(r"\{([^{}]*)\}|[{}]")
 
 
-def check(text: str, known: Collection[str], where: Origin) -> str:
-    """Return a text whose placeholders are all known.
+def read(element: etree._Element | None, known: Collection[str]) -> str | None:
+    """Return the text of a ``<subject_name>``, or None if there is no element.
 
     Raises:
-        KeymintError: a placeholder is unknown, or a brace stands alone.
+        KeymintError: a placeholder is not in ``known``, or a brace has no partner.
     """
-    for found in _BRACES.finditer(text):
-        if found.group(1) not in known:
-            listed = ", ".join(f"{{{name}}}" for name in known)
+    if element is None:
+        return None
+    name = text(element) or ""
+    for match in _BRACES.finditer(name):
+        if match.group(1) not in known:
+            choices = ", ".join(f"{{{placeholder}}}" for placeholder in known)
             raise KeymintError(
-                f"unknown placeholder {found.group()!r} in {text!r}",
-                where=where,
-                help=did_you_mean(found.group(1) or "", known, f"the placeholders are {listed}"),
+                f"unknown placeholder {match.group()!r} in {name!r}",
+                where=place(element),
+                help=did_you_mean(match.group(1) or "", known, f"the placeholders are {choices}"),
                 code="placeholder-unknown",
             )
-    return text
+    return name
 
 
-def expand(text: str, values: Mapping[str, str]) -> str:
-    """Return a checked text with each placeholder replaced by its value."""
-    return _BRACES.sub(lambda found: values[found.group(1)], text)
+def expand(name: str, values: Mapping[str, str]) -> str:
+    """Replace each placeholder of a name that :func:`read` returned by its value."""
+    return _BRACES.sub(lambda match: values[match.group(1)], name)
 
 
 def of_subject(subject: str) -> Mapping[str, str]:
     """Return the values of :data:`SUBJECT` for a subject such as ``/robot1/talker``."""
-    from keymint.pki import names  # noqa: PLC0415 - brings cryptography, which takes 0.1 s to import
+    from keymint.pki import names  # noqa: PLC0415 - imports cryptography, which takes 0.1 s
 
     return {
         "name": subject.removeprefix("/"),

@@ -1,4 +1,4 @@
-"""The profile of a workspace: loaded, and bound to another policy."""
+"""Loads the profile of a workspace, and changes its policy path."""
 
 from __future__ import annotations
 
@@ -13,6 +13,7 @@ from comarmor.text import did_you_mean
 from keymint.api import Authority, PolicySource, WorkspaceProfile
 from keymint.errors import KeymintError
 from keymint_ros import bootstrap, certificate, distros, placeholders
+from keymint_ros.certificate import CertificateElement
 from keymint_ros.document import Reader, file_in, line, place, text
 from keymint_ros.manifest import BUILD_TYPE
 
@@ -23,27 +24,27 @@ MANIFEST = "keymint_profile.xml"
 NAME = "keymint_ros"
 LIBRARY = "comarmor.d"
 OPEN_GOVERNANCE = "open_governance"
-"""Name of the option that accepts what the governance of the packages leaves without access control."""
+"""Element under ``<accept>``: the profile accepts that the governance leaves topics without access control."""
 
 _POLICY_TYPE = "keymint_ros2_comarmor"
 _AUTHORITY_DEFAULTS = "profile.defaults/authorities.xml"
 
 
 @dataclass(frozen=True, slots=True)
-class _Path:
-    """A path that a document names, and the line where it does."""
+class _PathElement:
+    """A path in a document, and its line."""
 
     path: str
     line: int
 
 
 @dataclass(frozen=True, slots=True)
-class _Manifest:
-    """What ``keymint_profile.xml`` says."""
+class _ProfileManifest:
+    """The content of ``keymint_profile.xml``; ``authorities`` has pairs of a document and its defaults."""
 
     name: str
-    authorities: tuple[tuple[_Path, _Path], ...]
-    policies: tuple[_Path, ...]
+    authorities: tuple[tuple[_PathElement, _PathElement], ...]
+    policies: tuple[_PathElement, ...]
     policy_type: str
     package_type: str
     build_type: str
@@ -54,22 +55,22 @@ class _Manifest:
 
 
 @dataclass(frozen=True, slots=True)
-class _Policy:
-    """A policy that ``policies.xml`` names."""
+class _PolicyElement:
+    """A ``<policy>`` of ``policies.xml``."""
 
     name: str
     path: str
     line: int
 
 
-def _path(element: etree._Element | None, parent: etree._Element, usual: str) -> _Path:
-    return _Path(usual, line(parent)) if element is None else _Path(text(element) or "", line(element))
+def _path(element: etree._Element | None, parent: etree._Element, usual: str) -> _PathElement:
+    return _PathElement(usual, line(parent)) if element is None else _PathElement(text(element) or "", line(element))
 
 
-def _manifest(root: etree._Element) -> _Manifest:
-    said = {part.tag: text(part) or "" for part in root.iterfind("export/*")}
+def _manifest(root: etree._Element) -> _ProfileManifest:
+    exports = {part.tag: text(part) or "" for part in root.iterfind("export/*")}
     distro = root.find("export/distro")
-    return _Manifest(
+    return _ProfileManifest(
         name=text(root.find("name")) or "",
         authorities=tuple(
             (
@@ -81,39 +82,39 @@ def _manifest(root: etree._Element) -> _Manifest:
         policies=tuple(
             _path(item.find("policy_path"), item, "policies.xml") for item in root.iterfind("policies/policy")
         ),
-        policy_type=said.get("policy_type") or _POLICY_TYPE,
-        package_type=said.get("package_type") or NAME,
-        build_type=said.get("build_type") or BUILD_TYPE,
-        layout=said.get("layout") or "sros2",
-        distro=said.get("distro") or distros.DEFAULT,
+        policy_type=exports.get("policy_type") or _POLICY_TYPE,
+        package_type=exports.get("package_type") or NAME,
+        build_type=exports.get("build_type") or BUILD_TYPE,
+        layout=exports.get("layout") or "sros2",
+        distro=exports.get("distro") or distros.DEFAULT,
         distro_line=line(root if distro is None else distro),
         accepts=frozenset(str(part.tag) for part in root.iterfind("accept/*")),
     )
 
 
-def _authorities(root: etree._Element) -> tuple[tuple[str, certificate.Written], ...]:
-    found: dict[str, certificate.Written] = {}
+def _authorities(root: etree._Element) -> tuple[tuple[str, CertificateElement], ...]:
+    authorities: dict[str, CertificateElement] = {}
     for element in root.iterfind("authorities/authority"):
         name = element.get("name", "").strip()
-        _unique(name, found, place(element))
-        found[name] = certificate.read(element, placeholders.AUTHORITY)
-    return tuple(found.items())
+        _check_unique(name, authorities, place(element))
+        authorities[name] = certificate.read(element, placeholders.AUTHORITY)
+    return tuple(authorities.items())
 
 
-def _unique(name: str, known: Mapping[str, object], where: Origin) -> None:
-    """Check that an authority's name is new, also on a file system that ignores case."""
+def _check_unique(name: str, known: Mapping[str, object], where: Origin) -> None:
+    """Check that an authority's name is new, even on a file system that ignores case."""
     if name.lower() in {other.lower() for other in known}:
         raise KeymintError(
             f"there are two authorities named {name!r}",
             where=where,
-            help="names of authorities name files: give each its own, not only by upper and lower case",
+            help="give each its own name, different in more than case: it becomes the name of a file",
             code="authority-doubled",
         )
 
 
-def _policies(root: etree._Element) -> tuple[_Policy, ...]:
+def _policies(root: etree._Element) -> tuple[_PolicyElement, ...]:
     return tuple(
-        _Policy(item.get("name", "").strip(), text(path) or "", line(path))
+        _PolicyElement(item.get("name", "").strip(), text(path) or "", line(path))
         for item in root.iterfind("policies/policy")
         for path in item.iterfind("comarmor/profile_path")
     )
@@ -126,64 +127,64 @@ _read_policies = Reader("policies", _policies)
 
 
 def build_type(profile: WorkspaceProfile) -> str:
-    """Return the build type that packages of a profile are created with."""
+    """Return the build type of new packages of a profile."""
     content = profile.files.get(MANIFEST)
     return BUILD_TYPE if content is None else _read_manifest(content, MANIFEST).build_type
 
 
 def base_of(profile: WorkspaceProfile) -> str:
-    """Return the profile space, ending in a slash, as the user would type it; or empty."""
+    """Return the path of the profile space as the user would type it, ending in a slash; or empty."""
     folder = "." if profile.library is None else str(profile.library.parent)
     return "" if folder == "." else f"{folder.rstrip('/')}/"
 
 
 def recognises(files: Mapping[str, bytes]) -> bool:
-    """Tell whether these files of a profile space are of this type."""
+    """Tell whether a profile space with these files is of this type."""
     return MANIFEST in files
 
 
 def load(root: Path, files: Mapping[str, bytes]) -> WorkspaceProfile:
     """Load a profile: see :meth:`keymint.api.ProfileType.load`."""
     name = str(root / MANIFEST)
-    said = _read_manifest(file_in(files, MANIFEST, Origin(str(root)), "profile"), name)
-    distros.check(said.distro, Origin(name, said.distro_line))
+    manifest = _read_manifest(file_in(files, MANIFEST, Origin(str(root)), "profile"), name)
+    distros.check(manifest.distro, Origin(name, manifest.distro_line))
     authorities: dict[str, Authority] = {}
     issuers: dict[str, Origin] = {}
-    for path, defaults_path in said.authorities:
+    for path, defaults_path in manifest.authorities:
         for authority, origin in _load_authorities(root, files, name, path, defaults_path):
-            _unique(authority.name, authorities, authority.certificate.origin)
+            _check_unique(authority.name, authorities, authority.certificate.origin)
             authorities[authority.name], issuers[authority.name] = authority, origin
     _check_hierarchy(authorities, issuers)
     return WorkspaceProfile(
-        name=said.name,
+        name=manifest.name,
         profile_type=NAME,
-        policy_type=said.policy_type,
-        package_type=said.package_type,
-        policies=_load_policies(root, files, name, said.policies),
+        policy_type=manifest.policy_type,
+        package_type=manifest.package_type,
+        policies=_load_policies(root, files, name, manifest.policies),
         library=root / LIBRARY,
         authorities=tuple(authorities.values()),
-        layout=said.layout,
-        distro=said.distro,
+        layout=manifest.layout,
+        distro=manifest.distro,
         files=files,
-        accepts=said.accepts,
+        accepts=manifest.accepts,
     )
 
 
 def _load_authorities(
-    root: Path, files: Mapping[str, bytes], manifest: str, path: _Path, defaults_path: _Path
+    root: Path, files: Mapping[str, bytes], manifest: str, path: _PathElement, defaults_path: _PathElement
 ) -> list[tuple[Authority, Origin]]:
-    """Return the authorities of one document, each with the place where its issuer is named."""
+    """Return the authorities of one document, each with the place that names its issuer."""
     content = file_in(files, path.path, Origin(manifest, path.line), "profile")
     defaults_content = file_in(files, defaults_path.path, Origin(manifest, defaults_path.line), "profile")
     file, defaults_file = str(root / path.path), str(root / defaults_path.path)
-    defaults = certificate.Source(defaults_file, _read_authority_defaults(defaults_content, defaults_file))
-    found = []
-    for name, written in _read_authorities(content, file):
-        own = certificate.Source(file, written)
+    defaults = replace(_read_authority_defaults(defaults_content, defaults_file), file=defaults_file)
+    authorities = []
+    for name, element in _read_authorities(content, file):
+        own = replace(element, file=file)
         spec = certificate.complete(own, defaults, {"name": name})
         issuer = "" if spec.issuer == name else spec.issuer
-        found.append((Authority(name, replace(spec, issuer=issuer)), certificate.issuer(own, defaults)[1]))
-    return found
+        authorities.append((Authority(name, replace(spec, issuer=issuer)), certificate.issuer(own, defaults)[1]))
+    return authorities
 
 
 def _check_hierarchy(authorities: Mapping[str, Authority], issuers: Mapping[str, Origin]) -> None:
@@ -194,48 +195,48 @@ def _check_hierarchy(authorities: Mapping[str, Authority], issuers: Mapping[str,
             where = issuers[chain[-1]]
             if issuer not in authorities:
                 raise KeymintError(
-                    f"the authority {chain[-1]!r} is issued by {issuer!r}, which the profile does not have",
+                    f"the issuer {issuer!r} of the authority {chain[-1]!r} is not in the profile",
                     where=where,
                     help=did_you_mean(issuer, authorities, "leave <issuer_name> empty for a self-signed authority"),
                     code="authority-unknown",
                 )
             if issuer in chain:
                 raise KeymintError(
-                    f"authorities issue each other in a circle: {' <- '.join([*chain, issuer])}",
+                    f"authorities issue each other in a cycle: {' <- '.join([*chain, issuer])}",
                     where=where,
-                    help="leave <issuer_name> of the root empty",
+                    help="leave the <issuer_name> of the root authority empty",
                     code="authority-cycle",
                 )
             chain.append(issuer)
 
 
 def _load_policies(
-    root: Path, files: Mapping[str, bytes], manifest: str, paths: Sequence[_Path]
+    root: Path, files: Mapping[str, bytes], manifest: str, paths: Sequence[_PathElement]
 ) -> tuple[PolicySource, ...]:
-    found: list[PolicySource] = []
+    sources: list[PolicySource] = []
     for path in paths:
         content = file_in(files, path.path, Origin(manifest, path.line), "profile")
         file = str(root / path.path)
-        found += (
+        sources += (
             PolicySource(policy.name, Path(os.path.normpath(root / policy.path)), Origin(file, policy.line))
             for policy in _read_policies(content, file)
         )
-    return tuple(found)
+    return tuple(sources)
 
 
 def with_policy(files: Mapping[str, bytes], policy: str) -> Mapping[str, bytes]:
     """Return the files that change with the policy: see :meth:`keymint.api.ProfileType.with_policy`."""
-    said = _read_manifest(file_in(files, MANIFEST, Origin(MANIFEST), "profile"), MANIFEST)
-    (path, *others) = said.policies
+    manifest = _read_manifest(file_in(files, MANIFEST, Origin(MANIFEST), "profile"), MANIFEST)
+    path, *others = manifest.policies
     content = file_in(files, path.path, Origin(MANIFEST, path.line), "profile")
     policies = _read_policies(content, path.path)
-    if not others and [one.path for one in policies] == [policy]:
+    if not others and [each.path for each in policies] == [policy]:
         return {}
     if others or len(policies) != 1 or content != bootstrap.policies(policies[0].path):
         raise KeymintError(
-            f"the profile's policies were edited by hand, so that they are not replaced by {policy!r}",
+            f"not replacing the profile's policies by {policy!r}: they were edited by hand",
             where=Origin(path.path, policies[0].line),
-            help=f"write <profile_path>{policy}</profile_path> into it, or start a new workspace",
+            help=f"write <profile_path>{policy}</profile_path> into this file, or create a new workspace",
             code="policies-edited",
         )
     return {path.path: bootstrap.policies(policy)}

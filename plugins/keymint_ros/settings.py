@@ -1,4 +1,4 @@
-"""The settings of a profile that ``keymint init`` takes as options, read back from its files."""
+"""Reads back from a profile's files the settings that ``keymint init`` takes as options."""
 
 from __future__ import annotations
 
@@ -17,20 +17,17 @@ _GRANT_DEFAULTS = "package.defaults/permissions.xml"
 
 def settings(profile: WorkspaceProfile) -> Mapping[str, str]:
     """Return the value of each option of ``init``: see :meth:`keymint.api.ProfileSettings.settings`."""
-    return {"distro": profile.distro, "layout": profile.layout, **_grant_settings(profile)}
-
-
-def _grant_settings(profile: WorkspaceProfile) -> Mapping[str, str]:
     content = profile.files.get(_GRANT_DEFAULTS)
-    return {} if content is None else _read(content, _GRANT_DEFAULTS)
+    grant = {} if content is None else _read(content, _GRANT_DEFAULTS)
+    return {"distro": profile.distro, "layout": profile.layout, **grant}
 
 
-def _settings_of(root: etree._Element) -> Mapping[str, str]:
-    domains = governance.domains(root.find("domains")) or ()
-    written = text(root.find("subject_name")) or ""
-    names = {name: format_ for format_, name in bootstrap.SUBJECT_NAMES.items()}
-    shown = (str(each.first) if each.first == each.last else f"{each.first}-{each.last}" for each in domains)
-    return {"domain": ", ".join(shown), "subject-format": names.get(written, written)}
+def _permissions_defaults(root: etree._Element) -> Mapping[str, str]:
+    domains = governance.domains(root.find("domains"))
+    subject_name = text(root.find("subject_name")) or ""
+    formats = {name: format_ for format_, name in bootstrap.SUBJECT_NAMES.items()}
+    ranges = (str(each.first) if each.first == each.last else f"{each.first}-{each.last}" for each in domains)
+    return {"domain": ", ".join(ranges), "subject-format": formats.get(subject_name, subject_name)}
 
 
-_read = Reader("defaults_permissions", _settings_of)
+_read = Reader("defaults_permissions", _permissions_defaults)

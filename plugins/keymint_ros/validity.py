@@ -16,17 +16,19 @@ if TYPE_CHECKING:
     from lxml import etree
 
 _YEARS = range(1950, 10000)
-"""RFC 5280, 4.1.2.5: what UTCTime and GeneralizedTime of a certificate can say."""
+"""RFC 5280, 4.1.2.5: the years that UTCTime and GeneralizedTime of a certificate can express."""
 _LONGEST = 64
-"""Characters of a date or a duration."""
+"""Most characters of a date or a duration."""
 
 
-def read(element: etree._Element) -> Validity:
-    """Return the period that a ``<validity>`` element says.
+def read(element: etree._Element | None) -> Validity | None:
+    """Return the period of a ``<validity>`` element, or None if there is no element.
 
     Raises:
         KeymintError: a date does not exist, or the end is not after the start.
     """
+    if element is None:
+        return None
     start, end = element
     not_before = _date(start)
     not_after = _date(end) if end.tag == "not_after" else _later(not_before, end)
@@ -41,41 +43,46 @@ def read(element: etree._Element) -> Validity:
     return Validity(not_before, not_after, place(end))
 
 
-def written(own: Validity | None, file: str, defaults: Validity | None, defaults_file: str) -> Validity | None:
-    """Return the period of a document, else that of its defaults, with the file that says it.
+def effective(own: Validity | None, file: str, defaults: Validity | None, defaults_file: str) -> Validity | None:
+    """Return the period of a document, or else the period of its defaults, with the file that gives it.
 
     Args:
-        own: of the document, or None.
-        file: the document, as the user would type it.
-        defaults: of its defaults, or None.
-        defaults_file: these, as the user would type them.
+        own: period of the document, or None.
+        file: path of the document as the user would type it.
+        defaults: period of the defaults, or None.
+        defaults_file: path of the defaults as the user would type it.
     """
-    said, place_ = (own, file) if own is not None else (defaults, defaults_file)
-    return said and replace(said, origin=Origin(place_, said.origin.line if said.origin else 0))
+    period, source = (own, file) if own is not None else (defaults, defaults_file)
+    return period and replace(period, origin=Origin(source, period.origin.line if period.origin else 0))
 
 
 def _date(element: etree._Element) -> datetime:
-    said = text(element) or ""
+    content = text(element) or ""
     try:
-        date = datetime.fromisoformat(said) if len(said) <= _LONGEST else None
+        date = datetime.fromisoformat(content) if len(content) <= _LONGEST else None
         date = date and (date.replace(tzinfo=UTC) if date.tzinfo is None else date.astimezone(UTC))
     except (ValueError, OverflowError):
         date = None
     if date is None or date.year not in _YEARS:
-        raise _wrong_date(said, place(element))
+        raise KeymintError(
+            f"{quoted(content, _LONGEST)} is not a date between the years {_YEARS.start} and {_YEARS[-1]}",
+            where=place(element),
+            help="write e.g. 2026-01-31T00:00:00, which means UTC, or with a zone 2026-01-31T00:00:00+01:00",
+            code="date-invalid",
+        )
     return date.replace(microsecond=0)
 
 
 def _later(start: datetime, element: etree._Element) -> datetime:
-    """Return the date that lies a duration after another one."""
+    """Return the date that is a duration (the text of the element) after ``start``."""
     import isodate  # type: ignore[import-untyped] # noqa: PLC0415 - most documents have two dates
 
-    said = text(element) or ""
+    content = text(element) or ""
     try:
-        duration = isodate.parse_duration(said[:_LONGEST])
+        duration = isodate.parse_duration(content[:_LONGEST])
     except (ValueError, ArithmeticError):
         raise KeymintError(
-            f"{quoted(said, _LONGEST)} is not an ISO 8601 duration",
+            f"{quoted(content, _LONGEST)} is not an ISO 8601 duration",
             where=place(element),
             help="write e.g. P1Y, P90D or PT12H",
             code="duration-invalid",
@@ -86,18 +93,9 @@ def _later(start: datetime, element: etree._Element) -> datetime:
         end = start.replace(year=_YEARS[0])
     if end.year not in _YEARS or end < start:
         raise KeymintError(
-            f"the duration {said!r} from {start:%Y-%m-%d} does not lead to a later date before the year {_YEARS.stop}",
+            f"the duration {content!r} from {start:%Y-%m-%d} must end later, and before the year {_YEARS.stop}",
             where=place(element),
             help="write a positive duration, e.g. P1Y",
             code="duration-invalid",
         )
     return end.replace(microsecond=0)
-
-
-def _wrong_date(said: str, where: Origin) -> KeymintError:
-    return KeymintError(
-        f"{quoted(said, _LONGEST)} is not a date between the years {_YEARS.start} and {_YEARS[-1]}",
-        where=where,
-        help="write e.g. 2026-01-31T00:00:00, which means UTC, or with a zone 2026-01-31T00:00:00+01:00",
-        code="date-invalid",
-    )

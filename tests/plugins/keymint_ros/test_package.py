@@ -111,7 +111,7 @@ def test_one_authority_needs_no_mention(workspace: Workspace) -> None:
     silent = workspace.edit("profile/package.defaults/permissions.xml", text, "").edit(
         "profile/package.defaults/governance.xml", text, ""
     )
-    with pytest.raises(KeymintError, match="no <issuer_name> says which authority signs this"):
+    with pytest.raises(KeymintError, match="no <issuer_name> names the authority that signs this"):
         silent.load()
     authorities = b'<profile><authorities><authority name="identity_ca"/></authorities></profile>'
     alone = replace(silent, profile={**silent.profile, "authorities.xml": authorities}).load()

@@ -53,9 +53,9 @@ def test_its_packages(profile: WorkspaceProfile, name: str) -> None:
     assert [(rule.expression, rule.enable_liveliness_protection) for rule in domain.topic_rules] == [("*", True)]
 
 
-def test_its_old_permissions_say_how_they_are_created_anew(profile: WorkspaceProfile) -> None:
+def test_its_old_permissions_name_the_command_that_recreates_them(profile: WorkspaceProfile) -> None:
     with pytest.raises(KeymintError) as error:
         package_type.load(profile, "talker", "src/talker", read_folder(REFERENCE / "src" / "talker"))
     (found,) = error.value.diagnostics
     assert found.code == "permissions-format"
-    assert found.help == "'keymint create talker' creates them anew from the policy"
+    assert found.help == "'keymint create talker' recreates them from the policy"

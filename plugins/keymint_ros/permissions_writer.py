@@ -23,12 +23,12 @@ def render(rules: SubjectRules, base: str, *, name: str = "", overrides: Iterabl
 
     Args:
         rules: the rules.
-        base: folder that origins are written relative to, ending in a slash; or empty.
-        name: the grant's label; the subject when it is empty.
+        base: folder that origins are relative to, ending in a slash; or empty.
+        name: the grant's label; if empty, the subject is the label.
         overrides: XML of ``<domains>``, ``<subject_name>``, ``<validity>`` to keep.
     """
-    said = "".join(f"      {part}\n" for part in overrides)
-    body = "".join(_rendered(rule, base) for rule in rules.rules)
+    head = "".join(f"      {element}\n" for element in overrides)
+    body = "".join(_rule(rule, base) for rule in rules.rules)
     return (
         '<?xml version="1.0" encoding="UTF-8"?>\n'
         f"<!-- What the policy lets {rules.subject} do. Edits are kept as long as the policy does not change as well;\n"
@@ -36,45 +36,45 @@ def render(rules: SubjectRules, base: str, *, name: str = "", overrides: Iterabl
         f'<package format="2" digest="{digest(rules.rules)}">\n'
         "  <permissions>\n"
         f'    <grant name="{_text(name or rules.subject)}">\n'
-        f"{said}{body}"
+        f"{head}{body}"
         "    </grant>\n"
         "  </permissions>\n"
         "</package>\n"
     ).encode()
 
 
-def _rendered(rule: Rule, base: str) -> str:
+def _rule(rule: Rule, base: str) -> str:
     audit = ' modifier="AUDIT"' if rule.audit else ""
-    expressions = "".join(f"        <attachment>{_text(one)}</attachment>\n" for one in rule.expressions)
-    partitions = "".join(f"<partition>{_text(one)}</partition>" for one in rule.partitions)
-    narrowed = f"        <partitions>{partitions}</partitions>\n" if partitions else ""
-    permissions = "".join(f"<{one}/>" for one in rule.permissions)
+    expressions = "".join(f"        <attachment>{_text(each)}</attachment>\n" for each in rule.expressions)
+    partitions = "".join(f"<partition>{_text(each)}</partition>" for each in rule.partitions)
+    partition_list = f"        <partitions>{partitions}</partitions>\n" if partitions else ""
+    permissions = "".join(f"<{each}/>" for each in rule.permissions)
     return (
         f'      <{rule.kind} qualifier="{rule.effect}"{audit} origin="{_text(_place(rule.origin, base))}">\n'
-        f"{expressions}{narrowed}"
+        f"{expressions}{partition_list}"
         f"        <permissions>{permissions}</permissions>\n"
         f"      </{rule.kind}>\n"
     )
 
 
 def _place(origin: Origin, base: str) -> str:
-    """Return an origin as ``file:line``, followed by the places that include the file."""
-    return "; ".join(f"{_relative(one.file, base)}:{one.line}" for one in (origin, *origin.chain))
+    """Return an origin as ``file:line``, followed by the places that included the file."""
+    return "; ".join(f"{_relative(each.file, base)}:{each.line}" for each in (origin, *origin.chain))
 
 
 @lru_cache(maxsize=1024)
 def _relative(file: str, base: str) -> str:
-    """Return a path relative to a folder as far as that can be told from the two alone; with odd characters quoted."""
+    """Return a path relative to a folder where the two paths alone allow it, with unsafe characters quoted."""
     if file.startswith(base):
         file = file.removeprefix(base)
     elif not file.startswith("/") and not base.startswith("/"):
         file = os.path.relpath(file, base)
-    return _UNSAFE.sub(_quoted, file)
+    return _UNSAFE.sub(_percent_encoded, file)
 
 
-def _quoted(found: re.Match[str]) -> str:
-    return quote(found.group(), safe="", errors="surrogateescape")
+def _percent_encoded(match: re.Match[str]) -> str:
+    return quote(match.group(), safe="", errors="surrogateescape")
 
 
-def _text(text_: str) -> str:
-    return escape(text_, _ENTITIES) if _SPECIAL.search(text_) else text_
+def _text(text: str) -> str:
+    return escape(text, _ENTITIES) if _SPECIAL.search(text) else text
