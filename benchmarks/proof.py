@@ -22,22 +22,24 @@ from pathlib import Path
 import provision
 
 from comarmor.patterns.decision_lists import (
-    PRINTABLE,
     Block,
     DecisionList,
     Equal,
     ProofResult,
     SearchBudget,
+    Universe,
     Unknown,
     Witness,
 )
 from comarmor.patterns.glob import parse
 from comarmor.patterns.proofs import difference
+from comarmor.patterns.tokens import Charset
 
 WORDS = (  # noqa: SIM905 - a list of so many strings would be harder to read
     "arm base camera chatter cmd depth drive estop fleet gripper image imu joint lidar map motor nav odom plan pose "
     "scan state status task twist wheel"
 ).split()
+PRINTABLE = Universe(Charset(((0x20, 0x7E),)))
 LIMIT = 10.0
 """Seconds for a question."""
 EXACT = 0.8

@@ -1,4 +1,4 @@
-"""What is asked, and what is answered."""
+"""Decision lists, the words that a question is about, and the answers."""
 
 from __future__ import annotations
 
@@ -14,11 +14,11 @@ from comarmor.patterns.tokens import ANY, Charset
 
 @dataclass(frozen=True, slots=True)
 class Block:
-    """A step of a decision list: a word that any of the patterns matches is permitted, or refused.
+    """A step of a decision list: it permits or denies the words that any of its patterns matches.
 
     Attributes:
-        allows: what the step does with what it matches.
-        patterns: expressions; see :mod:`comarmor.patterns.glob`.
+        allows: whether it permits them.
+        patterns: patterns.
     """
 
     allows: bool
@@ -26,21 +26,21 @@ class Block:
 
 
 DecisionList = tuple[Block, ...]
-"""Steps of which the first that matches a word decides; a word that none matches is refused."""
+"""The first block that matches a word decides; a word that no block matches is denied."""
 
 
 @dataclass(frozen=True, slots=True)
 class Universe:
-    """The words that a question is about: so many fields, with a separator between them.
+    """The words that a question is about: a fixed number of fields, with a separator between them.
 
-    A pattern over words of two fields has the separator once; its wildcards cannot match the separator then, since
-    every word has it once only.
+    A pattern over words of two fields contains the separator once. Its wildcards cannot match the separator, because
+    every word has it only once.
 
     Attributes:
         alphabet: the characters of a field.
-        fields: how many fields a word has, at least one.
-        separator: a character outside of the alphabet; needed when there are several fields.
-        last_nonempty: the last field of a word has at least one character.
+        fields: number of fields, at least one.
+        separator: a character outside of the alphabet; needed for several fields.
+        last_nonempty: the last field has at least one character.
     """
 
     alphabet: Charset
@@ -49,37 +49,35 @@ class Universe:
     last_nonempty: bool = False
 
     def __contains__(self, word: str) -> bool:
-        """Tell whether a word is one of the universe."""
-        return _form(self).fullmatch(word) is not None
+        """Return whether a word belongs to the universe."""
+        return _regex(self).fullmatch(word) is not None
 
 
 @lru_cache(maxsize=64)
-def _form(universe: Universe) -> re.Pattern[str]:
-    field_ = "".join(rf"\U{low:08x}-\U{high:08x}" for low, high in universe.alphabet.ranges)
-    fields = [f"[{field_}]*"] * universe.fields
+def _regex(universe: Universe) -> re.Pattern[str]:
+    characters = "".join(rf"\U{low:08x}-\U{high:08x}" for low, high in universe.alphabet.ranges)
+    fields = [f"[{characters}]*"] * universe.fields
     if universe.last_nonempty:
-        fields[-1] = f"[{field_}]+"
+        fields[-1] = f"[{characters}]+"
     return re.compile(re.escape(universe.separator).join(fields))
 
 
 EVERY_WORD = Universe(ANY)
 """All strings."""
-PRINTABLE = Universe(Charset(((0x20, 0x7E),)))
-"""All strings of printable ASCII."""
 
 
 @dataclass(frozen=True, slots=True)
 class Equal:
-    """Both decide alike on every word of the universe (or: there is no word as was asked for)."""
+    """The lists decide every word of the universe the same way; of other questions: there is no such word."""
 
 
 @dataclass(frozen=True, slots=True)
 class Witness:
-    """A word as was asked for, and none is shorter.
+    """A shortest word on which the lists differ; of other questions: a shortest such word.
 
     Attributes:
         word: the word.
-        left: what the first decides about it: the second decides otherwise.
+        left: whether the first list permits it; the second decides otherwise.
     """
 
     word: str
@@ -88,7 +86,11 @@ class Witness:
 
 @dataclass(frozen=True, slots=True)
 class Unknown:
-    """The budget was spent before an answer was found; says which."""
+    """The budget was spent before the question was decided.
+
+    Attributes:
+        reason: which budget.
+    """
 
     reason: str
 
@@ -97,23 +99,23 @@ ProofResult = Equal | Witness | Unknown
 
 
 FAST_PATH_STEPS = 200_000
-"""Steps for what is seen of a question before it is searched."""
+"""Steps of a question besides those of its search."""
 
 
 class BudgetError(Exception):
-    """The budget of a question is spent; says which."""
+    """The budget of a question is spent; the message tells which."""
 
 
 @dataclass(slots=True)
 class SearchBudget:
-    """How much a question may cost.
+    """The cost that a question may have.
 
     Attributes:
-        states: states that each of the two engines may visit.
-        go_on: asked again and again; when it returns False the question is given up. Callers that may read the clock
-            make it a deadline.
-        steps_per_state: a state of many patterns takes many steps (:mod:`comarmor.patterns.steps`); on average it may
-            take so many. :data:`FAST_PATH_STEPS` more are for what shows without a search.
+        states: states that the search may visit.
+        go_on: called repeatedly; the search gives up when it returns False. Callers that may read the clock use it as a
+            deadline.
+        steps_per_state: steps (:mod:`comarmor.patterns.steps`) that a state may cost on average; the fast path may take
+            :data:`FAST_PATH_STEPS` besides.
     """
 
     states: int = 500_000
@@ -122,14 +124,11 @@ class SearchBudget:
 
     @property
     def steps(self) -> int:
-        """Steps that the whole question may take, with both engines."""
+        """Step limit of the question."""
         return FAST_PATH_STEPS + self.states * self.steps_per_state
 
-    def meter(self) -> Callable[[], None]:
-        """Return a function to be called for every state.
-
-        It raises :class:`BudgetError` when the budget is spent.
-        """
+    def state_counter(self) -> Callable[[], None]:
+        """Return a function to call for every state; it raises :class:`BudgetError` when the budget is spent."""
         visited = 0
 
         def count() -> None:

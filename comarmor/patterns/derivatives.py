@@ -1,8 +1,7 @@
-"""Residuals of patterns, each of which exists once: equal ends of different patterns are one integer.
+"""Partial derivatives of patterns, hash-consed: equal rests of different patterns are one integer.
 
-A node is a pattern that is still to be matched: an Antimirov partial derivative of those that a question is about
-(V. Antimirov, "Partial derivatives of regular expressions and finite automaton constructions", 1996). Patterns are
-linear, so that every derivative is an end of one.
+A node is the rest of a pattern that is still to be matched (V. Antimirov, "Partial derivatives of regular expressions
+and finite automaton constructions", 1996). Patterns are linear, so that every derivative is a suffix of one.
 """
 
 from __future__ import annotations
@@ -15,29 +14,35 @@ from comarmor.patterns.glob import Glob, units
 from comarmor.patterns.tokens import ANY, MAX_CODE, Charset, Star
 
 END = 0
-"""The node that matches the empty word alone."""
+"""The node that matches only the empty word."""
 
 _PREFERRED = "abcdefghijklmnopqrstuvwxyz_ABCDEFGHIJKLMNOPQRSTUVWXYZ0123456789/-."
-"""In this order letters are tried: so that a word begins like a name wherever one of the shortest does."""
+"""Letters are tried in this order, so that counterexamples look like names where possible."""
 
 
 @dataclass(frozen=True, slots=True)
-class _Many:
-    """Any number of characters out of a set."""
+class _Repeat:
+    """Any number of characters of a set."""
 
     members: Charset
 
 
-_Symbol = str | Charset | _Many
-_EVERY = _Many(ANY)
+_Symbol = str | Charset | _Repeat
+_EVERY = _Repeat(ANY)
 
 
 class Derivatives:
-    """Nodes, and how they go on.
+    """Nodes and their derivatives.
 
     Args:
-        patterns: all patterns that the alphabet must tell apart.
-        universe: the words in question.
+        patterns: all patterns of the question: letters that no pattern distinguishes share a representative.
+        universe: the words of the question.
+
+    Attributes:
+        letters: one letter of each class that the patterns and the universe distinguish.
+        accepts: for each node, whether it matches the empty word.
+        everything: the node that matches every word.
+        universe: the node that matches the words of the universe.
     """
 
     def __init__(self, patterns: Iterable[Glob], universe: Universe) -> None:
@@ -45,140 +50,149 @@ class Derivatives:
         self._symbols: list[_Symbol] = [""]
         self._next: list[int] = [END]
         self.accepts: list[bool] = [True]
+        self._shortest: list[int] = [0]
+        """The length of a shortest word of each node."""
+        self._repeats_last: list[bool] = [False]
+        """For each node, whether its last symbol is a repetition."""
         self._explicit: list[frozenset[str]] = [frozenset()]
         self._steps: dict[tuple[int, str], tuple[int, ...]] = {}
-        self._simulated: dict[tuple[int, int], bool] = {}
+        self._included: dict[tuple[int, int], bool] = {}
         self._nodes: dict[Glob, int] = {}
-        self._distinct: dict[_Symbol, frozenset[str]] = {}
-        patterns = tuple(dict.fromkeys(patterns))
-        self.letters = _letters(patterns, universe)
+        self._distinguished: dict[_Symbol, frozenset[str]] = {}
+        self.letters = _letters(tuple(dict.fromkeys(patterns)), universe)
         self._ranks = {letter: rank for rank, letter in enumerate(self.letters)}
         self.everything = self._cons(_EVERY, END)
-        self._separator = universe.separator
         self.universe = END
-        for at in range(universe.fields):
-            if at:
+        for number in range(universe.fields):
+            if number:
                 self.universe = self._cons(universe.separator, self.universe)
-            self.universe = self._cons(_Many(universe.alphabet), self.universe)
-            if universe.last_nonempty and not at:
+            self.universe = self._cons(_Repeat(universe.alphabet), self.universe)
+            if universe.last_nonempty and not number:
                 self.universe = self._cons(universe.alphabet, self.universe)
 
     def node(self, pattern: Glob) -> int:
-        """Return the node of a pattern: one of those that the alphabet was made for."""
-        found = self._nodes.get(pattern)
-        if found is None:
-            found = END
+        """Return the node of one of the patterns."""
+        node = self._nodes.get(pattern)
+        if node is None:
+            node = END
             for token in reversed(units(pattern)):
-                found = self._cons(_EVERY if isinstance(token, Star) else token, found)
-            self._nodes[pattern] = found
-        return found
+                node = self._cons(_EVERY if isinstance(token, Star) else token, node)
+            self._nodes[pattern] = node
+        return node
 
     def step(self, node: int, letter: str) -> tuple[int, ...]:
-        """Return what is left of a node after a letter."""
+        """Return the derivatives of a node by a letter."""
         key = (node, letter)
-        found = self._steps.get(key)
-        if found is None:
-            found = self._steps[key] = self._derive(node, letter)
-        return found
+        derivatives = self._steps.get(key)
+        if derivatives is None:
+            derivatives = self._steps[key] = self._derive(node, letter)
+        return derivatives
 
     def _derive(self, node: int, letter: str) -> tuple[int, ...]:
-        found: list[int] = []
+        derivatives: list[int] = []
         while node != END:
             symbol, following = self._symbols[node], self._next[node]
-            if isinstance(symbol, _Many):
+            if isinstance(symbol, _Repeat):
                 if letter in symbol.members:
-                    found.append(node)
+                    derivatives.append(node)
                 node = following
                 continue
             if letter == symbol if isinstance(symbol, str) else letter in symbol:
-                found.append(following)
+                derivatives.append(following)
             break
-        # What matches every word stands for all the others.
-        return (self.everything,) if self.everything in found else tuple(found)
+        # A node that matches every word makes the others redundant.
+        return (self.everything,) if self.everything in derivatives else tuple(derivatives)
 
     def steps(self, nodes: Iterable[int], letter: str) -> frozenset[int]:
-        """Return what is left of any of several nodes after a letter."""
+        """Return the derivatives of all nodes by a letter."""
         return frozenset(after for node in nodes for after in self.step(node, letter))
 
-    def worth_trying(self, nodes: Iterable[int]) -> list[str]:
-        """Return letters so that every other letter does to these nodes what one of them does."""
+    def letters_to_try(self, nodes: Iterable[int]) -> list[str]:
+        """Return letters such that every other letter has the same derivatives of these nodes as one of them."""
         explicit: set[str] = set()
         for node in nodes:
             explicit |= self._explicit[node]
         other = next((letter for letter in self.letters if letter not in explicit), None)
         ranked = sorted(explicit, key=self._ranks.__getitem__)
-        # What no pattern waits for leaves the fewest of them behind: states that are found first then stand for more.
+        # A letter that no pattern names leaves the fewest excluded positions: such states subsume more of the others.
         return ranked if other is None else [other, *ranked]
 
-    def simulates(self, outer: int, inner: int) -> bool:
-        """Tell whether one node is seen, by its shape, to match all that another does; False where it is not seen."""
+    def includes(self, outer: int, inner: int) -> bool:
+        """Sound, incomplete inclusion test: False means unknown."""
         if outer in (inner, self.everything):
             return True
         key = (outer, inner)
-        found = self._simulated.get(key)
-        if found is None:
-            found = self._simulated[key] = self._sees(outer, inner)
-        return found
+        included = self._included.get(key)
+        if included is None:
+            included = self._included[key] = self._is_included(outer, inner)
+        return included
 
-    def _sees(self, outer: int, inner: int) -> bool:
-        """Let the wider pattern read the symbols of the narrower: forward, all the places it can be at."""
-        places = self._closed((outer,))
+    def _is_included(self, outer: int, inner: int) -> bool:
+        """Let the outer pattern read the symbols of the inner one, and follow all positions that it can be in."""
+        if self._shortest[outer] > self._shortest[inner]:
+            return False
+        if self._repeats_last[inner] and not self._repeats_last[outer]:
+            return False
+        nodes = self._closure((outer,))
         while inner != END:
             symbol = self._symbols[inner]
-            places = self._closed(self._reading(places, symbol))
-            if not places:
+            nodes = self._closure(self._read(nodes, symbol))
+            if not nodes:
                 return False
             inner = self._next[inner]
-            if inner in places or self.everything in places:
+            if inner in nodes or self.everything in nodes:
                 return True
-        return END in places
+        return END in nodes
 
-    def _reading(self, places: Iterable[int], symbol: _Symbol) -> Iterable[int]:
-        for place in places:
-            own = self._symbols[place]
-            if isinstance(own, _Many):
-                if _within(symbol.members if isinstance(symbol, _Many) else symbol, own.members):
-                    yield place
-            elif place != END and not isinstance(symbol, _Many) and _within(symbol, own):
-                yield self._next[place]
+    def _read(self, nodes: Iterable[int], symbol: _Symbol) -> Iterable[int]:
+        for node in nodes:
+            own = self._symbols[node]
+            if isinstance(own, _Repeat):
+                if _is_subset(symbol.members if isinstance(symbol, _Repeat) else symbol, own.members):
+                    yield node
+            elif node != END and not isinstance(symbol, _Repeat) and _is_subset(symbol, own):
+                yield self._next[node]
 
-    def _closed(self, places: Iterable[int]) -> set[int]:
-        found: set[int] = set()
-        for place in places:
-            at = place
-            found.add(at)
-            while isinstance(self._symbols[at], _Many):
-                at = self._next[at]
-                found.add(at)
-        return found
+    def _closure(self, nodes: Iterable[int]) -> set[int]:
+        """Return the nodes and those that follow without reading a letter."""
+        closure: set[int] = set()
+        for node in nodes:
+            following = node
+            closure.add(following)
+            while isinstance(self._symbols[following], _Repeat):
+                following = self._next[following]
+                closure.add(following)
+        return closure
 
     def _cons(self, symbol: _Symbol, following: int) -> int:
         key = (symbol, following)
-        found = self._ids.get(key)
-        if found is None:
-            found = self._ids[key] = len(self._next)
+        node = self._ids.get(key)
+        if node is None:
+            node = self._ids[key] = len(self._next)
             self._symbols.append(symbol)
             self._next.append(following)
-            many = isinstance(symbol, _Many)
-            self.accepts.append(many and self.accepts[following])
-            own = self._distinguished(symbol)
-            self._explicit.append(own | self._explicit[following] if many else own)
-        return found
+            repeats = isinstance(symbol, _Repeat)
+            self.accepts.append(repeats and self.accepts[following])
+            self._shortest.append(self._shortest[following] + (not repeats))
+            self._repeats_last.append(repeats if following == END else self._repeats_last[following])
+            own = self._distinguish(symbol)
+            self._explicit.append(own | self._explicit[following] if repeats else own)
+        return node
 
-    def _distinguished(self, symbol: _Symbol) -> frozenset[str]:
-        """Return letters so that the symbol does the same with all the others."""
+    def _distinguish(self, symbol: _Symbol) -> frozenset[str]:
+        """Return letters such that the symbol treats all others the same."""
         if isinstance(symbol, str):
             return frozenset((symbol,))
-        found = self._distinct.get(symbol)
-        if found is None:
-            members = symbol.members if isinstance(symbol, _Many) else symbol
+        letters = self._distinguished.get(symbol)
+        if letters is None:
+            members = symbol.members if isinstance(symbol, _Repeat) else symbol
             inside = frozenset(letter for letter in self.letters if letter in members)
             outside = frozenset(self.letters) - inside
-            found = self._distinct[symbol] = min(inside, outside, key=len)
-        return found
+            letters = self._distinguished[symbol] = min(inside, outside, key=len)
+        return letters
 
 
-def _within(inner: str | Charset, outer: str | Charset) -> bool:
+def _is_subset(inner: str | Charset, outer: str | Charset) -> bool:
     if isinstance(outer, str):
         return inner == outer
     if isinstance(inner, str):
@@ -187,7 +201,7 @@ def _within(inner: str | Charset, outer: str | Charset) -> bool:
 
 
 def _letters(patterns: Iterable[Glob], universe: Universe) -> tuple[str, ...]:
-    """Return one character of each class that the patterns and the universe tell apart, legible ones first."""
+    """Return one letter of each class that the patterns and the universe distinguish, legible ones first."""
     singles: set[str] = {universe.separator} if universe.fields > 1 else set()
     sets: dict[Charset, None] = {universe.alphabet: None}
     for pattern in patterns:
@@ -202,8 +216,8 @@ def _letters(patterns: Iterable[Glob], universe: Universe) -> tuple[str, ...]:
     for char in singles:
         edges.update((ord(char), ord(char) + 1))
     candidates = [*_PREFERRED, *map(chr, sorted(edge for edge in edges if edge <= MAX_CODE))]
-    kinds: dict[tuple[object, ...], str] = {}
+    classes: dict[tuple[object, ...], str] = {}
     for char in candidates:
-        kind = (char if char in singles else None, *(char in each for each in sets))
-        kinds.setdefault(kind, char)
-    return tuple(kinds.values())
+        class_ = (char if char in singles else None, *(char in each for each in sets))
+        classes.setdefault(class_, char)
+    return tuple(classes.values())

@@ -1,9 +1,9 @@
-"""Implication that shows without a search: the ordinary question, in which both sides have their patterns in common.
+"""Compare decision lists without a search: fast, sound and incomplete; False means unknown, and the caller searches.
 
-Words that a list names exactly are decided one by one. Of all other words a list permits the union, over the wildcard
-patterns that it allows, of what a pattern matches and no denial before it does. So a list is seen to imply another one
-if each of its allowed patterns stands there too (or within a wider one), and every denial before it there either stands
-before it here, or has no word in common with it. What is not seen is not denied: then the engines search.
+This answers the ordinary question, in which both sides have the same patterns. Literal words are decided one by one. Of
+all other words a list permits the union, over its allowing patterns with wildcards, of the words that the pattern
+matches and no denial before it does. So a list implies another one if each of its allowing patterns occurs there as
+well (or a wider one does), and every denial before it there either comes before it here, or has no word in common.
 """
 
 from __future__ import annotations
@@ -12,158 +12,152 @@ from collections.abc import Iterator, Sequence
 from collections.abc import Set as AbstractSet
 from functools import lru_cache
 from itertools import product
+from math import prod
 
 from comarmor.patterns.decision_lists import Block, DecisionList, Universe
 from comarmor.patterns.evaluate import Evaluator
-from comarmor.patterns.glob import EVERYTHING, Glob, is_empty
+from comarmor.patterns.glob import EVERYTHING, Glob, is_empty, prefix, suffix
 from comarmor.patterns.relations import disjoint
-from comarmor.patterns.tokens import STAR, Charset
+from comarmor.patterns.tokens import STAR, Charset, Star
 
-WORDS = 20_000
-"""Words that the patterns of a list are spelled out to, at most."""
-EFFORT = 2_000
-"""Pairs of patterns that are held against each other, before the question is left to the engines."""
+MAX_WORDS = 20_000
+"""Most words that the sets in a list's patterns are expanded to."""
+MAX_PAIRS = 2_000
+"""Pairs of patterns to compare before the question is left to the search."""
 
 
 def equal(a: DecisionList, b: Sequence[DecisionList], universe: Universe) -> bool:
-    """Tell whether a list is seen to permit exactly the words that several others together permit.
+    """Return whether a list provably permits the same words as the conjunction of others; False means unknown.
 
     Args:
         a: a list.
-        b: lists, at least one; together they permit what every one of them permits.
-        universe: the words in question.
-
-    Returns:
-        True only if that is so; False where it is not seen.
+        b: lists, at least one; together they permit the words that every one of them permits.
+        universe: the words to compare.
     """
-    left, right = _form(a), tuple(map(_form, b))
-    if not (any(_within(each, left) for each in right) and all(_within(left, each) for each in right)):
+    left, right = _split(a), tuple(map(_split, b))
+    if not (any(_implies(each, left) for each in right) and all(_implies(left, each) for each in right)):
         return False
-    words = left.named | set().union(*(each.named for each in right))
-    together = frozenset.intersection(*(each.among(words) for each in right))
-    return not any(word in universe for word in left.among(words) ^ together)
+    words = left.literals | set().union(*(each.literals for each in right))
+    permitted = frozenset.intersection(*(each.permitted_among(words) for each in right))
+    return not any(word in universe for word in left.permitted_among(words) ^ permitted)
 
 
 def implied(a: DecisionList, b: DecisionList, universe: Universe) -> bool:
-    """Tell whether every word that a list permits is seen to be permitted by another one, too.
-
-    Returns:
-        True only if that is so; False where it is not seen.
-    """
-    left, right = _form(a), _form(b)
-    if not _within(left, right):
+    """Return whether another list provably permits every word that a list permits; False means unknown."""
+    left, right = _split(a), _split(b)
+    if not _implies(left, right):
         return False
-    words = left.named | right.named
-    return not any(word in universe for word in left.among(words) - right.among(words))
+    words = left.literals | right.literals
+    return not any(word in universe for word in left.permitted_among(words) - right.permitted_among(words))
 
 
-class _Form:
-    """A list, taken apart.
+class _SplitList:
+    """A list as its literal words and its patterns with wildcards.
 
     Args:
         decisions: the list.
 
     Attributes:
-        named: the words that are named exactly.
-        allowed: wildcard patterns that no block before denies, and the first block that allows each.
-        denied: wildcard patterns that no block before allows, and the first block that denies each, in this order.
+        literals: the literal words.
+        allowed: patterns with wildcards that no earlier block denies, with the first block that allows each.
+        denied: patterns with wildcards that no earlier block allows, with the first block that denies each; in order.
     """
 
-    __slots__ = ("_permits", "_permitted", "allowed", "denied", "named")
+    __slots__ = ("_permits", "_permitted", "allowed", "denied", "literals")
 
     def __init__(self, decisions: DecisionList) -> None:
-        evaluator = Evaluator(_spelled_out(decisions))
+        evaluator = Evaluator(_expanded(decisions))
         effects = evaluator.effects
-        self.named: AbstractSet[str] = evaluator.named.keys()
-        self.allowed = {pattern: at for pattern, at in evaluator.wild.items() if effects[at]}
-        self.denied = {pattern: at for pattern, at in evaluator.wild.items() if not effects[at]}
+        self.literals: AbstractSet[str] = evaluator.literals.keys()
+        self.allowed = {pattern: block for pattern, block in evaluator.wild.items() if effects[block]}
+        self.denied = {pattern: block for pattern, block in evaluator.wild.items() if not effects[block]}
         self._permits = evaluator.permits
-        self._permitted = frozenset(evaluator.permitted())
+        self._permitted = frozenset(evaluator.permitted_literals())
 
-    def among(self, words: AbstractSet[str]) -> frozenset[str]:
-        """Return those of some words that the list permits; they include all that it names."""
-        if self.allowed and len(words) > len(self.named):
-            return self._permitted.union(filter(self._permits, words - self.named))
+    def permitted_among(self, words: AbstractSet[str]) -> frozenset[str]:
+        """Return the permitted ones of some words, which include all its literals."""
+        if self.allowed and len(words) > len(self.literals):
+            return self._permitted.union(filter(self._permits, words - self.literals))
         return self._permitted
 
-    def refuses(self, pattern: Glob, block: int) -> bool:
-        """Tell whether a pattern is seen to be denied as a whole before a block."""
-        return any(self.denied.get(wider, block) < block for wider in _wider(pattern))
+    def denies(self, pattern: Glob, before: int) -> bool:
+        """Return whether one of its patterns provably denies all that a pattern matches, before a block."""
+        return any(self.denied.get(wider, before) < before for wider in _wider(pattern))
 
 
-def _spelled_out(decisions: DecisionList) -> DecisionList:
-    """Return a list in which patterns that match a few words only are those words: they can be decided one by one."""
+def _expanded(decisions: DecisionList) -> DecisionList:
+    """Replace patterns that match few words by these words, which can be decided one by one."""
     if not any(isinstance(token, Charset) for block in decisions for pattern in block.patterns for token in pattern):
         return decisions
-    left = WORDS
+    remaining = MAX_WORDS
     blocks: list[Block] = []
     for block in decisions:
         patterns: list[Glob] = []
         for pattern in block.patterns:
-            count = _count(pattern)
-            if 1 < count <= left:
-                left -= count
-                choices = ([token] if isinstance(token, str) else token.chars() for token in pattern)  # type: ignore[union-attr]
-                patterns += (("".join(parts),) for parts in product(*choices))
+            choices = _choices(pattern)
+            count = prod(map(len, choices))
+            if 1 < count <= remaining:
+                remaining -= count
+                patterns += (("".join(word),) for word in product(*(_texts(choice) for choice in choices)))
             else:
                 patterns.append(pattern)
         blocks.append(Block(block.allows, tuple(patterns)))
     return tuple(blocks)
 
 
-def _count(pattern: Glob) -> int:
-    """Return how many words a pattern matches; 1 also for those that match endlessly many, which stay as they are."""
+def _choices(pattern: Glob) -> tuple[tuple[str] | Charset, ...]:
+    """Return the alternatives at each position of a pattern; none if it matches infinitely many words."""
     if STAR in pattern:
-        return 1
-    count = 1
-    for token in pattern:
-        count *= 1 if isinstance(token, str) else len(token)  # type: ignore[arg-type]
-    return count
+        return ()
+    return tuple((token,) if isinstance(token, str) else token for token in pattern if not isinstance(token, Star))
+
+
+def _texts(choice: tuple[str] | Charset) -> Iterator[str]:
+    return choice.chars() if isinstance(choice, Charset) else iter(choice)
 
 
 # An enclave asks about few lists, each several times: for each model, and in both directions.
 @lru_cache(maxsize=16)
-def _form(decisions: DecisionList) -> _Form:
-    return _Form(decisions)
+def _split(decisions: DecisionList) -> _SplitList:
+    return _SplitList(decisions)
 
 
-def _within(inner: _Form, outer: _Form) -> bool:
-    """Tell whether a list is seen to imply another one, of words that neither names exactly."""
-    missing: dict[tuple[int, int], list[Glob]] = {}
-    effort = EFFORT
-    for pattern, at in inner.allowed.items():
+def _implies(inner: _SplitList, outer: _SplitList) -> bool:
+    """Return whether a list provably implies another one, except for words that are literals of either."""
+    extra: dict[tuple[int, int], list[Glob]] = {}
+    remaining = MAX_PAIRS
+    for pattern, block in inner.allowed.items():
         for wider in _wider(pattern):
-            block = outer.allowed.get(wider)
-            if block is None:
+            outer_block = outer.allowed.get(wider)
+            if outer_block is None:
                 continue
-            if (at, block) not in missing:
-                missing[at, block] = list(_missing(inner, at, outer, block))
-            denials = missing[at, block]
-            effort -= len(denials)
-            if effort < 0:
+            key = (block, outer_block)
+            if key not in extra:
+                extra[key] = list(_extra_denials(inner, block, outer, outer_block))
+            remaining -= len(extra[key])
+            if remaining < 0:
                 return False
-            if all(disjoint(denial, pattern) for denial in denials):
+            if all(disjoint(denial, pattern) for denial in extra[key]):
                 break
         else:
-            if not (inner.refuses(pattern, at) or is_empty(pattern)):
+            if not (inner.denies(pattern, block) or is_empty(pattern)):
                 return False
     return True
 
 
-def _missing(inner: _Form, at: int, outer: _Form, block: int) -> Iterator[Glob]:
-    """Yield the denials before a block of one list that do not stand before a block of the other one."""
-    for denial, place in outer.denied.items():
-        if place >= block:
+def _extra_denials(inner: _SplitList, block: int, outer: _SplitList, outer_block: int) -> Iterator[Glob]:
+    """Yield the denials before a block of the outer list that are not before a block of the inner one."""
+    for denial, number in outer.denied.items():
+        if number >= outer_block:
             return
-        if inner.denied.get(denial, at) >= at:
+        if inner.denied.get(denial, block) >= block:
             yield denial
 
 
 def _wider(pattern: Glob) -> Iterator[Glob]:
-    """Yield patterns that match all that a wildcard pattern matches, by its ends: first itself."""
+    """Yield a pattern, and patterns with one ``*`` at an end that match all that it matches."""
     yield pattern
     yield EVERYTHING
-    if pattern and isinstance(pattern[0], str):
-        yield from ((pattern[0][:end], STAR) for end in range(1, len(pattern[0]) + 1))
-    if pattern and isinstance(pattern[-1], str):
-        yield from ((STAR, pattern[-1][start:]) for start in range(len(pattern[-1])))
+    head, tail = prefix(pattern), suffix(pattern)
+    yield from ((head[:end], STAR) for end in range(1, len(head) + 1))
+    yield from ((STAR, tail[start:]) for start in range(len(tail)))

@@ -58,18 +58,28 @@ def literal(glob: Glob) -> str | None:
     return glob[0] if len(glob) == 1 and isinstance(glob[0], str) else None
 
 
+def prefix(glob: Glob) -> str:
+    """Return the literal text that a pattern begins with."""
+    return glob[0] if glob and isinstance(glob[0], str) else ""
+
+
+def suffix(glob: Glob) -> str:
+    """Return the literal text that a pattern ends with."""
+    return glob[-1] if glob and isinstance(glob[-1], str) else ""
+
+
 def is_empty(glob: Glob) -> bool:
     """Return whether a pattern matches no name, as ``[b-a]`` does."""
     return literal(glob) is None and any(isinstance(token, Charset) and not token.ranges for token in glob)
 
 
-def surround(prefix: str, glob: Glob, suffix: str) -> Glob:
-    """Return the pattern of the names ``prefix + name + suffix``."""
+def surround(head: str, glob: Glob, tail: str) -> Glob:
+    """Return the pattern of the names ``head + name + tail``."""
     text = literal(glob)
     if text is not None:
-        text = prefix + text + suffix
+        text = head + text + tail
         return (text,) if text else ()
-    return normalise((prefix, *glob, suffix))
+    return normalise((head, *glob, tail))
 
 
 @cache
@@ -84,18 +94,18 @@ def units(glob: Glob) -> tuple[Token, ...]:
     return tuple(out)
 
 
-def after(glob: Glob, prefix: str) -> tuple[Glob, ...]:
-    """Return the partial derivatives of a pattern with respect to a prefix.
+def after(glob: Glob, start: str) -> tuple[Glob, ...]:
+    """Return the partial derivatives of a pattern with respect to the start of names.
 
-    Their union matches exactly the names ``n`` for which the pattern matches ``prefix + n`` (V. Antimirov, "Partial
+    Their union matches exactly the names ``n`` for which the pattern matches ``start + n`` (V. Antimirov, "Partial
     derivatives of regular expressions", 1996).
     """
     text = literal(glob)
     if text is not None:
-        rest = text[len(prefix) :]
-        return ((rest,) if rest else (),) if text.startswith(prefix) else ()
+        rest = text[len(start) :]
+        return ((rest,) if rest else (),) if text.startswith(start) else ()
     derivatives = {units(glob)}
-    for char in prefix:
+    for char in start:
         derivatives = {rest for tokens in derivatives for rest in _derive(tokens, char)}
     return tuple(dict.fromkeys(normalise(tokens) for tokens in sorted(derivatives, key=len)))
 

@@ -13,7 +13,7 @@ Matcher = Callable[[str], bool]
 
 
 @lru_cache(maxsize=1 << 14)
-def matcher(glob: Glob) -> Matcher:
+def matcher(glob: Glob) -> Matcher:  # noqa: PLR0911 - one for each shape
     """Return a function that tells whether a pattern matches a name, in polynomial time."""
     if (text := literal(glob)) is not None:
         return text.__eq__
@@ -24,6 +24,8 @@ def matcher(glob: Glob) -> Matcher:
             return lambda name: name.startswith(head)
         case (Star(), str(tail)):
             return lambda name: name.endswith(tail)
+        case (Star(), str(text), Star()):
+            return lambda name: text in name
         case (str(head), Star(), str(tail)):
             shortest = len(head) + len(tail)
             return lambda name: len(name) >= shortest and name.startswith(head) and name.endswith(tail)

@@ -1,12 +1,14 @@
-"""Patterns, found by what they may have in common with another one: by the texts that they begin and end with."""
+"""Index patterns by the texts that they begin and end with."""
 
 from __future__ import annotations
 
 from bisect import bisect_left
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
+from itertools import chain
 from typing import Generic, TypeVar
 
-from comarmor.patterns.glob import Glob, literal
+from comarmor.patterns.glob import Glob, literal, prefix, suffix
+from comarmor.patterns.matching import Matcher, matcher
 from comarmor.patterns.relations import disjoint
 from comarmor.patterns.steps import spend
 
@@ -14,54 +16,85 @@ _T = TypeVar("_T")
 _V = TypeVar("_V")
 
 
+class _Entry(Generic[_T]):
+    """A pattern and its value, with its matcher once a word is looked up."""
+
+    __slots__ = ("item", "test")
+
+    def __init__(self, item: tuple[Glob, _T]) -> None:
+        self.item = item
+        self.test: Matcher | None = None
+
+
 class PatternIndex(Generic[_T]):
-    """An index of patterns, each with what belongs to it.
+    """Finds the patterns that match a word, or that may have a word in common with another pattern.
 
     Args:
-        items: patterns, each with what belongs to it.
+        items: patterns, each with a value.
     """
 
     def __init__(self, items: Iterable[tuple[Glob, _T]]) -> None:
-        self._exact = _Ends[tuple[Glob, _T]]()
-        self._exact_tails = _Ends[tuple[Glob, _T]]()
-        self._wild = _Ends[_Ends[tuple[Glob, _T]]]()
-        """Patterns with wildcards by their heads, and then by their tails, read backwards."""
-        by_head: dict[str, _Ends[tuple[Glob, _T]]] = {}
-        for item in items:
+        self._items = tuple(items)
+        self._literals = _PrefixMap[tuple[Glob, _T]]()
+        self._reversed_literals = _PrefixMap[tuple[Glob, _T]]()
+        self._wild = _PrefixMap[_PrefixMap[_Entry[_T]]]()
+        """Patterns with wildcards by their prefix, then by their reversed suffix."""
+        by_prefix: dict[str, _PrefixMap[_Entry[_T]]] = {}
+        for item in self._items:
             pattern = item[0]
             text = literal(pattern)
             if text is not None:
-                self._exact.add(text, item)
-                self._exact_tails.add(text[::-1], item)
+                self._literals.add(text, item)
+                self._reversed_literals.add(text[::-1], item)
                 continue
-            head = _head(pattern)
-            if head not in by_head:
-                by_head[head] = _Ends()
-                self._wild.add(head, by_head[head])
-            by_head[head].add(_tail(pattern)[::-1], item)
+            head = prefix(pattern)
+            if head not in by_prefix:
+                by_prefix[head] = _PrefixMap()
+                self._wild.add(head, by_prefix[head])
+            by_prefix[head].add(suffix(pattern)[::-1], _Entry(item))
+
+    def __iter__(self) -> Iterator[tuple[Glob, _T]]:
+        """Yield all patterns with their values, in the order in which they were given."""
+        return iter(self._items)
+
+    def matching(self, word: str) -> Iterator[tuple[Glob, _T]]:
+        """Yield the patterns that match a word, with their values."""
+        yield from self._literals.equal(word)
+        for entries in self._for_word(word):
+            for entry in entries:
+                test = entry.test
+                if test is None:
+                    test = entry.test = matcher(entry.item[0])
+                if test(word):
+                    yield entry.item
 
     def meeting(self, pattern: Glob) -> Iterator[tuple[Glob, _T]]:
-        """Yield the patterns that match a name that another pattern matches as well, with what belongs to them."""
-        for item in self._candidates(pattern):
-            if not disjoint(item[0], pattern):
-                yield item
+        """Yield the patterns that have a word in common with a pattern, with their values."""
+        return (item for item in self.candidates(pattern) if not disjoint(item[0], pattern))
 
-    def _candidates(self, pattern: Glob) -> Iterator[tuple[Glob, _T]]:
+    def candidates(self, pattern: Glob) -> Iterator[tuple[Glob, _T]]:
+        """Yield at least the patterns of :meth:`meeting`: those whose prefix and suffix are compatible."""
         text = literal(pattern)
         if text is not None:
-            yield from self._exact.equal(text)
-            for bucket in self._wild.before(text):
-                yield from bucket.before(text[::-1])
+            yield from self._literals.equal(text)
+            yield from (entry.item for entries in self._for_word(text) for entry in entries)
             return
-        head, tail = _head(pattern), _tail(pattern)[::-1]
-        yield from self._exact.after(head) if head or not tail else self._exact_tails.after(tail)
-        for bucket in self._wild.around(head):
+        head, tail = prefix(pattern), suffix(pattern)[::-1]
+        literals = self._literals.extending(head) if head or not tail else self._reversed_literals.extending(tail)
+        yield from chain.from_iterable(literals)
+        for by_suffix in chain.from_iterable(self._wild.compatible(head)):
             spend()
-            yield from bucket.around(tail)
+            yield from (entry.item for entries in by_suffix.compatible(tail) for entry in entries)
+
+    def _for_word(self, word: str) -> Iterator[list[_Entry[_T]]]:
+        """Yield the patterns with wildcards whose prefix and suffix a word has."""
+        reversed_word = word[::-1]
+        for by_suffix in chain.from_iterable(self._wild.prefixes_of(word)):
+            yield from by_suffix.prefixes_of(reversed_word)
 
 
-class _Ends(Generic[_V]):
-    """Values by the text that they begin with."""
+class _PrefixMap(Generic[_V]):
+    """Lists of values by a text."""
 
     def __init__(self) -> None:
         self._values: dict[str, list[_V]] = {}
@@ -73,35 +106,28 @@ class _Ends(Generic[_V]):
         self._lengths.add(len(text))
         self._sorted = None
 
-    def equal(self, text: str) -> Iterator[_V]:
-        yield from self._values.get(text, ())
+    def equal(self, text: str) -> Sequence[_V]:
+        return self._values.get(text, ())
 
-    def before(self, text: str) -> Iterator[_V]:
-        """Yield the values whose text a text begins with."""
+    def prefixes_of(self, text: str) -> Iterator[list[_V]]:
+        """Yield the values of the prefixes of a text, shorter ones first."""
         for length in sorted(self._lengths):
             if length > len(text):
                 return
-            yield from self._values.get(text[:length], ())
+            if values := self._values.get(text[:length]):
+                yield values
 
-    def after(self, text: str) -> Iterator[_V]:
-        """Yield the values whose text begins with a text."""
+    def extending(self, text: str) -> Iterator[list[_V]]:
+        """Yield the values of the texts that begin with a text."""
         if self._sorted is None:
             self._sorted = sorted(self._values)
-        for at in range(bisect_left(self._sorted, text), len(self._sorted)):
-            if not self._sorted[at].startswith(text):
+        for index in range(bisect_left(self._sorted, text), len(self._sorted)):
+            if not self._sorted[index].startswith(text):
                 return
-            yield from self._values[self._sorted[at]]
+            yield self._values[self._sorted[index]]
 
-    def around(self, text: str) -> Iterator[_V]:
-        """Yield the values whose text begins with a text, or the other way about."""
+    def compatible(self, text: str) -> Iterator[list[_V]]:
+        """Yield the values of the texts that begin with a text, or that it begins with."""
         if text:
-            yield from self.before(text[:-1])
-        yield from self.after(text)
-
-
-def _head(pattern: Glob) -> str:
-    return pattern[0] if pattern and isinstance(pattern[0], str) else ""
-
-
-def _tail(pattern: Glob) -> str:
-    return pattern[-1] if pattern and isinstance(pattern[-1], str) else ""
+            yield from self.prefixes_of(text[:-1])
+        yield from self.extending(text)

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
 
-from comarmor.patterns.glob import EVERYTHING, Glob, is_empty, literal, normalise, units
+from comarmor.patterns.glob import EVERYTHING, Glob, is_empty, literal, normalise, prefix, suffix, units
 from comarmor.patterns.matching import matcher
 from comarmor.patterns.steps import StepLimitError, cached, spend, step_limit
 from comarmor.patterns.tokens import ANY, MAX_CODE, STAR, Charset, Star, Token
@@ -24,14 +24,6 @@ class TooComplexError(Exception):
     """An intersection has more pieces than a caller can use."""
 
 
-def _prefix(glob: Glob) -> str:
-    return glob[0] if glob and isinstance(glob[0], str) else ""
-
-
-def _suffix(glob: Glob) -> str:
-    return glob[-1] if glob and isinstance(glob[-1], str) else ""
-
-
 def disjoint(left: Glob, right: Glob) -> bool:
     """Tell whether no name is matched by both."""
     spend()
@@ -41,13 +33,16 @@ def disjoint(left: Glob, right: Glob) -> bool:
     text = literal(right)
     if text is not None:
         return not matcher(left)(text)
-    head, head2 = _prefix(left), _prefix(right)
+    return ends_differ(left, right) or _disjoint(left, right)
+
+
+def ends_differ(left: Glob, right: Glob) -> bool:
+    """Return whether the prefixes or the suffixes of two patterns show that they are disjoint."""
+    head, head2 = prefix(left), prefix(right)
     if not (head.startswith(head2) or head2.startswith(head)):
         return True
-    tail, tail2 = _suffix(left), _suffix(right)
-    if not (tail.endswith(tail2) or tail2.endswith(tail)):
-        return True
-    return _disjoint(left, right)
+    tail, tail2 = suffix(left), suffix(right)
+    return not (tail.endswith(tail2) or tail2.endswith(tail))
 
 
 def all_disjoint(lefts: Iterable[Glob], rights: Iterable[Glob]) -> bool:
@@ -144,7 +139,7 @@ def _covers(outer: Glob, inner: Glob) -> bool | None:
     if outer == EVERYTHING or is_empty(inner):
         return True
     # Beyond its literal prefix (or before its suffix) a normalised glob has at least two different characters.
-    if not (_prefix(inner).startswith(_prefix(outer)) and _suffix(inner).endswith(_suffix(outer))):
+    if not (prefix(inner).startswith(prefix(outer)) and suffix(inner).endswith(suffix(outer))):
         return False
     match outer:
         case (str(), Star()) | (Star(), str()):
@@ -311,8 +306,8 @@ def maximal(globs: Iterable[Glob]) -> list[Glob]:
     """Return the globs that no other of them covers, one for each set of equals, in a stable order."""
     # What covers a glob has a prefix of its literal prefix, so that few need to be compared.
     kept: dict[str, list[Glob]] = {}
-    for glob in sorted(dict.fromkeys(globs), key=lambda glob: (len(_prefix(glob)), sort_key(glob))):
-        head = _prefix(glob)
+    for glob in sorted(dict.fromkeys(globs), key=lambda glob: (len(prefix(glob)), sort_key(glob))):
+        head = prefix(glob)
         wider = (other for end in range(len(head) + 1) for other in kept.get(head[:end], ()))
         if not is_empty(glob) and not any(covers(other, glob) for other in wider):
             kept[head] = [*(other for other in kept.get(head, ()) if not covers(glob, other)), glob]

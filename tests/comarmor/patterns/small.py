@@ -1,4 +1,4 @@
-"""Small words, small lists, and the definition: what the engines are held against."""
+"""Small words, small lists, and the definition: what the engine is compared with."""
 
 from __future__ import annotations
 
@@ -13,6 +13,7 @@ from comarmor.patterns.tokens import charset
 
 LETTERS = "ab"
 UNIVERSE = Universe(charset([(97, 98)]))
+PRINTABLE = Universe(charset([(0x20, 0x7E)]))
 WORDS = ["".join(word) for length in range(7) for word in product(LETTERS, repeat=length)]
 """All words of the universe up to six letters, shorter ones first."""
 

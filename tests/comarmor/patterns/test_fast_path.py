@@ -10,14 +10,14 @@ from hypothesis import strategies as st
 
 from comarmor.patterns import fast_path
 from comarmor.patterns.counterexample_search import CounterexampleSearch
-from comarmor.patterns.decision_lists import PRINTABLE, Block, Equal, SearchBudget, Universe, Unknown
+from comarmor.patterns.decision_lists import Block, Equal, SearchBudget, Universe, Unknown
 from comarmor.patterns.derivatives import Derivatives
 from comarmor.patterns.evaluate import permits
-from comarmor.patterns.product_search import ProductSearch
 from comarmor.patterns.proofs import difference, implies
 from comarmor.patterns.tokens import charset
 
-from .small import UNIVERSE, WORDS, allow, deny, first_difference, globs, lists, patterns_of
+from .product_search import ProductSearch
+from .small import PRINTABLE, UNIVERSE, WORDS, allow, deny, first_difference, globs, lists, patterns_of
 
 NARROW = Universe(charset([(97, 97)]))
 """A universe that most of the patterns go beyond."""
@@ -74,14 +74,14 @@ def test_no_engine_contradicts(pair, universe):
     arena = Derivatives(patterns_of(a, b), universe)
 
     def escape(left, right):
-        return CounterexampleSearch((left,), right, universe, lambda: arena, SearchBudget().meter()).shortest()
+        return CounterexampleSearch((left,), right, universe, lambda: arena, SearchBudget().state_counter()).shortest()
 
     if fast_path.implied(a, b, universe):
         assert escape(a, b) is None
     if fast_path.equal(a, (b,), universe):
         assert escape(a, b) is None
         assert escape(b, a) is None
-        assert ProductSearch((b,), a, universe, arena, SearchBudget().meter()).shortest() is None
+        assert ProductSearch((b,), a, universe, arena, SearchBudget().state_counter()).shortest() is None
 
 
 @settings(max_examples=200, deadline=None)
@@ -146,5 +146,5 @@ def test_the_effort_is_bounded(monkeypatch):
     inner = [f"*{dice.randrange(10**6)}*" for _ in range(20)]
     a, b = (deny(*inner), allow("x*")), (deny(*inner, "y*"), allow("x*"))
     assert fast_path.equal(a, (b,), PRINTABLE)
-    monkeypatch.setattr(fast_path, "EFFORT", 0)
+    monkeypatch.setattr(fast_path, "MAX_PAIRS", 0)
     assert not fast_path.equal(a, (b,), PRINTABLE)

@@ -16,9 +16,10 @@ from comarmor.patterns.decision_lists import Block, DecisionList, Equal, SearchB
 from comarmor.patterns.derivatives import Derivatives
 from comarmor.patterns.evaluate import Evaluator
 from comarmor.patterns.glob import normalise, parse
-from comarmor.patterns.product_search import ProductSearch
 from comarmor.patterns.proofs import difference
 from comarmor.patterns.tokens import charset
+
+from .product_search import ProductSearch
 
 PAIRS = Universe(charset([(65, 65), (97, 98), (47, 47)]), fields=2)
 TOPICS = ["".join(word) for length in range(4) for word in product("abA/", repeat=length)]
@@ -164,7 +165,7 @@ def test_every_fault_that_changes_the_meaning_is_found(fault):
         else:
             assert found == Equal()
             arena = Derivatives((p for decisions in (a, b) for block in decisions for p in block.patterns), PAIRS)
-            assert ProductSearch((b,), a, PAIRS, arena, SearchBudget().meter()).shortest() is None
+            assert ProductSearch((b,), a, PAIRS, arena, SearchBudget().state_counter()).shortest() is None
 
 
 def test_there_are_enough_faults():

@@ -1,7 +1,4 @@
-"""The second engine, built differently: lists are determinised together, letter by letter, as far as it is needed.
-
-A state is what is left of every list. Where the two sides are equal from there on, nothing is left to be searched.
-"""
+"""A second engine, an oracle: it determinises both sides together, letter by letter, as far as needed."""
 
 from __future__ import annotations
 
@@ -67,7 +64,7 @@ class ProductSearch:
             following: list[tuple[_State, str]] = []
             for state, word in level:
                 nodes = _nodes(state)
-                for letter in self._arena.worth_trying(nodes):
+                for letter in self._arena.letters_to_try(nodes):
                     spend(1 + len(nodes) // 4)
                     after = self._step(state, letter)
                     if after is not None and after not in seen:
@@ -87,7 +84,7 @@ class ProductSearch:
         """
         lists = (*self._together, self._other)
         full, wild = ([Evaluator(each, literals=flag) for each in lists] for flag in (True, False))
-        texts = {text for each in full for text in each.named if text in self._universe}
+        texts = {text for each in full for text in each.literals if text in self._universe}
 
         def differs(evaluators: list[Evaluator], text: str) -> bool:
             return all(each.permits(text) for each in evaluators[:-1]) is not evaluators[-1].permits(text)
