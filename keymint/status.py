@@ -72,8 +72,8 @@ def _row(
     end = _certificate_end(session, name)
     stale, problem, permissions_end = "", "", None
     try:
-        documents = install.built_documents(session, name)
-        files = session.package_files(name)
+        documents = build.built_documents(session, name)
+        session.package_files(name)
     except KeymintError as error:  # a file that is no file, or too large
         return Row(name, "installed" if installed else "source", "", end, None, str(error.diagnostics[0]))
     stage = "installed" if installed else "built" if documents else "source"
@@ -85,9 +85,9 @@ def _row(
     except KeymintError as error:
         stale, problem = "create", str(error.diagnostics[0])
     if not stale:
-        if not documents or not build.is_current(session, name, files):
+        if not documents or not build.is_current(session, name):
             stale = "build"
-        elif not installed or not install.is_current(session, name, files, chains):
+        elif not installed or not install.is_current(session, name, chains):
             stale = "install"
     return Row(name, stage, stale, end, permissions_end, problem)
 

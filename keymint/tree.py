@@ -207,6 +207,13 @@ class Tree:
             return self._overlay[path]
         return self._disk.read(path)
 
+    def try_read(self, path: Path) -> bytes | None:
+        """Return a file's bytes, or None if there is none or it cannot be read."""
+        try:
+            return self.read(path)
+        except KeymintError:
+            return None
+
     def status(self, path: Path) -> os.stat_result | None:
         """Return the status of what lies at a path on the disk (of a link: of the link), or None when nothing does."""
         return self._disk.status(path)

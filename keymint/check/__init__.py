@@ -14,11 +14,12 @@ from datetime import timedelta
 from comarmor.errors import Diagnostic, Origin, Severity
 from keymint.api import Inspection
 from keymint.check.authorities import authorities, authority_keys, in_defect
-from keymint.check.enclaves import identity_key, inspection, on_disk, shared_keys
+from keymint.check.enclaves import identity_key, inspection, on_disk
 from keymint.check.file_status import places
 from keymint.check.git_exposure import exposed
 from keymint.check.install_space import shared
 from keymint.errors import KeymintError
+from keymint.plan import identity_keys
 from keymint.plan.enclaves import unaccounted
 from keymint.plan.identity_keys import Keyring
 from keymint.session import Session
@@ -69,7 +70,7 @@ def check(session: Session, names: Sequence[str], within: timedelta) -> tuple[Di
     for build_type, together in sorted(inspections.items()):
         findings += session.plugins.build_type(build_type).check_all(together)
     findings += unaccounted(session)
-    findings += shared_keys(session, fingerprints)
+    findings += identity_keys.shared_keys(session, fingerprints)
     findings += shared(session)
     later = _to_be_mended_later(findings, in_defect(of_authorities))
     return (*of_authorities, *places(session), *exposed(session), *later)

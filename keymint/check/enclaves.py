@@ -74,18 +74,6 @@ def _about_key(found: Diagnostic, subject: str) -> Diagnostic:
     return replace(found, severity=severity, subject=subject)
 
 
-def shared_keys(inputs: Inputs, fingerprints: Mapping[str, str]) -> Iterator[Diagnostic]:
-    """Yield a finding for each key that two packages have; takes fingerprints by package."""
-    owners: dict[str, str] = {}
-    for name, fingerprint in fingerprints.items():
-        other = owners.setdefault(fingerprint, name)
-        if other != name:
-            where = Origin(inputs.workspace.shown(inputs.workspace.identity_key(name)))
-            yield from (
-                replace(found, subject=f"/{name}") for found in identity_keys.shared(name, other, where).diagnostics
-            )
-
-
 def on_disk(session: Session, name: str, files: Mapping[str, bytes]) -> Iterator[Diagnostic]:
     """Judge modes, links and recorded digests of one enclave."""
     workspace = session.workspace

@@ -8,7 +8,6 @@ from pathlib import Path
 from comarmor.errors import Diagnostic, Origin, Severity
 from keymint.api import Artifact
 from keymint.check.file_status import modes
-from keymint.errors import KeymintError
 from keymint.plan import gitignore
 from keymint.plan.enclaves import enclave_files, installed
 from keymint.session import Inputs, Session
@@ -45,7 +44,7 @@ def shared(session: Session) -> Iterator[Diagnostic]:
             )
         else:
             yield from modes(session, path, 0o644, "")
-            if session.tree.has_file(path) and _content(session, path) != expected[relative]:
+            if session.tree.has_file(path) and session.tree.try_read(path) != expected[relative]:
                 yield Diagnostic(
                     "file-changed",
                     Severity.ERROR,
@@ -65,14 +64,6 @@ def shared(session: Session) -> Iterator[Diagnostic]:
                 Origin(workspace.shown(workspace.install / relative)),
                 "'keymint install' restores it",
             )
-
-
-def _content(inputs: Inputs, path: Path) -> bytes | None:
-    """Return the content of a file, or None if it cannot be read."""
-    try:
-        return inputs.tree.read(path)
-    except KeymintError:
-        return None
 
 
 def _files_below(inputs: Inputs, folder: Path) -> Iterator[Path]:

@@ -1,4 +1,4 @@
-"""The stage ``build``: from source packages to unsigned documents, and a key for each subject."""
+"""The stage ``build``: from source packages to unsigned documents and a private key for each subject."""
 
 from __future__ import annotations
 
@@ -19,8 +19,8 @@ STAGE = "build"
 
 
 @dataclass(frozen=True, slots=True)
-class _Planned:
-    """What planning one package gives; the fingerprint is that of a key that is new in its place."""
+class _PackageBuild:
+    """The plan for one package; the fingerprint is set if its key is new."""
 
     step: Step
     stamp: Stamp | None = None
@@ -43,13 +43,13 @@ def plan_build(
         session: the workspace and its profile.
         names: names of packages that exist.
         options: options of the build types.
-        force: build anew, also over documents that were edited by hand.
+        force: rebuild, and overwrite documents that were edited by hand.
         renew: replace the private keys of the subjects.
 
     Raises:
         KeymintError: the defects of all packages together.
     """
-    planned: list[_Planned] = []
+    planned: list[_PackageBuild] = []
     errors: list[Diagnostic] = []
     for name in names:
         try:
@@ -58,8 +58,8 @@ def plan_build(
             errors += error.diagnostics
     if errors:
         raise KeymintError.of(errors)
-    # What is said of an authority is said once, not for each of the packages below it.
-    diagnostics = dict.fromkeys(said for each in planned for said in each.diagnostics)
+    # Packages repeat the diagnostics of their authority: keep one of each.
+    diagnostics = dict.fromkeys(diagnostic for each in planned for diagnostic in each.diagnostics)
     of_packages = {each.step.package: each.lifetimes for each in planned}
     diagnostics |= dict.fromkeys(lifetimes.findings(of_packages, session))
     stamps = {each.step.package: each.stamp for each in planned if each.stamp}
@@ -68,20 +68,30 @@ def plan_build(
     return Plan(tuple(each.step for each in planned), state, tuple(diagnostics))
 
 
-def is_current(session: Session, name: str, files: dict[str, bytes]) -> bool:
-    """Tell whether the documents of a package were built from its sources as they are now, by whatever options."""
+def is_current(session: Session, name: str) -> bool:
+    """Tell whether the documents of a package were built from its present sources, with any options."""
     stamp = session.state.stamp(STAGE, name)
-    return stamp is not None and stamp.inputs == wanted_inputs(session, files)
+    return stamp is not None and stamp.inputs == inputs_digest(session, name)
 
 
-def _about(options: BuildOptions, subject: str) -> BuildOptions:
-    """Return the options without what concerns other subjects, so that it leads to no new documents of this one."""
+def built_documents(inputs: Inputs, name: str) -> dict[str, bytes]:
+    """Return the unsigned documents of a package by file name; empty if it was not built."""
+    folder = inputs.workspace.build / name
+    stamp = inputs.state.stamp(STAGE, name)
+    if stamp is None:
+        return inputs.tree.files(folder)
+    contents = {file: inputs.tree.read(folder / file) for file in sorted(stamp.outputs)}
+    return {file: content for file, content in contents.items() if content is not None}
+
+
+def _options_of(options: BuildOptions, subject: str) -> BuildOptions:
+    """Drop other subjects' hints, so that changing them does not rebuild this package."""
     return replace(options, demand=tuple(each for each in options.demand if each.edge.subject == subject))
 
 
-def wanted_inputs(session: Session, files: dict[str, bytes]) -> str:
-    """Return the digest of what the documents of a package are built from."""
-    return digest(session.profile_digest, digest_files(files), session.plugins.versions)
+def inputs_digest(session: Session, name: str) -> str:
+    """Return the digest of everything that the documents of a package are built from, except the options."""
+    return digest(session.profile_digest, digest_files(session.package_files(name)), session.plugins.versions)
 
 
 def _plan_package(
@@ -91,25 +101,24 @@ def _plan_package(
     *,
     force: bool,
     renew: bool,
-) -> _Planned:
+) -> _PackageBuild:
     folder = session.workspace.build / name
-    files = session.package_files(name)
-    wanted = wanted_inputs(session, files)
-    options = _about(options, f"/{name}")
-    asked = digest(repr(options))
+    wanted = inputs_digest(session, name)
+    options = _options_of(options, f"/{name}")
+    options_digest = digest(repr(options))
     stamp = session.state.stamp(STAGE, name)
     key_path = session.workspace.identity_key(name)
     key_content = session.tree.read(key_path)
-    same = stamp is not None and (stamp.inputs, stamp.context) == (wanted, asked)
+    same = stamp is not None and (stamp.inputs, stamp.context) == (wanted, options_digest)
     if stamp and same and key_content is not None and not force and not renew:
-        there = {file: session.tree.read(folder / file) for file in stamp.outputs}
-        if None not in there.values():
-            edited = [file for file, content in there.items() if digest(content or b"") != stamp.outputs[file]]
+        existing = {file: session.tree.read(folder / file) for file in stamp.outputs}
+        if None not in existing.values():
+            edited = [file for file, content in existing.items() if digest(content or b"") != stamp.outputs[file]]
             if not edited:
                 step = Step(STAGE, name, Action.UNCHANGED)
             else:
                 step = Step(STAGE, name, Action.KEPT, detail=_edited(edited))
-            return _Planned(step, lifetimes=lifetimes.recalled(session, name, stamp))
+            return _PackageBuild(step, lifetimes=lifetimes.recalled(session, name, stamp))
     package = session.package(name)
     built = session.plugins.build_type(package.build_type, session.package_marker(package.name)).build(package, options)
     if not force:
@@ -128,12 +137,12 @@ def _plan_package(
     before = stamp is not None or any(session.tree.read(folder / file) is not None for file in built.documents)
     action = (Action.UPDATED if before else Action.CREATED) if changes or minted else Action.UNCHANGED
     outputs = {file: digest(content) for file, content in built.documents.items()}
-    said = [*package.diagnostics, *built.diagnostics]
+    diagnostics = [*package.diagnostics, *built.diagnostics]
     sizes = _sizes(built)
     step = Step(STAGE, name, action, (*minted, *changes), ", ".join(map(_smaller, sizes)), sizes)
     own = lifetimes.lifetimes(package)
-    made = Stamp(wanted, outputs, context=asked, lifetimes=lifetimes.dump(own, session.workspace))
-    return _Planned(step, made, fingerprint, said, own)
+    made = Stamp(wanted, outputs, context=options_digest, lifetimes=lifetimes.dump(own, session.workspace))
+    return _PackageBuild(step, made, fingerprint, diagnostics, own)
 
 
 def _sizes(built: BuildResult) -> tuple[DocumentSize, ...]:
@@ -149,16 +158,16 @@ def _smaller(size: DocumentSize) -> str:
 
 
 def _edited(files: Sequence[str]) -> str:
-    return f"{', '.join(files)} edited by hand; -f builds anew"
+    return f"{', '.join(files)} edited by hand; -f rebuilds"
 
 
 def _refuse_edits(inputs: Inputs, name: str, folder: Path, documents: Mapping[str, bytes]) -> None:
-    """Refuse to overwrite a document that is neither what was built before nor what is built now."""
+    """Raise an error for an existing document that is neither the recorded build nor the new one."""
     for file, content in documents.items():
-        there = inputs.tree.read(folder / file)
-        if there is not None and there != content and not inputs.state.wrote(STAGE, name, file, there):
+        existing = inputs.tree.read(folder / file)
+        if existing is not None and existing != content and not inputs.state.wrote(STAGE, name, file, existing):
             raise KeymintError(
-                "was edited by hand, and its sources changed as well",
+                "was edited by hand, and its sources changed too",
                 where=Origin(inputs.workspace.shown(folder / file)),
                 help=f"'keymint build -f {name}' discards the edit",
                 code="hand-edited",

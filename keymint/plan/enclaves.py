@@ -142,21 +142,14 @@ def deployed_authorities(session: Session) -> tuple[x509.Certificate, ...]:
     for name in installed(session):
         for entry, is_folder in session.tree.names(root / name):
             if not is_folder and entry.endswith(".pem") and entry not in {CERTIFICATE, KEY}:
-                found[_content(session, root / name / entry)] = None
+                found[session.tree.try_read(root / name / entry) or b""] = None
     return tuple(dict.fromkeys(certificate for pem in found for certificate in _certificates(pem)))
 
 
 def installed_certificate(session: Session, name: str) -> x509.Certificate | None:
     """Return the identity certificate of an installed enclave, or None when there is none that can be read."""
     path = session.workspace.enclaves(session.profile.layout) / name / CERTIFICATE
-    return next(_certificates(_content(session, path)), None)
-
-
-def _content(inputs: Inputs, path: Path) -> bytes:
-    try:
-        return inputs.tree.read(path) or b""
-    except KeymintError:
-        return b""
+    return next(_certificates(session.tree.try_read(path) or b""), None)
 
 
 def _certificates(pem: bytes) -> Iterator[x509.Certificate]:

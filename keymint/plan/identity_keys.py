@@ -6,10 +6,11 @@ A key that was replaced in its place would give the subject's rights to whoever 
 from __future__ import annotations
 
 import functools
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 
-from comarmor.errors import Origin
+from comarmor.errors import Diagnostic, Origin
 from keymint.api import Package
 from keymint.changes import File, FolderChange
 from keymint.errors import KeymintError
@@ -53,7 +54,7 @@ def restore_or_mint(session: Session, package: Package, path: Path) -> tuple[Fol
     known = known_fingerprint(session, package.name)
     if not known:
         return mint(session, package, path)
-    pem = _in_enclave(session, package.name)
+    pem = session.tree.try_read(session.workspace.enclaves(session.profile.layout) / package.name / KEY) or b""
     try:
         secret = password(package.identity.key, session.environment, package.identity.origin)
         there = keys.fingerprint(keys.from_pem(pem, secret)) if pem else ""
@@ -128,7 +129,7 @@ class Keyring:
         if key_record.recorded(state, key_record.IDENTITIES, name) != fingerprint:  # so it may not be ours
             for other in self._owners.get(fingerprint, ()):
                 if other != name:
-                    raise shared(name, other, shown)
+                    raise _shared(name, other, shown)
 
     @functools.cached_property
     def _owners(self) -> Mapping[str, Sequence[str]]:
@@ -143,21 +144,24 @@ class Keyring:
         return found
 
 
-def shared(name: str, other: str, shown: Origin) -> KeymintError:
-    """Return the error for two subjects that have one key."""
+def shared_keys(inputs: Inputs, fingerprints: Mapping[str, str]) -> Iterator[Diagnostic]:
+    """Yield an error for each key that two packages have; takes fingerprints by package."""
+    owners: dict[str, str] = {}
+    for name, fingerprint in fingerprints.items():
+        other = owners.setdefault(fingerprint, name)
+        if other != name:
+            where = Origin(inputs.workspace.shown(inputs.workspace.identity_key(name)))
+            yield from (replace(each, subject=f"/{name}") for each in _shared(name, other, where).diagnostics)
+
+
+def _shared(name: str, other: str, shown: Origin) -> KeymintError:
+    """Return the error for two subjects that have the same key."""
     return KeymintError(
         f"is the private key of /{other} as well, so that each could act as the other",
         where=shown,
         help=f"mint a new one with {_new(name)}",
         code="key-shared",
     )
-
-
-def _in_enclave(session: Session, name: str) -> bytes:
-    try:
-        return session.tree.read(session.workspace.enclaves(session.profile.layout) / name / KEY) or b""
-    except KeymintError:
-        return b""
 
 
 def _stored(path: Path, pem: bytes) -> FolderChange:

@@ -1,0 +1,83 @@
+"""Issue the certificate of a package's subject, and sign its documents."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+
+from comarmor.errors import Diagnostic, Origin
+from comarmor.text import did_you_mean
+from keymint.api import Artifact, EnclaveCredentials, Package
+from keymint.errors import KeymintError
+from keymint.pki import certificates, keys
+from keymint.plan.authorities import MintedAuthority
+from keymint.plan.enclaves import CERTIFICATE
+from keymint.session import Session
+from keymint.workspace import placed
+
+
+def sign(
+    session: Session,
+    package: Package,
+    documents: Mapping[str, bytes],
+    authorities: Mapping[str, MintedAuthority],
+    key: tuple[bytes, keys.PublicKey],
+    existing: Mapping[str, bytes],
+) -> tuple[Mapping[str, Artifact], Sequence[Diagnostic]]:
+    """Return the files of an enclave, and warnings; a certificate that is still right is kept.
+
+    Args:
+        session: the workspace and its profile.
+        package: the package.
+        documents: its unsigned documents by file name.
+        authorities: the authorities by name.
+        key: the subject's private key (PEM) and public key.
+        existing: the enclave's present files.
+
+    Raises:
+        KeymintError: an authority is unknown or cannot sign, or the documents cannot be signed.
+    """
+    issuer = _authority(authorities, package.identity.issuer, package.identity.origin)
+    notary = _authority(authorities, package.permissions.issuer, package.permissions.origin)
+    if package.governance.issuer != package.permissions.issuer:
+        raise KeymintError(
+            f"governance is signed by {package.governance.issuer!r}, permissions by {package.permissions.issuer!r}, "
+            "but participants verify both with one permissions authority",
+            where=package.permissions.origin,
+            help="give both the same issuer_name",
+            code="authority-mismatch",
+        )
+    pem, public = key
+    certificate = existing.get(CERTIFICATE)
+    warnings: Sequence[Diagnostic] = ()
+    if certificate is None or not certificates.certificate_satisfies(
+        certificate, package.identity, public, issuer.issuer.certificate, authority=False
+    ):
+        issued = certificates.issue_identity(package.identity, public, issuer.issuer)
+        certificate = issued.pem
+        warnings = [replace(warning, subject=package.subject) for warning in issued.diagnostics]
+    credentials = EnclaveCredentials(
+        certificate=certificate,
+        key=pem,
+        identity_ca=issuer.chain,
+        permissions_ca=notary.chain,
+        signer=notary.signer,
+    )
+    build_type = session.plugins.build_type(package.build_type, session.package_marker(package.name))
+    try:
+        return build_type.install(package, documents, credentials, session.profile.layout, existing), warnings
+    except KeymintError as error:
+        raise KeymintError.of(
+            [placed(diagnostic, session.workspace.build) for diagnostic in error.diagnostics]
+        ) from error
+
+
+def _authority(authorities: Mapping[str, MintedAuthority], name: str, origin: Origin) -> MintedAuthority:
+    if name not in authorities:
+        raise KeymintError(
+            f"no authority {name!r} in the profile, which has {', '.join(sorted(authorities)) or 'none'}",
+            where=origin,
+            help=did_you_mean(name, authorities, "name one in issuer_name"),
+            code="authority-unknown",
+        )
+    return authorities[name]
