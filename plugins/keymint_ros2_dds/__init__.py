@@ -26,7 +26,7 @@ class DdsSecurity:
 
     endpoints = lazy("keymint_ros2_dds.lowering.endpoints:endpoints")
     meanings = lazy("keymint_ros2_dds.lowering.endpoints:meanings")
-    mentioned = lazy("keymint_ros2_dds.document_topics:mentioned")
+    mentioned = lazy("keymint_ros2_dds.document_topics:document_topics")
 
     differences = lazy("keymint_ros2_dds.proving.trust_anchors:differences")
     terms = lazy("keymint_ros2_dds.proving:terms")

@@ -1,4 +1,4 @@
-"""The build stage: a package in, unsigned documents out."""
+"""The build stage: turns a package into unsigned documents."""
 
 from __future__ import annotations
 
@@ -20,40 +20,39 @@ def build(package: Package, options: BuildOptions) -> BuildResult:
     """Return the unsigned permissions and governance documents of a package; a pure function of its arguments.
 
     Raises:
-        KeymintError: what vendors would not read alike, or what cannot be; all that was found, with ``file:line``.
+        KeymintError: the package is invalid or cannot be expressed portably; every defect with its ``file:line``.
     """
     lenient = options.allow_vendor_specific
-    problems: list[Diagnostic] = []
-    found = [*_check(package), *vendor_limits.check_key(package.identity.key, package, allow_vendor_specific=lenient)]
-    found += vendor_limits.check_issuers(package)
-    documents: dict[str, bytes] = {}
-    notes: tuple[Diagnostic, ...] = ()
-    emitted = None
+    checks = [*_check(package), *vendor_limits.check_key(package.identity.key, package, allow_vendor_specific=lenient)]
+    checks += vendor_limits.check_issuers(package)
+    errors: list[Diagnostic] = []
+    notes: list[Diagnostic] = []
+    emitted, governance = None, b""
     try:
         emitted = emit(package, options)
-        notes = emitted.diagnostics
-        documents[PERMISSIONS_XML] = emitted.document
+        notes += emitted.diagnostics
     except KeymintError as error:
-        problems += error.diagnostics
+        errors += error.diagnostics
     try:
-        documents[GOVERNANCE_XML], remarks = governance_document.build(
+        governance, remarks = governance_document.build(
             package.governance, package.subject, package.distro, allow_vendor_specific=lenient
         )
         notes += (*remarks, *governance_warnings.findings(package, emitted.lowered if emitted else None))
     except KeymintError as error:
-        problems += error.diagnostics
-    problems += [item for item in found if item.severity is Severity.ERROR]
-    if problems:
-        raise KeymintError.of(problems)
-    notes += tuple(found)
-    for name, kind in ((PERMISSIONS_XML, PERMISSIONS), (GOVERNANCE_XML, GOVERNANCE)):
-        about = emitted.lowered if emitted and kind == PERMISSIONS else None
-        notes += tuple(vendor_limits.check_size(vendor_limits.signed_size(documents[name]), kind, package, about))
-    return BuildResult(documents, notes, {PERMISSIONS_XML: emitted.plain_size} if emitted else {})
+        errors += error.diagnostics
+    errors += [item for item in checks if item.severity is Severity.ERROR]
+    if errors or emitted is None:
+        raise KeymintError.of(errors)
+    notes += checks
+    size = vendor_limits.signed_size(emitted.document)
+    notes += vendor_limits.check_size(size, PERMISSIONS, package, emitted.lowered)
+    notes += vendor_limits.check_size(vendor_limits.signed_size(governance), GOVERNANCE, package)
+    documents = {PERMISSIONS_XML: emitted.document, GOVERNANCE_XML: governance}
+    return BuildResult(documents, tuple(notes), {PERMISSIONS_XML: emitted.plain_size})
 
 
 def _check(package: Package) -> Iterator[Diagnostic]:
-    """Yield what does not fit together in a package."""
+    """Yield the contradictions in a package."""
     granted = package.permissions
     identity = package.identity
     if granted.subject_name != identity.subject_name and _canonical(granted.subject_name, granted.origin) != _canonical(
@@ -68,18 +67,18 @@ def _check(package: Package) -> Iterator[Diagnostic]:
         yield Diagnostic(
             "issuer-mismatch", Severity.ERROR,
             f"the permissions are to be signed by {granted.issuer!r}, but the governance by "
-            f"{package.governance.issuer!r}: a participant knows one permissions authority only",
+            f"{package.governance.issuer!r}: a participant trusts one permissions authority only",
             granted.origin, "give both the same issuer_name", package.subject,
         )  # fmt: skip
     if granted.validity.not_after <= granted.validity.not_before:
         yield Diagnostic(
             "validity-empty", Severity.ERROR, "the permissions end before they begin",
-            granted.origin, "put not_after behind not_before", package.subject,
+            granted.origin, "set not_after to a date after not_before", package.subject,
         )  # fmt: skip
     for item in uncovered(granted.domains, (each for rule in package.governance.domain_rules for each in rule.domains)):
         yield Diagnostic(
             "domain-uncovered", Severity.ERROR,
-            f"the permissions are for {in_words([item])}, of which the governance says nothing",
+            f"the permissions are for {in_words([item])}, which the governance does not cover",
             granted.domains_origin or granted.origin, "add the domain to a domain rule of the governance",
             package.subject,
         )  # fmt: skip

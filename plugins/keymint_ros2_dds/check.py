@@ -1,8 +1,9 @@
-"""``keymint check``: what can be said of an installed enclave by looking at its files."""
+"""``keymint check``: findings on an installed enclave, from its files."""
 
 from __future__ import annotations
 
-from collections.abc import Generator, Iterator
+from collections.abc import Generator, Iterable, Iterator
+from dataclasses import replace
 from datetime import UTC, datetime, timedelta
 
 from cryptography import x509
@@ -29,13 +30,16 @@ from keymint_ros2_dds.layout import (
     PERMISSIONS_P7S,
     PERMISSIONS_XML,
 )
+from keymint_ros2_dds.reading import dates, signed_governance, signed_permissions
+from keymint_ros2_dds.reading.signed_governance import GovernanceDocument
+from keymint_ros2_dds.reading.signed_permissions import DocumentDomains, PermissionsDocument
 
 SLACK = timedelta(days=1)
-"""Fast DDS reads dates in the host's time zone; so a period must reach a day beyond the time it is needed for."""
+"""Fast DDS reads dates in the host's time zone, so a period must begin a day earlier and end a day later."""
 
 
 def check(inspection: Inspection) -> tuple[Diagnostic, ...]:
-    """Return findings on one installed enclave; every code is stable."""
+    """Return findings on one installed enclave; codes are stable."""
     return tuple(_Enclave(inspection).findings())
 
 
@@ -43,7 +47,7 @@ class _Enclave:
     """One enclave under inspection."""
 
     def __init__(self, inspection: Inspection) -> None:
-        self._seen = inspection
+        self._inspection = inspection
         self._files = inspection.files
         self._names = FILES.get(inspection.layout, ())
 
@@ -52,74 +56,75 @@ class _Enclave:
         yield from self._identity()
         yield from self._revocations()
         yield from self._authorities()
-        permissions = yield from self._signed(PERMISSIONS)
+        content = yield from self._signed(PERMISSIONS)
         governance = yield from self._signed(GOVERNANCE)
-        if permissions is not None:
-            yield from self._grant(permissions)
+        if content is not None:
+            permissions = signed_permissions.read(content)
+            yield from self._grants(permissions)
             if governance is not None:
-                yield from self._domains(permissions, governance)
+                yield from self._domains(permissions, signed_governance.read(governance))
         if governance is not None:
-            yield from check_governance.findings(self._seen)
+            yield from check_governance.findings(self._inspection)
         plain = self._files.get(PERMISSIONS_XML)
         if plain is not None and PERMISSIONS_XML in self._names and plain != self._content(PERMISSIONS):
             yield self._error(
-                "document-differs", PERMISSIONS_XML, "is not the document that permissions.p7s signs", self._again
+                "document-differs", PERMISSIONS_XML, "is not the document that permissions.p7s signs", self._reinstall
             )
 
     @property
-    def _again(self) -> str:
-        return f"'keymint install {self._seen.package.name}' writes it anew"
+    def _reinstall(self) -> str:
+        return f"'keymint install {self._inspection.package.name}' writes it again"
 
     def _where(self, name: str) -> Origin:
-        return Origin(f"{self._seen.folder}/{name}")
+        return Origin(f"{self._inspection.folder}/{name}")
 
     def _error(self, code: str, name: str, message: str, help_: str) -> Diagnostic:
-        return Diagnostic(code, Severity.ERROR, message, self._where(name), help_, self._seen.package.subject)
+        return Diagnostic(code, Severity.ERROR, message, self._where(name), help_, self._inspection.package.subject)
 
     def _warning(self, code: str, name: str, message: str, help_: str) -> Diagnostic:
-        return Diagnostic(code, Severity.WARNING, message, self._where(name), help_, self._seen.package.subject)
+        return Diagnostic(code, Severity.WARNING, message, self._where(name), help_, self._inspection.package.subject)
 
-    def _for_subject(self, found: Diagnostic) -> Diagnostic:
-        where = found.where or self._where("")
-        return Diagnostic(found.code, found.severity, found.message, where, found.help, self._seen.package.subject)
+    def _for_subject(self, diagnostic: Diagnostic) -> Diagnostic:
+        where = diagnostic.where or self._where("")
+        return replace(diagnostic, where=where, subject=self._inspection.package.subject)
 
     def _inventory(self) -> Iterator[Diagnostic]:
         for name in self._names:
             if name not in self._files:
-                yield self._error("file-missing", name, "is missing", self._again)
+                yield self._error("file-missing", name, "is missing", self._reinstall)
         for name in sorted(self._files.keys() - {*self._names, CRL}):
-            message = f"does not belong to the layout {self._seen.layout!r}"
+            message = f"does not belong to the layout {self._inspection.layout!r}"
             yield self._warning("file-unexpected", name, message, "remove it")
 
     def _revocations(self) -> Iterator[Diagnostic]:
-        """Judge the revocation list, which is the user's to put there."""
+        """Check the revocation list, which Keymint does not write."""
         pem = self._files.get(CRL)
         if pem is None:
             return
-        if problem := revocation.problem(pem, self._files.get(CERTIFICATE, b""), self._seen.identity_ca):
-            yield self._error("revocation-list", CRL, problem, "put a sound list there, or remove it")
-        elif held := revocation.period(pem):
-            yield from self._validity("revocation list", CRL, *held, slack=timedelta(0))
+        if problem := revocation.problem(pem, self._files.get(CERTIFICATE, b""), self._inspection.identity_ca):
+            yield self._error("revocation-list", CRL, problem, "install a valid list, or remove it")
+        elif period := revocation.period(pem):
+            yield from self._validity("revocation list", CRL, *period, slack=timedelta(0))
 
     def _identity(self) -> Iterator[Diagnostic]:
         pem = self._files.get(CERTIFICATE)
         if pem is None:
             return
         where = self._where(CERTIFICATE)
-        found = verify.verify_chain(pem, self._seen.identity_ca, self._seen.now, where)
-        yield from map(self._for_subject, found)
+        chain_findings = verify.verify_chain(pem, self._inspection.identity_ca, self._inspection.now, where)
+        yield from map(self._for_subject, chain_findings)
         try:
             certificate = certificates.load(pem, where)
         except KeymintError:
-            return  # said by the chain
+            return  # verify_chain reports it
         if not certificates.is_canonical(pem):
-            message = "is not exactly the encoding of the certificate that it holds"
-            yield self._error("pem-altered", CERTIFICATE, message, self._again)
-        wanted = names.parse(self._seen.package.identity.subject_name)
-        if certificate.subject != wanted:
-            message = f"is for {names.to_text(certificate.subject)!r}, not {names.to_text(wanted)!r}"
-            yield self._error("certificate-subject", CERTIFICATE, message, self._again)
-        if not any(item.code in {"certificate-expired", "certificate-not-yet-valid"} for item in found):
+            message = "is not the canonical encoding of its certificate"
+            yield self._error("pem-altered", CERTIFICATE, message, self._reinstall)
+        expected = names.parse(self._inspection.package.identity.subject_name)
+        if certificate.subject != expected:
+            message = f"is for {names.to_text(certificate.subject)!r}, not {names.to_text(expected)!r}"
+            yield self._error("certificate-subject", CERTIFICATE, message, self._reinstall)
+        if not any(item.code in {"certificate-expired", "certificate-not-yet-valid"} for item in chain_findings):
             period = certificate.not_valid_before_utc, certificate.not_valid_after_utc
             yield from self._validity("certificate", CERTIFICATE, *period, slack=timedelta(0))
         key = self._files.get(KEY)
@@ -128,16 +133,10 @@ class _Enclave:
 
     def _key(self, pem: bytes, certificate: x509.Certificate) -> Iterator[Diagnostic]:
         where = self._where(KEY)
-        encrypted = bool(self._seen.package.identity.key.password_env)
         if not keys.is_canonical(pem):
-            yield self._error(
-                "pem-altered",
-                KEY,
-                "is not exactly the encoding of a private key",
-                self._again,
-            )
-        if encrypted:
-            return  # without its password nothing more can be said of it
+            yield self._error("pem-altered", KEY, "is not the canonical encoding of a private key", self._reinstall)
+        if self._inspection.package.identity.key.password_env:
+            return  # it cannot be read without its password
         try:
             key = keys.from_pem(pem, None, where)
         except KeymintError as error:
@@ -145,29 +144,29 @@ class _Enclave:
             return
         if not keys.matches(key, certificate):
             message = "is not the key of the certificate beside it"
-            yield self._error("key-mismatch", KEY, message, self._again)
+            yield self._error("key-mismatch", KEY, message, self._reinstall)
 
     def _authorities(self) -> Iterator[Diagnostic]:
         trusted = {
-            IDENTITY_CA: self._seen.identity_ca,
-            PERMISSIONS_CA: self._seen.permissions_ca,
-            CA: self._seen.permissions_ca,
+            IDENTITY_CA: self._inspection.identity_ca,
+            PERMISSIONS_CA: self._inspection.permissions_ca,
+            CA: self._inspection.permissions_ca,
         }
         for name in (IDENTITY_CA, PERMISSIONS_CA, CA):
             if name in self._names and name in self._files and self._files[name] != trusted[name]:
                 yield self._error(
-                    "authority-differs", name, "is not the certificate of the workspace's authority", self._again
+                    "authority-differs", name, "is not the certificate of the workspace's authority", self._reinstall
                 )
         try:
-            found = certificates.can_sign_documents(
-                certificates.load_bundle(self._seen.permissions_ca)[0],
+            problem = certificates.can_sign_documents(
+                certificates.load_bundle(self._inspection.permissions_ca)[0],
                 self._where(PERMISSIONS_CA if PERMISSIONS_CA in self._names else CA),
             )
         except KeymintError as error:
             yield from map(self._for_subject, error.diagnostics)
         else:
-            if found:
-                yield self._for_subject(found)
+            if problem:
+                yield self._for_subject(problem)
 
     def _content(self, kind: str) -> bytes | None:
         try:
@@ -175,8 +174,8 @@ class _Enclave:
         except KeymintError:
             return None
 
-    def _signed(self, kind: str) -> Generator[Diagnostic, None, etree._Element | None]:
-        """Judge a signed document; the generator's value is its root, or None where it cannot be trusted."""
+    def _signed(self, kind: str) -> Generator[Diagnostic, None, bytes | None]:
+        """Check a signed document; the generator returns its content if it is verified and valid, else None."""
         name = f"{kind}.p7s"
         signed = self._files.get(name)
         if signed is None:
@@ -185,63 +184,59 @@ class _Enclave:
         content = yield from self._verified(signed, where)
         if content is None:
             return None
-        yield from map(self._for_subject, vendor_limits.check_size(len(signed), kind, self._seen.package))
+        yield from map(self._for_subject, vendor_limits.check_size(len(signed), kind, self._inspection.package))
         if not self._as_built(kind, content):
-            package = self._seen.package.name
+            package = self._inspection.package.name
             message = f"the sources build another {kind} document: they changed, or the built one was edited by hand"
-            mend = f"'keymint build -f {package}' and 'keymint install {package}' write what the sources say"
-            yield self._warning("drift", name, message, mend)
+            help_ = f"'keymint build -f {package}' and 'keymint install {package}' write the document of the sources"
+            yield self._warning("drift", name, message, help_)
         try:
             root = dds_xml.read(content, kind, str(where))
         except KeymintError as error:
             yield from map(self._for_subject, error.diagnostics)
             return None
         for hazard in dds_xml.hazards(content, root):
-            yield self._warning("document-hazard", name, hazard, f"build it anew in place of editing it; {self._again}")
-        return root
+            yield self._warning("document-hazard", name, hazard, f"build it instead of editing it; {self._reinstall}")
+        return content
 
     def _as_built(self, kind: str, content: bytes) -> bool:
-        """Tell whether a document is what the sources build; permissions may say the same in another form."""
-        built = self._seen.documents.get(f"{kind}.xml")
+        """Tell whether a document is what the sources build, for permissions in any form with the same meaning."""
+        built = self._inspection.documents.get(f"{kind}.xml")
         if content == built:
             return True
         if kind != PERMISSIONS or built is None:
             return False
         try:
-            same_grant = _without_rules(content) == _without_rules(built)
-            return same_grant and is_form_of(self._seen.package, content)
+            return _headers(content) == _headers(built) and is_form_of(self._inspection.package, content)
         except KeymintError:
             return False
 
     def _verified(self, signed: bytes, where: Origin) -> Generator[Diagnostic, None, bytes | None]:
-        """Judge a signature; the generator's value is what is signed. An authority that expired hides nothing else."""
-        for at in (self._seen.now, None):
+        """Check a signature; the generator returns the content, or None. An expired authority hides no other defect."""
+        for at in (self._inspection.now, None):
             try:
-                return smime.verify(signed, self._seen.permissions_ca, at=at, where=where)
+                return smime.verify(signed, self._inspection.permissions_ca, at=at, where=where)
             except KeymintError as error:
                 yield from map(self._for_subject, error.diagnostics)
                 if error.diagnostics[0].code != "smime-authority-expired":
                     return None
         return None
 
-    def _grant(self, root: etree._Element) -> Iterator[Diagnostic]:
-        name = f"{PERMISSIONS}.p7s"
-        grants = root.findall("permissions/grant")
-        if len(grants) != 1:
-            message = f"has {len(grants)} grants; vendors choose among several in different ways"
-            yield self._warning("grant-count", name, message, "keep one grant")
-        grant = grants[0]
-        subject = grant.findtext("subject_name", "")
-        wanted = self._certificate_subject()
-        if wanted is not None and subject != wanted:
-            message = f"grants to {subject!r}, but the certificate is for {wanted!r}"
-            yield self._error("grant-subject", name, message, self._again)
-        if grant.findtext("default", "").strip() != "DENY":
+    def _grants(self, document: PermissionsDocument) -> Iterator[Diagnostic]:
+        if len(document.grants) != 1:
+            message = f"has {len(document.grants)} grants; vendors choose among several in different ways"
+            yield self._warning("grant-count", PERMISSIONS_P7S, message, "keep one grant")
+        grant = document.grants[0]
+        expected = self._certificate_subject()
+        if expected is not None and grant.subject_name != expected:
+            message = f"grants to {grant.subject_name!r}, but the certificate is for {expected!r}"
+            yield self._error("grant-subject", PERMISSIONS_P7S, message, self._reinstall)
+        if grant.allows:
             message = "allows by default on Cyclone DDS and OpenDDS, and denies on Fast DDS"
-            yield self._error("grant-default", name, message, "make the default DENY")
-        begin, end = (_date(grant.findtext(f"validity/{tag}", "")) for tag in ("not_before", "not_after"))
+            yield self._error("grant-default", PERMISSIONS_P7S, message, "make the default DENY")
+        begin, end = dates.standard(grant.not_before), dates.standard(grant.not_after)
         if begin is not None and end is not None:
-            yield from self._validity("grant", name, begin, end, slack=SLACK)
+            yield from self._validity("grant", PERMISSIONS_P7S, begin, end, slack=SLACK)
 
     def _certificate_subject(self) -> str | None:
         try:
@@ -252,17 +247,15 @@ class _Enclave:
     def _validity(
         self, what: str, name: str, begin: datetime, end: datetime, *, slack: timedelta
     ) -> Iterator[Diagnostic]:
-        now = self._seen.now
+        now = self._inspection.now
         code = what.replace(" ", "-")
-        renew = (
-            "extend its validity in the sources, then build and install" if name != CRL else "put a newer list there"
-        )
+        renew = "install a newer list" if name == CRL else "extend its validity in the sources, then build and install"
         if now >= end:
             yield self._error(f"{code}-expired", name, f"the {what} expired on {_shown(end)}", renew)
         elif now <= begin:
             message = f"the {what} is not valid before {_shown(begin)}"
             yield self._error(f"{code}-not-yet-valid", name, message, renew)
-        elif now + timedelta(days=self._seen.within_days) >= end:
+        elif now + timedelta(days=self._inspection.within_days) >= end:
             yield self._warning(f"{code}-expires", name, f"the {what} expires on {_shown(end)}", renew)
         elif now + slack >= end or now - slack < begin:
             message = (
@@ -271,43 +264,29 @@ class _Enclave:
             )
             yield self._warning(f"{code}-slack", name, message, renew)
 
-    def _domains(self, permissions: etree._Element, governance: etree._Element) -> Iterator[Diagnostic]:
-        governed = (item for element in governance.iter("domains") for item in _ranges(element))
-        granted = {item for element in permissions.iter("domains") for item in _ranges(element)}
-        for item in uncovered(sorted(granted), governed):
+    def _domains(self, permissions: PermissionsDocument, governance: GovernanceDocument) -> Iterator[Diagnostic]:
+        governed = _ranges(each for rule in governance.domain_rules for each in rule.domains)
+        granted = _ranges(each for grant in permissions.grants for rule in grant.rules for each in rule.domains)
+        for item in uncovered(sorted(set(granted)), governed):
             yield self._error(
                 "domain-uncovered", PERMISSIONS_P7S, f"grants in {in_words([item])}, which the governance lacks",
                 "add the domain to a domain rule of the governance",
             )  # fmt: skip
 
 
-def _ranges(element: etree._Element) -> Iterator[DomainRange]:
-    """Yield the domains of a ``<domains>`` element; of a range with one end, that end (as vendors do)."""
-    for item in element:
-        if item.tag == "id":
-            yield DomainRange(int(item.text or 0), int(item.text or 0))
-        else:
-            low = int(item.findtext("min", "0"))
-            yield DomainRange(low, int(item.findtext("max", str(low))))
-
-
-def _date(text: str) -> datetime | None:
-    """Return a date of a document; one without a zone is UTC (DDS Security 1.1, 9.4.1.3.2.2)."""
-    try:
-        moment = datetime.fromisoformat(text.strip())
-    except ValueError:
-        return None
-    return moment if moment.tzinfo else moment.replace(tzinfo=UTC)
+def _ranges(domains: Iterable[DocumentDomains]) -> Iterator[DomainRange]:
+    """Yield ranges of domains; a range without a maximum is its minimum, as vendors read it."""
+    for each in domains:
+        first = each.first or 0
+        yield DomainRange(first, first if each.last is None else each.last)
 
 
 def _shown(moment: datetime) -> str:
     return f"{moment.astimezone(UTC):%Y-%m-%d %H:%M} UTC"
 
 
-def _without_rules(content: bytes) -> tuple[tuple[str, str, str], ...]:
-    """Return what a permissions document says beside its rules, in the form in which two of them can be compared."""
+def _headers(content: bytes) -> list[tuple[str, str, str]]:
+    """Return the elements of a permissions document without its rules, as name, label and text."""
     root = dds_xml.read(content, PERMISSIONS, PERMISSIONS_XML)
-    for grant in root.iter("grant"):
-        for rule in [*grant.findall("allow_rule"), *grant.findall("deny_rule")]:
-            grant.remove(rule)
-    return tuple((item.tag, item.get("name", ""), (item.text or "").strip()) for item in root.iter("*"))
+    etree.strip_elements(root, "allow_rule", "deny_rule")
+    return [(item.tag, item.get("name", ""), (item.text or "").strip()) for item in root.iter("*")]

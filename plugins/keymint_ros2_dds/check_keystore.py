@@ -1,4 +1,4 @@
-"""``keymint check``: what can only be seen by looking at several enclaves together."""
+"""``keymint check``: findings that concern several enclaves of a keystore."""
 
 from __future__ import annotations
 
@@ -14,29 +14,21 @@ from keymint_ros2_dds.layout import CERTIFICATE
 
 
 def check_all(inspections: Sequence[Inspection]) -> tuple[Diagnostic, ...]:
-    """Return findings that concern several enclaves; every code is stable."""
-    return (*_confusions(inspections), *_one_authority(inspections), *_governances(inspections))
-
-
-def cyclone_takes_for(identity: str, grant: str) -> bool:
-    """Tell whether Cyclone DDS lets an identity use a grant for another subject.
-
-    It splits both names at ``,``, ``/`` and ``|`` and asks only whether every token of the identity also occurs in the
-    grant (``ac_check_subjects_are_equal`` in its ``access_control_utils.c``). So ``CN=/robot`` may use the grant of
-    ``CN=/robot/camera``, which every peer gets to see in a handshake.
-
-    Args:
-        identity: subject name of a certificate.
-        grant: subject name of a grant.
-    """
-    return _tokens(identity) <= _tokens(grant)
+    """Return findings that concern several enclaves; codes are stable."""
+    return (*_shared_grants(inspections), *_shared_authorities(inspections), *_different_authorities(inspections))
 
 
 def _tokens(name: str) -> frozenset[str]:
+    """Return the tokens of a subject name that Cyclone DDS compares.
+
+    Cyclone DDS splits both names at ``,``, ``/`` and ``|`` and requires only that every token of the identity occurs
+    in the grant (``ac_check_subjects_are_equal`` in its ``access_control_utils.c``). So ``CN=/robot`` may use the grant
+    of ``CN=/robot/camera``, which every peer receives in a handshake.
+    """
     return frozenset(token.strip() for token in re.split(r"[,/|]", name) if token.strip())
 
 
-def _confusions(inspections: Sequence[Inspection]) -> Iterator[Diagnostic]:
+def _shared_grants(inspections: Sequence[Inspection]) -> Iterator[Diagnostic]:
     subjects = [(inspection, name, _tokens(name)) for inspection in inspections if (name := _subject(inspection))]
     holders: dict[str, set[int]] = defaultdict(set)
     for number, (_, _, tokens) in enumerate(subjects):
@@ -60,14 +52,14 @@ def _subject(inspection: Inspection) -> str:
         return ""
 
 
-def _one_authority(inspections: Sequence[Inspection]) -> Iterator[Diagnostic]:
+def _shared_authorities(inspections: Sequence[Inspection]) -> Iterator[Diagnostic]:
     """Yield one finding for each authority that both issues identities and signs permissions."""
-    said: set[bytes] = set()
+    reported: set[bytes] = set()
     for inspection in inspections:
         authority = inspection.permissions_ca
-        if authority and authority == inspection.identity_ca and authority not in said:
-            said.add(authority)
-            # The flat layout has no place for a second authority, so there it is no finding to act upon.
+        if authority and authority == inspection.identity_ca and authority not in reported:
+            reported.add(authority)
+            # The flat layout has no file for a second authority, so there the user cannot act on it.
             severity = Severity.NOTE if inspection.layout == "flat" else Severity.WARNING
             yield Diagnostic(
                 "authority-shared", severity,
@@ -78,14 +70,14 @@ def _one_authority(inspections: Sequence[Inspection]) -> Iterator[Diagnostic]:
             )  # fmt: skip
 
 
-def _governances(inspections: Sequence[Inspection]) -> Iterator[Diagnostic]:
-    """Yield a finding for enclaves that trust different permissions authorities: Fast DDS lets no two of them meet."""
+def _different_authorities(inspections: Sequence[Inspection]) -> Iterator[Diagnostic]:
+    """Yield a finding for each enclave with another permissions authority; Fast DDS requires one for all."""
     first = inspections[0] if inspections else None
     for inspection in inspections[1:]:
         if first and inspection.permissions_ca != first.permissions_ca:
             yield Diagnostic(
                 "authorities-differ", Severity.WARNING,
                 f"its permissions are signed by {inspection.package.permissions.issuer!r}, those of "
-                f"{first.package.subject} by {first.package.permissions.issuer!r}: Fast DDS lets them not communicate",
+                f"{first.package.subject} by {first.package.permissions.issuer!r}: on Fast DDS they cannot communicate",
                 Origin(inspection.folder), "sign all permissions by one authority", inspection.package.subject,
             )  # fmt: skip

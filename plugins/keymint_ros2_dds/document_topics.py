@@ -1,4 +1,4 @@
-"""The topics that the documents of an installed enclave mention, whatever the policy says."""
+"""The topic expressions in the permissions document of an installed enclave."""
 
 from __future__ import annotations
 
@@ -11,21 +11,21 @@ from keymint_ros2_dds.layout import PERMISSIONS_P7S
 from keymint_ros2_dds.transports import enclave_files
 
 
-def mentioned(enclave: Enclave) -> tuple[tuple[str, tuple[str, ...]], ...]:
-    """Return each expression of a topic with the expressions of partitions beside it, in the order of the document.
+def document_topics(enclave: Enclave) -> tuple[tuple[str, tuple[str, ...]], ...]:
+    """Return each topic expression with its partition expressions, in the order of the document.
 
-    Nothing is returned of a document that cannot be read: that is for the transports to say.
+    The result is empty if the document cannot be read, which the transports report.
     """
     try:
         signed = enclave_files.content(enclave.folder, PERMISSIONS_P7S)
         document = decision.read(smime.signed_content(signed, Origin(PERMISSIONS_P7S)))
     except KeymintError:
         return ()
-    found = (
+    topics = (
         (topic, criteria.partitions or ())
         for grant in document.grants
         for rule in grant.rules
         for criteria in rule.criteria
         for topic in criteria.topics
     )
-    return tuple(dict.fromkeys(found))
+    return tuple(dict.fromkeys(topics))

@@ -1,7 +1,7 @@
-"""What the sources of a governance leave open: found at build, at the rule that says so.
+"""Warns at build of topics and domains that the governance leaves open, at the rule that does so.
 
-Where a rule of the governance puts no access control on a topic, every vendor lets every participant have it, whatever
-the policy says. That may be meant; then the profile says so.
+Where a governance rule puts no access control on a topic, every vendor admits every participant, whatever the policy
+says. If that is intended, the profile can accept it.
 """
 
 from __future__ import annotations
@@ -23,65 +23,65 @@ from keymint_ros2_dds.proving.protection import ACCEPT
 from keymint_ros2_dds.reading.signed_governance import ACCESS, JOIN, UNAUTHENTICATED
 
 STATES = 20_000
-"""States that a question may visit; what is given up counts as open."""
+"""States that a search may visit; topics that are not decided count as open."""
 _PAIRS = Universe(octets.ALPHABET, fields=2, separator=permission_lists.SEPARATOR, last_nonempty=True)
 _NONE = "NONE"
 UNPROTECTED = "governance-unprotected"
-"""Code of the finding on topics that are neither signed nor encrypted: an owner may trust the network."""
+"""Code of the finding on topics that are neither signed nor encrypted; a user may trust the network."""
 
 
 def findings(package: Package, lowered: Lowered | None = None) -> tuple[Diagnostic, ...]:
-    """Return what the governance of a package leaves open although its policy does not allow it.
+    """Return findings on what the governance of a package leaves open and its policy does not allow.
 
-    A finding names no subject, since many packages have the same governance. What the profile accepts is a note.
+    A finding has no subject, since many packages share a governance. It is a note if the profile accepts it.
 
     Args:
         package: the package.
-        lowered: the rules of the package on the level of DDS, where they are known.
+        lowered: the rules of the package as DDS patterns, if they are known.
 
     Raises:
-        KeymintError: a rule of the policy, or an expression of the governance, cannot be mapped.
+        KeymintError: a rule of the policy, or an expression of the governance, is invalid.
     """
     accepted = package.governance.accepts_open
     severity = Severity.NOTE if accepted else Severity.WARNING
     help_ = "the profile accepts it" if accepted else f"put it under access control, {ACCEPT}"
-    found: list[Diagnostic] = []
-    seen: list[DomainRange] = []
+    diagnostics: list[Diagnostic] = []
+    earlier: list[DomainRange] = []
     for rule in package.governance.domain_rules:
-        domains = tuple(_left(rule.domains, seen))
-        seen += rule.domains
+        domains = tuple(_without(rule.domains, earlier))
+        earlier += rule.domains
         if domains:
-            said = (*_of_domain(rule, domains), *_of_topics(package, rule, domains, lowered))
-            found += (Diagnostic(code, severity, text, where, help_) for code, text, where in said)
-    return tuple(dict.fromkeys(found))
+            results = (*_open_domain(rule, domains), *_open_topics(package, rule, domains, lowered))
+            diagnostics += (Diagnostic(code, severity, text, where, help_) for code, text, where in results)
+    return tuple(dict.fromkeys(diagnostics))
 
 
-_Said = tuple[str, str, Origin]
+_Finding = tuple[str, str, Origin]
 """Code, message and place of a finding."""
 
 
-def _left(domains: tuple[DomainRange, ...], seen: list[DomainRange]) -> Iterator[DomainRange]:
-    """Yield the domains that no rule before was about: the first rule counts."""
-    edges = {edge for each in (*domains, *seen) for edge in (each.first, each.last + 1)}
+def _without(domains: tuple[DomainRange, ...], earlier: list[DomainRange]) -> Iterator[DomainRange]:
+    """Yield the domains that no earlier rule applies to; the first rule for a domain counts."""
+    edges = {edge for each in (*domains, *earlier) for edge in (each.first, each.last + 1)}
     for first, following in pairwise(sorted(edges)):
         inside = any(each.first <= first <= each.last for each in domains)
-        if inside and not any(each.first <= first <= each.last for each in seen):
+        if inside and not any(each.first <= first <= each.last for each in earlier):
             yield DomainRange(first, following - 1)
 
 
-def _of_domain(rule: DomainRule, domains: tuple[DomainRange, ...]) -> Iterator[_Said]:
+def _open_domain(rule: DomainRule, domains: tuple[DomainRange, ...]) -> Iterator[_Finding]:
     where = in_words(domains)
     if not rule.enable_join_access_control:
-        text = f"{JOIN} is false: every identity of the authority may join {where}, also without any permission"
+        text = f"{JOIN} is false: every identity of the authority may join {where}, even without permissions"
         yield "governance-open-join", text, rule.origin
     if rule.allow_unauthenticated_participants:
         text = f"{UNAUTHENTICATED} is true: participants without identity and permissions may join {where}"
         yield "governance-open-join", text, rule.origin
 
 
-def _of_topics(
+def _open_topics(
     package: Package, rule: DomainRule, domains: tuple[DomainRange, ...], lowered: Lowered | None
-) -> Iterator[_Said]:
+) -> Iterator[_Finding]:
     inside = any(a.first <= b.last and b.first <= a.last for a in domains for b in package.permissions.domains)
     before: list[Glob] = []
     for topic in rule.topic_rules:
@@ -97,8 +97,8 @@ def _of_topics(
             if inside and lowered is not None and _allowed(lowered, action, tuple(before), tuple(own)):
                 continue
             text = (
-                f"{ACCESS[action]} is false for {topic.expression!r}: every participant may {action} what it matches "
-                f"in {in_words(domains)}, also what the policy denies or does not allow"
+                f"{ACCESS[action]} is false for {topic.expression!r}: every participant may {action} all matching "
+                f"topics in {in_words(domains)}, also those that the policy does not allow"
             )
             yield "governance-open", text, topic.origin
         kinds = (rule.rtps_protection_kind, topic.metadata_protection_kind, topic.data_protection_kind)
@@ -116,7 +116,7 @@ def _controls(topic: TopicProtection, action: str) -> bool:
 
 
 def _allowed(lowered: Lowered, action: str, before: tuple[Glob, ...], own: tuple[Glob, ...]) -> bool:
-    """Tell whether a policy allows all that a rule leaves open: those topics, in every partition."""
+    """Tell whether a policy allows all topics that a rule leaves open, in every partition."""
     opened: DecisionList = tuple(
         Block(
             allows,
@@ -124,5 +124,5 @@ def _allowed(lowered: Lowered, action: str, before: tuple[Glob, ...], own: tuple
         )
         for allows, topics in ((False, before), (True, own))
     )
-    said = permission_lists.of_policy(lowered, action, pairs=True)
-    return isinstance(escapes((opened,), said, _PAIRS, SearchBudget(STATES)), Equal)
+    policy = permission_lists.of_policy(lowered, action, pairs=True)
+    return isinstance(escapes((opened,), policy, _PAIRS, SearchBudget(STATES)), Equal)

@@ -1,4 +1,4 @@
-"""The install stage: unsigned documents and credentials in, the files of an enclave out."""
+"""The install stage: signs the documents of a package and returns the files of its enclave."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ def install(
     """Return the files of an enclave by name; see :meth:`keymint.api.BuildType.install`.
 
     Raises:
-        KeymintError: a document is missing or not valid, or the layout cannot hold these authorities.
+        KeymintError: a document is missing or not valid, or the layout has no place for two authorities.
     """
     if layout not in FILES:
         raise KeymintError(f"unknown layout {layout!r}", help=f"use {' or '.join(FILES)}", code="layout-unknown")
@@ -77,7 +77,7 @@ def _document(package: Package, documents: Mapping[str, bytes], kind: str) -> by
 
 
 def _signed(content: bytes, kind: str, credentials: EnclaveCredentials, installed: Mapping[str, bytes]) -> bytes:
-    """Return a signed document: the installed one where it still holds, else a new one."""
+    """Return a signed document: the installed one if it is still current, else a new one."""
     signer = smime.load_signer(credentials.signer)
     present = installed.get(f"{kind}.p7s")
     if present is not None and smime.is_current(present, content, signer.certificate):
@@ -89,37 +89,37 @@ def _signed(content: bytes, kind: str, credentials: EnclaveCredentials, installe
 
 @lru_cache(maxsize=16)
 def _sign_once(content: bytes, signer: api.SigningAuthority) -> bytes:
-    """Sign a document that many enclaves share."""
+    """Sign a document; cached, since many enclaves share it."""
     loaded = smime.load_signer(signer)
     return smime.sign(content, loaded.certificate, loaded.key, Origin(GOVERNANCE_XML))
 
 
 def shared(artifacts: Mapping[str, Mapping[str, Artifact]], layout: str) -> Mapping[str, Artifact]:
-    """Return what the layout keeps once for all enclaves, by path relative to the install space.
+    """Return the files that the layout keeps once for all enclaves, by path relative to the install space.
 
-    That is a convenience for people and for tools of sros2: an enclave is complete without. So what the enclaves do
-    not agree on (an authority, the governance) is left out, in place of showing that of one of them as everybody's.
+    They are a convenience for people and for sros2's tools; enclaves are complete without them. So a file is omitted if
+    the enclaves do not agree on it (an authority, the governance).
 
     Args:
-        artifacts: artifacts by subject, then file name; enclaves of other build types are passed over.
+        artifacts: artifacts by subject, then file name; enclaves of other build types are ignored.
         layout: ``sros2`` or ``flat``; the latter keeps nothing.
     """
     enclaves = [files for _, files in sorted(artifacts.items()) if PERMISSIONS_P7S in files]
     if layout != "sros2" or not enclaves:
         return {}
-    found: dict[str, Artifact] = {}
+    result: dict[str, Artifact] = {}
     for name in (IDENTITY_CA, PERMISSIONS_CA):
         contents = {files[name].content for files in enclaves if name in files}
         if len(contents) == 1:
-            found[f"public/{name}"] = Artifact(contents.pop())
-    if len(found) == 2 and len({artifact.content for artifact in found.values()}) == 1:  # noqa: PLR2004 - both
-        found[f"public/{CA}"] = found[f"public/{IDENTITY_CA}"]
+            result[f"public/{name}"] = Artifact(contents.pop())
+    if len(result) == 2 and len({artifact.content for artifact in result.values()}) == 1:  # noqa: PLR2004 - both
+        result[f"public/{CA}"] = result[f"public/{IDENTITY_CA}"]
     signed = [files[GOVERNANCE_P7S].content for files in enclaves if GOVERNANCE_P7S in files]
     documents = {_content(one) for one in dict.fromkeys(signed)}
     if len(documents) == 1 and (content := documents.pop()) is not None:
-        found[f"enclaves/{GOVERNANCE_XML}"] = Artifact(content)
-        found[f"enclaves/{GOVERNANCE_P7S}"] = Artifact(signed[0])
-    return found
+        result[f"enclaves/{GOVERNANCE_XML}"] = Artifact(content)
+        result[f"enclaves/{GOVERNANCE_P7S}"] = Artifact(signed[0])
+    return result
 
 
 def _content(signed: bytes) -> bytes | None:

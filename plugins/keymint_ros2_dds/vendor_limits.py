@@ -1,4 +1,4 @@
-"""What the vendors' authentication accepts of keys, and how large documents may become."""
+"""Checks limits of DDS vendors: keys and certificates that they accept, and the size of documents."""
 
 from __future__ import annotations
 
@@ -13,15 +13,15 @@ from keymint.pki import keys
 from keymint_ros2_dds.lowering.lower import Lowered
 
 TIGHT = 45_000
-"""Bytes of a signed document up to which handshakes were seen to work on every vendor."""
+"""Bytes of a signed document up to which handshakes worked on every vendor."""
 BROKEN = 64_000
-"""Bytes of a signed document beyond which handshakes fail on some vendor: a UDP datagram ends at 65,507."""
+"""Bytes of a signed document beyond which handshakes fail on some vendor: a UDP datagram has at most 65,507."""
 SIGNATURE = 1_450
-"""About how many bytes S/MIME adds to a document with an EC key of 256 bits; with RSA of 2048 bits it is 2,250."""
+"""Approximate bytes that S/MIME adds with an EC key of 256 bits; with RSA of 2048 bits it adds 2,250."""
 
 
 def check_key(key: KeySpec, package: Package, *, allow_vendor_specific: bool) -> Iterator[Diagnostic]:
-    """Yield what is wrong with the key of an identity: vendors take RSA of 2048 bits or EC of 256 bits."""
+    """Yield the defects of an identity's key: vendors accept RSA with 2048 bits or EC with 256 bits."""
     if key.algorithm == "rsa":
         fine, name = key.size == 2048, f"RSA with {key.size} bits"  # noqa: PLR2004 - the size in question
     else:
@@ -43,10 +43,10 @@ def check_key(key: KeySpec, package: Package, *, allow_vendor_specific: bool) ->
 
 
 def check_issuers(package: Package) -> Iterator[Diagnostic]:
-    """Yield warnings for what one vendor refuses of the certificates above an identity, and of how it is signed.
+    """Yield warnings for authorities and signatures of an identity that some vendor refuses.
 
-    Measured with participants of Cyclone DDS 0.10.2 and Fast DDS 2.9.1. They are warnings, as a deployment may know its
-    vendor; and they name no subject, as one authority stands above many.
+    Measured with participants of Cyclone DDS 0.10.2 and Fast DDS 2.9.1. They are warnings, since a deployment may know
+    its vendor. They have no subject, since one authority issues many identities.
     """
     if package.identity.hash_algorithm.upper() != "SHA256":
         yield Diagnostic(
@@ -62,9 +62,9 @@ def check_issuers(package: Package) -> Iterator[Diagnostic]:
             yield Diagnostic(
                 "portability-chain",
                 Severity.WARNING,
-                f"the authority {authority.name!r} is an intermediate one; Cyclone DDS refuses identities of its",
+                f"the authority {authority.name!r} is an intermediate CA; Cyclone DDS refuses identities it issues",
                 spec.origin,
-                "let a self-signed authority issue identities",
+                "issue identities by a self-signed authority",
             )
         if not _accepted(spec.key):
             yield Diagnostic(
@@ -83,17 +83,17 @@ def _accepted(key: KeySpec) -> bool:
     try:
         return keys.curve_name(key.curve) == "SECP256R1"
     except KeymintError:
-        return True  # the error is of the authority, and said where its key is minted
+        return True  # reported where the authority's key is generated
 
 
 def check_size(size: int, kind: str, package: Package, lowered: Lowered | None = None) -> Iterator[Diagnostic]:
-    """Yield a warning when a signed document is so large that handshakes break.
+    """Yield a warning if a signed document is so large that handshakes may fail.
 
     Args:
-        size: bytes of the signed document, or of the unsigned one and what signing will add.
-        kind: which document.
-        package: the package it belongs to.
-        lowered: its rules, to name those that contribute most.
+        size: bytes of the signed document.
+        kind: ``permissions`` or ``governance``.
+        package: the package of the document.
+        lowered: its rules, to report those with the most patterns.
     """
     if size <= TIGHT:
         return
@@ -101,11 +101,9 @@ def check_size(size: int, kind: str, package: Package, lowered: Lowered | None =
     effect = "handshakes fail on Fast DDS" if size > BROKEN else "handshakes may fail on some vendors"
     message = f"the signed {kind} document has about {size:,} bytes; beyond {limit:,} {effect}"
     where = package.permissions.origin
-    help_ = "allow whole namespaces with a wildcard where that is what you mean, or split the subject"
+    help_ = "allow entire namespaces with a wildcard where that is intended, or split the subject"
     if lowered is not None:
-        rules = Counter(
-            rule for sides in (lowered.allow, lowered.deny) for side in sides.values() for rule in side.values()
-        )
+        rules = Counter(rule for _, _, _, rule in lowered.patterns())
         kinds: Counter[str] = Counter()
         for rule, count in rules.items():
             kinds[f"{rule.effect} {rule.kind}"] += count
@@ -114,11 +112,11 @@ def check_size(size: int, kind: str, package: Package, lowered: Lowered | None =
         total = sum(rules.values())
         message += f"; {kind_count} of its {total} patterns come from {kind_name} rules, {count} of them from one rule"
         where = largest.origin
-        if any(rule.effect is Effect.DENY for rule in rules) and kinds.most_common(1)[0][0].startswith("DENY"):
-            help_ = "deny whole namespaces with a wildcard where that is what you mean"
+        if kind_name.startswith(Effect.DENY):
+            help_ = "deny entire namespaces with a wildcard where that is intended"
     yield Diagnostic(f"size-{kind}", Severity.WARNING, message, where, help_, package.subject)
 
 
 def signed_size(unsigned: bytes) -> int:
-    """Return about how many bytes a document has when it is signed: a frame and a signature are added."""
+    """Return the approximate bytes of a document after signing, which adds a frame and a signature."""
     return len(unsigned) + SIGNATURE

@@ -1,4 +1,4 @@
-"""XML documents as DDS implementations want them: compact text, no comments, no foreign attributes, schema order."""
+"""DDS Security documents in the XML form that all vendors read: compact text, no comments, schema order."""
 
 from __future__ import annotations
 
@@ -15,15 +15,15 @@ from keymint.api import DomainRange
 from keymint_ros2_dds.domains import merged
 
 INDENTED = 32_000
-"""Bytes up to which a document is indented. A sixth of a larger one would be blanks, and handshakes carry it whole.
+"""Bytes up to which a document is indented. Indentation is a sixth of a larger one, and every handshake carries it.
 
-Line ends stay in either form, so that a line's number says which topic is meant.
+Both forms have line ends, so that a line number identifies a topic.
 """
 
 _XSI = "http://www.w3.org/2001/XMLSchema-instance"
 _SPEC = "http://www.omg.org/spec/DDS-Security/20170901"
 _valid: set[bytes] = set()
-"""Digests of documents that are known to be valid: a memo, by which most need not be parsed again to be signed."""
+"""Digests of valid documents, so that most documents are not parsed again before they are signed."""
 _HEAD = b'<?xml version="1.0" encoding="UTF-8"?>\n'
 
 
@@ -35,7 +35,7 @@ def root(kind: str) -> etree._Element:
 
 
 def child(parent: etree._Element, tag: str, text: str | None = None) -> etree._Element:
-    """Append an element, with text or without, and return it."""
+    """Append an element and return it."""
     element = etree.SubElement(parent, tag)
     if text is not None:
         element.text = text
@@ -43,46 +43,46 @@ def child(parent: etree._Element, tag: str, text: str | None = None) -> etree._E
 
 
 def domains(parent: etree._Element, ranges: Iterable[DomainRange]) -> None:
-    """Append ``<domains>``: ``<id>``, or ``<id_range>`` with both of its ends."""
+    """Append ``<domains>`` with an ``<id>``, or an ``<id_range>`` with both ends, for each range."""
     element = child(parent, "domains")
     for item in merged(ranges):
         if item.first == item.last:
             child(element, "id", str(item.first))
         else:
-            both = child(element, "id_range")
-            child(both, "min", str(item.first))
-            child(both, "max", str(item.last))
+            id_range = child(element, "id_range")
+            child(id_range, "min", str(item.first))
+            child(id_range, "max", str(item.last))
 
 
 def date(moment: datetime) -> str:
-    """Return a date as all vendors read it: UTC, to the second, without a zone (which Fast DDS ignores)."""
+    """Return a date in the form that all vendors read: UTC, to the second, without a zone (Fast DDS ignores zones)."""
     return moment.astimezone(UTC).strftime("%Y-%m-%dT%H:%M:%S")
 
 
 def render(document: etree._Element, kind: str) -> bytes:
-    """Return a document as bytes, held against its schema first: indented, unless it is a large one.
+    """Validate a document against its schema and return it as bytes, indented unless it is large.
 
     Raises:
-        KeymintError: it is not valid.
+        KeymintError: the document is not valid.
     """
     validate(document, kind, f"{kind}.xml")
-    content = _written(document, "  ")
+    content = _serialized(document, "  ")
     if len(content) > INDENTED:
-        content = _written(document, "")
+        content = _serialized(document, "")
     _valid.add(_digest(content, kind))
     return content
 
 
-def _written(document: etree._Element, space: str) -> bytes:
+def _serialized(document: etree._Element, space: str) -> bytes:
     etree.indent(document, space=space)
     return _HEAD + etree.tostring(document, encoding="utf-8") + b"\n"
 
 
 def require_valid(content: bytes, kind: str, name: str) -> None:
-    """Hold a document from bytes against its schema, unless it was rendered here, or held against it before.
+    """Validate a document against its schema, unless that was done before.
 
     Raises:
-        KeymintError: it cannot be read or is not valid; each defect with ``file:line``.
+        KeymintError: the document cannot be read or is not valid; each defect with ``file:line``.
     """
     digest = _digest(content, kind)
     if digest not in _valid:
@@ -95,15 +95,15 @@ def _digest(content: bytes, kind: str) -> bytes:
 
 
 def read(content: bytes, kind: str, name: str) -> etree._Element:
-    """Return the root of a document from bytes, held against its schema.
+    """Parse a document, validate it against its schema, and return its root element.
 
     Args:
         content: XML.
         kind: ``permissions`` or ``governance``.
-        name: the file as the user would type it.
+        name: the path of the file, for messages.
 
     Raises:
-        KeymintError: it cannot be read or is not valid; each defect with ``file:line``.
+        KeymintError: the document cannot be read or is not valid; each defect with ``file:line``.
     """
     document = parse(content, name)
     validate(document, kind, name)
@@ -111,19 +111,19 @@ def read(content: bytes, kind: str, name: str) -> etree._Element:
 
 
 def validate(document: etree._Element, kind: str, name: str) -> None:
-    """Hold a document against the schema of its kind.
+    """Validate a document against the schema of its kind.
 
     Raises:
-        KeymintError: it is not valid; each defect with ``file:line``.
+        KeymintError: the document is not valid; each defect with ``file:line``.
     """
     schema.validate(document, locate("keymint_ros2_dds", "schemas") / f"{kind}.xsd", name)
 
 
 def hazards(content: bytes, root: etree._Element) -> Iterator[str]:
-    """Yield what a valid document should not hold, since some vendor misreads it or stops at it; one line each."""
+    """Yield the defects of a valid document that some vendor misreads or crashes on; one line each."""
     if b"<!--" in content or b"<?" in content.removeprefix(b"<?xml"):
         yield "has a comment or a processing instruction, which Fast DDS misreads"
     if any(item.find("min") is None or item.find("max") is None for item in root.iter("id_range")):
-        yield "has a range of domains without both of its ends, which vendors read differently, or stop at"
+        yield "has a range of domains with one end only, which vendors read differently or crash on"
     if any(text != text.strip() for item in root.iter() if not len(item) and (text := item.text or "")):
         yield "has white space around a text, which Cyclone DDS trims and Fast DDS keeps"

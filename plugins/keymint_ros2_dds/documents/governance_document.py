@@ -1,9 +1,10 @@
-"""The governance document: how domains and topics are protected (DDS Security 1.1, 9.4.1.2)."""
+"""Writes the governance document: how domains and topics are protected (DDS Security 1.1, 9.4.1.2)."""
 
 from __future__ import annotations
 
 import re
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from functools import lru_cache
 
 from lxml import etree
@@ -29,7 +30,7 @@ KINDS = ("NONE", "SIGN", "ENCRYPT", "SIGN_WITH_ORIGIN_AUTHENTICATION", "ENCRYPT_
 DATA_KINDS = ("NONE", "SIGN", "ENCRYPT")
 
 _ODD = re.compile(r"[^A-Za-z0-9_/*?\[\]!^\\-]|//|(?<=.)/$")
-"""What no ROS name has, outside of the signs of an expression (ROS 2 design, "Topic and Service Names")."""
+"""Characters and slashes that no ROS name has; expression syntax aside (ROS 2 design, "Topic and Service Names")."""
 _PERMISSIONS = {
     "topic": (("topic", "publish"),),
     "ros_topic": (("ros_topic", "ros_publish"),),
@@ -37,36 +38,34 @@ _PERMISSIONS = {
     "ros_action": (("ros_action", "ros_request"),),
     "ros_parameter": (("ros_parameter", "ros_read"), ("ros_parameter", "ros_write")),
 }
-"""One side of each kind: both sides of a ROS entity use the same DDS topics."""
+"""A permission of each kind that maps to all of its DDS topics: both sides of a ROS entity use the same ones."""
 
 
 def build(
     governance: Governance, subject: str, distro: str, *, allow_vendor_specific: bool
 ) -> tuple[bytes, tuple[Diagnostic, ...]]:
-    """Return the governance document, valid against its schema, and what is to be said of it.
+    """Return the governance document, valid against its schema, with warnings and notes.
 
     Args:
-        governance: what is asked for.
-        subject: whose document it is.
-        distro: ROS 2 distribution whose mapping of names applies. A governance document knows no partitions, so that
-            for Ardent a rule is about a base name in every namespace.
-        allow_vendor_specific: where vendors would differ, follow the standard and warn.
+        governance: the governance of a package.
+        subject: the subject of the package.
+        distro: ROS 2 distribution whose name mapping applies. A governance document has no partitions, so for Ardent a
+            rule applies to a base name in every namespace.
+        allow_vendor_specific: where vendors differ, follow the standard and warn.
 
     Raises:
-        KeymintError: an unknown kind of protection, or what vendors would not read alike; each with its place.
+        KeymintError: a kind of protection is unknown, or a rule cannot be expressed portably; each with its place.
     """
-    found = _compile(governance, distro, allow_vendor_specific)
-    problems = tuple(
-        Diagnostic(item.code, item.severity, item.message, item.where, item.help, subject) for item in found[1]
-    )
-    if errors := [item for item in problems if item.severity is Severity.ERROR]:
+    content, diagnostics = _compile(governance, distro, allow_vendor_specific)
+    diagnostics = tuple(replace(item, subject=subject) for item in diagnostics)
+    if errors := [item for item in diagnostics if item.severity is Severity.ERROR]:
         raise KeymintError.of(errors)
-    return found[0], problems
+    return content, diagnostics
 
 
 @lru_cache(maxsize=64)
 def _compile(governance: Governance, distro: str, lenient: bool) -> tuple[bytes, tuple[Diagnostic, ...]]:
-    """Most packages of a workspace have the same governance, so that it is compiled once."""
+    """Compile a governance; cached, since most packages of a workspace have the same one."""
     problems = list(_check(governance, lenient))
     root = dds_xml.root(GOVERNANCE)
     rules = dds_xml.child(root, "domain_access_rules")
@@ -118,16 +117,16 @@ def _domain_rule(parent: etree._Element, rule: DomainRule, distro: str, lenient:
     dds_xml.child(element, "liveliness_protection_kind", rule.liveliness_protection_kind)
     dds_xml.child(element, "rtps_protection_kind", rule.rtps_protection_kind)
     topics = dds_xml.child(element, "topic_access_rules")
-    said: list[Glob] = []
+    covered: list[Glob] = []
     for topic in rule.topic_rules:
         if topic.kind not in _PERMISSIONS:
             continue
-        images_ = patterns(topic, distro)
-        if problem := _never(topic, images_):
+        topic_patterns = patterns(topic, distro)
+        if problem := _never_matches(topic, topic_patterns):
             yield problem
             continue
-        own = [pattern for pattern in images_ if not union_covers(tuple(said), pattern)]
-        if not own:
+        effective = [pattern for pattern in topic_patterns if not union_covers(tuple(covered), pattern)]
+        if not effective:
             yield Diagnostic(
                 "governance-shadowed", Severity.WARNING,
                 f"the {topic.kind} rule for {topic.expression!r} has no effect: the rules before it match all of it",
@@ -136,18 +135,18 @@ def _domain_rule(parent: etree._Element, rule: DomainRule, distro: str, lenient:
         if distro == ARDENT and topic.kind != "topic":
             yield Diagnostic(
                 "governance-base-name", Severity.NOTE,
-                f"DDS topics of ROS 2 Ardent have base names only: the {topic.kind} rule for {topic.expression!r} is "
-                "about topics of the same base name in every namespace",
-                topic.origin, "let rules on one base name protect alike",
+                f"DDS topics of ROS 2 Ardent have base names only: the {topic.kind} rule for {topic.expression!r} "
+                "applies to topics of the same base name in every namespace",
+                topic.origin, "use the same protection in all rules on one base name",
             )  # fmt: skip
-        for pattern in own:
-            texts, problem = _spelled(pattern, topic, lenient)
+        for pattern in effective:
+            texts, problem = _expressions(pattern, topic, lenient)
             if problem:
                 yield problem
             for text in texts:
                 _topic_rule(topics, text, topic)
-        said += own
-    if not union_covers(tuple(said), EVERYTHING):
+        covered += effective
+    if not union_covers(tuple(covered), EVERYTHING):
         last = rule.topic_rules[-1].origin if rule.topic_rules else rule.origin
         yield Diagnostic(
             "governance-open-end", Severity.WARNING,
@@ -157,60 +156,60 @@ def _domain_rule(parent: etree._Element, rule: DomainRule, distro: str, lenient:
         _topic_rule(topics, "*", _strictest(rule))
 
 
-def _never(topic: TopicProtection, images_: Sequence[Glob]) -> Diagnostic | None:
-    """Return the error for an expression that no name can match: the topics that are meant have another rule then."""
+def _never_matches(topic: TopicProtection, topic_patterns: Sequence[Glob]) -> Diagnostic | None:
+    """Return an error for an expression that no name can match: another rule would protect the topics it is for."""
     expression = topic.expression
     raw = topic.kind == "topic"
     odd = None if raw else _ODD.search(expression)
-    if images_ and not odd:
+    if topic_patterns and not odd:
         return None
     if odd and expression.startswith("/"):
         why = f"no ROS name has {odd[0]!r}" if odd.end() < len(expression) else f"no ROS name ends with {odd[0]!r}"
-        mend = "write the names as ROS has them: letters, digits and '_' between single slashes"
+        help_ = "use legal ROS names: letters, digits and '_' between single slashes"
     elif raw or expression.startswith("/"):
-        why = "it has no name to match"
-        mend = "write the name of a topic, or remove the rule"
+        why = "it is not a name"
+        help_ = "write the name of a topic, or remove the rule"
     elif expression.startswith("~"):
-        why = "no subject is known here, and every ROS name begins with '/'"
-        mend = "write the whole name, e.g. '/talker/chatter'"
+        why = "a governance has no subject, and every ROS name begins with '/'"
+        help_ = "write the full name, e.g. '/talker/chatter'"
     elif expression[:3] in {"rt/", "rq/", "rr/"}:
         why = "every ROS name begins with '/', and this is the name of a DDS topic"
-        mend = f"write it into a <topic_rule>, or {expression[2:]!r} here"
+        help_ = f"write it into a <topic_rule>, or {expression[2:]!r} here"
     else:
         why = "every ROS name begins with '/'"
-        mend = f"write {'/' + expression!r}"
+        help_ = f"write {'/' + expression!r}"
     message = f"the expression {expression!r} of this {topic.kind} rule of the governance matches no name: {why}"
-    return Diagnostic("governance-never-matches", Severity.ERROR, message, topic.origin, mend)
+    return Diagnostic("governance-never-matches", Severity.ERROR, message, topic.origin, help_)
 
 
 def patterns(topic: TopicProtection, distro: str) -> list[Glob]:
-    """Return the images of a topic rule's expression, specific ones first; none if no name matches it.
+    """Return the DDS topic patterns of a topic rule's expression, without redundant ones; none if no name matches it.
 
     Raises:
-        KeymintError: the expression cannot be read.
+        KeymintError: the expression is invalid.
     """
     try:
         tokens = glob.parse(topic.expression)
     except PatternError as error:
         diagnostic = error.diagnostics[0]
         raise KeymintError(diagnostic.message, where=topic.origin, help=diagnostic.help, code="expression") from None
-    found = [
+    result = [
         pattern
         for permission in _PERMISSIONS[topic.kind]
         for _, part, suffix in PARTS.get(permission, ((*permission, ""),))
-        for mapped in DDS_TOPICS[part]
-        for pattern, _ in dds_patterns(distro, tokens, mapped, suffix)
+        for dds_topic in DDS_TOPICS[part]
+        for pattern, _ in dds_patterns(distro, tokens, dds_topic, suffix)
         if pattern and not glob.is_empty(pattern)
     ]
-    return [p for p in dict.fromkeys(found) if not any(q != p and covers(q, p) for q in found)]
+    return [p for p in dict.fromkeys(result) if not any(q != p and covers(q, p) for q in result)]
 
 
-def _spelled(pattern: Glob, topic: TopicProtection, lenient: bool) -> tuple[tuple[str, ...], Diagnostic | None]:
+def _expressions(pattern: Glob, topic: TopicProtection, lenient: bool) -> tuple[tuple[str, ...], Diagnostic | None]:
     try:
         return portable_expressions(pattern), None
     except NotPortableError as error:
         severity = Severity.WARNING if lenient else Severity.ERROR
-        message = f"this {topic.kind} rule cannot be said alike for all vendors: {error}"
+        message = f"this {topic.kind} rule cannot be expressed portably across DDS vendors: {error}"
         hint = "write the names out, or build with --allow-vendor-specific"
         return (exact(pattern),), Diagnostic("portability-expression", severity, message, topic.origin, hint)
 
@@ -227,7 +226,7 @@ def _topic_rule(parent: etree._Element, expression: str, topic: TopicProtection)
 
 
 def _strictest(rule: DomainRule) -> TopicProtection:
-    """Return how topics that no rule matches are protected: access control and encryption, whatever else is said."""
+    """Return the protection of topics that no rule matches: access control and encryption."""
     return TopicProtection("topic", "*", True, True, True, True, "ENCRYPT", "ENCRYPT", rule.origin)
 
 

@@ -9,7 +9,6 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from keymint_ros2_dds import build_type
-from keymint_ros2_dds.check_keystore import cyclone_takes_for
 
 from comarmor.errors import Severity
 from keymint.api import KeySpec
@@ -168,8 +167,13 @@ def test_an_encrypted_key_is_judged_by_its_frame(files):
     assert codes(files, replace(TALKER, identity=locked)) == []
 
 
+def seen(subject, name="", **authorities):
+    loaded = package(CHATTER, subject=subject, name=name)
+    return inspection(loaded, installed(loaded, **authorities))
+
+
 @pytest.mark.parametrize(
-    ("identity", "grant", "taken"),
+    ("identity", "grant", "usable"),
     [
         ("CN=/robot", "CN=/robot/camera", True),
         ("CN=/", "CN=/robot/camera", True),
@@ -179,13 +183,9 @@ def test_an_encrypted_key_is_judged_by_its_frame(files):
         ("CN=/robot,OU=x1", "OU=x1,CN=/robot", True),
     ],
 )
-def test_what_cyclone_dds_takes_for_what(identity, grant, taken):
-    assert cyclone_takes_for(identity, grant) is taken
-
-
-def seen(subject, name="", **authorities):
-    loaded = package(CHATTER, subject=subject, name=name)
-    return inspection(loaded, installed(loaded, **authorities))
+def test_identities_that_may_use_the_grant_of_another_on_cyclone_dds(identity, grant, usable):
+    findings = build_type.check_all([seen("/one", identity), seen("/other", grant)])
+    assert any((each.code, each.subject) == ("names-confused", "/one") for each in findings) is usable
 
 
 def test_names_that_a_vendor_confuses():

@@ -136,12 +136,12 @@ def test_no_domain_rule_at_all():
         ("ros_topic", "chatter", "every ROS name begins with '/'", "write '/chatter'"),
         ("ros_service", "robot*/add", "every ROS name begins with '/'", "write '/robot*/add'"),
         ("ros_topic", "rt/chatter", "the name of a DDS topic", "<topic_rule>, or '/chatter' here"),
-        ("ros_topic", "~/chatter", "every ROS name begins with '/'", "the whole name"),
+        ("ros_topic", "~/chatter", "every ROS name begins with '/'", "the full name"),
         ("ros_action", "/rover/(turn|move)", "no ROS name has '('", "letters, digits"),
         ("ros_topic", "/scan.raw", "no ROS name has '.'", "letters, digits"),
         ("ros_topic", "/scan//raw", "no ROS name has '//'", "single slashes"),
         ("ros_parameter", "/node/", "no ROS name ends with '/'", "single slashes"),
-        ("topic", "rt/[]", "no name to match", "remove the rule"),
+        ("topic", "rt/[]", "it is not a name", "remove the rule"),
     ],
 )
 def test_an_expression_that_matches_no_name_is_an_error_that_says_why(kind, expression, why, mend):
