@@ -335,7 +335,7 @@ class Bench:
                 evaluator = DocumentEvaluator(document, self.subject, self.now, domain, variation)
                 governed = DomainAccess.of(ruling, domain, evaluator.semantics)
                 for action, name, partitions in _asked():
-                    found, _ = governed.decide(evaluator, action, name, partitions)
+                    found = governed.decide(evaluator, action, name, partitions)
                     wanted = by_documents(case, model, action, name, partitions, domain)
                     counts["model"] += 1
                     if found.allowed != wanted:

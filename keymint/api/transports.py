@@ -88,11 +88,13 @@ class Environment:
         now: the clock, UTC: simulated transports go by it, real ones by the clock of the machine.
         cache: a folder of this user in which real transports keep programs that they built; made when needed.
         variables: environment variables for the processes that real transports start.
+        opened: documents that transports of this run have verified and read, by the digest of their files.
     """
 
     now: datetime
     cache: Path
     variables: Mapping[str, str] = field(default_factory=dict, repr=False)
+    opened: dict[bytes, object] = field(default_factory=dict, repr=False, compare=False)
 
 
 class Transport(Protocol):

@@ -25,7 +25,6 @@ from keymint_ros2_dds.reading.signed_permissions import (
     PermissionsDocument,
 )
 
-Tags = tuple[tuple[str, str], ...]
 DEFAULT_PARTITION = ("",)
 
 

@@ -23,9 +23,9 @@ class DdsGraphs:
 
     def observe(self, domain: int, go_on: Callable[[], bool], names: Mapping[str, str]) -> DiscoveredGraph:
         """See :func:`keymint_ros2_dds.discovery.cyclonedds_observer.observe`."""
-        from keymint_ros2_dds.discovery import capture, cyclonedds_observer  # noqa: PLC0415
+        from keymint_ros2_dds.discovery import cyclonedds_observer, to_graph  # noqa: PLC0415
 
-        return capture.discovered(cyclonedds_observer.observe(domain, go_on), names)
+        return to_graph.discovered(cyclonedds_observer.observe(domain, go_on), names)
 
     def recognises(self, content: bytes) -> bool:
         """See :func:`keymint_ros2_dds.discovery.admin_console.recognises`."""
@@ -35,9 +35,9 @@ class DdsGraphs:
 
     def read(self, content: bytes, name: str, names: Mapping[str, str]) -> DiscoveredGraph:
         """See :func:`keymint_ros2_dds.discovery.admin_console.read`."""
-        from keymint_ros2_dds.discovery import admin_console, capture  # noqa: PLC0415
+        from keymint_ros2_dds.discovery import admin_console, to_graph  # noqa: PLC0415
 
-        return capture.discovered(admin_console.read(content, name), names)
+        return to_graph.discovered(admin_console.read(content, name), names)
 
     def interpret(self, graph: Graph, *, fold: bool) -> Graph:
         """See :func:`keymint_ros2_dds.discovery.interpret.interpret`."""

@@ -18,16 +18,13 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from typing import TYPE_CHECKING
 
 from comarmor.errors import Diagnostic, Severity
 from comarmor.text import first_few
 from keymint.errors import ExitCode, KeymintError
 from keymint.graph_json import legal_subject
+from keymint_ros2_dds.discovery.capture import DiscoveredEndpoint, DiscoveredParticipant
 from keymint_ros2_dds.discovery.ros_entities import ros_name
-
-if TYPE_CHECKING:
-    from keymint_ros2_dds.discovery.capture import DiscoveredEndpoint, DiscoveredParticipant
 
 _GUID = re.compile(r"[0-9a-f]{8,32}\Z")
 _PARAMETERS = "/get_parameters"

@@ -12,7 +12,7 @@ from keymint.graph import Edge
 from keymint_ros2_dds.decision import Variation
 from keymint_ros2_dds.lowering.endpoints import endpoints
 from keymint_ros2_dds.transports import enclave_files
-from keymint_ros2_dds.transports.simulated import EnclaveModel, EnclaveModels
+from keymint_ros2_dds.transports.enclave_model import EnclaveModel, EnclaveModels
 from keymint_ros2_dds.vendors.participants import (
     Direction,
     ProbeError,

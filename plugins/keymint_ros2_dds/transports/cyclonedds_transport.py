@@ -17,8 +17,8 @@ from keymint_ros2_dds.decision import CYCLONEDDS_0_10
 from keymint_ros2_dds.layout import PERMISSIONS_P7S
 from keymint_ros2_dds.lowering.endpoints import endpoints
 from keymint_ros2_dds.transports import admission, enclave_files
+from keymint_ros2_dds.transports.enclave_model import EnclaveModel, EnclaveModels
 from keymint_ros2_dds.transports.participants_transport import RealTransport
-from keymint_ros2_dds.transports.simulated import EnclaveModels
 from keymint_ros2_dds.vendors import probe_builds
 from keymint_ros2_dds.vendors.cyclone_access_control import AccessControl, Direction
 from keymint_ros2_dds.vendors.participants import CycloneDDS
@@ -61,31 +61,31 @@ def _decision(models: EnclaveModels, edges: Iterable[Edge]) -> Iterator[tuple[Ed
             if edge.subject != subject:
                 stack.pop_all().close()
                 subject, opened = edge.subject, {}
+            enclave_model = models.of(edge.subject, edge.domain)
             if edge.domain not in opened:
-                opened[edge.domain] = _open(enclave.folder, edge.domain, stack)
+                opened[edge.domain] = _open(enclave_model, enclave.folder, edge.domain, stack)
             access = opened[edge.domain]
             if isinstance(access, str):
                 yield edge, Verdict(allowed=False, reason=access)
                 continue
-            enclave_model = models.of(edge.subject, edge.domain)
             needed = endpoints(enclave.distro, edge)
             yield edge, admission.verdict(enclave_model, CYCLONEDDS_0_10, needed, _answers(access, needed))
 
 
-def _open(folder: Path, domain: int, stack: ExitStack) -> AccessControl | str:
+def _open(enclave_model: EnclaveModel, folder: Path, domain: int, stack: ExitStack) -> AccessControl | str:
     """Return the plugin with an enclave, or why it is refused.
 
-    Some documents stop the process that gives them to Cyclone DDS; they are not given to it.
-
-    Raises:
-        KeymintError: a signed file is in a form that is not read here, so it cannot be seen whether it is such a one.
+    Some documents crash the process that gives them to Cyclone DDS; they are not given to it.
     """
-    try:
-        signed = enclave_files.content(folder, PERMISSIONS_P7S)
-        crash = decision.read(smime.signed_content(signed, Origin(PERMISSIONS_P7S))).crash
-    except KeymintError as error:
-        enclave_files.raise_if_unread(error, folder)
-        return str(error)
+    if enclave_model.documents is not None:
+        permissions = enclave_model.documents.permissions
+    else:
+        try:  # the plugin may accept a signature that Keymint does not
+            signed = enclave_files.content(folder, PERMISSIONS_P7S)
+            permissions = decision.read(smime.signed_content(signed, Origin(PERMISSIONS_P7S)))
+        except KeymintError as error:
+            return str(error)
+    crash = permissions.crash
     if crash is not None:
         return f"line {crash.line}: {crash.text} crashes Cyclone DDS"
     access = stack.enter_context(AccessControl.of_enclave(folder, domain))

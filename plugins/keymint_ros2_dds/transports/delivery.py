@@ -22,7 +22,7 @@ from keymint.graph import Edge
 from keymint_ros2_dds.decision import Variation
 from keymint_ros2_dds.lowering.endpoints import endpoints
 from keymint_ros2_dds.transports import admission
-from keymint_ros2_dds.transports.simulated import EnclaveModel, EnclaveModels
+from keymint_ros2_dds.transports.enclave_model import EnclaveModel, EnclaveModels
 from keymint_ros2_dds.vendors.participants import (
     DeniedError,
     Direction,

@@ -2,24 +2,54 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+import hashlib
 from dataclasses import replace
 from pathlib import Path
+from typing import NamedTuple
 
 from cryptography import x509
 
 from comarmor.errors import Origin
-from keymint.api import Enclave
+from keymint.api import Enclave, Environment
 from keymint.errors import KeymintError
-from keymint.pki import certificates, mime, names
-from keymint_ros2_dds.layout import CA, IDENTITY_CA, KEY, PERMISSIONS_CA
+from keymint.pki import certificates, mime, names, smime
+from keymint_ros2_dds.layout import CA, CERTIFICATE, GOVERNANCE_P7S, IDENTITY_CA, KEY, PERMISSIONS_CA, PERMISSIONS_P7S
+from keymint_ros2_dds.reading import signed_governance, signed_permissions
+from keymint_ros2_dds.reading.signed_governance import GovernanceDocument
+from keymint_ros2_dds.reading.signed_permissions import PermissionsDocument
 
-__all__ = ["authority", "by_subject", "content", "raise_if_unread", "refuse_encrypted_key", "subject_name"]
+
+class SignedDocuments(NamedTuple):
+    """The documents of an enclave whose signatures are verified, and the subject name of its identity."""
+
+    permissions: PermissionsDocument
+    governance: GovernanceDocument
+    subject_name: str
 
 
-def by_subject(enclaves: Sequence[Enclave]) -> Mapping[str, Enclave]:
-    """Return enclaves by their subjects."""
-    return {enclave.subject: enclave for enclave in enclaves}
+def signed_documents(folder: Path, environment: Environment) -> SignedDocuments:
+    """Return the documents of an enclave; the same files are verified and read once in a run.
+
+    Raises:
+        KeymintError: a file cannot be read, or a signature is not valid.
+    """
+    authority_ = authority(folder, permissions=True)
+    permissions, governance = content(folder, PERMISSIONS_P7S), content(folder, GOVERNANCE_P7S)
+    certificate = content(folder, CERTIFICATE)
+    files = (authority_, permissions, governance, certificate)
+    key = b"".join(hashlib.sha256(each).digest() for each in files)
+    documents = environment.opened.get(key)
+    if not isinstance(documents, SignedDocuments):
+        verified = [
+            smime.verify(signed, authority_, at=environment.now, where=Origin(name))
+            for name, signed in ((PERMISSIONS_P7S, permissions), (GOVERNANCE_P7S, governance))
+        ]
+        documents = environment.opened[key] = SignedDocuments(
+            signed_permissions.read(verified[0]),
+            signed_governance.read(verified[1]),
+            subject_name(certificate, Origin(CERTIFICATE)),
+        )
+    return documents
 
 
 def content(folder: Path, name: str) -> bytes:

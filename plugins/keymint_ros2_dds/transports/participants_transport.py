@@ -13,7 +13,7 @@ from keymint.graph import Edge
 from keymint_ros2_dds.decision import Variation
 from keymint_ros2_dds.transports import admission, enclave_files
 from keymint_ros2_dds.transports.delivery import exchange
-from keymint_ros2_dds.transports.simulated import EnclaveModels
+from keymint_ros2_dds.transports.enclave_model import EnclaveModels
 from keymint_ros2_dds.vendors import probe_builds
 from keymint_ros2_dds.vendors.participants import CycloneDDS, FastDDS, Vendor
 
@@ -55,7 +55,7 @@ class RealTransport(ABC):
         usable = self.usable()
         if tier not in usable.tiers:
             raise admission.refused(tier, usable, self.NAME)
-        models = EnclaveModels(enclaves, self._environment.now)
+        models = EnclaveModels(enclaves, self._environment)
         if tier is Tier.DECISION:
             return self._decision(models, edges)
         vendor = self._vendor(nonconforming=tier is Tier.EXCHANGE)

@@ -166,3 +166,24 @@ def test_memory_is_that_of_one_subject(tmp_path: Path, files: Mapping[str, bytes
     )
     next(labelled)
     assert taken == 1
+
+
+def test_transports_of_a_run_read_the_documents_of_an_enclave_once(tmp_path: Path, files: Mapping[str, bytes]) -> None:
+    environment = Environment(NOW, tmp_path)
+    for folder in (tmp_path / "one", tmp_path / "two"):
+        folder.mkdir()
+        for file, content in files.items():
+            (folder / file).write_bytes(content)
+        for opener in OPENERS.values():
+            list(
+                opener.open(environment).label(
+                    [Enclave(SUBJECT, folder, "humble")], [edge("ros_publish")], Tier.DECISION
+                )
+            )
+    assert len(environment.opened) == 1
+    (tmp_path / "one/permissions.p7s").write_bytes(files["governance.p7s"])
+    transport = omg.open(environment)
+    ((_, verdict),) = transport.label(
+        [Enclave(SUBJECT, tmp_path / "one", "humble")], [edge("ros_publish")], Tier.DECISION
+    )
+    assert not verdict.allowed, "other files are read again"

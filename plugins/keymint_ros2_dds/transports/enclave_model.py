@@ -1,0 +1,110 @@
+"""Decide about installed enclaves by the models of vendors."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from keymint.api import Enclave, Environment
+from keymint.errors import KeymintError
+from keymint.graph import Edge
+from keymint_ros2_dds import decision
+from keymint_ros2_dds.decision import OMG, DecisionOutcome, DocumentEvaluator, EndpointDecision, Variation
+from keymint_ros2_dds.decision.access import DomainAccess
+from keymint_ros2_dds.transports import enclave_files
+
+
+class EnclaveModel:
+    """Decides about the endpoints of one enclave in one domain, by the standard and by the model of each vendor.
+
+    Args:
+        enclave: the enclave.
+        environment: the clock, and what was read before in this run.
+        domain: DDS domain id.
+
+    Attributes:
+        documents: the signed documents of the enclave; None if they are refused.
+        refusal: why they are refused, or an empty text.
+
+    Raises:
+        KeymintError: Keymint does not read this form of a signed file, although a vendor may.
+    """
+
+    def __init__(self, enclave: Enclave, environment: Environment, domain: int) -> None:
+        self._now = environment.now
+        self._domain = domain
+        self._evaluators: dict[str, tuple[DocumentEvaluator, DomainAccess]] = {}
+        self.documents: enclave_files.SignedDocuments | None = None
+        self.refusal = ""
+        try:
+            self.documents = enclave_files.signed_documents(enclave.folder, environment)
+        except KeymintError as error:
+            enclave_files.raise_if_unread(error, enclave.folder)
+            self.refusal = str(error)
+
+    def decide(self, variation: Variation, endpoint: Edge) -> EndpointDecision:
+        """Decide whether a participant may have an endpoint, an edge of kind ``topic``."""
+        if self.documents is None:
+            return EndpointDecision(DecisionOutcome.ERROR, 0, self.refusal)
+        evaluators = self._evaluators.get(variation.name)
+        if evaluators is None:
+            permissions, governance, subject_name = self.documents
+            evaluator = DocumentEvaluator(permissions, subject_name, self._now, self._domain, variation)
+            access = DomainAccess.of(governance, self._domain, evaluator.semantics)
+            evaluators = self._evaluators[variation.name] = evaluator, access
+        evaluator, access = evaluators
+        topic = endpoint.object
+        return access.decide(evaluator, endpoint.permission, topic.name, topic.partitions)
+
+    def deviation(self, variation: Variation, endpoint: Edge, *, allowed: bool) -> str:
+        """Return the deviations that explain why a vendor decides differently from the standard.
+
+        Args:
+            variation: the model of the vendor.
+            endpoint: an edge of kind ``topic``.
+            allowed: the vendor's decision. Empty if the standard decides the same, or the model does not.
+        """
+        if self.refusal or allowed == self.decide(OMG, endpoint).allowed:
+            return ""
+        if self.decide(variation, endpoint).allowed != allowed:
+            return ""
+        deviations = decision.explain(lambda each: self.decide(each, endpoint).allowed, variation)
+        return "; ".join(map(str, deviations))
+
+
+class EnclaveModels:
+    """The models of the subjects of edges; edges come grouped by subject, so only those of one subject are kept."""
+
+    def __init__(self, enclaves: Sequence[Enclave], environment: Environment) -> None:
+        self._enclaves = {enclave.subject: enclave for enclave in enclaves}
+        self._environment = environment
+        self._subject = ""
+        self._models: dict[int, EnclaveModel] = {}
+
+    def enclave(self, subject: str) -> Enclave:
+        """Return the enclave of a subject.
+
+        Raises:
+            KeymintError: there is none.
+        """
+        if subject not in self._enclaves:
+            raise KeymintError(
+                f"{subject} has no installed enclave", help="run 'keymint install'", code="enclave-missing"
+            )
+        return self._enclaves[subject]
+
+    def of(self, subject: str, domain: int) -> EnclaveModel:
+        """Return the model of a subject in a domain.
+
+        Raises:
+            KeymintError: the subject has no enclave.
+        """
+        enclave = self.enclave(subject)
+        if subject != self._subject:
+            self._subject, self._models = subject, {}
+        if domain not in self._models:
+            self._models[domain] = self.fresh(enclave, domain)
+        return self._models[domain]
+
+    def fresh(self, enclave: Enclave, domain: int) -> EnclaveModel:
+        """Return a new model, which the caller keeps."""
+        return EnclaveModel(enclave, self._environment, domain)
