@@ -12,7 +12,7 @@ from comarmor.language.policy import Policy
 from comarmor.language.source import load_tree
 
 
-def load(path: str | Path, *, library: str | Path | None = None) -> Policy:
+def load(path: str | Path, *, library: str | Path | None = None, library_shown: Path | None = None) -> Policy:
     """Load a policy.
 
     Args:
@@ -20,19 +20,23 @@ def load(path: str | Path, *, library: str | Path | None = None) -> Policy:
             directory, or to the file's folder.
         library: a folder in which includes are looked up that the policy itself does not have; what lies there can
             only include what lies there as well.
+        library_shown: path of the library in origins, if it differs from where the library is read.
 
     Raises:
         ComArmorError: the policy has defects; carries all that were found, with ``file:line``.
     """
-    return parse(load_tree(Path(path), None if library is None else Path(library)))
+    return parse(load_tree(Path(path), None if library is None else Path(library), library_shown))
 
 
-def load_all(paths: Iterable[str | Path], *, library: str | Path | None = None) -> Policy:
+def load_all(
+    paths: Iterable[str | Path], *, library: str | Path | None = None, library_shown: Path | None = None
+) -> Policy:
     """Load several policies as one: the union of their profiles, each confined to its own folder.
 
     Args:
         paths: as for :func:`load`.
         library: as for :func:`load`.
+        library_shown: as for :func:`load`.
 
     Raises:
         ComArmorError: a policy has defects; carries those of all policies.
@@ -41,7 +45,7 @@ def load_all(paths: Iterable[str | Path], *, library: str | Path | None = None) 
     policies: list[Policy] = []
     for path in paths:
         try:
-            policies.append(load(path, library=library))
+            policies.append(load(path, library=library, library_shown=library_shown))
         except ComArmorError as error:
             found |= dict.fromkeys(error.diagnostics)
     if found:

@@ -82,12 +82,15 @@ class PolicyFiles:
     seen: Mapping[Path, bytes]
 
 
-def load_tree(path: Path, library: Path | None = None, *, limits: Limits = LIMITS) -> PolicyFiles:
+def load_tree(
+    path: Path, library: Path | None = None, library_shown: Path | None = None, *, limits: Limits = LIMITS
+) -> PolicyFiles:
     """Read a policy: a file, or of a directory the ``*.xml`` files directly in it, in sorted order.
 
     Args:
         path: file or directory; includes are confined to the directory, or the file's own folder.
         library: a folder in which an include is looked up that the policy itself does not have.
+        library_shown: path of the library in origins, if it differs from where the library is read.
         limits: bounds.
 
     Raises:
@@ -111,7 +114,7 @@ def load_tree(path: Path, library: Path | None = None, *, limits: Limits = LIMIT
             help="put the policy's root files directly into it; files in sub-folders are only reached by includes",
             code="policy-empty",
         )
-    reader = _PolicyReader(folder, _library(library), limits)
+    reader = _PolicyReader(folder, _library(library, library_shown), limits)
     if path.is_dir():
         reader.seen[Path(folder.shown)] = _names_fingerprint(roots)
     documents = tuple(reader.root(name) for name in roots)
@@ -148,10 +151,10 @@ def _names_fingerprint(names: Sequence[str]) -> bytes:
     return hashlib.sha256("/".join(names).encode(errors="surrogateescape")).digest()
 
 
-def _library(library: Path | None) -> SandboxedFolder | None:
+def _library(library: Path | None, shown: Path | None) -> SandboxedFolder | None:
     if library is None or not library.is_dir():
         return None
-    return SandboxedFolder(library.resolve(), str(library))
+    return SandboxedFolder(library.resolve(), str(shown or library))
 
 
 @dataclass(slots=True)

@@ -143,8 +143,15 @@ class PolicyType(Protocol):
 
     API: str
 
-    def load(self, sources: Sequence[PolicySource], library: Path | None) -> LoadedPolicy:
+    def load(
+        self, sources: Sequence[PolicySource], library: Path | None, library_shown: Path | None = None
+    ) -> LoadedPolicy:
         """Load policies as one: the union of their profiles.
+
+        Args:
+            sources: the policies.
+            library: a folder in which includes are looked up that a policy itself does not have.
+            library_shown: path of the library in origins and in :attr:`LoadedPolicy.seen`, if it will be copied there.
 
         Raises:
             KeymintError: with ``file:line`` of each defect.

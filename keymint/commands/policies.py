@@ -8,6 +8,7 @@ from pathlib import Path
 
 from comarmor.errors import Origin, cited, library_name
 from keymint.api import LoadedPolicy, PolicySource
+from keymint.commands.library import library_files
 from keymint.commands.options import PolicyOptions
 from keymint.commands.run import Run
 from keymint.plan.policy import load_policy
@@ -69,25 +70,15 @@ class Policies:
         return load_policy(session)
 
     def library(self, path: Path | None) -> Callable[[str], str | None]:
-        """Return a function that names a file of the library that ships with Keymint; None of any other file.
-
-        The copy of it that a workspace has counts as long as nobody changed it.
-        """
-        shipped = self.shipped()
+        """Return a function that names a file of the shipped library, or of an unchanged copy; None for other files."""
         folder = self.places(path)[1]
+        name = library_files(self._run.setting.cwd, self.shipped(), folder)
 
-        def name(file: str) -> str | None:
-            real = (self._run.setting.cwd / file).resolve()
-            if not real.is_relative_to(folder / "common"):
-                return library_name(file)
-            relative = real.relative_to(folder)
-            try:
-                same = (shipped / relative).read_bytes() == real.read_bytes()
-            except OSError:
-                return None
-            return str(relative) if same else None
+        def name_of(file: str) -> str | None:
+            is_copy = (self._run.setting.cwd / file).resolve().is_relative_to(folder / "common")
+            return name(file) if is_copy else library_name(file)
 
-        return cache(name)
+        return cache(name_of)
 
     def common(self, path: Path | None) -> Callable[[Origin], bool]:
         """Return a function that tells whether a rule is one of the shipped ``common/node.xml``, for every node."""

@@ -7,8 +7,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 
-from comarmor.errors import Origin
-from keymint.api import AppliedProfile, LoadedPolicy, PolicyDecision, PolicyStructure
+from keymint.api import AppliedProfile, LoadedPolicy, PolicyDecision
 from keymint.errors import KeymintError
 from keymint.graph import Edge
 from keymint.ir import SubjectRules
@@ -30,7 +29,7 @@ def load_policy(session: Session) -> LoadedPolicy:
     if profile.library is None or profile.library.is_dir():
         return policy_type.load(profile.policies, profile.library)
     shipped = session.plugins.profile_type(profile.profile_type).library(profile.distro)
-    return _Relocated(policy_type.load(profile.policies, shipped), shipped, profile.library)
+    return policy_type.load(profile.policies, shipped, profile.library)
 
 
 def lazy_policy(session: Session) -> LoadedPolicy:
@@ -115,54 +114,3 @@ class _LazyPolicy:
     def decide(self, edge: Edge) -> PolicyDecision:
         """Return the policy's decision about an edge."""
         return self._load().decide(edge)
-
-
-class _Relocated:
-    """A policy whose library is read from one folder and named by another."""
-
-    def __init__(self, policy: LoadedPolicy, source: Path, place: Path) -> None:
-        self._policy = policy
-        self._source = f"{source}/"
-        self._place = f"{place}/"
-
-    @property
-    def seen(self) -> Mapping[Path, bytes]:
-        """What was looked at, by its place to be."""
-        return {Path(self._moved(str(path))): value for path, value in self._policy.seen.items()}
-
-    def subjects(self) -> tuple[str, ...]:
-        """Return the subjects that the policy names exactly."""
-        return self._policy.subjects()
-
-    @functools.cache  # noqa: B019 - lives as long as the run
-    def rules(self, subject: str) -> SubjectRules | None:
-        """Return the rules of a subject, with their origins' place to be."""
-        found = self._policy.rules(subject)
-        if found is None:
-            return None
-        return SubjectRules(subject, tuple(replace(rule, origin=self._origin(rule.origin)) for rule in found.rules))
-
-    def profiles(self, subject: str) -> Sequence[AppliedProfile]:
-        """Return the profiles that apply to a subject, with their place to be."""
-        return tuple(replace(found, where=self._origin(found.where)) for found in self._policy.profiles(subject))
-
-    def decide(self, edge: Edge) -> PolicyDecision:
-        """Return what the policy says about an edge, with the rule's place to be."""
-        found = self._policy.decide(edge)
-        return replace(found, where=self._origin(found.where) if found.where else None)
-
-    def structure(self) -> PolicyStructure | None:
-        """Return the policy as it is written, if its type tells; its profiles have their place to be."""
-        of = getattr(self._policy, "structure", None)
-        found = of() if of else None
-        if not isinstance(found, PolicyStructure):
-            return None
-        profiles = tuple(replace(profile, where=self._origin(profile.where)) for profile in found.profiles)
-        return replace(found, profiles=profiles)
-
-    @functools.cache  # noqa: B019 - lives as long as the run
-    def _origin(self, origin: Origin) -> Origin:
-        return replace(origin, file=self._moved(origin.file), chain=tuple(map(self._origin, origin.chain)))
-
-    def _moved(self, file: str) -> str:
-        return self._place + file.removeprefix(self._source) if file.startswith(self._source) else file

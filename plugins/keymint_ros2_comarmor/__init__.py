@@ -71,12 +71,15 @@ class ComArmorPolicyType:
 
     API = "1.0"
 
-    def load(self, sources: Sequence[PolicySource], library: Path | None) -> ComArmorPolicy:
+    def load(
+        self, sources: Sequence[PolicySource], library: Path | None, library_shown: Path | None = None
+    ) -> ComArmorPolicy:
         """Load policies as one: the union of their profiles.
 
         Args:
             sources: files or directories; includes of each are confined to its own folder.
             library: a folder in which includes are looked up that a policy itself does not have.
+            library_shown: path of the library in messages and origins, if it will be copied there.
 
         Raises:
             KeymintError: with ``file:line`` of each defect.
@@ -89,7 +92,9 @@ class ComArmorPolicyType:
                     help="name a ComArmor file, or a directory of *.xml files",
                     code="policy-missing",
                 )
-        return ComArmorPolicy(comarmor.load_all([source.path for source in sources], library=library))
+        return ComArmorPolicy(
+            comarmor.load_all([source.path for source in sources], library=library, library_shown=library_shown)
+        )
 
     def fingerprint(self, path: Path) -> bytes:
         """Return what tells whether a path is still what it was when a policy was loaded."""
