@@ -1,10 +1,11 @@
-"""A build type that is not part of Keymint: access rules as signed JSON.
+"""A build type in a separate package: access rules as signed JSON.
 
 A gateway between robots and a web page does not speak DDS Security, but must know who may do what. This build type
-gives it a document of the rules in JSON, an S/MIME signature over it by the permissions authority, and the identity's
-key and certificate.
+produces a JSON document of the rules, an S/MIME signature over it by the permissions authority, and the identity's key
+and certificate.
 
-A plugin is given all that it needs, and returns bytes: it never writes, and never reads the clock or the environment.
+A plugin takes all its input as arguments and returns bytes: it never writes files, and never reads the clock or the
+environment.
 """
 
 from __future__ import annotations
@@ -34,8 +35,8 @@ class JsonBuildType:
     API = "1.0"
 
     def build(self, package: Package, options: BuildOptions) -> BuildResult:
-        """Return the rules as JSON; the same rules give the same bytes, in whatever order a policy has them."""
-        del options  # every rule can be said in JSON, so there is nothing to be lenient about
+        """Return the rules as JSON: the same bytes for the same rules, whatever their order in the policy."""
+        del options  # JSON can express every rule, so the options for lenient builds do not apply
         permissions = package.permissions
         rules: list[dict[str, Any]] = [
             {
@@ -64,10 +65,10 @@ class JsonBuildType:
         layout: str,
         installed: Mapping[str, bytes],
     ) -> Mapping[str, Artifact]:
-        """Return the files of the enclave; a signature over unchanged content is kept.
+        """Return the files of the enclave; keep the signature of unchanged content.
 
         Raises:
-            KeymintError: the document, which a person may have edited, is missing or is not JSON.
+            KeymintError: the document (which may be edited by hand) is missing or not JSON.
         """
         del layout  # a gateway's enclave is the same in every layout
         content = documents.get(DOCUMENT, b"")
@@ -77,7 +78,7 @@ class JsonBuildType:
             raise KeymintError(
                 f"is not JSON: {error}",
                 where=Origin(f"{package.name}/{DOCUMENT}"),
-                help=f"'keymint build -f {package.name}' writes it anew",
+                help=f"'keymint build -f {package.name}' rewrites it",
                 code="document-invalid",
             ) from error
         signer = smime.load_signer(credentials.signer)
@@ -93,19 +94,19 @@ class JsonBuildType:
         }
 
     def shared(self, artifacts: Mapping[str, Mapping[str, Artifact]], layout: str) -> Mapping[str, Artifact]:
-        """Return nothing: every enclave is complete in itself."""
+        """Return nothing: enclaves share no files."""
         del artifacts, layout
         return {}
 
     def check(self, inspection: Inspection) -> Sequence[Diagnostic]:
-        """Return what is wrong with an installed enclave, and what its sources would build otherwise.
+        """Return the defects of an installed enclave, and where it differs from what its sources build.
 
-        Modes, and files that changed since they were installed, are Keymint's own concern.
+        Keymint itself checks file modes, and whether files changed since they were installed.
         """
         return tuple(_findings(inspection))
 
     def check_all(self, inspections: Sequence[Inspection]) -> Sequence[Diagnostic]:
-        """Return nothing: no finding concerns several enclaves together."""
+        """Return nothing: no check compares several enclaves."""
         del inspections
         return ()
 
@@ -115,38 +116,42 @@ def _findings(inspection: Inspection) -> Iterator[Diagnostic]:
     if missing:
         yield from (_error(inspection, "file-missing", name, "is missing") for name in missing)
         return
-    yield from _altered(inspection)
+    yield from _altered_files(inspection)
     where = _where(inspection, CERTIFICATE)
     yield from verify_chain(inspection.files[CERTIFICATE], inspection.identity_ca, inspection.now, where)
     try:
-        yield from _contradictions(inspection)
-    except KeymintError as refused:
-        yield from refused.diagnostics
+        yield from _inconsistencies(inspection)
+    except KeymintError as error:
+        yield from error.diagnostics
 
 
-def _altered(inspection: Inspection) -> Iterator[Diagnostic]:
-    """Judge the files that are what they are, byte by byte."""
+def _altered_files(inspection: Inspection) -> Iterator[Diagnostic]:
+    """Check the files whose bytes are known or canonical."""
     files = inspection.files
     for name, trusted in ((IDENTITY_CA, inspection.identity_ca), (PERMISSIONS_CA, inspection.permissions_ca)):
         if files[name] != trusted:
             yield _error(inspection, "authority-differs", name, "is not the certificate of the workspace's authority")
     for name, is_canonical in ((CERTIFICATE, certificates.is_canonical), (KEY, keys.is_canonical)):
         if not is_canonical(files[name]):
-            yield _error(inspection, "pem-altered", name, "is not exactly the encoding of what it holds")
+            yield _error(inspection, "pem-altered", name, "is not the canonical PEM encoding of its content")
 
 
-def _contradictions(inspection: Inspection) -> Iterator[Diagnostic]:
-    """Judge what must fit together; a file that cannot be read, or a signature that does not hold, is raised."""
+def _inconsistencies(inspection: Inspection) -> Iterator[Diagnostic]:
+    """Check files against each other.
+
+    Raises:
+        KeymintError: a file cannot be read, or the signature is invalid.
+    """
     files = inspection.files
     where = _where(inspection, SIGNED)
     content = smime.verify(files[SIGNED], inspection.permissions_ca, at=inspection.now, where=where)
     if content != inspection.documents[DOCUMENT]:
-        yield _error(inspection, "drift", SIGNED, "signs something else than the sources build")
+        yield _error(inspection, "drift", SIGNED, "signs other content than the sources build")
     if inspection.package.identity.key.password_env:
-        return  # without its password nothing more can be said of the key
+        return  # the key cannot be read without its password
     key = keys.from_pem(files[KEY], where=_where(inspection, KEY))
     if not keys.matches(key, certificates.load(files[CERTIFICATE], _where(inspection, CERTIFICATE))):
-        yield _error(inspection, "key-mismatch", KEY, "is not the key of the certificate beside it")
+        yield _error(inspection, "key-mismatch", KEY, f"is not the key of {CERTIFICATE}")
 
 
 def _where(inspection: Inspection, name: str) -> Origin:
@@ -154,8 +159,8 @@ def _where(inspection: Inspection, name: str) -> Origin:
 
 
 def _error(inspection: Inspection, code: str, name: str, message: str) -> Diagnostic:
-    mend = f"'keymint install {inspection.package.name}' writes it anew"
-    return Diagnostic(code, Severity.ERROR, message, _where(inspection, name), mend, inspection.package.subject)
+    fix = f"'keymint install {inspection.package.name}' rewrites it"
+    return Diagnostic(code, Severity.ERROR, message, _where(inspection, name), fix, inspection.package.subject)
 
 
 build_type = JsonBuildType()
