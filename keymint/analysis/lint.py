@@ -13,7 +13,7 @@ from comarmor.errors import Diagnostic, Origin, Spot
 from comarmor.patterns.ros_names import advice
 from keymint.analysis.attachment_mistakes import CODES as SLIPS
 from keymint.analysis.attachment_mistakes import attachment_mistakes
-from keymint.analysis.attachments import AttachmentIndex
+from keymint.analysis.expression_origins import ExpressionOrigins
 from keymint.analysis.findings import undecided, warning
 from keymint.analysis.name_similarity import similar_names, similar_subjects
 from keymint.analysis.redundant_rules import (
@@ -49,7 +49,7 @@ def lint(policy: LoadedPolicy) -> list[Diagnostic]:
     named = policy.subjects()
     given_up: list[str] = []
     subjects, complete = within_bounds((*named, *pattern_examples(policy, given_up)), partial(rules_of, policy))
-    attachments = AttachmentIndex(written)
+    attachments = ExpressionOrigins(written)
     findings = [*_names(subjects, attachments), *(unreachable_profiles(written) if written else ())]
     if complete:
         findings += RedundantRules(subjects, attachments, written).findings()
@@ -78,7 +78,7 @@ def sorted_diagnostics(diagnostics: Iterable[Diagnostic]) -> list[Diagnostic]:
     )
 
 
-def _names(subjects: Mapping[str, tuple[Rule, ...]], attachments: AttachmentIndex) -> Iterator[Diagnostic]:
+def _names(subjects: Mapping[str, tuple[Rule, ...]], attachments: ExpressionOrigins) -> Iterator[Diagnostic]:
     """Yield expressions that no object can match, for any subject."""
     verdicts: dict[tuple[Spot, str], tuple[bool, Rule, str]] = {}
     for subject, rules in subjects.items():

@@ -13,7 +13,7 @@ from comarmor.patterns.glob import Glob, literal, parse
 from comarmor.patterns.pattern_index import PatternIndex
 from comarmor.patterns.steps import StepLimitError, spend, step_limit
 from comarmor.rules import Effect
-from keymint.analysis.attachments import AttachmentIndex
+from keymint.analysis.expression_origins import ExpressionOrigins
 from keymint.analysis.findings import undecided, warning
 from keymint.analysis.rule_lists import RAW
 from keymint.api import PolicyStructure
@@ -41,7 +41,7 @@ _STEPS = 2_000
 _DIGITS = re.compile(r"\d+")
 
 
-def similar_names(subjects: Mapping[str, tuple[Rule, ...]], attachments: AttachmentIndex) -> Iterator[Diagnostic]:
+def similar_names(subjects: Mapping[str, tuple[Rule, ...]], attachments: ExpressionOrigins) -> Iterator[Diagnostic]:
     """Yield names without a peer where a similar name lacks exactly this peer.
 
     Args:

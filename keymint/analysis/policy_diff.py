@@ -1,4 +1,4 @@
-"""Two policies compared by meaning: what each subject gains and loses, over all subjects and names there are."""
+"""Compare two policies semantically: what each subject gains and loses, over all possible subjects and names."""
 
 from __future__ import annotations
 
@@ -16,16 +16,16 @@ from keymint.api import LoadedPolicy
 from keymint.graph import Edge, Object
 from keymint.ir import Rule
 
-_UNWRITTEN = "the policy type does not tell what its rules say of subjects that a policy does not name"
+_UNWRITTEN = "the policy type does not provide its rules for subjects that a policy does not name"
 
 
 @dataclass(frozen=True, slots=True)
 class SubjectChanges:
-    """What changed for a subject.
+    """The changes for a subject.
 
     Attributes:
-        subject: the subject; empty where none was found for certain.
-        like: the pattern of subjects that it stands for; empty for one that a policy names.
+        subject: the subject; empty if unknown.
+        like: the pattern of subjects that it is an example of; empty for one that a policy names.
         before: the older policy has a profile that applies to it.
         after: the newer one has.
         changes: gains first.
@@ -39,15 +39,15 @@ class SubjectChanges:
 
 
 def diff_policies(old: LoadedPolicy, new: LoadedPolicy, budget: QueryBudget | None = None) -> list[SubjectChanges]:
-    """Return what changed between two policies, by subject; subjects without a change are left out.
+    """Return the changes between two policies by subject, without unchanged subjects.
 
-    Subjects are those that either policy names, and of all others one for each pattern and rule that make a difference.
-    Where nothing is returned the policies are equivalent, for every subject and every object there is.
+    Includes the subjects that either policy names, and an example for each pattern of other subjects and rule with a
+    difference. An empty result proves that the policies are equivalent, for every possible subject and object.
 
     Args:
         old: the older policy.
         new: the newer one.
-        budget: pays for it; what is not decided when it is spent is returned as unknown.
+        budget: limit of the search; undecided changes are returned as unknown.
     """
     budget = budget or QueryBudget()
     written = [structure(policy) for policy in (old, new)]
@@ -57,13 +57,13 @@ def diff_policies(old: LoadedPolicy, new: LoadedPolicy, budget: QueryBudget | No
     if len(books) < len(written):
         return [*changed, _undecided("*", _UNWRITTEN)]
     reported: set[tuple[str, str]] = set()
-    for found in pattern_differences((old, new), (books[0], books[1]), named, budget):
-        like = pattern_text(found.subjects)
-        if found.unknown:
-            changed.append(_undecided(like, found.unknown, found))
-        elif (like, found.subject) not in reported:
-            reported.add((like, found.subject))
-            each = _of_subject(old, new, found.subject, like, budget)
+    for difference in pattern_differences((old, new), (books[0], books[1]), named, budget):
+        like = pattern_text(difference.subjects)
+        if difference.unknown:
+            changed.append(_undecided(like, difference.unknown, difference))
+        elif (like, difference.subject) not in reported:
+            reported.add((like, difference.subject))
+            each = _of_subject(old, new, difference.subject, like, budget)
             changed += [each] if each else []
     return changed
 
@@ -71,53 +71,52 @@ def diff_policies(old: LoadedPolicy, new: LoadedPolicy, budget: QueryBudget | No
 def _of_subject(
     old: LoadedPolicy, new: LoadedPolicy, subject: str, like: str, budget: QueryBudget
 ) -> SubjectChanges | None:
-    """Return what changed for a subject, each example judged by both policies; None if nothing did."""
+    """Return the changes for a subject, with examples checked by both policies; None without a change."""
     before, after = old.rules(subject), new.rules(subject)
-    mine, theirs = (each.rules if each else () for each in (before, after))
-    changes = () if _same(mine, theirs) else tuple(rule_changes(mine, theirs, budget))
+    old_rules, new_rules = (each.rules if each else () for each in (before, after))
+    changes = () if _same(old_rules, new_rules) else tuple(rule_changes(old_rules, new_rules, budget))
     for change in changes:
         if change.word:
-            _judge(old, new, subject, change)
+            _check_example(old, new, subject, change)
     if changes or (before is None) is not (after is None):
         return SubjectChanges(subject, like, before is not None, after is not None, changes)
     return None
 
 
-def _judge(old: LoadedPolicy, new: LoadedPolicy, subject: str, change: PermissionChange) -> None:
-    """Ask both policies about an example: what an engine says is not taken on trust."""
+def _check_example(old: LoadedPolicy, new: LoadedPolicy, subject: str, change: PermissionChange) -> None:
+    """Check an example of the proof engine with both policies."""
     partition, _, name = change.word.rpartition(SEPARATOR)
-    asked = Object(change.kind, name, (partition,) if partition else ())
-    edge = Edge(subject, change.permission, asked)
+    edge = Edge(subject, change.permission, Object(change.kind, name, (partition,) if partition else ()))
     if (old.decide(edge).allowed, new.decide(edge).allowed) != (not change.gains, change.gains):
-        raise AssertionError(f"the policies do not differ on {edge} as was said")
+        raise AssertionError(f"the policies do not differ on {edge} as reported")
 
 
-def _undecided(like: str, reason: str, found: PatternDifference | None = None) -> SubjectChanges:
-    """Return what it was not found out whether it changed, for subjects that a pattern matches."""
-    if found is None or found.where is None:
+def _undecided(like: str, reason: str, difference: PatternDifference | None = None) -> SubjectChanges:
+    """Return an unknown change for the subjects that a pattern matches."""
+    if difference is None or difference.where is None:
         change = PermissionChange(True, "", "", "*", False, "", None, reason)
     else:
         change = PermissionChange(
-            found.gains,
-            *found.key,
-            as_written(display_pattern(found.key[0], found.object)),
+            difference.gains,
+            *difference.key,
+            as_written(display_pattern(difference.key[0], difference.object)),
             False,
             "",
-            found.where,
+            difference.where,
             reason,
         )
     return SubjectChanges("", like, before=True, after=True, changes=(change,))
 
 
-def has_gains(found: Iterable[SubjectChanges]) -> bool:
-    """Tell whether a subject gains something, or may do so where that was not decided."""
-    return any(change.gains or change.unknown for each in found for change in each.changes)
+def has_gains(changed: Iterable[SubjectChanges]) -> bool:
+    """Return True if a subject gains something, or may gain something in an unknown change."""
+    return any(change.gains or change.unknown for each in changed for change in each.changes)
 
 
 def _same(old: Sequence[Rule], new: Sequence[Rule]) -> bool:
-    """Tell whether rules say the same, word by word, whatever their order and place."""
-    return {_said(rule) for rule in old} == {_said(rule) for rule in new}
+    """Return True if rules are textually the same, in any order and place."""
+    return {_content(rule) for rule in old} == {_content(rule) for rule in new}
 
 
-def _said(rule: Rule) -> tuple[object, ...]:
+def _content(rule: Rule) -> tuple[object, ...]:
     return rule.effect, rule.kind, rule.permissions, frozenset(rule.expressions), frozenset(rule.partitions)

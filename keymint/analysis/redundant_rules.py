@@ -17,8 +17,8 @@ from comarmor.patterns.proofs import implies
 from comarmor.patterns.relations import TooComplexError
 from comarmor.patterns.steps import StepLimitError, step_limit
 from comarmor.rules import Effect
-from keymint.analysis.attachments import Attachment, AttachmentIndex
 from keymint.analysis.deny_overlap import may_deny_something
+from keymint.analysis.expression_origins import ExpressionOrigin, ExpressionOrigins
 from keymint.analysis.findings import undecided, warning
 from keymint.analysis.rule_lists import (
     PermissionKey,
@@ -84,7 +84,7 @@ class RedundantRules:
     """
 
     def __init__(
-        self, subjects: Mapping[str, tuple[Rule, ...]], attachments: AttachmentIndex, written: PolicyStructure | None
+        self, subjects: Mapping[str, tuple[Rule, ...]], attachments: ExpressionOrigins, written: PolicyStructure | None
     ) -> None:
         self._attachments = attachments
         self._written = written
@@ -217,7 +217,9 @@ class RedundantRules:
         if self._written is None:
             return False
         expanded = (self._subjects[subject].expanded[expression] for subject in self._subjects_of[expression])
-        clauses = {self._attachments.clause(rule, Attachment(where, expression.number)) for rule, _, where in expanded}
+        clauses = {
+            self._attachments.clause(rule, ExpressionOrigin(where, expression.number)) for rule, _, where in expanded
+        }
         return any(may_deny_something(self._written, *each) for each in clauses if each is not None)
 
     def _finding(self, code: str, expressions: Sequence[_RuleExpression], *, of_rule: bool) -> Diagnostic:
@@ -275,7 +277,7 @@ def _is_proven(outcome: ProofResult) -> bool:
     return isinstance(outcome, Equal)
 
 
-def _subject_rules(rules: Sequence[Rule], subject: str, attachments: AttachmentIndex) -> _SubjectRules:
+def _subject_rules(rules: Sequence[Rule], subject: str, attachments: ExpressionOrigins) -> _SubjectRules:
     its_rules = _SubjectRules()
     sides: dict[_Side, list[tuple[Glob, _RuleExpression]]] = defaultdict(list)
     for rule in rules:

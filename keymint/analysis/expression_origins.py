@@ -1,4 +1,4 @@
-"""Find the attachment that each expression of a rule comes from."""
+"""Find the attachment of a policy file that each expression of a rule comes from."""
 
 from __future__ import annotations
 
@@ -13,8 +13,8 @@ from keymint.ir import Rule
 
 
 @dataclass(frozen=True, slots=True)
-class Attachment:
-    """The attachment that an expression comes from.
+class ExpressionOrigin:
+    """Origin of an expression: an attachment of a rule.
 
     Attributes:
         where: its origin.
@@ -25,7 +25,7 @@ class Attachment:
     number: int
 
 
-class AttachmentIndex:
+class ExpressionOrigins:
     """Finds the attachments of rules.
 
     Args:
@@ -37,7 +37,7 @@ class AttachmentIndex:
             clause.rule.origin: clause for clause in (written.clauses if written else ())
         }
 
-    def clause(self, rule: Rule, attachment: Attachment) -> tuple[WrittenRule, int] | None:
+    def clause(self, rule: Rule, attachment: ExpressionOrigin) -> tuple[WrittenRule, int] | None:
         """Return the clause of a rule, and the index of the expression of an attachment; None if unknown."""
         clause = self._clauses.get(rule.origin)
         if clause is None:
@@ -45,14 +45,14 @@ class AttachmentIndex:
         indices = [at for at, where in enumerate(clause.places) if where.spot == attachment.where.spot]
         return (clause, indices[attachment.number]) if attachment.number < len(indices) else None
 
-    def of(self, rule: Rule, subject: str) -> Mapping[str, Attachment]:
+    def of(self, rule: Rule, subject: str) -> Mapping[str, ExpressionOrigin]:
         """Return the attachment of each expression of a subject's rule; of equal expressions the first."""
         clause = self._clauses.get(rule.origin)
         if clause is None or not clause.places:
-            return {expression: Attachment(rule.origin, at) for at, expression in enumerate(rule.expressions)}
-        attachments: dict[str, Attachment] = {}
+            return {expression: ExpressionOrigin(rule.origin, at) for at, expression in enumerate(rule.expressions)}
+        attachments: dict[str, ExpressionOrigin] = {}
         seen: Counter[Spot] = Counter()
         for expression, where in zip(expressions_for(clause, subject), clause.places, strict=True):
-            attachments.setdefault(expression, Attachment(where, seen[where.spot]))
+            attachments.setdefault(expression, ExpressionOrigin(where, seen[where.spot]))
             seen[where.spot] += 1
         return attachments
