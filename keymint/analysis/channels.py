@@ -1,8 +1,8 @@
-"""How data can get from one subject to another: topics, and the requests and replies of services.
+"""Find channels by which data can flow from one subject to another: topics, and requests and replies of services.
 
-A channel is a name that one subject may write to and another one may read from. Actions and parameters are made of
+A channel is a name that one subject may write to and another one may read from. Actions and parameters consist of
 topics and services. A channel is infrastructure if rules for every node allow it to both ends, e.g.
-``ros_discovery_info``: every pair of nodes has it, so that it is told apart from what a policy connects itself.
+``ros_discovery_info``: every pair of nodes has it, so it is listed separately.
 """
 
 from __future__ import annotations
@@ -47,19 +47,19 @@ FLOWS: tuple[tuple[PermissionKey, PermissionKey], ...] = (
     (("ros_service", "ros_call"), ("ros_service", "ros_execute")),
     (("ros_service", "ros_execute"), ("ros_service", "ros_call")),
 )
-"""By which permissions data gets from one subject to another: a client sends requests, a server sends replies."""
+"""Pairs of permissions of writer and reader: a client sends requests, a server sends replies."""
 
 
 @dataclass(frozen=True, slots=True)
 class Channel:
-    """A name by which data can get from a subject to another one.
+    """A name by which data can flow from one subject to another.
 
     Attributes:
-        writer: where data comes from.
-        reader: where it gets.
+        writer: the sender.
+        reader: the receiver.
         kind: kind of the object.
         permissions: permission of the writer and of the reader.
-        word: the name, a shortest one; empty if it was not decided whether there is one.
+        word: a shortest such name; empty if it is unknown whether there is one.
     """
 
     writer: str
@@ -71,13 +71,13 @@ class Channel:
 
 @dataclass(slots=True)
 class ChannelSearch:
-    """Looks for channels.
+    """Finds channels.
 
     Attributes:
         policy: the policy.
-        but: expressions of objects that do not count.
-        common: tells whether a rule is one for every node; where such rules allow a channel to both ends it does not
-            count, see :meth:`infrastructure`.
+        but: expressions of objects to ignore.
+        common: returns True for a rule for every node; a channel that such rules allow to both ends is ignored, see
+            :meth:`infrastructure`.
     """
 
     policy: LoadedPolicy
@@ -87,11 +87,11 @@ class ChannelSearch:
     _known_common: dict[tuple[str, PermissionKey], tuple[Glob, ...]] = field(default_factory=dict)
 
     def path(self, sources: Sequence[str], targets: Sequence[str]) -> list[Channel] | None:
-        """Return a shortest path from one of some subjects to one of others, or None.
+        """Return a shortest path of channels from one of the sources to one of the targets, or None.
 
-        What is between them are subjects that the policy names.
+        Subjects in between are those that the policy names.
         """
-        wanted = set(targets)
+        goals = set(targets)
         seen = set(sources)
         queue: deque[tuple[str, list[Channel]]] = deque((source, []) for source in sources)
         everybody = [*dict.fromkeys((*targets, *self.policy.subjects()))]
@@ -103,60 +103,60 @@ class ChannelSearch:
                 channel = next(self.between(subject, other), None)
                 if channel is None:
                     continue
-                if other in wanted:
+                if other in goals:
                     return [*path, channel]
                 seen.add(other)
                 queue.append((other, [*path, channel]))
         return None
 
     def between(self, writer: str, reader: str) -> Iterator[Channel]:
-        """Yield a channel from one subject to another for each of the rules' expressions that there is one by."""
+        """Yield channels from one subject to another, at most one for each expression of the writer's rules."""
         for send, receive in FLOWS:
-            theirs = self._listed(reader, receive)
-            if not _allows(theirs):
+            received = self._listed(reader, receive)
+            if not _allows(received):
                 continue
-            mine = self._listed(writer, send)
+            sent = self._listed(writer, send)
             shared = _shared(self._common(writer, send), self._common(reader, receive))
-            said: set[str] = set()
-            for pattern in (pattern for block in mine if block.allows for pattern in block.patterns):
+            reported: set[str] = set()
+            for pattern in (pattern for block in sent if block.allows for pattern in block.patterns):
                 counts = self._counts(send[0], shared)
-                outcome = find_permitted(send[0], restrict_allowed(pattern, mine), theirs, counts)
+                outcome = find_permitted(send[0], restrict_allowed(pattern, sent), received, counts)
                 if isinstance(outcome, Equal):
                     continue
                 word = outcome.word if isinstance(outcome, Witness) else ""
-                if word not in said:
-                    said.add(word)
+                if word not in reported:
+                    reported.add(word)
                     yield Channel(writer, reader, send[0], (send[1], receive[1]), word)
 
     def infrastructure(self, writer: str, reader: str) -> Iterator[Channel]:
-        """Yield the channels from one subject to another that rules for every node allow to both."""
+        """Yield the channels from one subject to another that rules for every node allow to both ends."""
         for send, receive in FLOWS:
             for pattern in _shared(self._common(writer, send), self._common(reader, receive)):
-                mine, theirs = self._listed(writer, send), self._listed(reader, receive)
-                outcome = find_permitted(send[0], allow_only(pattern), mine, theirs, self._counts(send[0]))
+                sent, received = self._listed(writer, send), self._listed(reader, receive)
+                outcome = find_permitted(send[0], allow_only(pattern), sent, received, self._counts(send[0]))
                 if not isinstance(outcome, Equal):
                     word = outcome.word if isinstance(outcome, Witness) else ""
                     yield Channel(writer, reader, send[0], (send[1], receive[1]), word)
 
     def possible(self, writers: Glob, readers: Glob) -> Iterator[Channel]:
-        """Yield channels that there may be between subjects that the policy does not name.
+        """Yield possible channels between subjects that the policy does not name.
 
-        Where nothing is yielded there is none. Writer and reader are patterns of subjects.
+        No result proves that there is none. Writer and reader are patterns of subjects.
         """
         written = structure(self.policy)
         if written is None:
             return
         for send, receive in FLOWS:
             try:
-                mine = [one for piece in intersection(writers, EVERY) for one in at_most(written, piece, send)]
-                theirs = [one for piece in intersection(readers, EVERY) for one in at_most(written, piece, receive)]
+                sent = [one for piece in intersection(writers, EVERY) for one in at_most(written, piece, send)]
+                received = [one for piece in intersection(readers, EVERY) for one in at_most(written, piece, receive)]
             except TooComplexError:
                 yield Channel(pattern_text(writers), pattern_text(readers), send[0], (send[1], receive[1]), "")
                 continue
-            for subject, decided in mine:
-                for other, decided2 in theirs:
+            for subject, decided in sent:
+                for other, decided2 in received:
                     if (literal(subject) is not None and literal(other) is not None) or not _allows(decided2):
-                        continue  # whom the policy names was asked already
+                        continue  # subjects that the policy names are checked by between()
                     shared = _shared(self._surely(written, subject, send), self._surely(written, other, receive))
                     outcome = find_permitted(send[0], decided, decided2, self._counts(send[0], shared))
                     if not isinstance(outcome, Equal) and can_exist(subject) and can_exist(other):
@@ -173,7 +173,7 @@ class ChannelSearch:
         return self._known[subject, key]
 
     def _common(self, subject: str, key: PermissionKey) -> tuple[Glob, ...]:
-        """Return what rules for every node allow to a subject."""
+        """Return the patterns that rules for every node allow to a subject."""
         if (subject, key) not in self._known_common:
             rules = rules_of(self.policy, subject)
             self._known_common[subject, key] = tuple(
@@ -188,7 +188,7 @@ class ChannelSearch:
         return self._known_common[subject, key]
 
     def _surely(self, written: PolicyStructure, subjects: Glob, key: PermissionKey) -> tuple[Glob, ...]:
-        """Return what rules for every node allow to each of some subjects, whatever its name."""
+        """Return the patterns that rules for every node allow to every subject of a pattern."""
         return tuple(
             pattern
             for clause in written.clauses
@@ -201,21 +201,21 @@ class ChannelSearch:
         )
 
     def _counts(self, kind: str, shared: Sequence[Glob] = ()) -> DecisionList:
-        """Return what permits the names that count."""
+        """Return the decision list of the names that are not ignored."""
         denied = (in_partition("*", parse(each)) if kind == RAW else query_pattern(kind, each) for each in self.but)
         return (Block(False, (*denied, *shared)), Block(True, (EVERYTHING,)))
 
 
 def _shared(one: Sequence[Glob], other: Sequence[Glob]) -> tuple[Glob, ...]:
-    """Return what patterns of both sides match; where that is too complex, less."""
-    found: dict[Glob, None] = {}
-    for mine in one:
-        for theirs in other:
+    """Return the intersections of patterns of both sides, without those that are too complex."""
+    shared: dict[Glob, None] = {}
+    for pattern in one:
+        for pattern2 in other:
             try:
-                found |= dict.fromkeys(intersection(mine, theirs))
+                shared |= dict.fromkeys(intersection(pattern, pattern2))
             except TooComplexError:
                 continue
-    return tuple(found)
+    return tuple(shared)
 
 
 def _allows(decided: DecisionList) -> bool:

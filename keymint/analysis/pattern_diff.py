@@ -1,7 +1,7 @@
-"""Two policies compared for all subjects that neither names: what any of them gains or loses.
+"""Compare two policies for all subjects that neither names: what any of them gains or loses.
 
-Only a rule that one policy has and the other has not can make a difference. So for each such rule one question is asked
-about all subjects and objects at once (:mod:`keymint.analysis.symbolic_search`); rules that both have cost nothing.
+Only a rule in just one of the policies can make a difference. For each such rule one search covers all subjects and
+objects at once (:mod:`keymint.analysis.symbolic_search`); rules in both policies cost nothing.
 """
 
 from __future__ import annotations
@@ -11,15 +11,15 @@ from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 
 from comarmor.errors import Origin
-from comarmor.patterns.decision_lists import Block, Equal, Unknown
+from comarmor.patterns.decision_lists import Equal, Unknown
 from comarmor.patterns.glob import Glob
 from comarmor.patterns.matching import matches
 from comarmor.patterns.relations import disjoint
 from comarmor.rules import PERMISSIONS, Effect
 from keymint.analysis.query_budget import QueryBudget
-from keymint.analysis.rule_lists import PermissionKey, decision_list, find_permitted, is_composite, negated
+from keymint.analysis.rule_lists import PermissionKey, allow_only, decision_list, find_permitted, is_composite, negated
 from keymint.analysis.subject_patterns import EVERY, example_subject, rules_of
-from keymint.analysis.subject_templates import fill_placeholders, fit_pattern, placeholders
+from keymint.analysis.subject_templates import exact_halves, fill_placeholders, fit_pattern, placeholders
 from keymint.analysis.symbolic_rules import SymbolicRule, SymbolicRules
 from keymint.analysis.symbolic_search import (
     EVERYBODY,
@@ -32,25 +32,25 @@ from keymint.api import LoadedPolicy
 
 KEYS: tuple[PermissionKey, ...] = tuple(
     (kind, permission)
-    for kind, held in PERMISSIONS.items()
-    for permission in held
+    for kind, permissions in PERMISSIONS.items()
+    for permission in permissions
     if not is_composite(kind, permission)
 )
-"""Every kind with each permission of it that has no parts: where these are equal, all are."""
+"""All kinds and permissions without parts: policies that agree on them agree on all."""
 
 
 @dataclass(frozen=True, slots=True)
 class PatternDifference:
-    """What subjects that a pattern matches gain or lose.
+    """What the subjects of a pattern gain or lose.
 
     Attributes:
-        gains: the newer policy allows what the older does not; else the other way round.
-        key: kind, and permission without parts; empty where the budget was spent before all was asked.
+        gains: True if only the newer policy allows it, False if only the older one does.
+        key: kind, and permission without parts; empty if the budget was spent before the last search.
         subjects: the pattern.
         object: pattern of symbolic words of the rule that allows it.
-        where: that rule; None where the budget was spent.
-        subject: one that gains or loses; empty if none was found for certain.
-        unknown: why none was.
+        where: that rule; None if the budget was spent.
+        subject: an example; empty if unknown.
+        unknown: why it is unknown, or empty.
     """
 
     gains: bool
@@ -68,13 +68,13 @@ def pattern_differences(
     named: Iterable[str],
     budget: QueryBudget,
 ) -> Iterator[PatternDifference]:
-    """Yield what subjects gain or lose; where nothing is yielded none does, whatever its name.
+    """Yield what subjects gain or lose. No result proves that no subject does, whatever its name.
 
     Args:
         policies: the older one and the newer one.
-        written: what the rules of both say.
-        named: subjects that do not count.
-        budget: pays for it.
+        written: the rules of both.
+        named: subjects to ignore.
+        budget: limit of the search.
     """
     old, new = written
     named = tuple(named)
@@ -83,83 +83,78 @@ def pattern_differences(
         _PatternComparison(False, policies[::-1], (new, old), named, budget),
     ):
         for key in KEYS:
-            for found in comparison.of(key):
-                if found.unknown and budget.is_empty:
-                    yield PatternDifference(found.gains, ("", ""), EVERY, (), None, "", budget.reason(found.unknown))
+            for each in comparison.of(key):
+                if each.unknown and budget.is_empty:
+                    yield PatternDifference(each.gains, ("", ""), EVERY, (), None, "", budget.reason(each.unknown))
                     return
-                yield found
+                yield each
 
 
 class _PatternComparison:
-    """What subjects may do by one policy, and not by another one.
+    """Finds what one policy allows and another one does not.
 
     Args:
         gains: the policy that allows it is the newer one.
         policies: the one that does not allow it, and the one that does.
-        books: what the rules of both say.
-        named: subjects that do not count.
-        budget: pays for it.
+        rules: the rules of both.
+        named: subjects to ignore.
+        budget: limit of the search.
     """
 
     def __init__(
         self,
         gains: bool,
         policies: Sequence[LoadedPolicy],
-        books: tuple[SymbolicRules, SymbolicRules],
+        rules: tuple[SymbolicRules, SymbolicRules],
         named: tuple[str, ...],
         budget: QueryBudget,
     ) -> None:
         self._gains = gains
         self._policies = policies
-        self._before, self._after = books
+        self._before, self._after = rules
         self._named = named
         self._budget = budget
-        self._shown: dict[Glob, dict[str, None]] = defaultdict(dict)
-        self._excluded: dict[Glob, frozenset[str]] = {}
+        self._reported: dict[Glob, dict[str, None]] = defaultdict(dict)
+        self._known_matches: dict[Glob, frozenset[str]] = {}
 
     def of(self, key: PermissionKey) -> Iterator[PatternDifference]:
-        """Yield, for each rule and pattern of subjects, whether it makes a difference for a kind and permission."""
+        """Yield the differences for a kind and permission, at most one for each rule and pattern of its subjects."""
         allowed = self._after.all(key, Effect.ALLOW)
         new = allowed.keys() - self._before.all(key, Effect.ALLOW).keys()
         denials = self._before.all(key, Effect.DENY)
-        lifted = [denials[said] for said in denials.keys() - self._after.all(key, Effect.DENY).keys()]
+        lifted = [denials[content] for content in denials.keys() - self._after.all(key, Effect.DENY).keys()]
         if not new and not lifted:
             return
-        lifted.sort(key=lambda one: (one.where, str(one.said)))
-        for said, spoken in allowed.items():
-            for subjects in spoken.reach.subjects:
-                questions = [self._unspoken(key, spoken, subjects)] if said in new else []
-                questions += self._denied(key, spoken, subjects, lifted)
-                found = self._first(key, spoken, subjects, questions) if questions else None
-                if isinstance(found, FoundSubject):
-                    self._shown[subjects][found.subject] = None
-                    yield self._said(key, spoken, subjects, found.subject, "")
-                elif found is not None:
-                    yield self._said(key, spoken, subjects, "", found.reason)
-
-    def _said(
-        self, key: PermissionKey, spoken: SymbolicRule, subjects: Glob, subject: str, unknown: str
-    ) -> PatternDifference:
-        return PatternDifference(self._gains, key, subjects, spoken.object, spoken.where, subject, unknown)
+        lifted.sort(key=lambda one: (one.where, str(one.content)))
+        for content, rule in allowed.items():
+            for subjects in rule.reach.subjects:
+                searches = [self._not_allowed_before(key, rule, subjects)] if content in new else []
+                searches += self._denied_before(key, rule, subjects, lifted)
+                answer = self._first(key, rule, subjects, searches) if searches else None
+                if isinstance(answer, FoundSubject):
+                    self._reported[subjects][answer.subject] = None
+                    yield PatternDifference(self._gains, key, subjects, rule.object, rule.where, answer.subject)
+                elif answer is not None:
+                    yield PatternDifference(self._gains, key, subjects, rule.object, rule.where, "", answer.reason)
 
     def _first(
-        self, key: PermissionKey, spoken: SymbolicRule, subjects: Glob, questions: Sequence[_AlternativeSearches]
+        self, key: PermissionKey, rule: SymbolicRule, subjects: Glob, searches: Sequence[_AlternativeSearches]
     ) -> FoundSubject | Undecided | None:
-        """Return the answer to the first question that finds a subject; else why one of them was not decided."""
+        """Return the first subject found by a search, else the reason why one of them is undecided."""
 
-        def judge(subject: str) -> bool | Undecided:
-            return self._differs(key, spoken.object, subject)
+        def check(subject: str) -> bool | Undecided:
+            return self._differs(key, rule.object, subject)
 
-        tried = [*self._shown[subjects], *self._example(subjects)]
+        tried = [*self._reported[subjects], *self._example(subjects)]
         for subject in tried:
-            if judge(subject) is True:
+            if check(subject) is True:
                 return FoundSubject(subject)
         undecided: Undecided | None = None
-        for question in questions:
+        for alternatives in searches:
             answer: FoundSubject | Undecided | None = None
-            for within, shape, conditions in question:
-                excluded = (*self._known(within), *tried)
-                answer = find_subject(key[0], within, shape, conditions, judge, excluded, self._budget)
+            for within, shape, conditions in alternatives:
+                excluded = (*self._matching_named(within), *tried)
+                answer = find_subject(key[0], within, shape, conditions, check, excluded, self._budget)
                 if not isinstance(answer, Undecided):
                     break
             if isinstance(answer, FoundSubject):
@@ -168,56 +163,55 @@ class _PatternComparison:
         return undecided
 
     def _example(self, subjects: Glob) -> tuple[str, ...]:
-        found = example_subject(subjects)
-        return () if found is None or found in self._known(subjects) else (found,)
+        example = example_subject(subjects)
+        return () if example is None or example in self._matching_named(subjects) else (example,)
 
-    def _known(self, subjects: Glob) -> frozenset[str]:
-        """Return the subjects that do not count, of those that a pattern matches."""
-        if subjects not in self._excluded:
-            self._excluded[subjects] = frozenset(name for name in self._named if matches(subjects, name))
-        return self._excluded[subjects]
+    def _matching_named(self, subjects: Glob) -> frozenset[str]:
+        """Return the named subjects that match a pattern."""
+        if subjects not in self._known_matches:
+            self._known_matches[subjects] = frozenset(name for name in self._named if matches(subjects, name))
+        return self._known_matches[subjects]
 
-    def _unspoken(self, key: PermissionKey, spoken: SymbolicRule, subjects: Glob) -> _AlternativeSearches:
-        """Return the question whether a rule allows what no rule allowed."""
-        refused = (
+    def _not_allowed_before(self, key: PermissionKey, rule: SymbolicRule, subjects: Glob) -> _AlternativeSearches:
+        """Return the search for what a rule allows and no rule allowed before."""
+        excluded = (
             *self._after.surely(key, Effect.DENY, subjects),
             *self._before.surely(key, Effect.ALLOW, subjects),
         )
-        return [(subjects, spoken.object, (*spoken.reach.conditions, SymbolicCondition(refused)))]
+        return [(subjects, rule.object, (*rule.reach.conditions, SymbolicCondition(excluded)))]
 
-    def _denied(
-        self, key: PermissionKey, spoken: SymbolicRule, subjects: Glob, lifted: Sequence[SymbolicRule]
+    def _denied_before(
+        self, key: PermissionKey, rule: SymbolicRule, subjects: Glob, lifted: Sequence[SymbolicRule]
     ) -> Iterator[_AlternativeSearches]:
-        """Yield the questions whether a rule allows what was denied."""
-        near = [one for one in lifted if _may_meet(one, spoken, subjects)]
-        if not near:
+        """Yield searches for what a rule allows and a lifted rule denied before."""
+        overlapping = [denial for denial in lifted if _may_overlap(denial, rule, subjects)]
+        if not overlapping:
             return
-        mine = (*spoken.reach.conditions, SymbolicCondition(self._after.surely(key, Effect.DENY, subjects)))
-        entries = tuple(one.entry() for one in near if not placeholders(one.object))
+        conditions = (*rule.reach.conditions, SymbolicCondition(self._after.surely(key, Effect.DENY, subjects)))
+        entries = tuple(denial.entry() for denial in overlapping if not placeholders(denial.object))
         if entries:
-            yield [(subjects, spoken.object, (*mine, SymbolicCondition(some=entries)))]
-        for one in near:
-            if placeholders(one.object):
-                yield [*self._both(spoken, subjects, one, mine)]
+            yield [(subjects, rule.object, (*conditions, SymbolicCondition(some=entries)))]
+        for denial in overlapping:
+            if placeholders(denial.object):
+                yield [*self._alternatives(rule, subjects, denial, conditions)]
 
     @staticmethod
-    def _both(
-        spoken: SymbolicRule, subjects: Glob, denial: SymbolicRule, mine: _Conditions
+    def _alternatives(
+        rule: SymbolicRule, subjects: Glob, denial: SymbolicRule, conditions: _Conditions
     ) -> Iterator[_SearchArguments]:
-        """Yield the ways to ask whether a rule allows what a denial that depends on the subject denied."""
-        conditions = (*mine, *denial.reach.conditions, SymbolicCondition(some=(denial.entry(),)))
-        ways = [(subjects, denial.object, (*conditions, SymbolicCondition(some=(spoken.entry(),))))]
-        if placeholders(spoken.object):
-            ways.append((subjects, spoken.object, conditions))
-        yield from sorted(ways, key=_blurred)
+        """Yield alternative searches for what a rule allows and a denial with placeholders denied."""
+        both = (*conditions, *denial.reach.conditions, SymbolicCondition(some=(denial.entry(),)))
+        alternatives = [(subjects, denial.object, (*both, SymbolicCondition(some=(rule.entry(),))))]
+        if placeholders(rule.object):
+            alternatives.append((subjects, rule.object, both))
+        yield from sorted(alternatives, key=_inexact_entries)
 
     def _differs(self, key: PermissionKey, pattern: Glob, subject: str) -> bool | Undecided:
-        """Tell whether a subject may do by one policy, and not by the other one, something that a pattern matches."""
-        head, _, last = subject.removeprefix("/").rpartition("/")
-        mine = fill_placeholders(pattern, (f"{head}/",) if head else (), (last,))
+        """Return True if only one policy allows a subject something that a pattern matches."""
+        concrete = fill_placeholders(pattern, *exact_halves(subject))
         before, after = (decision_list(rules_of(policy, subject), key) for policy in self._policies)
-        asked = (Block(True, (mine,)),)
-        outcome = find_permitted(key[0], asked, after, negated(before), budget=self._budget.next_query())
+        budget = self._budget.next_query()
+        outcome = find_permitted(key[0], allow_only(concrete), after, negated(before), budget=budget)
         if isinstance(outcome, Unknown):
             return Undecided(self._budget.reason(outcome.reason))
         return not isinstance(outcome, Equal)
@@ -225,19 +219,19 @@ class _PatternComparison:
 
 _Conditions = tuple[SymbolicCondition, ...]
 _SearchArguments = tuple[Glob, Glob, _Conditions]
-"""Arguments of :func:`~keymint.analysis.symbolic_search.find_subject`: subjects, shape of the names, conditions."""
+"""Arguments of :func:`~keymint.analysis.symbolic_search.find_subject`: subjects, shape of the words, conditions."""
 _AlternativeSearches = list[_SearchArguments]
-"""Ways to ask the same; "there is none" is proven by any of them."""
+"""Searches with the same answer: any of them proves that there is no subject."""
 
 
-def _blurred(way: _SearchArguments) -> int:
-    """Return how many expressions cannot be said exactly where the placeholders stand as in the shape of the words."""
-    _, shape, conditions = way
+def _inexact_entries(search: _SearchArguments) -> int:
+    """Return the number of entries that cannot be rewritten exactly to the placeholders of the shape."""
+    _, shape, conditions = search
     entries = (entry for each in conditions for entry in (*each.none, *(each.some or ())))
     return sum(not fit_pattern(entry.object, shape, *EVERYBODY, wide=False).exact for entry in entries)
 
 
-def _may_meet(denial: SymbolicRule, spoken: SymbolicRule, subjects: Glob) -> bool:
-    if not placeholders(denial.object) and not placeholders(spoken.object) and disjoint(denial.object, spoken.object):
+def _may_overlap(denial: SymbolicRule, rule: SymbolicRule, subjects: Glob) -> bool:
+    if not placeholders(denial.object) and not placeholders(rule.object) and disjoint(denial.object, rule.object):
         return False
     return any(not disjoint(one, subjects) for one in denial.reach.subjects)

@@ -1,8 +1,8 @@
-"""Expressions that depend on the subject, as patterns over words in which ``{namespace}`` and ``{name}`` are letters.
+"""Expressions that depend on the subject, as patterns of words with characters for ``{namespace}`` and ``{name}``.
 
 A subject is ``"/" + namespace + name``: the namespace is empty or ends with ``/``, the name is the last segment. In a
-symbolic word one letter stands for either. A symbolic word and a subject give one word; several symbolic words may give
-the same word, so that two patterns can have a word in common although they have no symbolic word in common.
+symbolic word one character, a placeholder, represents either. A symbolic word and a subject yield one word. Different
+symbolic words may yield the same word, so two patterns can share a word without sharing a symbolic word.
 """
 
 from __future__ import annotations
@@ -18,9 +18,9 @@ from keymint.analysis.rule_lists import PermissionKey, rule_patterns
 from keymint.api import WrittenRule
 
 NAMESPACE = "\x01"
-"""Stands for the subject's namespace without its leading ``/``. XML cannot hold this character."""
+"""Placeholder of the subject's namespace without its leading ``/``. XML cannot contain this character."""
 NAME = "\x02"
-"""Stands for the last segment of the subject."""
+"""Placeholder of the last segment of the subject."""
 PLACEHOLDERS = (NAMESPACE, NAME)
 _MOST_PIECES = 256
 _Tokens = tuple[Token, ...]
@@ -28,7 +28,7 @@ _Tokens = tuple[Token, ...]
 
 @dataclass(frozen=True, slots=True)
 class TemplatePiece:
-    """Subjects, and the symbolic words that a pattern matches for each of them.
+    """Patterns of subjects, and of the symbolic words for each of them.
 
     Attributes:
         namespace: pattern of the namespaces, without the leading ``/``.
@@ -43,11 +43,11 @@ class TemplatePiece:
 
 @dataclass(frozen=True, slots=True)
 class FittedPattern:
-    """A pattern, said of symbolic words in which the marks stand as in another pattern.
+    """A pattern, rewritten for symbolic words with the placeholders of another pattern.
 
     Attributes:
-        pieces: for each, what the namespace and the name must match, and the pattern of symbolic words.
-        exact: the pieces match a symbolic word and a subject if and only if the pattern matches the word they give.
+        pieces: limits of the namespace, limits of the name, and pattern of symbolic words, for each piece.
+        exact: the pieces match a symbolic word and a subject if and only if the pattern matches the word they yield.
     """
 
     pieces: tuple[tuple[tuple[Glob, ...], tuple[Glob, ...], Glob], ...]
@@ -55,7 +55,7 @@ class FittedPattern:
 
 
 def symbolic_patterns(clause: WrittenRule, key: PermissionKey) -> tuple[Glob, ...]:
-    """Return the patterns of symbolic words that a rule is about, for a kind and permission without parts."""
+    """Return the patterns of symbolic words of a rule, for a kind and permission without parts."""
     expressions = clause.expand(f"/{NAMESPACE}/", NAME)
     return tuple(
         dict.fromkeys(
@@ -67,12 +67,12 @@ def symbolic_patterns(clause: WrittenRule, key: PermissionKey) -> tuple[Glob, ..
 
 
 def placeholders(pattern: Glob) -> tuple[str, ...]:
-    """Return the marks of a pattern, in their order."""
+    """Return the placeholders of a pattern, in order."""
     return tuple(char for token in pattern if isinstance(token, str) for char in token if char in PLACEHOLDERS)
 
 
 def fill_placeholders(pattern: Glob, namespace: Glob, name: Glob) -> Glob:
-    """Return a pattern with patterns of the namespace and the name in place of the marks."""
+    """Return a pattern with its placeholders replaced by patterns of namespace and name."""
     if not placeholders(pattern):
         return pattern
     values = {NAMESPACE: namespace, NAME: name}
@@ -83,129 +83,133 @@ def fill_placeholders(pattern: Glob, namespace: Glob, name: Glob) -> Glob:
     )
 
 
+def exact_halves(subject: str) -> tuple[Glob, Glob]:
+    """Return the namespace, without the leading ``/``, and the name of a subject as patterns."""
+    head, _, last = subject.removeprefix("/").rpartition("/")
+    return (f"{head}/",) if head else (), (last,)
+
+
 def concrete_name(word: str, namespace: str, name: str) -> str:
-    """Return the word that a symbolic word and a subject give."""
+    """Return the word that a symbolic word and a subject yield."""
     return word.replace(NAMESPACE, namespace).replace(NAME, name)
 
 
 def as_written(expression: str) -> str:
-    """Return an expression with marks as a policy writes it."""
+    """Return an expression with placeholders as in a policy."""
     return expression.replace(f"/{NAMESPACE}", "{namespace}").replace(NAMESPACE, "{namespace}").replace(NAME, "{name}")
 
 
 @lru_cache(maxsize=1 << 14)
 def fit_pattern(pattern: Glob, shape: Glob, namespace: Glob, name: Glob, *, wide: bool) -> FittedPattern:
-    """Say a pattern of symbolic words where the marks stand as in another pattern, the shape.
+    """Rewrite a pattern of symbolic words to the placeholders of another pattern, the shape.
 
     Args:
         pattern: the pattern.
-        shape: a pattern; only what it has in common with the first one matters.
-        namespace: matches the namespaces in question.
-        name: matches the last segments in question.
-        wide: where the answer is not exact it matches too much, else too little.
+        shape: a pattern; only its intersection with the first one matters.
+        namespace: pattern of the namespaces.
+        name: pattern of the last segments.
+        wide: over-approximate if the result is not exact; else under-approximate.
     """
-    mine, other = units(pattern), units(shape)
-    head = _common_prefix(mine, other)
-    tail = _common_prefix(mine[head:][::-1], other[head:][::-1])
-    end, end2 = len(mine) - tail, len(other) - tail
-    if _surely_disjoint(mine[head:end], other[head:end2]) or _surely_disjoint(
-        mine[head:end][::-1], other[head:end2][::-1]
+    own, other = units(pattern), units(shape)
+    head = _common_prefix(own, other)
+    tail = _common_prefix(own[head:][::-1], other[head:][::-1])
+    end, end2 = len(own) - tail, len(other) - tail
+    if _surely_disjoint(own[head:end], other[head:end2]) or _surely_disjoint(
+        own[head:end][::-1], other[head:end2][::-1]
     ):
         return FittedPattern((), exact=True)
     exact = True
-    middle, others = mine[head:end], other[head:end2]
+    middle, others = own[head:end], other[head:end2]
     if _has_placeholder(middle) and not _has_placeholder(others):
-        return _fit_concrete_shape(
-            mine[:head], middle, others, mine[end:], {NAMESPACE: namespace, NAME: name}, wide=wide
-        )
+        return _fit_concrete_shape(own[:head], middle, others, own[end:], {NAMESPACE: namespace, NAME: name}, wide=wide)
     if _has_placeholder(middle):
         exact = False
         if wide:
             middle = units(fill_placeholders(normalise(middle), namespace, name))
     segments = _segments(other[head:end2])
-    found: dict[tuple[tuple[Glob, ...], tuple[Glob, ...], Glob], None] = {}
+    pieces: dict[tuple[tuple[Glob, ...], tuple[Glob, ...], Glob], None] = {}
     for parts in _splits(middle, segments, {NAMESPACE: namespace, NAME: name}):
-        if len(found) == _MOST_PIECES:
-            whole = ((), (), shape)
-            return FittedPattern((whole,) if wide else tuple(found), exact=False)
+        if len(pieces) == _MOST_PIECES:
+            everything = ((), (), shape)
+            return FittedPattern((everything,) if wide else tuple(pieces), exact=False)
         limits: dict[str, list[Glob]] = {NAMESPACE: [], NAME: []}
-        tokens: list[Token] = [*mine[:head]]
+        tokens: list[Token] = [*own[:head]]
         for at, part in enumerate(parts):
             if at % 2 == 0:
                 tokens += part
                 continue
-            mark = segments[at][0]
-            tokens.append(mark)
+            placeholder = segments[at][0]
+            tokens.append(placeholder)
             limit = normalise(part)
-            if limit not in ((mark,), (STAR,)):
-                limits[str(mark)].append(limit)
-        pattern_ = normalise((*tokens, *mine[end:]))
-        found[tuple(limits[NAMESPACE]), tuple(limits[NAME]), pattern_] = None
-    return FittedPattern(tuple(found), exact)
+            if limit not in ((placeholder,), (STAR,)):
+                limits[str(placeholder)].append(limit)
+        pattern_ = normalise((*tokens, *own[end:]))
+        pieces[tuple(limits[NAMESPACE]), tuple(limits[NAME]), pattern_] = None
+    return FittedPattern(tuple(pieces), exact)
 
 
 def _fit_concrete_shape(
     head: _Tokens, middle: _Tokens, shape: _Tokens, tail: _Tokens, values: dict[str, Glob], *, wide: bool
 ) -> FittedPattern:
-    """Say a pattern with marks of words without: cut the shape where the marks stand, to tell what they must be.
+    """Rewrite a pattern with placeholders to a shape without: split the shape at the placeholders to get their limits.
 
-    That is exact if the shape is one word; else the subject and the word depend on each other.
+    This is exact if the shape is a single word; else the subject and the word depend on each other.
     """
     exact = literal(normalise(shape)) is not None
     if not (exact or wide):
         return FittedPattern((), exact=False)
     segments = _segments(middle)
-    found: dict[tuple[tuple[Glob, ...], tuple[Glob, ...], Glob], None] = {}
+    pieces: dict[tuple[tuple[Glob, ...], tuple[Glob, ...], Glob], None] = {}
     for parts in _splits(shape, segments, values):
-        if len(found) == _MOST_PIECES:
-            all_ = ((), (), normalise((*head, *shape, *tail)))
-            return FittedPattern((all_,) if wide else tuple(found), exact=False)
+        if len(pieces) == _MOST_PIECES:
+            everything = ((), (), normalise((*head, *shape, *tail)))
+            return FittedPattern((everything,) if wide else tuple(pieces), exact=False)
         limits: dict[str, list[Glob]] = {NAMESPACE: [], NAME: []}
         for at in range(1, len(parts), 2):
             limits[str(segments[at][0])].append(normalise(parts[at]))
-        whole = normalise((*head, *(token for part in parts for token in part), *tail))
-        found[tuple(limits[NAMESPACE]), tuple(limits[NAME]), whole] = None
-    return FittedPattern(tuple(found), exact)
+        word = normalise((*head, *(token for part in parts for token in part), *tail))
+        pieces[tuple(limits[NAMESPACE]), tuple(limits[NAME]), word] = None
+    return FittedPattern(tuple(pieces), exact)
 
 
 def _common_prefix(one: _Tokens, other: _Tokens) -> int:
-    """Return how many letters two patterns begin with alike."""
+    """Return the length of the common literal prefix of two patterns."""
     count = 0
-    for mine, theirs in zip(one, other, strict=False):
-        if mine != theirs or not isinstance(mine, str):
+    for token, token2 in zip(one, other, strict=False):
+        if token != token2 or not isinstance(token, str):
             break
         count += 1
     return count
 
 
 def _surely_disjoint(one: _Tokens, other: _Tokens) -> bool:
-    """Tell whether two patterns begin with different letters, so that they have no word in common."""
+    """Return True if two patterns begin with different letters, so that they have no common word."""
     if not (one and other and isinstance(one[0], str) and isinstance(other[0], str)):
         return False
     return one[0] not in PLACEHOLDERS and other[0] not in PLACEHOLDERS and one[0] != other[0]
 
 
 def _segments(shape: _Tokens) -> list[_Tokens]:
-    """Return the parts of a pattern between its marks, and the marks: at even places parts, at odd ones marks."""
-    found: list[_Tokens] = [()]
+    """Return the parts of a pattern between its placeholders (even indices), and the placeholders (odd indices)."""
+    segments: list[_Tokens] = [()]
     for token in shape:
         if isinstance(token, str) and token in PLACEHOLDERS:
-            found += [(token,), ()]
+            segments += [(token,), ()]
         else:
-            found[-1] = (*found[-1], token)
-    return found
+            segments[-1] = (*segments[-1], token)
+    return segments
 
 
 def _splits(pattern: _Tokens, segments: list[_Tokens], values: dict[str, Glob]) -> Iterator[tuple[_Tokens, ...]]:
-    """Yield the ways to cut a pattern into as many parts as there are segments.
+    """Yield the ways to split a pattern into one part for each segment.
 
-    A part that belongs to a mark is that mark, or a pattern of what it stands for.
+    The part of a placeholder is that placeholder, or a pattern of its value.
     """
     first, rest = segments[0], segments[1:]
-    mark = first[0] if len(first) == 1 and isinstance(first[0], str) and first[0] in PLACEHOLDERS else None
-    outer = values[str(mark)] if mark else normalise(first)
+    placeholder = first[0] if len(first) == 1 and isinstance(first[0], str) and first[0] in PLACEHOLDERS else None
+    outer = values[str(placeholder)] if placeholder else normalise(first)
     for left, right in _cuts(pattern) if rest else ((pattern, ()),):
-        if left != (mark,) and (_has_placeholder(left) or disjoint(normalise(left), outer)):
+        if left != (placeholder,) and (_has_placeholder(left) or disjoint(normalise(left), outer)):
             continue
         if not rest:
             yield (left,)
@@ -219,9 +223,9 @@ def _has_placeholder(pattern: _Tokens) -> bool:
 
 
 def _cuts(pattern: _Tokens) -> Iterator[tuple[_Tokens, _Tokens]]:
-    """Yield the ways to cut a pattern in two.
+    """Yield the ways to split a pattern in two.
 
-    Beside a star the cut is in it, so that both sides have it; a mark is also cut off by itself.
+    A split at a star is inside of it, so both sides get the star; a placeholder is also split off by itself.
     """
     for at in range(len(pattern) + 1):
         left, right = pattern[:at], pattern[at:]

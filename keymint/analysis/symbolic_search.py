@@ -1,9 +1,9 @@
-r"""Questions about all subjects at once that a policy does not name.
+r"""Search all subjects at once that a policy does not name, by patterns.
 
 A word is ``namespace NUL name NUL object``; the object is symbolic (:mod:`keymint.analysis.subject_templates`). Rules
-are patterns of such words: nested profiles a product, never a list of subjects. "There is none" is proven. A subject
-that is found is judged by the rules that the policy has for it. Sound, incomplete: it may say unknown where patterns
-that depend on the subject meet by chance.
+are patterns of such words: nested profiles are products, never lists of subjects. "No such subject" is proven. A
+candidate is checked by its own rules in the policy. Sound, but incomplete: the answer may be unknown if patterns that
+depend on the subject overlap by coincidence.
 """
 
 from __future__ import annotations
@@ -29,15 +29,16 @@ from keymint.analysis.subject_templates import (
     PLACEHOLDERS,
     TemplatePiece,
     concrete_name,
+    exact_halves,
     fill_placeholders,
     fit_pattern,
     placeholders,
 )
 
-_SPELLED = 16
-"""Namespaces, or names, that are taken one by one where a pattern matches so few."""
+_MOST_WORDS = 16
+"""Maximum number of words of a pattern that is replaced by its words."""
 _ROUNDS = 16
-"""Candidates that are judged before the answer is unknown."""
+"""Maximum number of checked candidates; then the answer is unknown."""
 _LETTERS = charset((ord(char), ord(char)) for char in string.ascii_letters + string.digits + "_")
 _NAMES = charset((*_LETTERS.ranges, (ord("/"), ord("/"))))
 _MARKED = charset((*_NAMES.ranges, (ord(NAMESPACE), ord(NAMESPACE)), (ord(NAME), ord(NAME))))
@@ -49,7 +50,7 @@ class SymbolicEntry:
     """An expression of a rule.
 
     Attributes:
-        subjects: namespaces and names of the subjects that it is about; together they match these, and no others.
+        subjects: patterns of namespace and name that together match exactly its subjects.
         object: pattern of symbolic words.
     """
 
@@ -62,11 +63,11 @@ EVERYBODY = ((STAR,), (STAR,))
 
 @dataclass(frozen=True, slots=True)
 class SymbolicCondition:
-    """What a word must be like.
+    """A condition for words.
 
     Attributes:
-        none: no word of these.
-        some: a word of any of these; None if there is no such condition.
+        none: the word matches none of these entries.
+        some: the word matches at least one of these entries; None for no condition.
     """
 
     none: tuple[SymbolicEntry, ...] = ()
@@ -75,24 +76,24 @@ class SymbolicCondition:
 
 @dataclass(frozen=True, slots=True)
 class FoundSubject:
-    """A subject, as was asked for."""
+    """A subject that fulfils the conditions."""
 
     subject: str
 
 
 @dataclass(frozen=True, slots=True)
 class Undecided:
-    """It was not found out whether there is one, and why."""
+    """The reason why the answer is unknown."""
 
     reason: str
 
 
 SubjectCheck = Callable[[str], "bool | Undecided"]
-"""Tells whether a subject is as was asked for: exactly, by its own rules."""
+"""Decides exactly, by a subject's own rules, whether it fulfils the conditions."""
 
 
 def namespace_name_pairs(subjects: Glob) -> tuple[tuple[Glob, Glob], ...]:
-    """Return patterns of namespace (without the leading ``/``) and name that together match the same subjects."""
+    """Return patterns of namespace, without the leading ``/``, and name that together match the same subjects."""
     return tuple(
         dict.fromkeys(
             (rest, name) for namespace, name in namespace_name_splits(subjects) for rest in after(namespace, "/")
@@ -105,33 +106,33 @@ def find_subject(
     subjects: Glob,
     shape: Glob,
     conditions: Sequence[SymbolicCondition],
-    judge: SubjectCheck,
+    check: SubjectCheck,
     excluded: Iterable[str],
     budget: QueryBudget,
 ) -> FoundSubject | Undecided | None:
-    """Return a subject for which some word is as was asked for; None if there is none.
+    """Find a subject with a word that fulfils all conditions; None if there is provably none.
 
     Args:
         kind: kind of the objects.
-        subjects: pattern of the subjects in question.
-        shape: pattern of the symbolic words in question.
-        conditions: the word must be like all of them.
-        judge: judges each candidate.
-        excluded: subjects that do not count.
-        budget: pays for it.
+        subjects: pattern of the subjects.
+        shape: pattern of the symbolic words.
+        conditions: conditions for the word.
+        check: decides on each candidate.
+        excluded: subjects to ignore.
+        budget: limit of the search.
     """
     excluded = tuple(excluded)
     undecided: Undecided | None = None
     for namespace, name in _singled(namespace_name_pairs(subjects), placeholders(shape)):
-        found = _Search(kind, namespace, name, shape, conditions, budget).run(judge, excluded)
-        if isinstance(found, FoundSubject):
-            return found
-        undecided = undecided or found
+        answer = _Search(kind, namespace, name, shape, conditions, budget).run(check, excluded)
+        if isinstance(answer, FoundSubject):
+            return answer
+        undecided = undecided or answer
     return undecided
 
 
 def _singled(subjects: Iterable[tuple[Glob, Glob]], used: Sequence[str]) -> Iterator[tuple[Glob, Glob]]:
-    """Yield pairs of which a half that is used, and matches few words, matches one."""
+    """Yield pairs in which a used half that matches few words is replaced by each of these words."""
     for namespace, name in subjects:
         halves = (_words(namespace) if NAMESPACE in used else None, _words(name) if NAME in used else None)
         yield from product(halves[0] or (namespace,), halves[1] or (name,))
@@ -139,20 +140,20 @@ def _singled(subjects: Iterable[tuple[Glob, Glob]], used: Sequence[str]) -> Iter
 
 @lru_cache(maxsize=1 << 12)
 def _words(pattern: Glob) -> tuple[Glob, ...] | None:
-    """Return the words that a pattern matches, if they are few."""
+    """Return the words that a pattern matches if they are few, else None."""
     count = 1
     for token in pattern:
         if isinstance(token, Star):
             return None
         count *= len(token) if isinstance(token, Charset) else 1
-    if not 0 < count <= _SPELLED:
+    if not 0 < count <= _MOST_WORDS:
         return None
     choices = [token.chars() if isinstance(token, Charset) else (token,) for token in pattern]
     return tuple(normalise(each) for each in product(*choices))
 
 
 class _Search:
-    """The search among subjects whose namespace and name two patterns match."""
+    """The search among subjects whose namespace and name match two patterns."""
 
     def __init__(
         self,
@@ -170,12 +171,12 @@ class _Search:
         self._budget = budget
         self._universe = Universe(_alphabet(kind), 4 if kind == RAW else 3, SEPARATOR, last_nonempty=kind == RAW)
 
-    def run(self, judge: SubjectCheck, excluded: Iterable[str]) -> FoundSubject | Undecided | None:
-        """Ask, judge what is found, and ask again without it; see :func:`find_subject`."""
+    def run(self, check: SubjectCheck, excluded: Iterable[str]) -> FoundSubject | Undecided | None:
+        """Search, check the candidate, and search again without it; see :func:`find_subject`."""
         try:
             positives, negatives = self._lists()
         except TooComplexError:
-            return Undecided("its patterns have too much in common to be told apart")
+            return Undecided("its patterns overlap in too many ways")
         refused = [*negatives, *map(self._subject, excluded)]
         for _ in range(_ROUNDS):
             denied = Block(False, tuple(dict.fromkeys(refused)))
@@ -192,18 +193,19 @@ class _Search:
                 return Undecided(self._budget.reason(outcome.reason))
             namespace, name, word = outcome.word.split(SEPARATOR, 2)
             subject = f"/{namespace}{name}"
-            judged = judge(subject)
-            if judged is not False:
-                return FoundSubject(subject) if judged is True else judged
-            refused += [self._subject(subject), *self._met(namespace, name, concrete_name(word, namespace, name))]
-        return Undecided(
-            "rules that depend on {namespace} or {name} meet others, and no subject was found that shows a difference"
-        )
+            verdict = check(subject)
+            if verdict is not False:
+                return FoundSubject(subject) if verdict is True else verdict
+            refused += [
+                self._subject(subject),
+                *self._denied_for(namespace, name, concrete_name(word, namespace, name)),
+            ]
+        return Undecided("rules that depend on {namespace} or {name} overlap others, and no example was found")
 
     def _lists(self) -> tuple[list[tuple[Glob, ...]], list[Glob]]:
-        """Return, for each condition, the words of which it must be one; and words that it must not be."""
+        """Return patterns of allowed words for each condition, and patterns of forbidden words."""
         positives: list[tuple[Glob, ...]] = [(_word(self._namespace, self._name, self._shape),)]
-        negatives = [*_illegal(self._kind), *self._miscounted()]
+        negatives = [*_illegal(self._kind), *self._surplus_placeholders()]
         for condition in self._conditions:
             if condition.some is not None:
                 some = (piece for entry in condition.some for piece in self._pieces(entry, wide=True))
@@ -213,31 +215,31 @@ class _Search:
         return positives, negatives
 
     def _pieces(self, entry: SymbolicEntry, *, wide: bool) -> Iterator[TemplatePiece]:
-        """Yield an entry as patterns of words; they match too much (wide), or too little."""
-        for theirs in entry.subjects:
+        """Yield an entry as patterns of words, over-approximated (wide) or under-approximated."""
+        for entry_namespace, entry_name in entry.subjects:
             try:
-                mine = product(intersection(theirs[0], self._namespace), intersection(theirs[1], self._name))
+                pairs = product(intersection(entry_namespace, self._namespace), intersection(entry_name, self._name))
             except TooComplexError:
                 if not wide:
                     continue
-                mine = product((self._namespace,), (self._name,))
-            for namespace, name in _singled(mine, placeholders(entry.object)):
+                pairs = product((self._namespace,), (self._name,))
+            for namespace, name in _singled(pairs, placeholders(entry.object)):
                 pattern = self._fixed(entry.object, namespace, name)
-                found = fit_pattern(pattern, self._shape, namespace, name, wide=wide)
-                for limits, limits2, object_ in found.pieces:
+                fit = fit_pattern(pattern, self._shape, namespace, name, wide=wide)
+                for limits, limits2, object_ in fit.pieces:
                     both = (_narrowed(namespace, limits, wide=wide), _narrowed(name, limits2, wide=wide))
                     yield from (TemplatePiece(one, other, object_) for one, other in product(*both))
 
     @staticmethod
     def _fixed(pattern: Glob, namespace: Glob, name: Glob) -> Glob:
-        """Return a pattern with the namespace, and the name, in their places where there is only one."""
+        """Return a pattern with the placeholders of an exact namespace or name filled."""
         one, other = literal(namespace), literal(name)
         return fill_placeholders(
             pattern, (NAMESPACE,) if one is None else namespace, (NAME,) if other is None else name
         )
 
-    def _met(self, namespace: str, name: str, word: str) -> Iterator[Glob]:
-        """Yield what rules that depend on the subject refuse for a namespace, or a name, where they refuse a word."""
+    def _denied_for(self, namespace: str, name: str, word: str) -> Iterator[Glob]:
+        """Yield the words that rules with placeholders deny for a namespace and name, if they deny a given word."""
         exact = (_text(namespace), _text(name))
         for condition in self._conditions:
             for entry in condition.none:
@@ -252,15 +254,14 @@ class _Search:
                     )
                     yield from (_word(p.namespace, p.name, p.object) for p in self._pieces(narrow, wide=False))
 
-    def _miscounted(self) -> Iterator[Glob]:
-        """Yield the words that have more marks than the shape: what a star of it matches has none."""
+    def _surplus_placeholders(self) -> Iterator[Glob]:
+        """Yield the words with more placeholders than the shape: its stars match no placeholders."""
         used = placeholders(self._shape)
-        for mark in PLACEHOLDERS:
-            yield normalise((STAR, *(each for _ in range(used.count(mark) + 1) for each in (mark, STAR))))
+        for each in PLACEHOLDERS:
+            yield normalise((STAR, *((each, STAR) * (used.count(each) + 1))))
 
     def _subject(self, subject: str) -> Glob:
-        head, _, last = subject.removeprefix("/").rpartition("/")
-        return _word(_text(f"{head}/" if head else ""), _text(last), self._rest)
+        return _word(*exact_halves(subject), self._rest)
 
     @property
     def _rest(self) -> Glob:
@@ -276,15 +277,15 @@ def _word(namespace: Glob, name: Glob, object_: Glob) -> Glob:
 
 
 def _narrowed(pattern: Glob, limits: Sequence[Glob], *, wide: bool) -> tuple[Glob, ...]:
-    """Return patterns of what a pattern and some others match; too much (wide) or too little where that is too hard."""
-    found: tuple[Glob, ...] = (pattern,)
+    """Return the intersections of a pattern with limits; over- (wide) or under-approximated where too complex."""
+    pieces: tuple[Glob, ...] = (pattern,)
     for limit in limits:
         try:
-            found = tuple(dict.fromkeys(each for one in found for each in intersection(one, limit)))
+            pieces = tuple(dict.fromkeys(each for one in pieces for each in intersection(one, limit)))
         except TooComplexError:
             if not wide:
                 return ()
-    return found
+    return pieces
 
 
 @lru_cache(maxsize=8)

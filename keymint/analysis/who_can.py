@@ -1,4 +1,4 @@
-"""Who holds a permission: among all subjects there are, not only those that a policy names."""
+"""Find the subjects with a permission, among all possible subjects, not only those that a policy names."""
 
 from __future__ import annotations
 
@@ -37,14 +37,14 @@ from keymint.ir import Rule
 
 @dataclass(frozen=True, slots=True)
 class PermissionHolder:
-    """A permission that a subject holds, or may hold.
+    """A subject that has a permission, or may have it.
 
     Attributes:
-        subject: the subject; empty if none was found for certain.
-        like: a pattern of subjects that it is one of; empty for a subject that was asked for or that a policy names.
-        word: the shortest name that it holds it on; empty if none was found for certain.
+        subject: the subject; empty if unknown.
+        like: a pattern of subjects that it is an example of; empty for an exact query and for a named subject.
+        word: the shortest name that it has the permission on; empty if unknown.
         where: the rule that allows it.
-        unknown: why it is not certain; empty if it is.
+        unknown: why the answer is unknown, or empty.
     """
 
     subject: str
@@ -57,46 +57,46 @@ class PermissionHolder:
 def who_can(
     policy: LoadedPolicy, within: Glob, kind: str, permission: str, name: Glob, budget: QueryBudget | None = None
 ) -> Iterator[PermissionHolder]:
-    """Yield who holds a permission: subjects that a policy names first, then one for each pattern of others.
+    """Yield subjects with a permission: first those that a policy names, then an example for each pattern of others.
 
-    Where nothing is yielded nobody does: for every subject there is, and every name. A policy whose type does not tell
-    how it is written is asked for the subjects that it names only.
+    No result proves that no possible subject has the permission on any name. If the policy type does not provide the
+    structure, only the subjects that the policy names are checked.
 
     Args:
         policy: the policy.
-        within: pattern of the subjects in question.
+        within: pattern of the subjects.
         kind: kind of the objects.
         permission: a permission of that kind.
-        name: pattern of the objects in question; for kind ``topic`` with the partition.
-        budget: pays for it.
+        name: pattern of the objects; for kind ``topic`` with the partition.
+        budget: limit of the search.
     """
     exact = literal(within)
     written = structure(policy) if exact is None else None
-    book = SymbolicRules(written) if written else None
+    rules = SymbolicRules(written) if written else None
     singles = (
-        [subject for subject in book.singles if matches(within, subject) and can_exist((subject,))] if book else []
+        [subject for subject in rules.singles if matches(within, subject) and can_exist((subject,))] if rules else []
     )
     named = (exact,) if exact is not None else tuple(dict.fromkeys((*named_subjects(policy, within), *singles)))
     for subject in named:
-        found = shortest_granted(rules_of(policy, subject), kind, permission, name)
-        if found is not None:
-            yield _said(subject, "", found, policy, kind, permission)
-    if book is not None:
-        question = _HolderSearch(policy, book, kind, permission, name, frozenset(named), budget or QueryBudget())
-        yield from question.others(within)
+        outcome = shortest_granted(rules_of(policy, subject), kind, permission, name)
+        if outcome is not None:
+            yield _holder_of(subject, "", outcome, policy, kind, permission)
+    if rules is not None:
+        search = _HolderSearch(policy, rules, kind, permission, name, frozenset(named), budget or QueryBudget())
+        yield from search.others(within)
 
 
 def shortest_granted(
     rules: Sequence[Rule], kind: str, permission: str, name: Glob, budget: QueryBudget | None = None
 ) -> Witness | Unknown | None:
-    """Return the shortest of some names on which rules grant a permission, or None."""
+    """Return the shortest of the names on which rules grant a permission, or None."""
     lists = part_lists(rules, kind, permission)
     outcome = find_permitted(kind, allow_only(name), *lists, budget=budget.next_query(len(lists)) if budget else None)
     return None if isinstance(outcome, Equal) else outcome
 
 
 def granting_rule(rules: Sequence[Rule], kind: str, permission: str, word: str) -> Rule | None:
-    """Return the first rule that allows a name, itself or its first part."""
+    """Return the first rule that allows a name, or the first part of a composite permission on it."""
     part_kind, part, suffix = parts(kind, permission)[0]
     for rule in rules:
         if rule.effect is not Effect.ALLOW or (part_kind, part) not in permission_keys(rule):
@@ -107,32 +107,32 @@ def granting_rule(rules: Sequence[Rule], kind: str, permission: str, word: str) 
     return None
 
 
-def _said(
-    subject: str, like: str, found: Witness | Unknown, policy: LoadedPolicy, kind: str, permission: str
+def _holder_of(
+    subject: str, like: str, outcome: Witness | Unknown, policy: LoadedPolicy, kind: str, permission: str
 ) -> PermissionHolder:
-    if isinstance(found, Unknown):
-        return PermissionHolder(subject, like, "", None, found.reason)
-    rule = granting_rule(rules_of(policy, subject), kind, permission, found.word)
-    return PermissionHolder(subject, like, found.word, rule.origin if rule else None)
+    if isinstance(outcome, Unknown):
+        return PermissionHolder(subject, like, "", None, outcome.reason)
+    rule = granting_rule(rules_of(policy, subject), kind, permission, outcome.word)
+    return PermissionHolder(subject, like, outcome.word, rule.origin if rule else None)
 
 
 class _HolderSearch:
-    """Who holds a permission, of the subjects that a policy does not name.
+    """Finds subjects with a permission among those that a policy does not name.
 
     Args:
         policy: the policy.
-        book: what its rules say.
+        rules: its symbolic rules.
         kind: kind of the objects.
         permission: the permission.
-        name: pattern of the objects in question.
-        named: subjects that were asked already.
-        budget: pays for it.
+        name: pattern of the objects.
+        named: subjects that are already checked.
+        budget: limit of the search.
     """
 
     def __init__(
         self,
         policy: LoadedPolicy,
-        book: SymbolicRules,
+        rules: SymbolicRules,
         kind: str,
         permission: str,
         name: Glob,
@@ -140,65 +140,65 @@ class _HolderSearch:
         budget: QueryBudget,
     ) -> None:
         self._policy = policy
-        self._book = book
+        self._rules = rules
         self._kind, self._permission, self._name = kind, permission, name
         self._named = named
         self._budget = budget
 
     def others(self, within: Glob) -> Iterator[PermissionHolder]:
-        """Yield one holder for each pattern of subjects, where there is one."""
+        """Yield an example for each pattern of subjects with the permission."""
         (kind, part, suffix), *_ = parts(self._kind, self._permission)
-        told: set[Glob] = set()
-        doubts: dict[Glob, str] = {}
-        for spoken in self._book.all((kind, part), Effect.ALLOW).values():
-            for subjects in (piece for one in spoken.reach.subjects for piece in _both(one, within)):
-                if subjects in told:
+        reported: set[Glob] = set()
+        unknown: dict[Glob, str] = {}
+        for rule in self._rules.all((kind, part), Effect.ALLOW).values():
+            for subjects in (piece for one in rule.reach.subjects for piece in _both(one, within)):
+                if subjects in reported:
                     continue
-                for shape in _before(spoken.object, suffix):
-                    found = self._holder(subjects, shape, spoken)
-                    if isinstance(found, Undecided):
-                        doubts.setdefault(subjects, found.reason)
-                    elif found is not None:
-                        told.add(subjects)
-                        yield from self._said(found.subject, subjects)
+                for shape in _before(rule.object, suffix):
+                    answer = self._holder(subjects, shape, rule)
+                    if isinstance(answer, Undecided):
+                        unknown.setdefault(subjects, answer.reason)
+                    elif answer is not None:
+                        reported.add(subjects)
+                        yield from self._example(answer.subject, subjects)
                         break
-        for subjects, reason in doubts.items():
-            if subjects not in told:
+        for subjects, reason in unknown.items():
+            if subjects not in reported:
                 yield PermissionHolder("", pattern_text(subjects), "", None, reason)
 
-    def _holder(self, subjects: Glob, shape: Glob, spoken: SymbolicRule) -> FoundSubject | Undecided | None:
+    def _holder(self, subjects: Glob, shape: Glob, rule: SymbolicRule) -> FoundSubject | Undecided | None:
         first = example_subject(subjects)
         tried = [] if first is None or first in self._named else [first]
         for subject in tried:
-            if self._judge(subject) is True:
+            if self._check(subject) is True:
                 return FoundSubject(subject)
         excluded = {subject for subject in self._named if matches(subjects, subject)}
-        conditions = (*spoken.reach.conditions, *self._conditions(subjects))
-        return find_subject(self._kind, subjects, shape, conditions, self._judge, (*excluded, *tried), self._budget)
+        conditions = (*rule.reach.conditions, *self._conditions(subjects))
+        return find_subject(self._kind, subjects, shape, conditions, self._check, (*excluded, *tried), self._budget)
 
     def _conditions(self, subjects: Glob) -> Iterator[SymbolicCondition]:
-        """Yield what the rules require: of an action or parameter that each of its parts is allowed."""
+        """Yield the conditions of the rules; a composite permission requires all its parts."""
         yield SymbolicCondition(some=(SymbolicEntry((EVERYBODY,), self._name),))
         for number, (kind, part, suffix) in enumerate(parts(self._kind, self._permission)):
             key = (kind, part)
-            yield SymbolicCondition(tuple(_without(self._book.surely(key, Effect.DENY, subjects), suffix)))
+            yield SymbolicCondition(tuple(_without(self._rules.surely(key, Effect.DENY, subjects), suffix)))
             if number:
-                yield SymbolicCondition(some=tuple(_without(self._book.perhaps(key, Effect.ALLOW, subjects), suffix)))
+                yield SymbolicCondition(some=tuple(_without(self._rules.perhaps(key, Effect.ALLOW, subjects), suffix)))
 
-    def _judge(self, subject: str) -> bool | Undecided:
-        found = shortest_granted(
+    def _check(self, subject: str) -> bool | Undecided:
+        outcome = shortest_granted(
             rules_of(self._policy, subject), self._kind, self._permission, self._name, self._budget
         )
-        return Undecided(self._budget.reason(found.reason)) if isinstance(found, Unknown) else found is not None
+        return Undecided(self._budget.reason(outcome.reason)) if isinstance(outcome, Unknown) else outcome is not None
 
-    def _said(self, subject: str, subjects: Glob) -> Iterator[PermissionHolder]:
-        found = shortest_granted(rules_of(self._policy, subject), self._kind, self._permission, self._name)
-        if found is not None:
-            yield _said(subject, pattern_text(subjects), found, self._policy, self._kind, self._permission)
+    def _example(self, subject: str, subjects: Glob) -> Iterator[PermissionHolder]:
+        outcome = shortest_granted(rules_of(self._policy, subject), self._kind, self._permission, self._name)
+        if outcome is not None:
+            yield _holder_of(subject, pattern_text(subjects), outcome, self._policy, self._kind, self._permission)
 
 
 def _both(one: Glob, other: Glob) -> tuple[Glob, ...]:
-    """Return patterns that together match what two have in common; what one of them matches if that is too much."""
+    """Return the intersection of two patterns, or the first one if that is too complex."""
     try:
         return intersection(one, other)
     except TooComplexError:
@@ -206,7 +206,7 @@ def _both(one: Glob, other: Glob) -> tuple[Glob, ...]:
 
 
 def _before(pattern: Glob, suffix: str) -> tuple[Glob, ...]:
-    """Return patterns of the words that a pattern matches with a suffix."""
+    """Return patterns of the words that a pattern matches with the suffix appended."""
     return strip_suffix(allow_only(pattern), suffix)[0].patterns
 
 
