@@ -1,1 +1,1 @@
-"""The ComArmor policy language: from XML to profiles and rules, and what they decide."""
+"""The ComArmor policy language: parse policies, decide requests, render policies, read policy tests."""

@@ -1,7 +1,7 @@
-r"""Attachments as a policy writes them: expressions with ``{name}``, ``{namespace}`` and ``@{TUNABLE}``.
+r"""Parse and expand attachments: expressions with ``{name}``, ``{namespace}`` and ``@{TUNABLE}``.
 
-An attachment is cut into pieces once, when it is loaded. The text of a piece is an ``fnmatch`` expression in canonical
-notation that is complete in itself, so that pieces can be put together without one changing the meaning of the next.
+Loading splits an attachment into pieces. The text of a piece is a complete ``fnmatch`` expression in canonical
+notation, so that concatenated pieces do not change each other's meaning.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from comarmor.text import did_you_mean, quoted
 
 
 class Placeholder(StrEnum):
-    """What a rule's attachment takes from the name of the subject."""
+    """A placeholder for a part of the subject's name."""
 
     NAME = "{name}"
     NAMESPACE = "{namespace}"
@@ -28,7 +28,7 @@ class Placeholder(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class TunableReference:
-    """``@{NAME}``: each value of a tunable."""
+    """``@{NAME}``: a reference to a tunable, which stands for each of its values."""
 
     name: str
 
@@ -37,10 +37,10 @@ Piece = str | Placeholder
 Value = tuple[Piece, ...]
 
 MOST_VALUES = 10_000
-"""Most expressions that the tunables of one attachment may stand for."""
+"""The most expressions that an attachment may expand to."""
 
 MOST_CHARACTERS = 4096
-"""Longest expression."""
+"""The most characters of an expression."""
 
 _PLAIN = re.compile(r"[^*?\[\\{}@\s]+")
 _REFERENCE = re.compile(r"@\{([^{}]*)\}")
@@ -50,7 +50,7 @@ _BLANKS = " \t\r\n"
 
 
 def strip(text: str) -> str:
-    r"""Return text without the white space around it; a last blank that is escaped (``\ ``) stays."""
+    r"""Strip white space, but keep an escaped blank (``\ ``) at the end."""
     bare = text.strip(_BLANKS)
     backslashes = len(bare) - len(bare.rstrip("\\"))
     tail = text.lstrip(_BLANKS)[len(bare) : len(bare) + 1]
@@ -58,10 +58,10 @@ def strip(text: str) -> str:
 
 
 def parse(text: str) -> tuple[Piece | TunableReference, ...]:
-    """Cut an attachment into its pieces.
+    """Split an attachment into its pieces.
 
     Raises:
-        ComArmorError: the notation is wrong; without a place, which the caller knows.
+        ComArmorError: the notation is wrong; the caller adds the place.
     """
     if len(text) > MOST_CHARACTERS:
         raise ComArmorError(f"the expression is longer than {MOST_CHARACTERS:,} characters", code="expression")
@@ -76,21 +76,21 @@ def parse(text: str) -> tuple[Piece | TunableReference, ...]:
             at = reference.end()
         elif text[at] in "{}":
             braces = _BRACES.match(text, at)
-            found = braces[0] if braces else text[at]
-            if found not in tuple(Placeholder):
+            placeholder = braces[0] if braces else text[at]
+            if placeholder not in tuple(Placeholder):
                 raise ComArmorError(
-                    f"{quoted(found)} is not known, expected {{name}}, {{namespace}} or @{{TUNABLE}}",
-                    help=did_you_mean(found, Placeholder, "for the character itself write \\{ or \\}"),
+                    f"{quoted(placeholder)} is unknown, expected {{name}}, {{namespace}} or @{{TUNABLE}}",
+                    help=did_you_mean(placeholder, Placeholder, "for the character itself write \\{ or \\}"),
                     code="brace",
                 )
-            pieces.append(Placeholder(found))
-            at += len(found)
+            pieces.append(Placeholder(placeholder))
+            at += len(placeholder)
         else:
             token, end = next_token(text, at, COMARMOR)
             if isinstance(token, Bracket) and _BARE_BRACE.search(text, at, end):
                 raise ComArmorError(
-                    f"a brace inside of the bracket expression {quoted(text[at:end])}",
-                    help="write \\{ or \\} for a brace, or \\[ if the '[' stands for itself",
+                    f"a brace inside the bracket expression {quoted(text[at:end])}",
+                    help="write \\{ or \\} for a brace, or \\[ for a literal '['",
                     code="brace",
                 )
             _add(pieces, canonical((token,)))
@@ -99,7 +99,7 @@ def parse(text: str) -> tuple[Piece | TunableReference, ...]:
 
 
 def _add(pieces: list[Piece | TunableReference], text: str) -> None:
-    """Add text to pieces; text beside text is one piece."""
+    """Append text to pieces; adjacent texts are merged."""
     if pieces and type(pieces[-1]) is str:
         pieces[-1] += text
     else:
@@ -107,11 +107,11 @@ def _add(pieces: list[Piece | TunableReference], text: str) -> None:
 
 
 def expand(pieces: Iterable[Piece | TunableReference], values: Callable[[str], Sequence[Value]]) -> Iterator[Value]:
-    """Put the values of tunables into an attachment: every combination, as AppArmor does.
+    """Expand the tunables of an attachment: yield every combination of their values, as AppArmor does.
 
     Args:
         pieces: the attachment.
-        values: returns the values of a tunable, themselves expanded, or raises.
+        values: returns the expanded values of a tunable, or raises.
 
     Raises:
         ComArmorError: there are too many combinations, or one is too long.
@@ -123,7 +123,7 @@ def expand(pieces: Iterable[Piece | TunableReference], values: Callable[[str], S
     number = prod(len(choice) for choice in choices)
     if number > MOST_VALUES:
         raise ComArmorError(
-            f"the tunables stand for {number:,} combinations, more than the {MOST_VALUES:,} allowed", code="tunable"
+            f"the tunables have {number:,} combinations, more than the {MOST_VALUES:,} allowed", code="tunable"
         )
     for combination in product(*choices):
         value = _join(_flat(combination))
@@ -133,15 +133,15 @@ def expand(pieces: Iterable[Piece | TunableReference], values: Callable[[str], S
 
 
 def _flat(combination: Iterable[tuple[Value, bool]]) -> Iterator[tuple[Piece, bool]]:
-    """Yield the pieces of a combination, and whether each comes from an expansion; also an empty one is a piece."""
+    """Yield the pieces of a combination (an empty value as ``""``), and whether each comes from an expansion."""
     for value, expanded in combination:
         yield from ((piece, expanded) for piece in value or ("",))
 
 
 def for_subject(value: Value, subject: str) -> str:
-    """Return the expression that an attachment is for a subject.
+    """Return the expression of an attachment for a subject.
 
-    What ``{name}`` and ``{namespace}`` stand for is text, never a pattern: ``/foo/bar/talker`` gives ``talker`` and
+    The values of ``{name}`` and ``{namespace}`` are escaped: for ``/foo/bar/talker`` they are ``talker`` and
     ``/foo/bar/``.
     """
     head, slash, name = subject.rpartition("/")
@@ -149,7 +149,7 @@ def for_subject(value: Value, subject: str) -> str:
 
 
 def for_parts(value: Value, namespace: str, name: str) -> str:
-    """Return the expression that an attachment is for expressions of a namespace and of a name.
+    """Return the expression of an attachment for expressions of the namespace and of the name.
 
     Args:
         value: the attachment.
@@ -162,7 +162,7 @@ def for_parts(value: Value, namespace: str, name: str) -> str:
 
 
 def _join(pieces: Iterable[tuple[Piece, bool]]) -> Value:
-    """Put pieces together; a doubled ``/`` that an expansion makes becomes one, one that was written stays.
+    """Concatenate pieces. A ``//`` that an expansion creates becomes ``/``; one that was written stays.
 
     Args:
         pieces: pieces, and whether each comes from an expansion.

@@ -1,4 +1,4 @@
-"""Paths to policy."""
+"""Load policies from files and directories."""
 
 from __future__ import annotations
 
@@ -18,12 +18,12 @@ def load(path: str | Path, *, library: str | Path | None = None, library_shown: 
     Args:
         path: a file, or a directory whose ``*.xml`` files are the policy's roots. Includes are confined to that
             directory, or to the file's folder.
-        library: a folder in which includes are looked up that the policy itself does not have; what lies there can
-            only include what lies there as well.
+        library: a folder that is searched for included files which the policy does not have; its files can only
+            include files of the library.
         library_shown: path of the library in origins, if it differs from where the library is read.
 
     Raises:
-        ComArmorError: the policy has defects; carries all that were found, with ``file:line``.
+        ComArmorError: the policy has defects; carries all of them, with ``file:line``.
     """
     return parse(load_tree(Path(path), None if library is None else Path(library), library_shown))
 
@@ -41,15 +41,15 @@ def load_all(
     Raises:
         ComArmorError: a policy has defects; carries those of all policies.
     """
-    found: dict[Diagnostic, None] = {}
+    diagnostics: dict[Diagnostic, None] = {}
     policies: list[Policy] = []
     for path in paths:
         try:
             policies.append(load(path, library=library, library_shown=library_shown))
         except ComArmorError as error:
-            found |= dict.fromkeys(error.diagnostics)
-    if found:
-        raise ComArmorError.of(found)
+            diagnostics |= dict.fromkeys(error.diagnostics)
+    if diagnostics:
+        raise ComArmorError.of(diagnostics)
     files = {file: digest for policy in policies for file, digest in policy.files.items()}
     seen = {path: fingerprint for policy in policies for path, fingerprint in policy.seen.items()}
     profiles = tuple(profile for policy in policies for profile in policy.profiles)

@@ -1,4 +1,4 @@
-"""Elements to policy: both dialects of attachments, tunables, includes put in their places."""
+"""Parse XML elements into a policy: both dialects of attachments, tunables and includes."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ _MOST_DIAGNOSTICS = 100
 
 @dataclass(frozen=True, slots=True)
 class _PlacedElement:
-    """An element, and the file it stands in, with the chain of includes that led there."""
+    """An element with its file, and the chain of includes that led to the file."""
 
     element: etree._Element
     document: PolicyFile
@@ -43,34 +43,34 @@ class _PlacedElement:
 
 @dataclass(slots=True)
 class _PolicyParser:
-    """Goes through the documents of a policy once, in order, and gathers every defect."""
+    """Parses the documents of a policy in order, and collects every defect."""
 
     checked: set[PolicyFile] = field(default_factory=set)
     budget: ExpansionBudget = field(default_factory=ExpansionBudget)
-    found: list[Diagnostic] = field(default_factory=list)
+    diagnostics: list[Diagnostic] = field(default_factory=list)
 
-    def note(self, error: ComArmorError, where: Origin) -> None:
-        """Keep the defects of an error, those without a place at the given one, and go on."""
+    def collect(self, error: ComArmorError, where: Origin) -> None:
+        """Collect the defects of an error; those without a place get the given one."""
         for item in error.diagnostics:
             placed = item if item.where else Diagnostic(item.code, item.severity, item.message, where, item.help)
-            if placed not in self.found:
-                self.found.append(placed)
-        if len(self.found) >= _MOST_DIAGNOSTICS:
-            raise ComArmorError.of(self.found)
+            if placed not in self.diagnostics:
+                self.diagnostics.append(placed)
+        if len(self.diagnostics) >= _MOST_DIAGNOSTICS:
+            raise ComArmorError.of(self.diagnostics)
 
     def refuse(self, message: str, where: Origin, code: str, help_: str = "") -> None:
-        """Keep a defect, and go on."""
-        self.note(ComArmorError(message, where=where, help=help_, code=code), where)
+        """Collect a defect."""
+        self.collect(ComArmorError(message, where=where, help=help_, code=code), where)
 
     def validate(self, document: PolicyFile, chain: tuple[Origin, ...]) -> None:
-        """Hold a document and what it includes against the schema, each once, in the place where it is met first."""
+        """Validate a document and its includes against the schema, each once, where it is first included."""
         if document in self.checked:
             return
         self.checked.add(document)
         try:
             schema.validate(document.root, locate("comarmor", "schemas") / "comarmor.xsd", document.name, chain)
         except ComArmorError as error:
-            self.note(error, Origin(document.name))
+            self.collect(error, Origin(document.name))
         for element, included in document.includes.items():
             self.validate(included, (_place(document, element), *chain))
 
@@ -86,12 +86,12 @@ class _PolicyParser:
             f"<{document.root.tag}> is not expected as the root of a policy, expected <profiles> or <profile>",
             item.where,
             "rule-outside",
-            "a fragment that is only included belongs into a sub-folder of the policy's folder",
+            "move a file that is only included into a sub-folder of the policy's folder",
         )
         return ()
 
     def children(self, item: _PlacedElement) -> Iterator[_PlacedElement]:
-        """Yield the elements in an element, those of included files in the place of the include."""
+        """Yield the child elements of an element, with includes replaced by the included elements."""
         for element in item.element:
             if element.tag != INCLUDE:
                 yield _PlacedElement(element, item.document, item.chain)
@@ -114,7 +114,7 @@ class _PolicyParser:
                 found += self.profile(child, scope, audit=False, depth=1)
             else:
                 self.refuse(
-                    f"<{child.element.tag}> is included outside of a profile, where no rule may stand",
+                    f"<{child.element.tag}> is included outside of a profile, where rules are not allowed",
                     child.where,
                     "rule-outside",
                     "move the xi:include into a <profile>",
@@ -122,7 +122,7 @@ class _PolicyParser:
         return tuple(found)
 
     def profile(self, item: _PlacedElement, around: TunableScope, *, audit: bool, depth: int) -> Iterator[Profile]:
-        """Yield the profile of a ``<profile>`` element, unless it is defective."""
+        """Yield the profile of a ``<profile>`` element, unless it is nested too deeply."""
         if depth > _DEEPEST:
             self.refuse(f"profiles are nested more than {_DEEPEST} deep", item.where, "xml-limit")
             return
@@ -150,14 +150,14 @@ class _PolicyParser:
         try:
             scope.declare(item.element.get("name", ""), values, item.where)
         except ComArmorError as error:
-            self.note(error, item.where)
+            self.collect(error, item.where)
 
     def subjects(self, item: _PlacedElement, scope: TunableScope) -> Iterator[Attachment]:
         """Yield the attachments of a profile."""
         for expression in self.attachments(item, scope):
             if expression.value:
                 self.refuse(
-                    "{name} and {namespace} are the subject's, and can only stand in the attachment of a rule",
+                    "{name} and {namespace} are only allowed in the attachments of rules",
                     expression.where,
                     "brace",
                     "use a tunable @{…}, or a wildcard",
@@ -180,7 +180,7 @@ class _PolicyParser:
             try:
                 values = scope.expand(element.text or "", where)
             except ComArmorError as error:
-                self.note(error, where)
+                self.collect(error, where)
                 continue
             for value in values:
                 if any(value):
@@ -191,11 +191,11 @@ class _PolicyParser:
     def rule(self, item: _PlacedElement, scope: TunableScope, *, audit: bool) -> ProfileRule:
         """Return the rule of an element."""
         attachments: list[Attachment] = []
-        held: set[str] = set()
+        granted: set[str] = set()
         partitions: tuple[str, ...] = ()
         for child in item.element:
             if child.tag == "permissions":
-                held = {str(permission.tag) for permission in child}
+                granted = {str(permission.tag) for permission in child}
             elif child.tag == "partitions":
                 partitions = self.partitions(child, item)
             else:
@@ -204,7 +204,7 @@ class _PolicyParser:
         return ProfileRule(
             effect=Effect(item.element.get("qualifier", "")),
             kind=kind,
-            permissions=tuple(permission for permission in PERMISSIONS[kind] if permission in held),
+            permissions=tuple(permission for permission in PERMISSIONS[kind] if permission in granted),
             attachments=_unique(attachments),
             partitions=partitions,
             audit=audit or item.element.get("modifier") == "AUDIT",
@@ -212,18 +212,18 @@ class _PolicyParser:
         )
 
     def partitions(self, element: etree._Element, item: _PlacedElement) -> tuple[str, ...]:
-        """Return the expressions of a ``<partitions>`` element; they take no tunables and no braces."""
+        """Return the expressions of a ``<partitions>`` element; tunables and placeholders are not allowed."""
         found: dict[str, None] = {}
         for child in element:
             where = _place(item.document, child, item.chain)
             try:
                 pieces = parse_attachment(strip(child.text or ""))
             except ComArmorError as error:
-                self.note(error, where)
+                self.collect(error, where)
                 continue
             if any(type(piece) is not str for piece in pieces):
                 self.refuse(
-                    "a partition takes no tunable, {name} or {namespace}",
+                    "a partition cannot contain a tunable, {name} or {namespace}",
                     where,
                     "brace",
                     "for the character itself write \\{ or \\}",
@@ -233,22 +233,22 @@ class _PolicyParser:
 
 
 def parse(sources: PolicyFiles) -> Policy:
-    """Return the policy that documents hold.
+    """Return the policy of documents.
 
     Args:
-        sources: what was read.
+        sources: the documents.
 
     Raises:
-        ComArmorError: with every defect that was found, each with ``file:line`` and its chain of includes.
+        ComArmorError: with every defect, each with ``file:line`` and its chain of includes.
     """
     parser = _PolicyParser()
     for document in sources.roots:
         parser.validate(document, ())
-    if parser.found:
-        raise ComArmorError.of(parser.found)
+    if parser.diagnostics:
+        raise ComArmorError.of(parser.diagnostics)
     profiles = tuple(profile for document in sources.roots for profile in parser.root(document))
-    if parser.found:
-        raise ComArmorError.of(parser.found)
+    if parser.diagnostics:
+        raise ComArmorError.of(parser.diagnostics)
     unused = tuple(parser.budget.unused_tunables.values())
     return Policy(profiles, sources.files, sources.seen, unused)
 
@@ -258,7 +258,7 @@ def _place(document: PolicyFile, element: etree._Element, chain: tuple[Origin, .
 
 
 def _unique(expressions: list[Attachment]) -> tuple[Attachment, ...]:
-    """Return expressions without those whose text came before."""
+    """Return attachments without duplicate texts."""
     first: dict[str, Attachment] = {}
     for expression in expressions:
         first.setdefault(expression.text, expression)
@@ -266,7 +266,7 @@ def _unique(expressions: list[Attachment]) -> tuple[Attachment, ...]:
 
 
 def _is_legal(name: str) -> bool:
-    """Tell whether a name may become the name of an enclave, and with it a path."""
+    """Whether a name may become the name of an enclave, and so a path."""
     return (
         len(name) <= _LONGEST_NAME and is_fully_qualified(name) and max(map(len, name.split("/"))) <= _LONGEST_SEGMENT
     )

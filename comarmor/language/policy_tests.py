@@ -1,4 +1,4 @@
-"""Unit tests of a policy: what its author expects it to allow and to deny."""
+"""Read policy tests: the requests that the author of a policy expects it to allow and to deny."""
 
 from __future__ import annotations
 
@@ -16,25 +16,25 @@ from comarmor.xml.reader import LIMITS, line, parse
 
 
 def expectations(path: Path) -> Mapping[Path, tuple[Expectation, ...]]:
-    """Return the expectations in the test files of a policy, by file; none when there is no such file.
+    """Return the expectations in the test files of a policy, by file; empty if there are no test files.
 
     Args:
-        path: a policy file, whose tests are in ``NAME.test.xml`` beside it; a folder, of which all ``*.test.xml``
-            count; or a test file.
+        path: a policy file, whose tests are in ``NAME.test.xml`` beside it; a folder with ``*.test.xml`` files; or a
+            test file.
 
     Raises:
         ComArmorError: a file cannot be read or is not valid, with ``file:line`` of each defect.
     """
-    found: dict[Path, tuple[Expectation, ...]] = {}
+    by_file: dict[Path, tuple[Expectation, ...]] = {}
     defects: list[Diagnostic] = []
     for file in _files(path):
         try:
-            found[file] = tuple(_read(file))
+            by_file[file] = tuple(_read(file))
         except ComArmorError as error:
             defects += error.diagnostics
     if defects:
         raise ComArmorError.of(defects)
-    return found
+    return by_file
 
 
 def _files(path: Path) -> list[Path]:

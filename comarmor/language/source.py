@@ -1,8 +1,8 @@
-"""Reads policies: XML files and what they include, confined to the policy's own folder.
+"""Read the files of a policy and resolve their includes, which are confined to the policy's folder.
 
-``xi:include`` (XInclude 1.0, W3C 2006) is resolved here and not by a library, because the origin of every element must
-be known, because no file outside the policy may be reached, not even through a symbolic link, and because the
-size of the whole must be known before it is put together: every file is read once, however often it is included.
+``xi:include`` (XInclude 1.0, W3C 2006) is resolved here and not by a library for three reasons: the origin of every
+element must be known; no file outside the policy may be reached, not even through a symbolic link; and the size must
+be known before includes are expanded. Each file is read once, however often it is included.
 """
 
 from __future__ import annotations
@@ -10,7 +10,7 @@ from __future__ import annotations
 import hashlib
 import posixpath
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from types import MappingProxyType
 from urllib.parse import unquote, urlsplit
@@ -45,7 +45,7 @@ __all__ = [
 
 INCLUDE = f"{{{XINCLUDE}}}include"
 TESTS = ".test.xml"
-"""How the names of files end that hold tests of a policy, which lie beside its roots."""
+"""Suffix of policy tests, which are beside the policy's root files."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -54,10 +54,10 @@ class PolicyFile:
 
     Attributes:
         name: path as the user would type it.
-        root: the root element, with ``xi:include`` elements where they stand.
+        root: the root element, with its ``xi:include`` elements.
         includes: the included document of each ``xi:include`` element.
-        nodes: elements, with those of included documents counted at each inclusion.
-        inclusions: inclusions, counted in the same way.
+        nodes: number of elements, with those of included documents counted at each inclusion.
+        inclusions: number of inclusions, nested ones included.
     """
 
     name: str
@@ -69,12 +69,12 @@ class PolicyFile:
 
 @dataclass(frozen=True, slots=True)
 class PolicyFiles:
-    """A policy as it was read.
+    """The files of a policy.
 
     Attributes:
         roots: its root documents, in order.
         files: the SHA-256 of every file by its resolved path.
-        seen: the :func:`fingerprint` of every path that was looked at, also of those that were not there.
+        seen: the :func:`fingerprint` of every path that was looked at, whether it exists or not.
     """
 
     roots: tuple[PolicyFile, ...]
@@ -85,13 +85,13 @@ class PolicyFiles:
 def load_tree(
     path: Path, library: Path | None = None, library_shown: Path | None = None, *, limits: Limits = LIMITS
 ) -> PolicyFiles:
-    """Read a policy: a file, or of a directory the ``*.xml`` files directly in it, in sorted order.
+    """Read a policy: a file, or the ``*.xml`` files directly in a directory, in sorted order.
 
     Args:
         path: file or directory; includes are confined to the directory, or the file's own folder.
-        library: a folder in which an include is looked up that the policy itself does not have.
+        library: a folder that is searched for included files which the policy does not have.
         library_shown: path of the library in origins, if it differs from where the library is read.
-        limits: bounds.
+        limits: limits of files and includes.
 
     Raises:
         ComArmorError: something is missing, outside, too large or not well-formed, with ``file:line``.
@@ -122,10 +122,10 @@ def load_tree(
 
 
 def fingerprint(path: Path) -> bytes:
-    """Return what tells whether a path that a policy was read from is still what it was.
+    """Return a digest that changes when a policy read from this path may have changed.
 
-    The SHA-256 of a file's bytes, or of the names of a directory's root files; empty for a path that is not there, or
-    that cannot be read.
+    It is the SHA-256 of a file's bytes, or of the names of a directory's root files; empty for a path that does not
+    exist or cannot be read.
     """
     try:
         if path.is_dir():
@@ -136,7 +136,7 @@ def fingerprint(path: Path) -> bytes:
 
 
 def _roots(folder: Path) -> list[str]:
-    """Return the names of the files that are a directory's roots, sorted: its tests are none."""
+    """Return the sorted names of a directory's root files, without its tests."""
     return sorted(
         name
         for name in (entry.name for entry in folder.iterdir())
@@ -164,11 +164,11 @@ class _PolicyReader:
     Attributes:
         folder: the policy's folder.
         library: the library's folder.
-        limits: bounds.
-        files: digests of what was read.
+        limits: limits.
+        files: digests of the files.
         seen: fingerprints of the paths that were looked at.
-        done: documents by resolved path, complete with everything they include.
-        included: documents by what an include asks for: a folder, a path in it, and the ``href`` as it is written.
+        done: complete documents by resolved path.
+        included: documents by folder, path in it, and ``href`` of an include.
         open: resolved paths of the files that are being read, outermost first.
         total: bytes read.
     """
@@ -195,12 +195,12 @@ class _PolicyReader:
         return document
 
     def document(self, folder: SandboxedFolder, relative: str, where: Origin, chain: tuple[Origin, ...]) -> PolicyFile:
-        """Read a file and everything it includes.
+        """Read a file and its includes.
 
         Args:
-            folder: the folder the file is confined to.
-            relative: its path in there.
-            where: what to blame if it cannot be read.
+            folder: the sandbox.
+            relative: path of the file in the sandbox.
+            where: place for the error if it cannot be read.
             chain: the places that include it, innermost first.
         """
         real = existing_file(folder, relative, where)
@@ -245,28 +245,27 @@ class _PolicyReader:
         return document
 
     def include(self, element: etree._Element, folder: SandboxedFolder, relative: str, where: Origin) -> PolicyFile:
-        """Read what an ``xi:include`` element of a file refers to."""
+        """Read the file that an ``xi:include`` element refers to."""
         href = _href(element, where)
         target = posixpath.normpath(posixpath.join(posixpath.dirname(relative), href))
-        asked = (folder, target, href)
-        known = self.included.get(asked)
-        if known is not None:  # many profiles include the same few files
-            return known
+        key = (folder, target, href)
+        if key in self.included:  # many profiles include the same few files
+            return self.included[key]
         chain = (Origin(where.file, where.line, (), where.column), *where.chain)
-        found = exists(folder, target, where)
-        if not found:
+        is_there = exists(folder, target, where)
+        if not is_there:
             self.seen[Path(folder.shown, target)] = b""
-        if not found and self.library is not None:
+        if not is_there and self.library is not None:
             from_root = posixpath.normpath(href)
             if exists(self.library, from_root, where):
-                folder, target, found = self.library, from_root, True
-        if not found:
+                folder, target, is_there = self.library, from_root, True
+        if not is_there:
             raise self.missing(folder, target, href, where)
-        document = self.included[asked] = self.document(folder, target, where, chain)
+        document = self.included[key] = self.document(folder, target, where, chain)
         return document
 
     def missing(self, folder: SandboxedFolder, target: str, href: str, where: Origin) -> ComArmorError:
-        """Return the error for an include that is nowhere: where it was looked for, and a similar name there."""
+        """Return the error for a missing included file, with the searched paths and a similar file name."""
         places, near = [folder.name(target)], similar_file(folder, target, where.file)
         if self.library is not None:
             from_root = posixpath.normpath(href)
@@ -281,7 +280,7 @@ class _PolicyReader:
         )
 
     def read(self, folder: SandboxedFolder, real: Path, where: Origin) -> bytes:
-        """Return the bytes of a file, and note their digest."""
+        """Return the bytes of a file, and record their digest."""
         try:
             content = read_bounded(folder.real, real, self.limits.file_bytes + 1)
         except (OSError, ValueError) as error:
@@ -295,7 +294,7 @@ class _PolicyReader:
         return content
 
     def bound(self, nodes: int, inclusions: int, where: Origin) -> None:
-        """Refuse a policy that would grow too large when everything it includes is put in its place."""
+        """Refuse a policy that would be too large with its includes expanded."""
         if nodes > self.limits.nodes or inclusions > self.limits.inclusions:
             raise ComArmorError(
                 f"with its includes the policy has more than the {self.limits.nodes:,} elements"
@@ -309,7 +308,7 @@ def _href(element: etree._Element, where: Origin) -> str:
     """Return the relative path that an ``xi:include`` element refers to.
 
     Raises:
-        ComArmorError: it is not a plain include of an XML file by relative path.
+        ComArmorError: the element does not include an XML file by a plain relative path.
     """
     for attribute in element.attrib:
         if attribute not in ("href", "parse"):
@@ -323,7 +322,7 @@ def _href(element: etree._Element, where: Origin) -> str:
         raise ComArmorError('xi:include can only have parse="xml"', where=where, code="include-parse")
     if len(element):
         raise ComArmorError(
-            "xi:include cannot hold anything, not even xi:fallback",
+            "xi:include must be empty; xi:fallback is not supported",
             where=Origin(where.file, line(element[0]), where.chain),
             help="a missing include is an error, so that no rule is ever left out silently",
             code="include-fallback",
@@ -348,7 +347,7 @@ def _href(element: etree._Element, where: Origin) -> str:
 
 
 def _with_chain(error: ComArmorError, chain: tuple[Origin, ...]) -> ComArmorError:
-    """Return an error of one file with the places that included the file."""
-    (found,) = error.diagnostics
-    where = found.where and Origin(found.where.file, found.where.line, chain)
-    return ComArmorError(found.message, where=where, help=found.help, code=found.code)
+    """Add the places that include a file to an error of it."""
+    return ComArmorError.of(
+        replace(each, where=each.where and replace(each.where, chain=chain)) for each in error.diagnostics
+    )

@@ -1,4 +1,4 @@
-"""Tunables in force at a point of a policy: lexical scopes, as with variables of a programming language."""
+"""Tunables (variables of a policy) in lexical scopes."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from comarmor.language.syntax import Tunable
 from comarmor.text import did_you_mean
 
 MOST_CHARACTERS = 32 * 2**20
-"""Most characters that all expressions of a policy together may have once its tunables are expanded."""
+"""The most characters of all expanded expressions of a policy."""
 
 
 _Key = tuple[str, int, int, str]
@@ -21,22 +21,22 @@ _Key = tuple[str, int, int, str]
 
 @dataclass(slots=True)
 class ExpansionBudget:
-    """What the expressions of a policy have used: of :data:`MOST_CHARACTERS`, and of its tunables.
+    """The characters that a policy's expanded expressions use, and its used and unused tunables.
 
-    A file that is included several times declares a tunable once.
+    A tunable of a file that is included several times is counted once.
     """
 
     used: int = 0
     unused_tunables: dict[_Key, Tunable] = field(default_factory=dict)
     used_tunables: set[_Key] = field(default_factory=set)
 
-    def declared(self, tunable: Tunable) -> None:
-        """Note a tunable that is declared."""
+    def declare(self, tunable: Tunable) -> None:
+        """Record the declaration of a tunable."""
         if (key := _key(tunable)) not in self.used_tunables:
             self.unused_tunables.setdefault(key, tunable)
 
-    def asked(self, tunable: Tunable) -> None:
-        """Note a tunable that is used."""
+    def use(self, tunable: Tunable) -> None:
+        """Record a use of a tunable."""
         key = _key(tunable)
         self.used_tunables.add(key)
         self.unused_tunables.pop(key, None)
@@ -48,13 +48,13 @@ def _key(tunable: Tunable) -> _Key:
 
 @dataclass(slots=True)
 class TunableScope:
-    """The tunables that a ``<profiles>`` or ``<profile>`` has declared so far, and the scope around it.
+    """The scope of a ``<profiles>`` or ``<profile>`` element.
 
     Attributes:
-        budget: what the whole policy has used.
-        outer: the scope around this one.
+        budget: shared by the complete policy.
+        outer: the enclosing scope.
         own: the tunables declared so far.
-        passed: where a name was used first that this scope had not declared, so that it meant one of a scope around.
+        passed: by name, the first use of a tunable of an enclosing scope that this scope had not declared.
     """
 
     budget: ExpansionBudget
@@ -63,14 +63,14 @@ class TunableScope:
     passed: dict[str, Origin] = field(default_factory=dict)
 
     def inner(self) -> TunableScope:
-        """Return a new scope inside of this one."""
+        """Return a new scope nested in this one."""
         return TunableScope(self.budget, self)
 
     def declare(self, name: str, values: Sequence[str], where: Origin) -> None:
-        """Add a tunable to this scope; from here on it hides one of the same name in the scopes around.
+        """Declare a tunable in this scope; from here on it hides tunables of the same name in enclosing scopes.
 
         Raises:
-            ComArmorError: this scope has one of that name, or used an outer one of that name, or a value refers to
+            ComArmorError: this scope has declared the name, or used an outer tunable of that name, or a value refers to
                 the tunable itself, or is wrong.
         """
         if name in self.own:
@@ -82,13 +82,15 @@ class TunableScope:
             )
         if name in self.passed:
             raise ComArmorError(
-                f"the tunable @{{{name}}} is declared after its use at {self.passed[name]}, which would mean the one "
+                f"the tunable @{{{name}}} is declared after its use at {self.passed[name]}, which refers to the one "
                 f"declared at {self._around(name).where}",
                 where=where,
                 help="declare it above its use, or give it another name",
                 code="tunable",
             )
-        self.own[name] = Tunable(name, (), where)  # if it is defective, its uses are not reported as well
+        self.own[name] = Tunable(
+            name, (), where
+        )  # declared even if defective, so that its uses are not reported as well
         expanded: dict[Value, None] = {}
         for value in values:
             pieces = parse_attachment(value)
@@ -99,10 +101,10 @@ class TunableScope:
                 raise ComArmorError(f"the tunable has more than the {MOST_VALUES:,} values allowed", code="tunable")
         self.spend(expanded)
         self.own[name] = Tunable(name, tuple(expanded), where)
-        self.budget.declared(self.own[name])
+        self.budget.declare(self.own[name])
 
     def _around(self, name: str) -> Tunable:
-        """Return the tunable of that name in the nearest scope around this one; there is one."""
+        """Return the tunable of that name in the nearest enclosing scope; it must exist."""
         scope = self.outer
         while scope is not None and name not in scope.own:
             scope = scope.outer
@@ -111,38 +113,38 @@ class TunableScope:
         return scope.own[name]
 
     def values(self, name: str, where: Origin) -> tuple[Value, ...]:
-        """Return the values of a tunable that is used in a place.
+        """Return the values of a tunable for a use in a place.
 
         Raises:
-            ComArmorError: it is not declared above, in this scope or one around it.
+            ComArmorError: it is not declared above, in this or an enclosing scope.
         """
         scope: TunableScope | None = self
         known: dict[str, None] = {}
         while scope is not None:
             if name in scope.own:
-                self.budget.asked(scope.own[name])
-                self._note_passed(name, scope, where)
+                self.budget.use(scope.own[name])
+                self._record_passed(name, scope, where)
                 return scope.own[name].values
             known |= dict.fromkeys(scope.own)
             scope = scope.outer
         raise ComArmorError(
-            f"the tunable @{{{name}}} is not known here",
-            help=did_you_mean(name, known, "declare it above its use, with <tunable>"),
+            f"the tunable @{{{name}}} is unknown here",
+            help=did_you_mean(name, known, "declare it with <tunable> above its use"),
             code="tunable",
         )
 
-    def _note_passed(self, name: str, found: TunableScope, where: Origin) -> None:
-        """Note the use of a tunable in this scope and all around it up to the one that declares it."""
+    def _record_passed(self, name: str, declaring: TunableScope, where: Origin) -> None:
+        """Record the use of a tunable in this scope and the enclosing ones up to the one that declares it."""
         scope: TunableScope | None = self
-        while scope is not None and scope is not found:
+        while scope is not None and scope is not declaring:
             scope.passed.setdefault(name, where)
             scope = scope.outer
 
     def expand(self, text: str, where: Origin) -> tuple[Value, ...]:
-        """Return what an attachment in a place stands for once its tunables are expanded.
+        """Return the expansions of an attachment.
 
         Raises:
-            ComArmorError: the notation is wrong, a tunable is not known, or it stands for too much; without a place.
+            ComArmorError: the notation is wrong, a tunable is unknown, or there are too many expansions.
         """
         pieces = parse_attachment(strip(text))
         expanded = dict.fromkeys(expand(pieces, partial(self.values, where=where)))
@@ -150,10 +152,10 @@ class TunableScope:
         return tuple(expanded)
 
     def spend(self, values: dict[Value, None]) -> None:
-        """Count what was expanded.
+        """Count the characters of expanded values.
 
         Raises:
-            ComArmorError: it is more than a policy may have.
+            ComArmorError: the policy exceeds its limit.
         """
         self.budget.used += sum(len(piece) for value in values for piece in value)
         if self.budget.used > MOST_CHARACTERS:

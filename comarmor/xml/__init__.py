@@ -1,1 +1,1 @@
-"""XML, for every format: bounded reading, schemas with file:line, and includes that stay in their folder."""
+"""XML for every format: reading with limits, validation with file:line, and paths sandboxed in a folder."""

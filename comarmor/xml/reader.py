@@ -1,7 +1,7 @@
-"""Reads one XML document from bytes: bounded, without DOCTYPE, entities or network, with true line numbers.
+"""Read one XML document from bytes, with limits, without DOCTYPE, entities or network, and with exact line numbers.
 
-The document is read twice. First expat walks through it, builds nothing, and refuses what is too large or dangerous;
-only then lxml builds the tree. So no limit depends on a tree that has already been built.
+The document is parsed twice: expat first checks the limits without building a tree, then lxml builds the tree. So a
+document that exceeds a limit never becomes a tree.
 """
 
 from __future__ import annotations
@@ -9,7 +9,7 @@ from __future__ import annotations
 import re
 from dataclasses import dataclass
 from typing import Any, NoReturn
-from xml.parsers import expat  # nosec - refuses every DOCTYPE, so that there are no entities to expand
+from xml.parsers import expat  # nosec - every DOCTYPE is refused, so there are no entities to expand
 
 from lxml import etree
 
@@ -23,15 +23,15 @@ _HINTS = ("schemaLocation", "noNamespaceSchemaLocation")
 
 @dataclass(frozen=True, slots=True)
 class Limits:
-    """Bounds of what is read; reaching one is an error.
+    """Limits of a document or policy; exceeding one is an error.
 
     Attributes:
         file_bytes: bytes of one file.
-        total_bytes: bytes of all files together.
-        depth: nesting of elements in one file.
-        nodes: elements, in one file and, counted at each inclusion, in all files together.
-        include_depth: files between a root and an included file.
-        inclusions: inclusions, where a file that is included twice counts with everything in it twice.
+        total_bytes: bytes of all files.
+        depth: nesting depth of elements in one file.
+        nodes: elements of one file, and of all files with each inclusion counted.
+        include_depth: nesting depth of includes.
+        inclusions: inclusions, nested ones counted each time.
     """
 
     file_bytes: int = 16 * 2**20
@@ -49,7 +49,7 @@ _UNBOUND = expat.errors.codes[expat.errors.XML_ERROR_UNBOUND_PREFIX]
 
 
 class _Element(etree.ElementBase):
-    """An element that knows its place; libxml2 keeps the line in 16 bits, as that of the end of the start tag."""
+    """An element with its exact place; libxml2 stores only 16 bits of the line, and of the start tag's end."""
 
     @property
     def sourceline(self) -> int:  # type: ignore[override]
@@ -59,21 +59,21 @@ class _Element(etree.ElementBase):
     @property
     def place(self) -> tuple[int, int]:
         """Line and column from 1, as expat counted them."""
-        counted: tuple[int, int] = self.__dict__.get("at", (0, 0))
-        return counted
+        place: tuple[int, int] = self.__dict__.get("at", (0, 0))
+        return place
 
 
 def parse(content: bytes, name: str, *, limits: Limits = LIMITS) -> etree._Element:
     """Return the root element of an XML document.
 
-    Comments and processing instructions are left out, so that the text of an element is in one piece. Hints
-    where a schema may be found (``xsi:schemaLocation``, ``xsi:noNamespaceSchemaLocation``) are accepted at the root and
-    left out as well, so that no validator follows them. ``sourceline`` of each element is its true line.
+    Comments and processing instructions are removed, so that the text of an element is in one piece. Schema locations
+    (``xsi:schemaLocation``, ``xsi:noNamespaceSchemaLocation``) are accepted at the root and removed as well, so that no
+    validator follows them. ``sourceline`` of each element is its exact line.
 
     Args:
         content: the document.
         name: path of the file as the user would type it, for messages.
-        limits: bounds.
+        limits: limits of files and includes.
 
     Raises:
         ComArmorError: not well-formed, too large, or with a DOCTYPE; with ``file:line``.
@@ -96,11 +96,11 @@ def parse(content: bytes, name: str, *, limits: Limits = LIMITS) -> etree._Eleme
     elements = list(root.iter())
     docinfo: Any = root.getroottree().docinfo
     if docinfo.doctype or len(elements) != len(places):
-        # Two parsers that read different documents: a file made to be read differently by different tools.
+        # The two parsers read different documents: the file is crafted so that tools read it differently.
         raise ComArmorError("the file is not plain XML", where=Origin(name), code="xml-syntax")
     for element, place in zip(elements, places, strict=True):
         element.__dict__["at"] = place
-    root.__dict__["elements"] = elements  # keeps the Python objects, which know their places, alive
+    root.__dict__["elements"] = elements  # keep the Python objects alive, because they store the places
     for hint in _HINTS:
         root.attrib.pop(f"{{{XSI}}}{hint}", "")
     return root
@@ -108,8 +108,8 @@ def parse(content: bytes, name: str, *, limits: Limits = LIMITS) -> etree._Eleme
 
 def line(element: etree._Element) -> int:
     """Return the line on which an element of a parsed document begins, from 1."""
-    found = element.sourceline
-    return found if isinstance(found, int) else 0
+    sourceline = element.sourceline
+    return sourceline if isinstance(sourceline, int) else 0
 
 
 def column(element: etree._Element) -> int:
@@ -118,11 +118,11 @@ def column(element: etree._Element) -> int:
 
 
 class _Scanner:
-    """Walks through a document without building anything.
+    """Checks the limits of a document, and records the places of its elements, without building a tree.
 
     Args:
         name: path of the file as the user would type it.
-        limits: bounds.
+        limits: limits of files and includes.
     """
 
     def __init__(self, name: str, limits: Limits) -> None:
@@ -147,7 +147,7 @@ class _Scanner:
             raise ComArmorError(
                 f"not well-formed XML: {self.explain(error)}",
                 where=Origin(self.name, error.lineno),
-                help=self.mend(error, content),
+                help=self.fix(error, content),
                 code="xml-syntax",
             ) from None
         except (LookupError, UnicodeError, ValueError) as error:
@@ -160,7 +160,7 @@ class _Scanner:
         return self.places
 
     def explain(self, error: expat.ExpatError) -> str:
-        """Return what is wrong; of an end tag that does not fit, which one was expected."""
+        """Return a description of a syntax error, with the expected end tag if tags do not match."""
         if error.code == expat.errors.codes[expat.errors.XML_ERROR_TAG_MISMATCH] and self.open:
             tag, opened = self.open[-1]
             return f"expected the end of <{tag.rpartition('}')[2]}>, which begins on line {opened}"
@@ -168,8 +168,8 @@ class _Scanner:
             return "a prefix of this tag is not declared"
         return expat.ErrorString(error.code)
 
-    def mend(self, error: expat.ExpatError, content: bytes) -> str:
-        """Return how to mend a prefix that is not declared; nothing for other errors."""
+    def fix(self, error: expat.ExpatError, content: bytes) -> str:
+        """Return how to fix an undeclared prefix; empty for other errors."""
         if error.code != _UNBOUND:
             return ""
         tag = content[self.parser.ErrorByteIndex :].partition(b">")[0]
@@ -182,7 +182,7 @@ class _Scanner:
         raise ComArmorError(message, where=Origin(self.name, self.parser.CurrentLineNumber), help=help_, code=code)
 
     def start(self, tag: str, attributes: dict[str, str]) -> None:
-        """Note an element; expat calls this at each start tag."""
+        """Record the place of an element (expat's handler of start tags)."""
         current = self.parser.CurrentLineNumber
         self.open.append((tag, current))
         self.places.append((current, self.parser.CurrentColumnNumber + 1))
@@ -196,9 +196,9 @@ class _Scanner:
                 self.refuse(f"the attribute xsi:{local} is not expected here", "schema", "remove it")
 
     def end(self, _tag: str) -> None:
-        """Note the end of an element."""
+        """Close an element (expat's handler of end tags)."""
         self.open.pop()
 
     def doctype(self, *_args: object) -> None:
-        """Refuse a DOCTYPE before any of it is read."""
+        """Refuse a DOCTYPE before its content is read."""
         self.refuse("a DOCTYPE is not allowed", "xml-doctype", "remove it; entities are not needed in these files")

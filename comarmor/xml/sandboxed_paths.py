@@ -1,4 +1,4 @@
-"""Files of a policy, confined to its folder: no ``..`` and no symbolic link leads outside, and no file is endless."""
+"""Access files inside a folder only: neither ``..`` nor a symbolic link leads outside, and reads are bounded."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from comarmor.text import did_you_mean, quoted
 
 @dataclass(frozen=True, slots=True)
 class SandboxedFolder:
-    """A folder that includes are confined to: resolved, and as the user would type it."""
+    """A folder that file access is confined to: its resolved path, and the path as the user would type it."""
 
     real: Path
     shown: str
@@ -29,7 +29,7 @@ def resolve(folder: SandboxedFolder, relative: str, where: Origin) -> Path:
     """Return the resolved path of a file in a folder, whether or not it exists.
 
     Raises:
-        ComArmorError: it lies outside of the folder, also if only by ``..`` or a symbolic link.
+        ComArmorError: the path leads outside of the folder, also by ``..`` or a symbolic link.
     """
     outside = relative.split("/", 1)[0] == ".."
     try:
@@ -47,10 +47,10 @@ def resolve(folder: SandboxedFolder, relative: str, where: Origin) -> Path:
 
 
 def exists(folder: SandboxedFolder, relative: str, where: Origin) -> bool:
-    """Tell whether there is something at a path in a folder.
+    """Whether a path in a folder exists.
 
     Raises:
-        ComArmorError: it lies outside of the folder, or cannot be looked at.
+        ComArmorError: the path leads outside of the folder, or cannot be accessed.
     """
     try:
         resolve(folder, relative, where).lstat()
@@ -69,10 +69,10 @@ def existing_file(folder: SandboxedFolder, relative: str, where: Origin) -> Path
 
 
 def read_bounded(folder: Path, real: Path, size: int) -> bytes:
-    """Return at most so many bytes of a regular file below a folder.
+    """Return at most ``size`` bytes of a regular file below a folder.
 
-    Each step is opened relative to the one before and none may be a symbolic link, so that a path which was resolved
-    and found to lie inside cannot be swapped for one that leads outside.
+    Each folder of the path is opened relative to the previous one, and none may be a symbolic link. So a path that was
+    resolved and checked cannot be swapped for one that leads outside.
     """
     *folders, last = real.relative_to(folder).parts
     here = os.open(folder, os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC)
@@ -81,7 +81,7 @@ def read_bounded(folder: Path, real: Path, size: int) -> bytes:
             inner = os.open(part, os.O_RDONLY | os.O_DIRECTORY | os.O_NOFOLLOW | os.O_CLOEXEC, dir_fd=here)
             os.close(here)
             here = inner
-        # Not blocking: a named pipe must not hold the tool up before it is seen not to be a file.
+        # Without O_NONBLOCK, opening a named pipe would block.
         file = os.open(last, os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK | os.O_CLOEXEC, dir_fd=here)
     finally:
         os.close(here)
@@ -92,12 +92,12 @@ def read_bounded(folder: Path, real: Path, size: int) -> bytes:
 
 
 def similar_file(folder: SandboxedFolder, relative: str, including: str = "") -> str:
-    """Return a hint at a file beside the missing one that has nearly its name.
+    """Return a hint at a file with a similar name in the folder of a missing file.
 
     Args:
-        folder: the root that the file was looked for in.
-        relative: its path there.
-        including: name of the file that includes it, as messages have it; no file includes itself.
+        folder: the sandbox.
+        relative: path of the missing file.
+        including: the including file as messages name it; it is not suggested.
     """
     beside = folder.real / posixpath.dirname(relative)
     try:
@@ -110,7 +110,7 @@ def similar_file(folder: SandboxedFolder, relative: str, including: str = "") ->
 
 
 def unreadable(error: Exception, what: str) -> str:
-    """Return in words why something cannot be read."""
+    """Return a message why a file or folder cannot be read."""
     if isinstance(error, FileNotFoundError):
         return f"{what} does not exist"
     reason = error.strerror if isinstance(error, OSError) and error.strerror else str(error)
@@ -118,5 +118,5 @@ def unreadable(error: Exception, what: str) -> str:
 
 
 def path_text(path: str) -> str:
-    """Return a path as text that can be printed, whatever bytes its name has."""
+    """Return a path as UTF-8 text; bytes that are not UTF-8 are escaped."""
     return path.encode("utf-8", "surrogateescape").decode("utf-8", "backslashreplace")

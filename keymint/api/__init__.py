@@ -1,8 +1,8 @@
-"""What plugins implement, and the data that passes between them and the stages.
+"""The plugin interface: protocols that plugins implement, and the data types that they exchange with Keymint.
 
 A plugin is an object with an attribute ``API = "1.0"`` that is registered under one of the entry-point groups
-below. Plugins are pure: they get bytes and data types, and return bytes and data types. They never write files,
-never read the clock or the environment; reading is confined to what a method's arguments name.
+below. Plugins are pure: their methods take and return bytes and data types. They never write files and never read the
+clock or the environment. They read only files that a method's arguments name.
 
 ===========================  ======================================================
 group                        protocol

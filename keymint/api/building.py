@@ -1,4 +1,4 @@
-"""Building: from a package to unsigned documents, to signed artifacts, to findings on them."""
+"""Build types: build unsigned documents of a package, sign and install them, and check installed enclaves."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from keymint.graph import Edge
 
 @dataclass(frozen=True, slots=True)
 class Hint:
-    """How often a subject asks for an edge: a hint for the order of rules, which changes nothing of what they mean."""
+    """How often a subject uses an edge: a hint for the order of rules, which does not change their meaning."""
 
     edge: Edge
     times: int
@@ -27,8 +27,8 @@ class BuildOptions:
 
     Attributes:
         allow_vendor_specific: turn portability errors into warnings.
-        optimise: rewrite documents into smaller ones that mean the same, and order them by demand.
-        demand: what is asked for, with its number; what is asked for more often comes earlier.
+        optimise: rewrite documents into smaller equivalent ones, and order their rules by demand.
+        demand: how often edges are used; rules of edges that are used more often come first.
     """
 
     allow_vendor_specific: bool = False
@@ -38,12 +38,12 @@ class BuildOptions:
 
 @dataclass(frozen=True, slots=True)
 class BuildResult:
-    """What a build gives.
+    """The result of a build.
 
     Attributes:
         documents: unsigned documents by file name.
-        diagnostics: what is to be said of them.
-        plain_sizes: of the documents that may be rewritten, how many bytes they have when they are not.
+        diagnostics: findings on them.
+        plain_sizes: size in bytes of each optimised document before optimisation.
     """
 
     documents: Mapping[str, bytes]
@@ -55,7 +55,7 @@ class BuildResult:
 class SigningAuthority:
     """An authority that signs: PEM of its certificate, PEM of its private key, and its password.
 
-    None of the secrets is part of the representation.
+    ``repr`` contains none of the secrets.
     """
 
     name: str
@@ -66,14 +66,14 @@ class SigningAuthority:
 
 @dataclass(frozen=True, slots=True)
 class EnclaveCredentials:
-    """What the enclave of one subject is made of, beside its documents; all PEM.
+    """The keys and certificates of an enclave, all PEM.
 
     Attributes:
         certificate: the identity certificate.
         key: its private key.
         identity_ca: certificate of the authority that issued it, followed by the intermediates up to its root.
         permissions_ca: certificate of the authority that signs permissions and governance.
-        signer: that authority, able to sign.
+        signer: that authority, with its private key.
     """
 
     certificate: bytes
@@ -93,17 +93,17 @@ class Artifact:
 
 @dataclass(frozen=True, slots=True)
 class Inspection:
-    """One installed enclave, as ``keymint check`` sees it.
+    """An installed enclave with the expected state that ``keymint check`` compares it with.
 
     Attributes:
-        package: the package as its sources say it now.
-        documents: what the current sources build.
+        package: the package as its sources define it now.
+        documents: the documents that the current sources build.
         files: the enclave's files by name.
         folder: the enclave's folder as the user would type it.
         identity_ca: trusted certificate(s) of the identity authority, PEM.
         permissions_ca: trusted certificate of the permissions authority, PEM.
         now: the clock, UTC.
-        within_days: report what expires within so many days.
+        within_days: report certificates and documents that expire within this number of days.
     """
 
     package: Package
@@ -118,7 +118,7 @@ class Inspection:
 
 
 class BuildType(Protocol):
-    """Turns a package into a transport's documents, and those into signed artifacts."""
+    """Builds a transport's documents from a package, and signs and checks them."""
 
     API: str
 
@@ -126,7 +126,7 @@ class BuildType(Protocol):
         """Return the unsigned documents of a package; a pure function of its arguments.
 
         Raises:
-            KeymintError: the policy says what the transport cannot express, with the rule's ``file:line``.
+            KeymintError: the transport cannot express a rule; with the rule's ``file:line``.
         """
 
     def install(
@@ -137,22 +137,22 @@ class BuildType(Protocol):
         layout: str,
         installed: Mapping[str, bytes],
     ) -> Mapping[str, Artifact]:
-        """Return the files of the enclave by name, signed.
+        """Return the files of the enclave by name, with signed documents.
 
         Args:
             package: the package.
-            documents: unsigned documents as they lie in the build space (perhaps edited by hand).
+            documents: unsigned documents of the build space, which may have been edited by hand.
             credentials: keys and certificates.
             layout: ``sros2`` or ``flat``.
-            installed: the enclave's files as they are now; a signed file whose content and signer did not change
-                is returned as it is.
+            installed: the enclave's current files; a signed file whose content and signer are unchanged is returned
+                unchanged.
 
         Raises:
-            KeymintError: a document is not valid against its schema.
+            KeymintError: a document violates its schema.
         """
 
     def shared(self, artifacts: Mapping[str, Mapping[str, Artifact]], layout: str) -> Mapping[str, Artifact]:
-        """Return the files that a layout keeps once for all enclaves, by path relative to the install space.
+        """Return the files that all enclaves of a layout share, by path relative to the install space.
 
         Args:
             artifacts: artifacts by subject, then file name.
@@ -160,28 +160,28 @@ class BuildType(Protocol):
         """
 
     def check(self, inspection: Inspection) -> Sequence[Diagnostic]:
-        """Return findings on one installed enclave; every code is stable."""
+        """Return findings on one installed enclave; their codes are stable."""
 
     def check_all(self, inspections: Sequence[Inspection]) -> Sequence[Diagnostic]:
-        """Return findings that concern several enclaves together, e.g. names that a vendor confuses."""
+        """Return findings that involve several enclaves, e.g. names that a vendor confuses."""
 
 
 @runtime_checkable
 class NameMapping(Protocol):
-    """What a build type may offer beside :class:`BuildType`: the endpoints of a transport that an edge stands for.
+    """Optional capability of a build type: maps edges on application names to endpoints of the transport.
 
-    Rules on names of the application and rules on names of the transport meet on an endpoint: both count there.
+    Rules on application names and rules on transport names both apply to an endpoint.
     """
 
     def endpoints(self, distro: str, edge: Edge) -> Sequence[Edge]:
-        """Return the edges of kind ``topic`` that a subject needs for an edge; an edge of that kind is its own.
+        """Return the edges of kind ``topic`` that implement an edge; an edge of that kind implements itself.
 
         Raises:
             KeymintError: the distribution or the permission is not known.
         """
 
     def meanings(self, distro: str, endpoint: Edge) -> Sequence[Edge]:
-        """Return the edges of other kinds that need this edge of kind ``topic`` and are not composite."""
+        """Return the elementary edges of other kinds that this edge of kind ``topic`` implements."""
 
     def mentioned(self, enclave: Enclave) -> Sequence[tuple[str, Sequence[str]]]:
-        """Return what the signed documents of an enclave mention: expressions of topics, each with its partitions."""
+        """Return the topic expressions in the signed documents of an enclave, each with its partitions."""

@@ -1,4 +1,4 @@
-"""Certificates, as a profile or a package asks for them."""
+"""Specifications of keys and certificates that a profile or a package requests."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ class Validity:
     """A period of validity, in UTC, both ends included (RFC 5280, 4.1.2.5).
 
     Attributes:
-        origin: where a person wrote its end, if one did.
+        origin: where its end is written, or None.
     """
 
     not_before: datetime
@@ -30,7 +30,7 @@ class KeySpec:
         curve: for EC, upper case SEC name, e.g. ``SECP256R1``; else empty.
         size: for RSA, bits; else 0.
         password_env: name of the environment variable that holds the password the stored key is encrypted with;
-            empty for a key stored unencrypted (mode 0600).
+            empty for an unencrypted key (mode 0600).
     """
 
     algorithm: str
@@ -47,7 +47,7 @@ class Extension:
         name: short name (``basicConstraints``, ``keyUsage``, ``extendedKeyUsage``, ``subjectAltName``, …).
         value: e.g. ``CA:TRUE, pathlen:0`` or ``digitalSignature, keyCertSign``.
         critical: marks the extension critical.
-        origin: where a person wrote it.
+        origin: where it is written.
     """
 
     name: str
@@ -63,13 +63,13 @@ class CertificateSpec:
     Attributes:
         subject_name: distinguished name as text (RFC 4514 or OpenSSL's one-line form), placeholders expanded, in
             certificate order: ``CN=/talker,OU=2f…``.
-        validity: what is asked for; it is clamped to the issuer's when issued.
+        validity: the requested period; it is clamped to the issuer's when the certificate is issued.
         serial: serial number, or None for a random one.
         issuer: name of the issuing authority; empty for a self-signed certificate.
         hash_algorithm: ``SHA256``, ``SHA384`` or ``SHA512``.
         key: the key pair.
-        extensions: extensions beside, or in place of, the defaults of its role (authority or identity).
-        origin: where a person asked for it.
+        extensions: extensions that add to or replace the defaults of its role (authority or identity).
+        origin: where it is requested.
     """
 
     subject_name: str

@@ -1,4 +1,4 @@
-"""Graphs from the world, and policies from graphs."""
+"""Graph sources, which discover access graphs, and policy learners, which derive policies from them."""
 
 from __future__ import annotations
 
@@ -14,37 +14,37 @@ from keymint.graph import Edge, Graph
 
 @dataclass(frozen=True, slots=True)
 class DiscoveredGraph:
-    """A graph that was seen, and what is to be said of it (how subjects came by their names, say)."""
+    """An observed graph, and findings on it (e.g. how its subjects were named)."""
 
     graph: Graph
     diagnostics: tuple[Diagnostic, ...] = ()
 
 
 class GraphSource(Protocol):
-    """Finds semantic access graphs: in a running system, and in captures of one."""
+    """Discovers access graphs in a running system or in a capture file."""
 
     API: str
 
     def usable(self) -> Availability:
-        """Tell whether a running system can be observed on this machine; never raises."""
+        """Return whether a running system can be observed on this machine; never raises."""
 
     def observe(self, domain: int, go_on: Callable[[], bool], names: Mapping[str, str]) -> DiscoveredGraph:
-        """Return what happens in a domain, in the transport's own terms (objects of kind ``topic``).
+        """Observe a domain, and return its graph in the transport's terms (objects of kind ``topic``).
 
         Args:
             domain: DDS domain id.
-            go_on: asked again and again; the observation ends when it returns False.
-            names: subjects by GUID (hexadecimal, or the beginning of one), where the user knows better.
+            go_on: polled; the observation ends when it returns False.
+            names: subjects by GUID (hexadecimal) or GUID prefix, which override discovered names.
 
         Raises:
-            KeymintError: what it takes is not installed, or does not work.
+            KeymintError: software that the observation needs is missing or fails.
         """
 
     def recognises(self, content: bytes) -> bool:
-        """Tell whether a file is a capture that :meth:`read` reads."""
+        """Whether a file is a capture that :meth:`read` can read."""
 
     def read(self, content: bytes, name: str, names: Mapping[str, str]) -> DiscoveredGraph:
-        """Return what a capture holds, in the transport's own terms.
+        """Return the graph in a capture, in the transport's terms.
 
         Args:
             content: the file.
@@ -56,24 +56,24 @@ class GraphSource(Protocol):
         """
 
     def interpret(self, graph: Graph, *, fold: bool) -> Graph:
-        """Return a graph in the application's terms; what is in these already stays, what fits none stays as it is.
+        """Translate a graph into application names; edges that have none, or are translated already, stay unchanged.
 
         Args:
             graph: objects of any kind.
-            fold: put the parts of composite kinds together where all of them are there; else take these apart.
+            fold: True to merge complete sets of parts into composite permissions, False to split these into parts.
         """
 
 
 @dataclass(frozen=True, slots=True)
 class LearnedPolicy:
-    """A policy that was learned from a graph.
+    """A policy learned from a graph.
 
     Attributes:
-        document: the policy; empty when there is nothing to say.
-        fragments: files that it includes, by name in the folder that was asked for.
-        missing: edges of the graph that the document allows (and the existing policy does not).
-        conflicts: edges that a rule of the existing policy denies, so that no addition allows them.
-        unused: what the existing policy allows and no edge of the graph needs.
+        document: the policy; empty if no rule is missing.
+        fragments: files that it includes, by name in the requested folder.
+        missing: edges of the graph that the document allows and the existing policy does not.
+        conflicts: edges that a DENY rule of the existing policy denies, so that no new rule can allow them.
+        unused: rules of the existing policy that no edge of the graph uses.
     """
 
     document: bytes
@@ -85,15 +85,15 @@ class LearnedPolicy:
 
 @runtime_checkable
 class PolicyLearner(Protocol):
-    """What a policy type may offer beside :class:`PolicyType`: the policy that a graph needs."""
+    """Optional capability of a policy type: learns a policy from a graph."""
 
     def learn(self, graph: Graph, existing: LoadedPolicy | None, fragments: str) -> LearnedPolicy:
         """Return the smallest policy that, with the existing one, allows every edge of a graph.
 
         Args:
-            graph: what subjects do.
-            existing: a policy of the same type that stays in force.
-            fragments: folder beside the policy for the files that it may include; empty for one document.
+            graph: the observed edges.
+            existing: a policy of the same type that remains in force.
+            fragments: folder, relative to the policy, for included files; empty for a single document.
 
         Raises:
             KeymintError: the policy format cannot express an edge.

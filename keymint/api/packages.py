@@ -1,4 +1,4 @@
-"""What a package asks of its transport, and the package itself."""
+"""Source packages: identity, permissions and governance of one subject."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ class DomainRange:
 
 @dataclass(frozen=True, slots=True)
 class TopicProtection:
-    """A rule of a governance document for the topics that match (DDS Security 1.1, 9.4.1.2.5).
+    """A topic rule of a governance document (DDS Security 1.1, 9.4.1.2.5).
 
     Attributes:
         kind: ``topic`` for a raw DDS topic expression, or ``ros_topic``, ``ros_service``, ``ros_action``,
@@ -61,11 +61,12 @@ class DomainRule:
 
 @dataclass(frozen=True, slots=True)
 class Governance:
-    """Protection of domains and topics, signed by ``issuer``, an authority's name.
+    """The protection of domains and topics.
 
     Attributes:
-        domain_rules: in order; the first that is about a domain counts.
-        accepts_open: the profile accepts that rules leave topics, or joining, without access control.
+        issuer: name of the authority that signs the document.
+        domain_rules: in order; the first that applies to a domain counts.
+        accepts_open: the profile accepts rules that disable access control of topics or of joining a domain.
     """
 
     issuer: str
@@ -75,14 +76,15 @@ class Governance:
 
 @dataclass(frozen=True, slots=True)
 class Permissions:
-    """The grant of a subject: what it may do, where and how long, signed by ``issuer``, an authority's name.
+    """The grant of a subject: its rules, domains and validity.
 
     Attributes:
+        issuer: name of the authority that signs the document.
         grant_name: the grant's name attribute.
-        subject_name: distinguished name as text; must be that of the identity.
-        domains: domains in which the grant holds.
+        subject_name: distinguished name as text; must equal that of the identity.
+        domains: domains in which the grant is valid.
         domains_origin: where these are written, if not at ``origin``.
-        edited: a person changed the rules; they are not those that the policy says.
+        edited: the rules were edited by hand and differ from the policy.
     """
 
     issuer: str
@@ -98,15 +100,15 @@ class Permissions:
 
 @dataclass(frozen=True, slots=True)
 class Package:
-    """A source package, loaded: everything that a build type needs to know of one subject.
+    """A loaded source package: the input of a build type for one subject.
 
     Attributes:
         name: package name, e.g. ``robot1/arm/driver`` (its folder under the source space).
         subject: ``"/" + name``.
         build_type: name of the plugin that builds it.
         distro: ROS 2 distribution whose name mapping applies.
-        identity: the certificate of the subject.
-        issuers: the authorities above the identity, from its issuer up to the root.
+        identity: the subject's certificate.
+        issuers: the chain of authorities from the identity's issuer up to the root.
     """
 
     name: str

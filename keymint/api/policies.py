@@ -1,4 +1,4 @@
-"""Policies, loaded: rules, decisions, structure, and their own tests."""
+"""Policy types: loaded policies, their rules, decisions, structure and tests."""
 
 from __future__ import annotations
 
@@ -16,13 +16,13 @@ from keymint.ir import Rule, SubjectRules
 
 @dataclass(frozen=True, slots=True)
 class PolicyDecision:
-    """What a policy says about an edge.
+    """A policy's decision on an edge.
 
     Attributes:
         allowed: the decision.
-        where: the rule that decided; None when no rule matches, which denies.
-        reason: one line.
-        audit: the rule that decided is to be watched.
+        where: the deciding rule; None if the edge is denied because no rule matches.
+        reason: one line, in which the places of rules are data.
+        audit: the deciding rule requires logging.
     """
 
     allowed: bool
@@ -33,7 +33,7 @@ class PolicyDecision:
 
 @dataclass(frozen=True, slots=True)
 class AppliedProfile:
-    """A profile of a policy that applies to a subject: its label, its place, and whether it is to be watched."""
+    """A profile of a policy that applies to a subject: its label, its place, and whether it requires logging."""
 
     name: str
     where: Origin
@@ -41,13 +41,13 @@ class AppliedProfile:
 
 
 class LoadedPolicy(Protocol):
-    """A policy, loaded once per command."""
+    """A policy that was loaded for a command."""
 
     @property
     def seen(self) -> Mapping[Path, bytes]:
-        """Every path that was looked at, also those that were not there, with its fingerprint.
+        """Every path that loading looked at, whether it exists or not, with its fingerprint.
 
-        As long as :meth:`PolicyType.fingerprint` gives the same for all of them, so is the policy.
+        While :meth:`PolicyType.fingerprint` of all of them is unchanged, so is the policy.
         """
 
     def subjects(self) -> tuple[str, ...]:
@@ -60,7 +60,7 @@ class LoadedPolicy(Protocol):
         """Return the profiles that apply to a subject, outer ones first."""
 
     def decide(self, edge: Edge) -> PolicyDecision:
-        """Return what the policy says about an edge; its domain is no matter of policy.
+        """Decide an edge; its domain does not matter.
 
         Raises:
             KeymintError: the kind or the permission is not known.
@@ -69,12 +69,12 @@ class LoadedPolicy(Protocol):
 
 @dataclass(frozen=True, slots=True)
 class WrittenProfile:
-    """A profile as it is written.
+    """A profile as the policy writes it.
 
     Attributes:
         name: its label.
         where: where it is written.
-        around: expressions of the profiles around it, outermost first: a subject must match one of each.
+        around: expressions of the enclosing profiles, outermost first; a subject must match one of each profile.
         attachments: its own expressions, each with its place.
     """
 
@@ -86,13 +86,13 @@ class WrittenProfile:
 
 @dataclass(frozen=True, slots=True)
 class WrittenRule:
-    """A rule as it is written, before it is expanded for a subject.
+    """A rule as the policy writes it, before it is expanded for a subject.
 
     Attributes:
-        profiles: expressions of the profiles that it stands in, outermost first: a subject must match one of each.
-        rule: the rule; its expressions may hold ``{name}`` and ``{namespace}``.
-        expand: returns its expressions for expressions of a namespace (with its last ``/``) and of a name.
-        places: where each of its expressions is written; empty if that is not known.
+        profiles: expressions of its profiles, outermost first; a subject must match one of each profile.
+        rule: the rule; its expressions may contain ``{name}`` and ``{namespace}``.
+        expand: returns its expressions for given expressions of the namespace (ending with ``/``) and of the name.
+        places: where each of its expressions is written; empty if unknown.
         included: the innermost profile includes it from another file.
     """
 
@@ -105,12 +105,12 @@ class WrittenRule:
 
 @dataclass(frozen=True, slots=True)
 class PolicyStructure:
-    """A policy as it is written.
+    """The structure of a policy, independent of subjects.
 
     Attributes:
         profiles: its profiles, outer ones first.
         clauses: its rules, in the order of the policy.
-        unused: name and place of the variables that nothing uses.
+        unused: name and place of each unused variable.
     """
 
     profiles: tuple[WrittenProfile, ...]
@@ -120,18 +120,18 @@ class PolicyStructure:
 
 @runtime_checkable
 class StructuredPolicy(Protocol):
-    """What a policy may offer beside :class:`LoadedPolicy`: itself as it is written, for subjects it does not name."""
+    """Optional capability of a loaded policy: its structure, for analyses of subjects that it does not name."""
 
     def structure(self) -> PolicyStructure | None:
-        """Return the policy as it is written."""
+        """Return the structure of the policy."""
 
 
 @runtime_checkable
 class PolicyTypeWithTests(Protocol):
-    """What a policy type may offer beside :class:`PolicyType`: reading of a policy's own unit tests."""
+    """Optional capability of a policy type: reads the test cases of a policy."""
 
     def expectations(self, path: Path) -> Mapping[Path, Sequence[Expectation]]:
-        """Return the expectations in the test files beside a policy, by file.
+        """Return the expectations in the test files of a policy, by file.
 
         Raises:
             KeymintError: with ``file:line`` of each defect.
@@ -139,18 +139,18 @@ class PolicyTypeWithTests(Protocol):
 
 
 class PolicyType(Protocol):
-    """Acquires policy: sources to IR."""
+    """Loads policies of one format."""
 
     API: str
 
     def load(
         self, sources: Sequence[PolicySource], library: Path | None, library_shown: Path | None = None
     ) -> LoadedPolicy:
-        """Load policies as one: the union of their profiles.
+        """Load several policies as one: the union of their profiles.
 
         Args:
             sources: the policies.
-            library: a folder in which includes are looked up that a policy itself does not have.
+            library: a folder that is searched for included files which a policy does not have.
             library_shown: path of the library in origins and in :attr:`LoadedPolicy.seen`, if it will be copied there.
 
         Raises:
@@ -158,4 +158,4 @@ class PolicyType(Protocol):
         """
 
     def fingerprint(self, path: Path) -> bytes:
-        """Return what tells whether a path is still what it was when a policy was loaded from it."""
+        """Return a digest of a path that changes when a policy loaded from it may change."""

@@ -1,4 +1,4 @@
-"""Profiles of workspaces, and what bootstraps and loads them and their packages."""
+"""Profile types and package types: bootstrap and load the profile and the source packages of a workspace."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from keymint.ir import SubjectRules
 
 @dataclass(frozen=True, slots=True)
 class PolicySource:
-    """A policy that the profile names: a file or a directory, and where else its includes may be found."""
+    """A policy that the profile names: a file or a directory."""
 
     name: str
     path: Path
@@ -25,7 +25,7 @@ class PolicySource:
 
 @dataclass(frozen=True, slots=True)
 class WorkspaceProfile:
-    """A workspace profile, loaded.
+    """A loaded workspace profile.
 
     Attributes:
         name: the profile's name.
@@ -33,12 +33,12 @@ class WorkspaceProfile:
         policy_type: the plugin that acquires policy.
         package_type: the plugin that creates packages.
         policies: the policies in the order of the profile.
-        library: a folder in which includes are looked up that the including file's own folder lacks.
-        authorities: in the order of the profile; an issuer stands anywhere.
-        layout: ``sros2`` or ``flat``: the layout of the install space.
+        library: folder that is searched for included files which the policy's folder lacks.
+        authorities: in the order of the profile; issuers need not come first.
+        layout: layout of the install space, ``sros2`` or ``flat``.
         distro: ROS 2 distribution.
         files: files of the profile by path relative to the profile space (for plugins of the same format).
-        accepts: names of what the owner accepts although it weakens what the policy says, e.g. ``open_governance``.
+        accepts: weakenings of the policy that the owner accepts, e.g. ``open_governance``.
     """
 
     name: str
@@ -56,16 +56,16 @@ class WorkspaceProfile:
 
 @dataclass(frozen=True, slots=True)
 class Bootstrap:
-    """What ``keymint init`` was asked for.
+    """A request to create a profile, from the options of ``keymint init``.
 
     Attributes:
         name: name of the new profile.
         policy: path to write into ``policies.xml``, as text, relative to the profile space or absolute; empty for
-            the example policy that the profile type brings along.
+            the example policy of the profile type.
         distro: ROS 2 distribution.
         domain: DDS domain id.
-        layout: ``sros2`` or ``flat``; empty for what the distro takes.
-        subject_format: ``unique`` (a second RDN that no other subject has) or ``sros2`` (the bare CN).
+        layout: ``sros2`` or ``flat``; empty for the layout that the distro reads.
+        subject_format: ``unique`` (with a second RDN that is unique to the subject) or ``sros2`` (CN only).
         now: the clock, UTC.
     """
 
@@ -79,7 +79,7 @@ class Bootstrap:
 
 
 class ProfileType(Protocol):
-    """Bootstraps and loads the profile space of a workspace."""
+    """Creates and loads the profile space of a workspace."""
 
     API: str
 
@@ -87,20 +87,20 @@ class ProfileType(Protocol):
         """Return the files of a new profile by path relative to the profile space.
 
         Raises:
-            KeymintError: the request names a distro or layout that is not known.
+            KeymintError: the distro or layout is unknown.
         """
 
     def library(self, distro: str) -> Path:
-        """Return the folder of shipped policy fragments of a distro (what ``bootstrap`` copies into the profile)."""
+        """Return the folder of the policy library for a distro, which ``bootstrap`` copies into the profile."""
 
     def recognises(self, files: Mapping[str, bytes]) -> bool:
-        """Tell whether these files of a profile space are of this type."""
+        """Whether the files of a profile space are of this type."""
 
     def load(self, root: Path, files: Mapping[str, bytes]) -> WorkspaceProfile:
         """Load a profile from its files.
 
         Args:
-            root: the profile space; only to resolve the policy's path and to name places in messages.
+            root: the profile space, to resolve the policy's path and for places in messages.
             files: XML files of the profile space by relative path.
 
         Raises:
@@ -108,21 +108,21 @@ class ProfileType(Protocol):
         """
 
     def with_policy(self, files: Mapping[str, bytes], policy: str) -> Mapping[str, bytes]:
-        """Return the files that change when the profile is bound to another policy path.
+        """Return the files that change when the profile is set to another policy path.
 
         Raises:
-            KeymintError: the profile's list of policies was edited by hand, so that it is not ours to change.
+            KeymintError: the profile's list of policies was edited by hand, and is not overwritten.
         """
 
 
 @runtime_checkable
 class ProfileSettings(Protocol):
-    """What a profile type may offer beside :class:`ProfileType`: the settings that ``keymint init`` has options for."""
+    """Optional capability of a profile type: returns the settings that ``keymint init`` has options for."""
 
     def settings(self, profile: WorkspaceProfile) -> Mapping[str, str]:
-        """Return the present value of each option, as text, by the option's name (``distro``, ``domain``, …).
+        """Return the current value of each option as text, by the option's name (``distro``, ``domain``, …).
 
-        An option that is left out is not a setting of this profile type.
+        Options that the profile type does not have are omitted.
 
         Raises:
             KeymintError: with ``file:line`` of a defect.
@@ -134,27 +134,27 @@ class PackageType(Protocol):
 
     API: str
     MARKER: str
-    """Name of the file that makes a folder a package, e.g. ``keymint_package.xml``."""
+    """Name of the file that marks a folder as a package, e.g. ``keymint_package.xml``."""
 
     def create(
         self, profile: WorkspaceProfile, rules: SubjectRules, existing: Mapping[str, bytes], *, force: bool
     ) -> Mapping[str, bytes]:
         """Return the files to write for a package, by name relative to its folder.
 
-        Files that exist and belong to the user are left out. The document of the rules is returned when it is
-        missing or its content differs from what the policy says now.
+        Existing files that belong to the user are omitted. The document of the rules is returned if it is missing or
+        differs from the current policy.
 
         Raises:
-            KeymintError: the document of the rules was edited by hand, the policy changed as well, and ``force``
-                is not given.
+            KeymintError: the document of the rules was edited by hand, the policy changed as well, and ``force`` is
+                False.
         """
 
     def load(self, profile: WorkspaceProfile, name: str, folder: str, files: Mapping[str, bytes]) -> Package:
-        """Load a package from its files; what it leaves out is taken from the profile's defaults.
+        """Load a package from its files; omitted settings are taken from the profile's defaults.
 
         Args:
             profile: the profile of the workspace.
-            name: package name, from its place under the source space.
+            name: package name, from its path below the source space.
             folder: its folder as the user would type it, for messages.
             files: the package's files by name.
 
@@ -165,10 +165,10 @@ class PackageType(Protocol):
 
 @runtime_checkable
 class RuleLocator(Protocol):
-    """What a package type may offer beside :class:`PackageType`: where the rules of a package stand in its files."""
+    """Optional capability of a package type: locates the rules of a package in its files."""
 
     def rule_places(self, name: str, folder: str, files: Mapping[str, bytes]) -> Sequence[Origin]:
-        """Return the place in the package's own document of each of its rules, in their order.
+        """Return the place of each rule in the package's own document, in their order.
 
         Args:
             name: package name.

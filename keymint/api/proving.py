@@ -1,4 +1,4 @@
-"""Proving: what is claimed of installed documents over all names."""
+"""Provers: prove that installed documents permit exactly what the policy allows, for all names."""
 
 from __future__ import annotations
 
@@ -33,12 +33,12 @@ class TrustAnchor:
 
 @dataclass(frozen=True, slots=True)
 class TrustAnchors:
-    """What an enclave must rest on. It comes from the workspace: an enclave cannot vouch for itself.
+    """The trust anchors of an enclave. They come from the workspace, because an enclave cannot vouch for itself.
 
     Attributes:
-        identity: the authority that issues the identity's certificate.
+        identity: the authority that issues the identity certificate.
         permissions: the authority that signs permissions and governance.
-        subject_name: the identity's distinguished name, as the package says it.
+        subject_name: the identity's distinguished name, from the package.
         layout: ``sros2`` or ``flat``.
     """
 
@@ -50,20 +50,19 @@ class TrustAnchors:
 
 @dataclass(frozen=True, slots=True)
 class ProofTask:
-    """What is to be proven: the documents of an enclave permit exactly what a policy says, over all names.
+    """A proof to attempt: the documents of an enclave permit exactly what the policy allows, for all names.
 
     Attributes:
-        rules: what the policy says of the subject.
+        rules: the policy's rules for the subject.
         distro: ROS 2 distribution whose name mapping applies.
-        domains: the domains in which the policy holds.
-        files: the enclave's files by name, as they are installed.
+        domains: the domains in which the policy applies.
+        files: the enclave's installed files by name.
         folder: the enclave's folder as the user would type it.
-        anchors: the authorities that the enclave must rest on.
-        states: how many states a question may visit.
-        go_on: asked again and again; a question is given up when it returns False.
-        standard_only: claims about vendors are not wanted, as what they decide differently is accepted.
-        governance: what the sources say of the protection of domains and topics; None where that is not known, and
-            nothing may be left open.
+        anchors: the authorities that the enclave must trust.
+        states: the most states that the search for one claim may visit.
+        go_on: polled; the search ends when it returns False.
+        standard_only: omit the claims about vendors, because their deviations are accepted.
+        governance: the expected protection of domains and topics; None if unknown, and then nothing may be open.
     """
 
     rules: SubjectRules
@@ -79,7 +78,7 @@ class ProofTask:
 
 
 class Proof(StrEnum):
-    """How a claim stands; one that is unknown is not proven."""
+    """The result of a proof; a claim that is unknown is not proven."""
 
     PROVEN = "proven"
     COUNTEREXAMPLE = "counterexample"
@@ -88,14 +87,14 @@ class Proof(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class Counterexample:
-    """A name about which policy and document differ; none is shorter.
+    """A shortest name on which policy and document differ.
 
     Attributes:
         endpoint: the edge of kind ``topic``, with its partition if that matters.
-        meaning: the edge on a ROS name that needs it, or None.
-        policy: what the policy says, and by which rule.
-        document: what the document says, and in which of its lines.
-        help: how to mend it, if it is not the permissions that are wrong.
+        meaning: the edge on a ROS name that the endpoint implements, or None.
+        policy: the policy's decision, with its rule.
+        document: the document's decision, with its line.
+        help: how to fix it, if the permissions are not the cause.
     """
 
     endpoint: Edge
@@ -107,19 +106,19 @@ class Counterexample:
 
 @dataclass(frozen=True, slots=True)
 class Claim:
-    """That the documents, as a model reads them, permit an action exactly where the policy does.
+    """The claim that the documents, as a model reads them, permit an action exactly where the policy allows it.
 
     Attributes:
-        model: whose reading: the standard's, or a vendor's.
-        action: ``publish`` or ``subscribe``. Only where it does not hold: ``join``, that no participant is let into a
-            domain without a rule, and ``protect``, that topics are protected as the sources say.
-        domains: the DDS domains it is about.
-        universe: the names it is about, in words.
-        proof: how it stands.
+        model: the standard, or a vendor.
+        action: ``publish`` or ``subscribe``. Only if refuted: ``join`` (no participant without a rule may join a
+            domain) or ``protect`` (topics are protected as the sources require).
+        domains: the DDS domains that the claim covers.
+        universe: the names that the claim covers, in words.
+        proof: the result.
         reason: why it is unknown, in one line.
-        spent: it is unknown since it was given up; with more states, or time, it may be decided.
+        spent: it is unknown because a limit was reached; with more states or time it may be decided.
         counterexample: if there is one.
-        excepted: what the governance leaves open on purpose, one line each: it is no part of the claim.
+        excepted: topics that the governance opens on purpose, one line each; the claim excludes them.
     """
 
     model: str
@@ -135,14 +134,14 @@ class Claim:
 
 @dataclass(frozen=True, slots=True)
 class ValidityTerm:
-    """When something holds without which an enclave is permitted nothing: a certificate, or its grants.
+    """The validity of a certificate or grant without which an enclave is permitted nothing.
 
     Attributes:
         code: ``certificate``, ``authority``, ``grant`` or ``revocation-list``.
-        what: the same in words, with its name.
+        what: description with the name.
         where: its place.
-        periods: when it holds, both ends included; sorted, and apart from each other. None at all is never.
-        models: whose reading that is; empty: everybody's.
+        periods: periods of validity, both ends included, sorted and disjoint; empty if it is never valid.
+        models: the models that read the dates so; empty for all.
     """
 
     code: str
@@ -154,35 +153,35 @@ class ValidityTerm:
 
 @runtime_checkable
 class Prover(Protocol):
-    """What a build type may offer beside :class:`BuildType`: proofs about what it installs."""
+    """Optional capability of a build type: proofs about installed documents."""
 
     def assumptions(self) -> Mapping[str, Sequence[str]]:
-        """Return what every claim takes for granted, one line each, by model: that of the standard first."""
+        """Return the assumptions of every claim, one line each, by model; the standard comes first."""
 
     def differences(self, files: Mapping[str, bytes], folder: str, anchors: TrustAnchors) -> Sequence[Diagnostic]:
-        """Return what does not rest on the workspace's authorities; each is an error, and its code is stable.
+        """Return an error for each file that the workspace's authorities do not vouch for; their codes are stable.
 
         Args:
             files: an enclave's files by name.
             folder: its folder as the user would type it.
-            anchors: what it must rest on.
+            anchors: the authorities that it must trust.
         """
 
     def terms(self, files: Mapping[str, bytes], folder: str, anchors: TrustAnchors) -> Sequence[ValidityTerm]:
-        """Return the times in which an enclave is permitted anything, as each model reads dates; no clock is read.
+        """Return the periods in which an enclave is permitted anything, as each model reads dates; reads no clock.
 
         Args:
             files: an enclave's files by name.
             folder: its folder as the user would type it.
-            anchors: what it must rest on.
+            anchors: the authorities that it must trust.
 
         Raises:
-            KeymintError: a file cannot be read, or does not rest on the anchors.
+            KeymintError: a file cannot be read, or the anchors do not vouch for it.
         """
 
     def prove(self, task: ProofTask) -> Sequence[Claim]:
         """Return a claim for each model, action and group of domains.
 
         Raises:
-            KeymintError: the enclave has no document that can be read, or does not rest on its anchors.
+            KeymintError: no document of the enclave can be read, or the anchors do not vouch for it.
         """

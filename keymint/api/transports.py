@@ -1,4 +1,4 @@
-"""Transports, simulated and real, and what they decide."""
+"""Transports, simulated and real, and their decisions."""
 
 from __future__ import annotations
 
@@ -14,10 +14,10 @@ from keymint.graph import Edge
 
 
 class Tier(StrEnum):
-    """How deep a transport is asked.
+    """How a transport is tested.
 
-    ``decision``: its access-control code decides. ``admission``: a participant per enclave, endpoints are created.
-    ``exchange``: two processes, data is delivered or not.
+    ``decision``: call its access-control code. ``admission``: create a participant per enclave and its endpoints.
+    ``exchange``: run two processes, and see whether data is delivered.
     """
 
     DECISION = "decision"
@@ -27,15 +27,15 @@ class Tier(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class Availability:
-    """Whether a transport can be used here: what it is, and how to install what it lacks.
+    """Whether a transport can be used on this machine, and if not, how to install what is missing.
 
     Attributes:
-        usable: it can.
-        version: of what it is, or is a model of.
-        reason: why it cannot be used, or not wholly.
+        usable: it can be used.
+        version: version of the software, or of the software that it models.
+        reason: why it cannot be used, or only in part.
         help: how to install what is missing.
-        tiers: how deep it can be asked.
-        by_default: it is asked where none is named; False for one that is known not to follow the policy.
+        tiers: the supported tiers.
+        by_default: it is used if the user names no transport; False for one that is known not to follow the policy.
     """
 
     usable: bool
@@ -63,14 +63,14 @@ class Enclave:
 
 @dataclass(frozen=True, slots=True)
 class Verdict:
-    """What a transport decides about an edge.
+    """A transport's decision on an edge.
 
     Attributes:
         allowed: the decision.
-        reason: one line, without the place: the rule of the document, or the transport's own words.
+        reason: one line, without the place: the rule of the document, or the transport's message.
         line: line of the rule in the signed document that decided, or 0.
-        deviation: the row of the table of vendors' deviations that explains a difference from the standard, or empty.
-        where: the place in a signed document that decided, or None.
+        deviation: the row in the table of vendor deviations that explains a difference from the standard, or empty.
+        where: the deciding place in a signed document, or None.
     """
 
     allowed: bool
@@ -82,11 +82,11 @@ class Verdict:
 
 @dataclass(frozen=True, slots=True)
 class Environment:
-    """What a transport needs to know of where it runs, since plugins do not look for themselves.
+    """The environment of a transport; plugins do not read it themselves.
 
     Attributes:
-        now: the clock, UTC: simulated transports go by it, real ones by the clock of the machine.
-        cache: a folder of this user in which real transports keep programs that they built; made when needed.
+        now: the clock, UTC, for simulated transports; real ones use the clock of the machine.
+        cache: folder of this user in which real transports cache the programs that they build; created on demand.
         variables: environment variables for the processes that real transports start.
         opened: documents that transports of this run have verified and read, by the digest of their files.
     """
@@ -98,28 +98,28 @@ class Environment:
 
 
 class Transport(Protocol):
-    """Tells what a transport, simulated or real, decides when it is given installed enclaves."""
+    """Decides edges between installed enclaves, as a simulated or a real transport does."""
 
     def usable(self) -> Availability:
-        """Tell whether it can be used on this machine; never raises."""
+        """Return whether it can be used on this machine; never raises."""
 
     def label(self, enclaves: Sequence[Enclave], edges: Iterable[Edge], tier: Tier) -> Iterator[tuple[Edge, Verdict]]:
-        """Yield what is decided about each edge, in the order of the edges.
+        """Yield the decision on each edge, in the order of the edges.
 
         Args:
             enclaves: the enclaves of all subjects of the edges.
-            edges: edges to decide, grouped by subject; consumed as they come, so that memory stays flat.
-            tier: one of those that :meth:`usable` names.
+            edges: edges to decide, grouped by subject; consumed lazily to save memory.
+            tier: one of those that :meth:`usable` returns.
 
         Raises:
-            KeymintError: an enclave is refused as a whole (code ``enclave-refused``), or the transport does not work.
+            KeymintError: an enclave is refused completely (code ``enclave-refused``), or the transport fails.
         """
 
 
 class TransportType(Protocol):
-    """What is registered as a transport: opens it, without side effect."""
+    """The registered entry point of a transport: opens it, without side effects."""
 
     API: str
 
     def open(self, environment: Environment) -> Transport:
-        """Return the transport, which is then asked whether it is usable; never raises."""
+        """Return the transport; its method ``usable`` reports whether it can be used. Never raises."""
