@@ -1,8 +1,8 @@
-"""What sets of names have to do with one another: match, overlap, cover, intersect.
+"""Relations between patterns: disjointness, inclusion, intersection.
 
-Answers are exact, but for one: whether a pattern is covered is found out by determinising lazily, within a budget. When
-it is spent, :func:`covers` and :func:`union_covers` say False ("not shown"), which their callers must be able to take
-without harm, and :func:`surely_covers` raises. All of them count their steps (:mod:`comarmor.patterns.steps`).
+Answers are exact, except for inclusion, which determinises lazily up to a number of states: where these do not suffice,
+:func:`covers` and :func:`union_covers` return False and :func:`exactly_covers` raises. All functions count their steps
+(:mod:`comarmor.patterns.steps`).
 """
 
 from __future__ import annotations
@@ -14,18 +14,18 @@ from comarmor.patterns.matching import matcher
 from comarmor.patterns.steps import StepLimitError, cached, spend, step_limit
 from comarmor.patterns.tokens import ANY, MAX_CODE, STAR, Charset, Star, Token
 
-BUDGET = 2_000
-"""States that a question about covering may visit."""
-INTERSECTION = 200_000
-"""Steps that an intersection may take."""
+MAX_STATES = 2_000
+"""Most states that a test of inclusion visits."""
+MAX_INTERSECTION_STEPS = 200_000
+"""Most steps that an intersection takes."""
 
 
 class TooComplexError(Exception):
-    """An intersection has more pieces than a caller can use."""
+    """An exact answer needs more states, steps or patterns than are allowed."""
 
 
 def disjoint(left: Glob, right: Glob) -> bool:
-    """Tell whether no name is matched by both."""
+    """Return whether no name matches both patterns."""
     spend()
     text = literal(left)
     if text is not None:
@@ -46,32 +46,32 @@ def ends_differ(left: Glob, right: Glob) -> bool:
 
 
 def all_disjoint(lefts: Iterable[Glob], rights: Iterable[Glob]) -> bool:
-    """Tell whether no name is matched by one of the first and one of the second; quick for many literals."""
-    exact, wild = _parted(lefts)
-    exact2, wild2 = _parted(rights)
-    if not exact.isdisjoint(exact2):
+    """Return whether no name matches patterns of both groups; fast for many literals."""
+    names, wild = _split(lefts)
+    names2, wild2 = _split(rights)
+    if not names.isdisjoint(names2):
         return False
-    pairs = ((glob, names) for globs, names in ((wild, exact2), (wild2, exact)) for glob in globs)
-    if any(accepts(name) for glob, names in pairs for accepts in (matcher(glob),) for name in names):
-        return False
+    for globs, others in ((wild, names2), (wild2, names)):
+        if any(any(map(matcher(glob), others)) for glob in globs):
+            return False
     return all(disjoint(left, right) for left in wild for right in wild2)
 
 
-def _parted(globs: Iterable[Glob]) -> tuple[set[str], list[Glob]]:
-    """Return the names of literal globs, and the other globs."""
-    exact: set[str] = set()
+def _split(globs: Iterable[Glob]) -> tuple[set[str], list[Glob]]:
+    """Return the names of the literal patterns, and the other patterns."""
+    names: set[str] = set()
     wild: list[Glob] = []
     for glob in globs:
         if (text := literal(glob)) is None:
             wild.append(glob)
         else:
-            exact.add(text)
-    return exact, wild
+            names.add(text)
+    return names, wild
 
 
 @cached(1 << 14)
 def _disjoint(left: Glob, right: Glob) -> bool:
-    """Search the product of the two for a pair of ends."""
+    """Search the product automaton for a pair of final positions."""
     if is_empty(left) or is_empty(right):
         return True
     first, second = (*units(left), None), (*units(right), None)
@@ -79,19 +79,19 @@ def _disjoint(left: Glob, right: Glob) -> bool:
     seen = {(0, 0)}
     while todo:
         spend()
-        at, at2 = todo.pop()
-        if first[at] is None and second[at2] is None:
+        i, j = todo.pop()
+        if first[i] is None and second[j] is None:
             return False
-        for step in _common_steps(first[at], second[at2]):
-            place = (at + step[0], at2 + step[1])
-            if place not in seen:
-                seen.add(place)
-                todo.append(place)
+        for step in _common_steps(first[i], second[j]):
+            state = (i + step[0], j + step[1])
+            if state not in seen:
+                seen.add(state)
+                todo.append(state)
     return True
 
 
 def _common_steps(token: Token | None, token2: Token | None) -> Iterator[tuple[int, int]]:
-    """Yield how far two patterns can go on by the same character, or by none; None is the end of a pattern."""
+    """Yield the steps that two patterns can take by one common character or none; None is the end of a pattern."""
     if isinstance(token, Star):
         yield 1, 0
         if token2 is not None:
@@ -105,7 +105,7 @@ def _common_steps(token: Token | None, token2: Token | None) -> Iterator[tuple[i
 
 
 def _meet(token: Token, token2: Token) -> Token | None:
-    """Return the characters that two tokens of one character have in common, or None."""
+    """Return the intersection of two tokens that match one character, or None if it is empty."""
     if isinstance(token, str):
         return token if (token == token2 if isinstance(token2, str) else token in token2) else None  # type: ignore[operator]
     if isinstance(token2, str):
@@ -115,101 +115,101 @@ def _meet(token: Token, token2: Token) -> Token | None:
 
 
 def covers(outer: Glob, inner: Glob) -> bool:
-    """Tell whether ``outer`` is shown to match every name that ``inner`` matches; False where that is not known."""
+    """Sound, incomplete inclusion test: whether ``outer`` matches all that ``inner`` matches; False means unknown."""
     return bool(_covers(outer, inner))
 
 
-def surely_covers(outer: Glob, inner: Glob) -> bool:
-    """Tell whether ``outer`` matches every name that ``inner`` matches.
+def exactly_covers(outer: Glob, inner: Glob) -> bool:
+    """Return whether ``outer`` matches every name that ``inner`` matches.
 
     Raises:
-        TooComplexError: that was not found out within the budget.
+        TooComplexError: this was not decided within :data:`MAX_STATES`.
     """
-    found = _covers(outer, inner)
-    if found is None:
+    covered = _covers(outer, inner)
+    if covered is None:
         raise TooComplexError
-    return found
+    return covered
 
 
 def _covers(outer: Glob, inner: Glob) -> bool | None:
+    """Return whether ``outer`` covers ``inner``, or None if this was not decided."""
     spend()
     text = literal(inner)
     if text is not None:
         return matcher(outer)(text)
     if outer == EVERYTHING or is_empty(inner):
         return True
-    # Beyond its literal prefix (or before its suffix) a normalised glob has at least two different characters.
+    # After its literal prefix (or before its suffix) a normalised pattern matches at least two different characters.
     if not (prefix(inner).startswith(prefix(outer)) and suffix(inner).endswith(suffix(outer))):
         return False
     match outer:
         case (str(), Star()) | (Star(), str()):
             return True
-    return literal(outer) is None and _union_covers((outer,), inner, BUDGET)
+    return literal(outer) is None and _union_covers((outer,), inner)
 
 
-def union_covers(outers: tuple[Glob, ...], inner: Glob, budget: int = BUDGET) -> bool:
-    """Tell whether it is shown that every name that ``inner`` matches is matched by one of ``outers``.
-
-    Args:
-        outers: globs.
-        inner: a glob.
-        budget: how many states may be visited; when it is spent the answer is False.
-    """
-    return bool(_union_covers(outers, inner, budget))
+def union_covers(outers: tuple[Glob, ...], inner: Glob) -> bool:
+    """Sound, incomplete inclusion test: whether patterns together match all that ``inner`` matches."""
+    return bool(_union_covers(outers, inner))
 
 
 @cached(1 << 14)
-def _union_covers(outers: tuple[Glob, ...], inner: Glob, budget: int) -> bool | None:
+def _union_covers(outers: tuple[Glob, ...], inner: Glob) -> bool | None:
     if is_empty(inner):
         return True
     if (text := literal(inner)) is not None:
         return any(matcher(outer)(text) for outer in outers)
     rows = tuple(units(outer) for outer in outers if not disjoint(outer, inner))
-    return _included(units(inner), rows, budget) if rows else False
+    return _included(units(inner), rows) if rows else False
 
 
-def _included(goal: tuple[Token, ...], rows: tuple[tuple[Token, ...], ...], budget: int) -> bool | None:
-    """Walk through the goal, and beside it through the subsets of places that the rows can be at."""
-    letters = _letters((*rows, goal))
-    start = frozenset((row, at) for row in range(len(rows)) for at in _closure(rows[row], 0))
-    todo = [(at, start) for at in _closure(goal, 0)]
+def _included(inner: tuple[Token, ...], outers: tuple[tuple[Token, ...], ...]) -> bool | None:
+    """Search the product of ``inner`` and the subset automaton of ``outers`` for a word that only ``inner`` matches.
+
+    A state is a position in ``inner``, and the set of positions (number of the pattern, index) in ``outers``.
+    """
+    letters = _letters((*outers, inner))
+    start = frozenset((number, index) for number, outer in enumerate(outers) for index in _closure(outer, 0))
+    todo = [(index, start) for index in _closure(inner, 0)]
     seen = set(todo)
     while todo:
-        at, state = todo.pop()
-        spend(1 + len(state))
-        if at == len(goal):
-            if not any(place == len(rows[row]) for row, place in state):
+        index, positions = todo.pop()
+        spend(1 + len(positions))
+        if index == len(inner):
+            if not any(position == len(outers[number]) for number, position in positions):
                 return False
             continue
-        following = _closure(goal, at if isinstance(goal[at], Star) else at + 1)
+        following = _closure(inner, index if isinstance(inner[index], Star) else index + 1)
         for letter in letters:
-            if not _accepts(goal[at], letter):
+            if not _accepts(inner[index], letter):
                 continue
-            after = frozenset(place for row, here in state for place in _step(rows[row], row, here, letter))
+            after = frozenset(
+                (number, end) for number, position in positions for end in _step(outers[number], position, letter)
+            )
             if not after:
                 return False
-            new = {(place, after) for place in following} - seen
-            if len(seen) + len(new) > budget:
+            new = {(end, after) for end in following} - seen
+            if len(seen) + len(new) > MAX_STATES:
                 return None
             seen |= new
             todo += new
     return True
 
 
-def _closure(row: tuple[Token, ...], at: int) -> list[int]:
-    """Return the places that are reached from one without reading a character."""
-    places = [at]
-    while at < len(row) and isinstance(row[at], Star):
-        at += 1
-        places.append(at)
-    return places
+def _closure(tokens: tuple[Token, ...], index: int) -> list[int]:
+    """Return the positions that are reached from one without reading a character."""
+    positions = [index]
+    while index < len(tokens) and isinstance(tokens[index], Star):
+        index += 1
+        positions.append(index)
+    return positions
 
 
-def _step(row: tuple[Token, ...], number: int, at: int, letter: str) -> Iterable[tuple[int, int]]:
-    if at == len(row) or not _accepts(row[at], letter):
-        return ()
-    after = at if isinstance(row[at], Star) else at + 1
-    return ((number, place) for place in _closure(row, after))
+def _step(tokens: tuple[Token, ...], index: int, letter: str) -> list[int]:
+    """Return the positions that are reached from one by reading a letter."""
+    if index == len(tokens) or not _accepts(tokens[index], letter):
+        return []
+    return _closure(tokens, index if isinstance(tokens[index], Star) else index + 1)
 
 
 def _accepts(token: Token, letter: str) -> bool:
@@ -219,7 +219,7 @@ def _accepts(token: Token, letter: str) -> bool:
 
 
 def _letters(rows: Iterable[tuple[Token, ...]]) -> tuple[str, ...]:
-    """Return one character of each class that the tokens tell apart."""
+    """Return one character of each class that the tokens distinguish."""
     edges = {0}
     for row in rows:
         for token in row:
@@ -228,39 +228,39 @@ def _letters(rows: Iterable[tuple[Token, ...]]) -> tuple[str, ...]:
             elif isinstance(token, Charset):
                 for low, high in token.ranges:
                     edges.update((low, high + 1))
-    kinds: dict[tuple[bool, ...], str] = {}
+    classes: dict[tuple[bool, ...], str] = {}
     tokens = list(dict.fromkeys(token for row in rows for token in row if not isinstance(token, Star)))
     spend(len(edges) * len(tokens) // 8)
     for edge in sorted(edge for edge in edges if edge <= MAX_CODE):
-        kinds.setdefault(tuple(_accepts(token, chr(edge)) for token in tokens), chr(edge))
-    return tuple(kinds.values())
+        classes.setdefault(tuple(_accepts(token, chr(edge)) for token in tokens), chr(edge))
+    return tuple(classes.values())
 
 
 def intersection(left: Glob, right: Glob, limit: int = 64) -> tuple[Glob, ...]:
-    """Return globs whose union is the set of names that both match.
+    """Return patterns whose union matches the names that both patterns match.
 
     Intersections of such patterns are finite unions of such patterns (level 1/2 of the dot-depth hierarchy is closed
     under intersection: J.-E. Pin, "Syntactic semigroups", 1997).
 
     Raises:
-        TooComplexError: there are more than ``limit`` pieces, or more than :data:`INTERSECTION` steps are needed.
+        TooComplexError: more than ``limit`` patterns or :data:`MAX_INTERSECTION_STEPS` steps are needed.
     """
-    found = _intersection(left, right, limit)
-    if found is None:
+    pieces = _intersection(left, right, limit)
+    if pieces is None:
         raise TooComplexError
-    return found
+    return pieces
 
 
 @cached(1 << 12)
 def _intersection(left: Glob, right: Glob, limit: int) -> tuple[Glob, ...] | None:
-    """Return the pieces of an intersection, or None where there are too many, which is remembered as well."""
-    with step_limit(INTERSECTION) as effort:
+    """Return the patterns of an intersection, or None if it is too complex (so that this is cached as well)."""
+    with step_limit(MAX_INTERSECTION_STEPS) as counter:
         try:
             return _pieces(left, right, limit)
         except TooComplexError:
             return None
         except StepLimitError:
-            if effort.reported == INTERSECTION:
+            if counter.reported == MAX_INTERSECTION_STEPS:
                 return None
             raise
 
@@ -273,25 +273,27 @@ def _pieces(left: Glob, right: Glob, limit: int) -> tuple[Glob, ...]:
     if covers(right, left):
         return (left,)
     first, second = (*units(left), None), (*units(right), None)
-    pieces: dict[tuple[int, int], set[Glob]] = {}
-    for at in reversed(range(len(first))):
-        for at2 in reversed(range(len(second))):
-            token, token2 = first[at], second[at2]
-            found: set[Glob] = {()} if token is None and token2 is None else set()
+    rests: dict[tuple[int, int], set[Glob]] = {}
+    for i in reversed(range(len(first))):
+        for j in reversed(range(len(second))):
+            token, token2 = first[i], second[j]
+            patterns: set[Glob] = {()} if token is None and token2 is None else set()
             for step in _common_steps(token, token2):
-                # By a step that both make, or that one makes under the other's star, a token is read.
                 read = _read(token, token2, step)
-                following = pieces[at + step[0], at2 + step[1]]
+                following = rests[i + step[0], j + step[1]]
                 spend(1 + 4 * len(following))
-                found.update(normalise((*read, *rest)) for rest in following)
-            pieces[at, at2] = found if len(found) <= limit else set(maximal(found))
-            if len(pieces[at, at2]) > limit:
+                patterns.update(normalise((*read, *rest)) for rest in following)
+            rests[i, j] = patterns if len(patterns) <= limit else set(maximal(patterns))
+            if len(rests[i, j]) > limit:
                 raise TooComplexError
-    return tuple(maximal(pieces[0, 0]))
+    return tuple(maximal(rests[0, 0]))
 
 
 def _read(token: Token | None, token2: Token | None, step: tuple[int, int]) -> tuple[Token, ...]:
-    """Return what two patterns read together in a step of :func:`_common_steps`."""
+    """Return the tokens that two patterns read in a step of :func:`_common_steps`.
+
+    A token is read in a step of both patterns, or in a step of one while the other stays at its ``*``.
+    """
     if isinstance(token, Star) and isinstance(token2, Star):
         return (STAR,)
     if isinstance(token, Star):
@@ -303,8 +305,8 @@ def _read(token: Token | None, token2: Token | None, step: tuple[int, int]) -> t
 
 
 def maximal(globs: Iterable[Glob]) -> list[Glob]:
-    """Return the globs that no other of them covers, one for each set of equals, in a stable order."""
-    # What covers a glob has a prefix of its literal prefix, so that few need to be compared.
+    """Return the patterns that no other one covers, one of several equal ones, sorted."""
+    # The literal prefix of a wider pattern is a prefix of the narrower one's: few need to be compared.
     kept: dict[str, list[Glob]] = {}
     for glob in sorted(dict.fromkeys(globs), key=lambda glob: (len(prefix(glob)), sort_key(glob))):
         head = prefix(glob)
@@ -315,7 +317,7 @@ def maximal(globs: Iterable[Glob]) -> list[Glob]:
 
 
 def sort_key(glob: Glob) -> str:
-    """Return a text by which globs are sorted, the same on every run and machine; NUL marks what is not literal."""
+    """Return a text that sorts patterns the same way on every machine; NUL marks tokens that are not literal."""
     if (text := literal(glob)) is not None:
         return text
     return "".join(

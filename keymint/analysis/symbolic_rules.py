@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 from comarmor.errors import Origin
-from comarmor.patterns.glob import Glob, literal, parse
+from comarmor.patterns.glob import Glob, literal, parse, prefix
 from comarmor.patterns.relations import TooComplexError, disjoint
 from comarmor.patterns.tokens import STAR
 from comarmor.rules import Effect
@@ -128,13 +128,13 @@ class _ProfileIndex:
         for rule in rules.values():
             self._by_profiles[rule.profiles].append(rule)
             for one in rule.reach.subjects:
-                self._by_head[_head(one)][rule.profiles] = None
+                self._by_head[prefix(one)][rule.profiles] = None
         self._known: dict[Glob, tuple[SymbolicRule, ...]] = {}
 
     def of(self, subjects: Glob) -> tuple[SymbolicRule, ...]:
         """Return the rules that may apply to subjects that a pattern matches."""
         if subjects not in self._known:
-            head = _head(subjects)
+            head = prefix(subjects)
             near = dict.fromkeys(
                 profiles
                 for text, nested in self._by_head.items()
@@ -165,7 +165,3 @@ def profile_reach(profiles: _Profiles) -> tuple[ProfileReach, tuple[str, ...]]:
         singles = tuple(name for one in patterns if (name := literal(one)) is not None)
         return ProfileReach(tuple(one for one in patterns if literal(one) is None), profiles[depth:], exact), singles
     return ProfileReach((EVERY,), profiles, ()), ()
-
-
-def _head(pattern: Glob) -> str:
-    return pattern[0] if pattern and isinstance(pattern[0], str) else ""

@@ -22,10 +22,10 @@ from comarmor.patterns.relations import (
     TooComplexError,
     covers,
     disjoint,
+    exactly_covers,
     intersection,
     maximal,
     sort_key,
-    surely_covers,
 )
 from comarmor.patterns.tokens import STAR, Star
 from keymint_ros2_dds.lowering.grant_rules import DEFAULT, EVERY, Partitions
@@ -293,7 +293,7 @@ class _Side:
         for listed in self.exact.get(pattern, ()):
             yield pattern, listed
         for item in self.wild:
-            if surely_covers(item[0], pattern):
+            if exactly_covers(item[0], pattern):
                 yield item
 
 

@@ -136,7 +136,7 @@ def _clash(denied: Iterable[Glob], action: Action, group: RuleGroup, earlier: It
             continue
         for deny in denied:
             pieces = (piece for allow in patterns for piece in intersection(deny, allow))
-            if any(not union_covers(tuple(named), piece, 2000) for piece in pieces):
+            if any(not union_covers(tuple(named), piece) for piece in pieces):
                 return deny
     return None
 
