@@ -1,10 +1,10 @@
-"""What proofs cost: equality of lists of K patterns, families that are hard, and the enclaves of a fleet.
+"""Measure proofs: equality of lists of K patterns, hard families, and the enclaves of a fleet.
 
 usage: python benchmarks/proof.py [--sizes 10,100,1000,5000] [--fleet 1000]
 
-Of K patterns 80 % are exact names, the rest begin, end, or begin and end with a wildcard, or have one inside; one in
-five is denied. The other list says the same with no wildcard pattern in common: ``u*v`` as ``uv`` and ``u?*v``. The
-times are of the machine at hand; memory is the peak of the whole process so far.
+Of K patterns 80 % are names, the rest have a wildcard at the start, at the end, at both, or inside; one in five is
+denied. The other list is equal but has no pattern with wildcards in common: ``u*v`` becomes ``uv`` and ``u?*v``. Memory
+is the peak of the process so far.
 """
 
 from __future__ import annotations
@@ -43,11 +43,11 @@ PRINTABLE = Universe(Charset(((0x20, 0x7E),)))
 LIMIT = 10.0
 """Seconds for a question."""
 EXACT = 0.8
-"""How many of the patterns are exact names."""
+"""Share of the patterns that are names."""
 
 
 def patterns(size: int) -> list[str]:
-    """Return as many different expressions, the same on every run."""
+    """Return different expressions, the same on every run."""
     dice = random.Random(size)
     found: dict[str, None] = {}
     while len(found) < size:
@@ -58,7 +58,7 @@ def patterns(size: int) -> list[str]:
 
 
 def rewritten(expressions: Iterable[str]) -> Iterator[str]:
-    """Yield expressions for the same names, none of which has a wildcard pattern in common with those given."""
+    """Yield expressions that match the same names and have no wildcard pattern in common with those given."""
     for expression in expressions:
         if expression.startswith("*") and expression.endswith("*"):
             yield from (expression[1:], f"?{expression}", f"{expression[1:-1]}?*")
@@ -75,15 +75,15 @@ def decisions(denied: Iterable[str], allowed: Iterable[str]) -> DecisionList:
 
 
 def measured(a: DecisionList, b: DecisionList) -> tuple[ProofResult, float]:
-    """Return the outcome of a comparison, and the seconds that it took."""
+    """Return the result of a comparison and its duration in seconds."""
     start = time.perf_counter()
     budget = SearchBudget(5_000_000, lambda: time.perf_counter() - start < LIMIT)
-    found = difference(a, b, universe=PRINTABLE, budget=budget)
-    return found, time.perf_counter() - start
+    result = difference(a, b, universe=PRINTABLE, budget=budget)
+    return result, time.perf_counter() - start
 
 
 def memory() -> str:
-    """Return the peak of this process's memory."""
+    """Return the peak memory of this process."""
     return f"{resource.getrusage(resource.RUSAGE_SELF).ru_maxrss // 1024} MB"
 
 
@@ -146,10 +146,10 @@ HARD: dict[str, Callable[[], tuple[DecisionList, DecisionList]]] = {
 
 def hard() -> None:
     for name, make in HARD.items():
-        found, seconds = measured(*make())
-        said = found.reason if isinstance(found, Unknown) else ""
-        said = f"a difference: {found.word!r}" if isinstance(found, Witness) else said
-        print(f"{name:>24}  {type(found).__name__.lower():>8}  {seconds:>6.2f}s  {said}")
+        result, seconds = measured(*make())
+        note = result.reason if isinstance(result, Unknown) else ""
+        note = f"a difference: {result.word!r}" if isinstance(result, Witness) else note
+        print(f"{name:>24}  {type(result).__name__.lower():>8}  {seconds:>6.2f}s  {note}")
 
 
 def fleet(size: int) -> None:
@@ -171,7 +171,7 @@ def main() -> None:
     parser.add_argument("--fleet", type=int, default=1000)
     chosen = parser.parse_args()
     if chosen.fleet:
-        fleet(chosen.fleet)  # first: what the system says of the memory of children begins with that of their parent
+        fleet(chosen.fleet)  # first: the memory that the system reports of children includes that of their parent
     equality([int(each) for each in chosen.sizes.split(",")])
     hard()
 

@@ -1,4 +1,4 @@
-"""Names that differ by a slip of the pen: found by a walk through a tree of names, not by comparing all pairs."""
+"""Find names that differ by a typing mistake, by a walk through a trie instead of comparing all pairs."""
 
 from __future__ import annotations
 
@@ -7,11 +7,11 @@ from collections.abc import Iterable, Iterator
 from comarmor.patterns.steps import spend
 
 _END = ""
-"""The branch at which the names hang that end there."""
+"""The branch of a node that holds the name that ends there."""
 
 
 class NameTrie:
-    """Names, found by how few characters differ.
+    """Finds names by their edit distance.
 
     Args:
         names: names.
@@ -26,12 +26,12 @@ class NameTrie:
             node[_END] = name
 
     def near(self, name: str, most: int) -> Iterator[str]:
-        """Yield the names that so many insertions, deletions and replacements of a character turn into another one.
+        """Yield the names within a number of insertions, deletions and replacements of characters.
 
-        V. I. Levenshtein, "Binary codes capable of correcting deletions, insertions, and reversals", 1966. Steps are
-        counted for each branch of the tree that is looked at.
+        V. I. Levenshtein, "Binary codes capable of correcting deletions, insertions, and reversals", 1966. Every branch
+        of the trie that is visited counts as a step.
         """
-        first = {at: at for at in range(min(most, len(name)) + 1)}
+        first = {length: length for length in range(min(most, len(name)) + 1)}
         todo: list[tuple[dict[str, object], dict[int, int]]] = [(self._root, first)]
         while todo:
             node, row = todo.pop()
@@ -41,24 +41,25 @@ class NameTrie:
                     if row.get(len(name), most + 1) <= most:
                         yield str(below)
                     continue
-                after = _after(name, row, char, most)
-                if after and isinstance(below, dict):
-                    todo.append((below, after))
+                next_row = _next_row(name, row, char, most)
+                if next_row and isinstance(below, dict):
+                    todo.append((below, next_row))
 
 
-def _after(name: str, row: dict[int, int], char: str, most: int) -> dict[int, int]:
-    """Return the fewest edits for each prefix of a name, by its length, once a character more was read."""
-    found: dict[int, int] = {}
-    for at in sorted({*row, *(each + 1 for each in row)}):
-        if at > len(name):
+def _next_row(name: str, row: dict[int, int], char: str, most: int) -> dict[int, int]:
+    """Return the fewest edits for each length of a prefix of the name, after one more character of another name."""
+    edits_by_length: dict[int, int] = {}
+    for length in sorted({*row, *(each + 1 for each in row)}):
+        if length > len(name):
             break
-        edits = row.get(at, most) + 1
-        if at:
-            edits = min(edits, row.get(at - 1, most + 1) + (name[at - 1] != char), found.get(at - 1, most) + 1)
+        edits = row.get(length, most) + 1
+        if length:
+            replaced = row.get(length - 1, most + 1) + (name[length - 1] != char)
+            edits = min(edits, replaced, edits_by_length.get(length - 1, most) + 1)
         if edits <= most:
-            found[at] = edits
-    last = max(found, default=len(name))
-    while last < len(name) and found[last] < most:
-        found[last + 1] = found[last] + 1
+            edits_by_length[length] = edits
+    last = max(edits_by_length, default=len(name))
+    while last < len(name) and edits_by_length[last] < most:
+        edits_by_length[last + 1] = edits_by_length[last] + 1
         last += 1
-    return found
+    return edits_by_length

@@ -10,7 +10,7 @@ from collections.abc import Iterable, Iterator, Mapping
 from functools import partial
 
 from comarmor.errors import Diagnostic, Origin, Spot
-from comarmor.patterns.ros_names import advice
+from comarmor.patterns.possible_names import advice
 from keymint.analysis.attachment_mistakes import CODES as SLIPS
 from keymint.analysis.attachment_mistakes import attachment_mistakes
 from keymint.analysis.expression_origins import ExpressionOrigins

@@ -1,1 +1,1 @@
-"""The compiler: passes over the intermediate representation that no transport is needed for."""
+"""Compiler passes over patterns and names that know no transport."""

@@ -1,7 +1,7 @@
-"""Gathering names under few patterns that match exactly these names, and none besides.
+"""Replace names by fewer patterns that match exactly these names.
 
-Names that differ in one place only share a pattern with a set of characters there: ``axle1 axle2 axle3`` are
-``axle[123]``. Since the rest of the pattern is the same, it matches what the names together are, and nothing else.
+Names that differ in one position share a pattern with a set of characters there: ``axle1 axle2 axle3`` become
+``axle[123]``. The rest of the pattern is the same, so that it matches these names and no others.
 """
 
 from __future__ import annotations
@@ -10,52 +10,53 @@ from collections.abc import Iterable, Sequence
 from string import ascii_letters, digits
 
 MEMBERS = frozenset(ascii_letters + digits + "_")
-"""Characters that a set may hold: none of them has a meaning of its own there."""
-BEFORE = "-"
-"""No set is put before one of these, since some matchers take it for the middle of a range."""
+"""Characters that are allowed in a set: none of them is special there."""
+RANGE_MARK = "-"
+"""No set is put before it: Cyclone DDS reads it as a range."""
 
 Pattern = tuple[str, ...]
-"""What stands at each place: one character, or the members of a set, sorted."""
+"""For each position one character, or the sorted members of a set."""
 
 
 def gather(names: Iterable[str]) -> tuple[Pattern, ...]:
-    """Return patterns that match exactly some names; few, but not always the fewest.
+    """Return few patterns, not always the fewest, that match exactly some names.
 
     Args:
-        names: names; a character that is special elsewhere stands for itself.
+        names: names; special characters stand for themselves.
     """
     by_length: dict[int, set[Pattern]] = {}
     for name in names:
         by_length.setdefault(len(name), set()).add(tuple(name))
-    found: list[Pattern] = []
+    patterns: list[Pattern] = []
     for length, words in sorted(by_length.items()):
-        places = [at for at in range(length) if len({word[at] for word in words}) > 1]
-        # Which place goes first decides what is left for the others: numbers fold from the right, namespaces from left.
-        left, right = _folded(words, places), _folded(words, places[::-1])
-        found += left if len(left) < len(right) else right
-    return tuple(sorted(found))
+        positions = [index for index in range(length) if len({word[index] for word in words}) > 1]
+        # The order matters: numbers fold best from the right, namespaces from the left.
+        left, right = _fold(words, positions), _fold(words, positions[::-1])
+        patterns += left if len(left) < len(right) else right
+    return tuple(sorted(patterns))
 
 
-def _folded(words: Iterable[Pattern], places: Sequence[int]) -> list[Pattern]:
-    known = set(words)
+def _fold(words: Iterable[Pattern], positions: Sequence[int]) -> list[Pattern]:
+    """Fold at each position until nothing changes."""
+    patterns = set(words)
     count = 0
-    while len(known) != count:
-        count = len(known)
-        for at in places:
-            known = _folded_at(known, at)
-    return sorted(known)
+    while len(patterns) != count:
+        count = len(patterns)
+        for index in positions:
+            patterns = _fold_at(patterns, index)
+    return sorted(patterns)
 
 
-def _folded_at(words: Iterable[Pattern], at: int) -> set[Pattern]:
-    """Make one pattern of those that differ at one place only."""
-    alike: dict[tuple[Pattern, Pattern], list[str]] = {}
+def _fold_at(words: Iterable[Pattern], index: int) -> set[Pattern]:
+    """Replace patterns that differ only in one position by one pattern."""
+    groups: dict[tuple[Pattern, Pattern], list[str]] = {}
     for word in words:
-        alike.setdefault((word[:at], word[at + 1 :]), []).append(word[at])
-    found: set[Pattern] = set()
-    for (head, tail), members in alike.items():
-        fit = [each for each in members if MEMBERS.issuperset(each)] if tail[:1] != (BEFORE,) else []
-        rest = [each for each in members if each not in fit]
-        if fit:
-            rest.append("".join(sorted(set("".join(fit)))))
-        found.update((*head, each, *tail) for each in rest)
-    return found
+        groups.setdefault((word[:index], word[index + 1 :]), []).append(word[index])
+    patterns: set[Pattern] = set()
+    for (head, tail), members in groups.items():
+        foldable = [each for each in members if MEMBERS.issuperset(each)] if tail[:1] != (RANGE_MARK,) else []
+        choices = [each for each in members if each not in foldable]
+        if foldable:
+            choices.append("".join(sorted(set("".join(foldable)))))
+        patterns.update((*head, each, *tail) for each in choices)
+    return patterns

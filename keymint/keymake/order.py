@@ -1,8 +1,8 @@
-"""Deny overrides allow, said as a list in which the first match decides.
+"""Turn "deny overrides allow" into decision lists, in which the first matching block decides.
 
-:func:`arrange` turns two unordered sets of patterns into ``allow free; deny; allow rest`` and leaves out what has no
-effect. :func:`early_rules` finds what must be said earlier for readers that let a rule about one direction
-decide for the other, too.
+:func:`arrange` turns two unordered sets of patterns into ``allow free; deny; allow rest`` and drops patterns without
+effect. :func:`early_rules` returns what must come first for implementations in which a rule for one direction also
+decides about the other.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from comarmor.patterns.relations import TooComplexError, covers, disjoint, inter
 from comarmor.patterns.steps import spend
 
 MAX_PIECES = 1000
-"""Patterns that may be needed to say what must be said first; beyond, no handshake would carry the document."""
+"""Most patterns of early rules: a handshake could not carry a larger document."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -24,9 +24,9 @@ class Arrangement:
     """A decision list: allow ``free``, then deny ``deny``, then allow ``rest``, else deny.
 
     Attributes:
-        free: patterns that no deny touches; they may stand anywhere.
-        deny: patterns that take something away from ``rest``.
-        rest: patterns that a deny touches.
+        free: patterns that no denial overlaps; they may come anywhere.
+        deny: patterns that overlap ``rest``.
+        rest: patterns that a denial overlaps.
     """
 
     free: tuple[Glob, ...]
@@ -38,12 +38,12 @@ def arrange(allow: Iterable[Glob], deny: Iterable[Glob], *, reduced: bool = True
     """Return the decision list that permits the names of ``allow`` without those of ``deny``.
 
     Args:
-        allow: patterns of what is allowed.
-        deny: patterns of what is denied.
-        reduced: leave out every pattern without which the list means the same; else only denials that touch nothing.
+        allow: allowed patterns.
+        deny: denied patterns.
+        reduced: drop every pattern without effect; otherwise only denials that overlap no allowed pattern.
     """
     if not reduced:
-        return _in_full(tuple(dict.fromkeys(allow)), tuple(dict.fromkeys(deny)))
+        return _arrange_all(tuple(dict.fromkeys(allow)), tuple(dict.fromkeys(deny)))
     literals: list[tuple[str, Glob]] = []
     wild: list[Glob] = []
     for glob in dict.fromkeys(allow):
@@ -53,21 +53,21 @@ def arrange(allow: Iterable[Glob], deny: Iterable[Glob], *, reduced: bool = True
         else:
             literals.append((text, glob))
     if denied := tuple(deny):
-        exact = {text for glob in denied if (text := literal(glob)) is not None}
-        refuse = [matcher(glob) for glob in denied if literal(glob) is None]
-        spend(len(literals) * len(refuse) // 8)
+        denied_names = {text for glob in denied if (text := literal(glob)) is not None}
+        denies = [matcher(glob) for glob in denied if literal(glob) is None]
+        spend(len(literals) * len(denies) // 8)
         literals = [
             (text, glob)
             for text, glob in literals
-            if text not in exact and not any(refused(text) for refused in refuse)
+            if text not in denied_names and not any(matches(text) for matches in denies)
         ]
         wild = [glob for glob in wild if not any(covers(other, glob) for other in denied)]
     wild = maximal(wild)
     if wild:
         denied = tuple(maximal(d for d in denied if not all(disjoint(d, glob) for glob in wild)))
-        accept = [matcher(glob) for glob in wild]
-        spend(len(literals) * len(accept) // 8)
-        literals = [pair for pair in literals if not any(accepted(pair[0]) for accepted in accept)]
+        allows = [matcher(glob) for glob in wild]
+        spend(len(literals) * len(allows) // 8)
+        literals = [pair for pair in literals if not any(matches(pair[0]) for matches in allows)]
     else:
         denied = ()
     rest = tuple(glob for glob in wild if not all(disjoint(glob, other) for other in denied))
@@ -75,21 +75,22 @@ def arrange(allow: Iterable[Glob], deny: Iterable[Glob], *, reduced: bool = True
     return Arrangement(tuple(free), denied, rest)
 
 
-def _in_full(allow: tuple[Glob, ...], deny: tuple[Glob, ...]) -> Arrangement:
+def _arrange_all(allow: tuple[Glob, ...], deny: tuple[Glob, ...]) -> Arrangement:
+    """Return the decision list with every pattern, except denials that overlap no allowed pattern."""
     rest = tuple(glob for glob in allow if not all(disjoint(glob, other) for other in deny))
-    touching = tuple(other for other in deny if not all(disjoint(glob, other) for glob in rest))
-    touched = set(rest)
-    return Arrangement(tuple(glob for glob in allow if glob not in touched), touching, rest)
+    overlapping = tuple(other for other in deny if not all(disjoint(glob, other) for glob in rest))
+    in_rest = set(rest)
+    return Arrangement(tuple(glob for glob in allow if glob not in in_rest), overlapping, rest)
 
 
 @dataclass(frozen=True, slots=True)
 class EarlyRules:
-    """What must be allowed before the denials of the other direction are read.
+    """Rules that must come before the denials of the other direction.
 
     Attributes:
-        clean: patterns that no denial of their own direction touches.
-        deny: what is to be denied just before ``dirty`` is allowed; the other direction denies it as well.
-        dirty: patterns that ``deny`` punctures.
+        clean: patterns to allow that no denial of their own direction overlaps.
+        deny: patterns to deny before ``dirty`` is allowed; the other direction denies them as well.
+        dirty: patterns to allow that ``deny`` overlaps.
     """
 
     clean: tuple[Glob, ...] = ()
@@ -98,33 +99,33 @@ class EarlyRules:
 
 
 def early_rules(denies: Iterable[Glob], order: Arrangement) -> EarlyRules:
-    """Return patterns for every name that ``order`` permits and that ``denies`` match, and for none that it denies.
+    """Return rules for every name that ``order`` permits and ``denies`` match, and for none that ``order`` denies.
 
     Args:
         denies: patterns that the other direction denies.
-        order: what is permitted in this direction; its ``free`` part is said before anything else anyway.
+        order: the decision list of this direction; its ``free`` part comes first anyway.
 
     Raises:
-        TooComplexError: the patterns would be too many.
+        TooComplexError: this needs too many patterns.
     """
     denies = tuple(denies)
-    found: dict[Glob, None] = {}
+    overlaps: dict[Glob, None] = {}
     for deny in denies:
         for glob in order.rest:
-            found.update(dict.fromkeys(intersection(glob, deny)))
-        if len(found) > MAX_PIECES:
+            overlaps.update(dict.fromkeys(intersection(glob, deny)))
+        if len(overlaps) > MAX_PIECES:
             raise TooComplexError
     clean: list[Glob] = []
     dirty: list[Glob] = []
-    touching: dict[Glob, None] = {}
-    for piece in maximal(found):
+    overlapping: dict[Glob, None] = {}
+    for piece in maximal(overlaps):
         if any(covers(glob, piece) for glob in (*order.free, *order.deny)):
             continue
-        touched = [deny for deny in order.deny if not disjoint(deny, piece)]
-        touching.update(dict.fromkeys(touched))
-        (dirty if touched else clean).append(piece)
-    # Both directions deny these, so that it does no harm to deny them early, also beside the dirty pieces.
-    punctures = {piece: None for own in touching for deny in denies for piece in intersection(own, deny)}
-    if len(punctures) > MAX_PIECES:
+        own_denials = [deny for deny in order.deny if not disjoint(deny, piece)]
+        overlapping.update(dict.fromkeys(own_denials))
+        (dirty if own_denials else clean).append(piece)
+    # Both directions deny these names, so that denying them early does no harm, also outside of the dirty patterns.
+    denied = {piece: None for own in overlapping for deny in denies for piece in intersection(own, deny)}
+    if len(denied) > MAX_PIECES:
         raise TooComplexError
-    return EarlyRules(tuple(clean), tuple(maximal(punctures)), tuple(dirty))
+    return EarlyRules(tuple(clean), tuple(maximal(denied)), tuple(dirty))

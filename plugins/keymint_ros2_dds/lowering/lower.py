@@ -11,8 +11,8 @@ from dataclasses import dataclass
 from comarmor.errors import Diagnostic, Severity
 from comarmor.patterns import glob
 from comarmor.patterns.glob import Glob
+from comarmor.patterns.possible_names import advice, matches_ros_name
 from comarmor.patterns.printing import exact
-from comarmor.patterns.ros_names import advice, is_possible
 from comarmor.patterns.tokens import PatternError
 from comarmor.rules import Effect, parts
 from comarmor.text import did_you_mean
@@ -76,7 +76,7 @@ def lower(rules: SubjectRules, distro: str) -> Lowered:
             patterns = _patterns(expression, rule, distro)
             for action, pattern, partition in patterns:
                 side[action].setdefault((pattern, partition or partitions), rule)
-            if not patterns or not (rule.kind == _RAW_TOPIC or is_possible(_parse(expression, rule))):
+            if not patterns or not (rule.kind == _RAW_TOPIC or matches_ros_name(_parse(expression, rule))):
                 diagnostics.append(_never_matches(expression, rule, rules.subject))
     return Lowered(sides[Effect.ALLOW], sides[Effect.DENY], tuple(diagnostics))
 

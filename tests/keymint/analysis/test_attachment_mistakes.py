@@ -8,7 +8,7 @@ import pytest
 
 from comarmor.patterns.decision_lists import Equal
 from comarmor.patterns.glob import parse
-from comarmor.patterns.ros_names import advice, is_possible
+from comarmor.patterns.possible_names import advice, matches_ros_name
 from keymint.analysis.attachment_mistakes import attachment_mistakes
 from keymint.analysis.rule_lists import allow_only, find_permitted
 from keymint.analysis.subject_patterns import structure
@@ -109,7 +109,7 @@ def test_build_and_provision_warn_once(keymint, tmp_path: Path) -> None:
     ],
 )
 def test_names_that_no_object_can_have(keymint, tmp_path: Path, expression: str, told: str) -> None:
-    assert not is_possible(parse(expression))
+    assert not matches_ros_name(parse(expression))
     assert told in advice(expression)
     text = f"<profiles>{named('p', '/s', SCAN, rule(*PUB, expression))}</profiles>"
     (tmp_path / "p.xml").write_text(text)
@@ -155,4 +155,4 @@ def test_the_quick_decision_agrees_with_the_proof_engine() -> None:
     for text in texts:
         pattern = parse(text)
         proven = isinstance(find_permitted("ros_topic", allow_only(pattern)), Equal)
-        assert is_possible(pattern) is not proven, text
+        assert matches_ros_name(pattern) is not proven, text
