@@ -1,4 +1,4 @@
-"""Policy type ``keymint_ros2_comarmor``: ComArmor policies to the intermediate representation."""
+"""Policy type ``keymint_ros2_comarmor``: loads ComArmor policies, and learns them from graphs."""
 
 from __future__ import annotations
 
@@ -26,13 +26,13 @@ __all__ = ["ComArmorPolicyType", "policy_type"]
 
 @dataclass(frozen=True, slots=True)
 class ComArmorPolicy:
-    """A ComArmor policy, loaded once per command."""
+    """A loaded ComArmor policy, as :class:`keymint.api.LoadedPolicy`."""
 
     policy: comarmor.Policy
 
     @property
     def seen(self) -> Mapping[Path, bytes]:
-        """Every path that was looked at, with its fingerprint."""
+        """Every path that loading looked at, with its fingerprint."""
         return self.policy.seen
 
     def subjects(self) -> tuple[str, ...]:
@@ -52,7 +52,7 @@ class ComArmorPolicy:
         )
 
     def structure(self) -> PolicyStructure:
-        """Return the policy as it is written."""
+        """Return the structure of the policy."""
         from keymint_ros2_comarmor.structure import structure  # noqa: PLC0415 - few verbs need it
 
         return structure(self.policy)
@@ -67,18 +67,18 @@ class ComArmorPolicy:
 
 
 class ComArmorPolicyType:
-    """Acquires policy in the ComArmor profile language."""
+    """Loads policies in the ComArmor language."""
 
     API = "1.0"
 
     def load(
         self, sources: Sequence[PolicySource], library: Path | None, library_shown: Path | None = None
     ) -> ComArmorPolicy:
-        """Load policies as one: the union of their profiles.
+        """Load several policies as one: the union of their profiles.
 
         Args:
             sources: files or directories; includes of each are confined to its own folder.
-            library: a folder in which includes are looked up that a policy itself does not have.
+            library: a folder that is searched for included files which a policy does not have.
             library_shown: path of the library in messages and origins, if it will be copied there.
 
         Raises:
@@ -97,7 +97,7 @@ class ComArmorPolicyType:
         )
 
     def fingerprint(self, path: Path) -> bytes:
-        """Return what tells whether a path is still what it was when a policy was loaded."""
+        """Return a digest of a path that changes when a policy loaded from it may change."""
         return comarmor.language.source.fingerprint(path)
 
     def expectations(self, path: Path) -> Mapping[Path, Sequence[Expectation]]:
@@ -114,7 +114,7 @@ class ComArmorPolicyType:
         """See :func:`keymint_ros2_comarmor.learn.learn`.
 
         Raises:
-            KeymintError: the existing policy is not one of this type.
+            KeymintError: the existing policy is not of this type.
         """
         from keymint_ros2_comarmor.learn import learn  # noqa: PLC0415 - only this verb needs it
 

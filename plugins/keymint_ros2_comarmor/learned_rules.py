@@ -1,8 +1,9 @@
-"""What subjects need, folded into rules: over permissions, over attachments, over partitions."""
+"""The needs of subjects (permissions on objects in partitions), and the rules that grant them."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field
 
 from comarmor.errors import Origin
 from comarmor.language.syntax import Attachment, ProfileRule
@@ -11,41 +12,58 @@ from comarmor.rules import PERMISSIONS, Effect
 from keymint.graph import Edge
 
 Needs = dict[tuple[str, str], dict[str, set[str]]]
-"""By kind and name of an object: by permission the partitions, of which the default one is empty."""
+"""The partitions of each permission, by kind and name of the object; the default partition is the empty text."""
 Need = tuple[str, str, str, tuple[str, ...]]
-"""Kind, attachment, permission, and partitions: nothing for the default one."""
+"""Kind, attachment or name, permission, and partitions; no partitions means the default one."""
 
 NOWHERE = Origin("learned")
-"""Rules that are learned are written nowhere yet."""
+"""The origin of learned rules, which are not in a file yet."""
 _KINDS = tuple(PERMISSIONS)
 
 
+@dataclass(frozen=True, slots=True)
+class CommonPart:
+    """An included file with the needs that several subjects share.
+
+    Attributes:
+        name: file name.
+        subjects: the subjects that include it.
+        needs: the shared needs, as attachments that may contain ``{namespace}`` and ``{name}``.
+        covered: for each subject, its own needs (with names) that the file covers.
+    """
+
+    name: str
+    subjects: tuple[str, ...]
+    needs: frozenset[Need]
+    covered: Mapping[str, frozenset[Need]] = field(repr=False)
+
+
 def grant_of(edge: Edge) -> tuple[str, str, str, tuple[str, ...]]:
-    """Return kind, name, permission and partitions that an edge is about; the default partition is the empty one."""
+    """Return kind, name, permission and partitions of an edge; the default partition is the empty text."""
     return edge.object.kind, edge.object.name, edge.permission, edge.object.partitions or ("",)
 
 
 def flat(needs: Needs) -> Iterable[Need]:
-    """Yield the needs of a subject one by one, names not yet turned into attachments."""
+    """Yield the needs of a subject one by one, with names."""
     for (kind, name), permissions in needs.items():
         for permission, partitions in permissions.items():
             yield kind, name, permission, () if partitions == {""} else tuple(sorted(partitions))
 
 
 def fold(needs: Iterable[Need]) -> tuple[ProfileRule, ...]:
-    """Return the fewest rules in which every object stands once for each of its lists of partitions, in their order.
+    """Return the fewest rules that grant needs, sorted; each object occurs once for each list of partitions.
 
     Args:
-        needs: with attachments, not names.
+        needs: needs with attachments, not names.
     """
     permissions: dict[tuple[str, str, tuple[str, ...]], set[str]] = {}
     for kind, attachment, permission, partitions in needs:
         permissions.setdefault((kind, attachment, partitions), set()).add(permission)
     attachments: dict[tuple[str, tuple[str, ...], tuple[str, ...]], set[str]] = {}
-    for (kind, attachment, partitions), held in permissions.items():
-        ordered = tuple(permission for permission in PERMISSIONS[kind] if permission in held)
+    for (kind, attachment, partitions), granted in permissions.items():
+        ordered = tuple(permission for permission in PERMISSIONS[kind] if permission in granted)
         attachments.setdefault((kind, ordered, partitions), set()).add(attachment)
-    return tuple(_rule(*key, sorted(found)) for key, found in sorted(attachments.items(), key=_order))
+    return tuple(_rule(*key, sorted(texts)) for key, texts in sorted(attachments.items(), key=_order))
 
 
 def _order(item: tuple[tuple[str, tuple[str, ...], tuple[str, ...]], set[str]]) -> tuple[object, ...]:
@@ -67,24 +85,24 @@ def _rule(kind: str, permissions: tuple[str, ...], partitions: tuple[str, ...], 
 
 
 def literal(need: Need) -> Need:
-    """Return a need whose name is an attachment that matches nothing else."""
+    """Return a need with an attachment that matches only its name."""
     kind, name, permission, partitions = need
     return kind, escape(name), permission, partitions
 
 
 def templates(need: Need, subject: str) -> tuple[Need, ...]:
-    """Return a need in all ways that can be common to subjects: as it is, and relative to the subject's own name."""
+    """Return the attachments of a need that subjects may share: literal, and relative to the subject's name."""
     kind, name, permission, partitions = need
-    found = [escape(name)]
+    texts = [escape(name)]
     namespace = subject[: subject.rindex("/") + 1]
     if kind != "topic":
         if name == subject or name.startswith(f"{subject}/"):
-            found.append("{namespace}{name}" + escape(name.removeprefix(subject)))
+            texts.append("{namespace}{name}" + escape(name.removeprefix(subject)))
         elif name.startswith(namespace) and namespace != "/":
-            found.append("{namespace}" + escape(name.removeprefix(namespace)))
-    return tuple((kind, text, permission, partitions) for text in found)
+            texts.append("{namespace}" + escape(name.removeprefix(namespace)))
+    return tuple((kind, text, permission, partitions) for text in texts)
 
 
 def literal_needs(needs: Mapping[str, Needs]) -> dict[str, set[Need]]:
-    """Return what each subject needs, one by one, with names."""
-    return {subject: set(flat(found)) for subject, found in needs.items()}
+    """Return the needs of each subject one by one, with names."""
+    return {subject: set(flat(own_needs)) for subject, own_needs in needs.items()}
