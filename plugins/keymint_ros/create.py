@@ -66,7 +66,7 @@ def _permissions(
             raise
         former = {path + FORMER: current} if old and path + FORMER not in existing else {}
         return {**former, path: new}  # the backup first, so that a killed run loses nothing
-    if permissions.says(grant, rules) or (not force and _keeps_edit(grant, permissions.digest(rules.rules), file)):
+    if permissions.has_rules(grant, rules) or (not force and _keeps_edit(grant, permissions.digest(rules.rules), file)):
         return {}
     return {path: permissions_writer.render(rules, base, name=grant.name, overrides=grant.overrides)}
 

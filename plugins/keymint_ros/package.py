@@ -242,7 +242,7 @@ def rule_places(name: str, folder: str, files: Mapping[str, bytes]) -> tuple[Ori
     part = manifest.read(file_in(files, MARKER, Origin(folder), "package"), marker).permissions
     path = normal_path(part.path, Origin(marker, part.line))
     grant = permissions.read(files.get(path, b""), f"{folder}/{path}", f"/{name}")
-    return tuple(Origin(f"{folder}/{path}", rule.line) for rule in grant.rules)
+    return tuple(Origin(f"{folder}/{path}", place.line) for place in grant.places)
 
 
 def _attempt(part: Callable[[], _T], diagnostics: list[Diagnostic]) -> _T | None:

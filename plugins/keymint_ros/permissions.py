@@ -1,8 +1,8 @@
-"""``permissions.xml``: the policy's rules for one subject as a document that a person can read and edit.
+"""Reads ``permissions.xml``: the policy's rules for one subject as a document that a person can read and edit.
 
-It is the intermediate representation in the vocabulary of ComArmor, flat and fully expanded. The root carries a digest
-of the rules as the policy said them, so that an edit by hand is recognised without any other state, in the way that
-dpkg recognises an edited configuration file.
+It has the rules of the intermediate representation in the vocabulary of ComArmor, flat and fully expanded. The root has
+a digest of the policy's rules, so that manual edits are recognised without any other state, as dpkg does for
+configuration files.
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ import hashlib
 import posixpath
 import re
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import TYPE_CHECKING
 from urllib.parse import unquote
@@ -32,7 +32,7 @@ if TYPE_CHECKING:
     from keymint.api import DomainRange, Validity
 
 OLD_FORMAT = "permissions-format"
-"""Code of the error that a document of the format of 2018 is."""
+"""Code of the error for a document in the format of 2018."""
 
 _EFFECTS = {effect.value: effect for effect in Effect}
 _PLACEHOLDER = re.compile(r"@?\{\w+\}")
@@ -40,22 +40,8 @@ _OVERRIDES = ("domains", "subject_name", "validity")
 
 
 @dataclass(frozen=True, slots=True)
-class WrittenRule:
-    """A rule of the document: the fields of :class:`keymint.ir.Rule`, its line, and the origin as it is written."""
-
-    effect: Effect
-    kind: str
-    permissions: tuple[str, ...]
-    expressions: tuple[str, ...]
-    partitions: tuple[str, ...]
-    audit: bool
-    line: int
-    origin: str
-
-
-@dataclass(frozen=True, slots=True)
 class Grant:
-    """What the document says.
+    """The grant of a package.
 
     Attributes:
         line: line of the grant.
@@ -63,10 +49,11 @@ class Grant:
         domains: empty where the defaults apply.
         subject_name: distinguished name, with placeholders; None where the default applies, as for the validity.
         validity: period of the grant.
-        rules: the rules in order.
-        base: digest of the rules that the policy said when the document was written; empty if that is not known.
-        current: digest of the rules as they were read.
-        overrides: the XML of what a person set in place of the defaults.
+        rules: the rules in order, with the origin that the document states, or their place in the document.
+        places: the place of each rule in the document.
+        base: digest of the policy's rules when the document was written; empty if it is not known.
+        current: digest of the rules in the document.
+        overrides: the XML elements that a person set to override the defaults.
     """
 
     line: int
@@ -74,19 +61,20 @@ class Grant:
     domains: tuple[DomainRange, ...]
     subject_name: str | None
     validity: Validity | None
-    rules: tuple[WrittenRule, ...]
+    rules: tuple[Rule, ...]
+    places: tuple[Origin, ...]
     base: str
     current: str
     overrides: tuple[str, ...]
 
     @property
     def edited(self) -> bool:
-        """Whether the rules are no longer those that the policy said."""
+        """Whether the rules differ from those that the policy had when the document was written."""
         return self.base != self.current
 
 
-def digest(rules: Iterable[Rule | WrittenRule]) -> str:
-    """Return ``sha256:…`` of what rules mean: without their order and without where they come from."""
+def digest(rules: Iterable[Rule]) -> str:
+    """Return the digest ``sha256:…`` of rules, independent of their order and their origins."""
     lines = sorted(
         "\x1f".join(
             (
@@ -104,28 +92,28 @@ def digest(rules: Iterable[Rule | WrittenRule]) -> str:
 
 
 def _old(content: bytes, name: str) -> Origin | None:
-    """Return where the grant of a document of 2018 is, with ``allow_rule`` and ``deny_rule``; None for any other one.
+    """Return the place of a rule in a document of 2018, which has ``allow_rule`` and ``deny_rule``; else None.
 
     Raises:
-        KeymintError: it is not well-formed.
+        KeymintError: the document is not well-formed.
     """
     root = document.parse(content, name)
     for tag in ("allow_rule", "deny_rule", "default"):
-        if (found := root.find(f"permissions/grant/{tag}")) is not None and "format" not in root.attrib:
-            return Origin(name, line(found))
+        if (element := root.find(f"permissions/grant/{tag}")) is not None and "format" not in root.attrib:
+            return Origin(name, line(element))
     return None
 
 
 def read(content: bytes, name: str, subject: str) -> Grant:
-    """Return what a ``permissions.xml`` says.
+    """Return the grant of a ``permissions.xml``.
 
     Args:
         content: the document.
-        name: its path as the user would type it.
-        subject: the subject it is about, for messages.
+        name: its path, for messages.
+        subject: its subject, for messages.
 
     Raises:
-        KeymintError: it is not valid, or in the format of 2018.
+        KeymintError: the document is not valid, or in the format of 2018.
     """
     try:
         return _read(content, name)
@@ -144,7 +132,8 @@ def read(content: bytes, name: str, subject: str) -> Grant:
 def _grant(root: etree._Element) -> Grant:
     (grant,) = root.iterfind("permissions/grant")
     own = {part.tag: part for part in grant if part.tag in _OVERRIDES}
-    rules = tuple(_rule(rule) for rule in grant if rule.tag not in _OVERRIDES)
+    elements = [part for part in grant if part.tag not in _OVERRIDES]
+    rules = tuple(map(_rule, elements))
     base, current = root.get("digest", "").strip(), digest(rules)
     if base != current:
         _check_edited(grant)
@@ -155,6 +144,7 @@ def _grant(root: etree._Element) -> Grant:
         subject_name=placeholders.read(own.get("subject_name"), placeholders.SUBJECT),
         validity=validity.read(own.get("validity")),
         rules=rules,
+        places=tuple(map(place, elements)),
         base=base,
         current=current,
         overrides=tuple(etree.tostring(part, encoding="unicode", with_tail=False) for part in own.values()),
@@ -164,7 +154,7 @@ def _grant(root: etree._Element) -> Grant:
 _read = Reader("permissions", _grant)
 
 
-def _rule(element: etree._Element) -> WrittenRule:
+def _rule(element: etree._Element) -> Rule:
     expressions, partitions, permissions = [], [], []
     for part in element:
         if part.tag == "attachment":
@@ -173,20 +163,19 @@ def _rule(element: etree._Element) -> WrittenRule:
             permissions += [str(permission.tag) for permission in part]
         else:
             partitions += [strip(partition.text or "") for partition in part]
-    return WrittenRule(
+    return Rule(
         effect=_EFFECTS[element.get("qualifier", "").strip()],
         kind=str(element.tag),
         permissions=tuple(dict.fromkeys(permissions)),
         expressions=tuple(expressions),
         partitions=tuple(partitions),
         audit=element.get("modifier") is not None,
-        line=line(element),
-        origin=element.get("origin", ""),
+        origin=_origin(element.get("origin", "")) or place(element),
     )
 
 
 def _check_edited(grant: etree._Element) -> None:
-    """Check the expressions that a person wrote; those of the policy were checked with it."""
+    """Check the expressions of an edited document; those of the policy were checked with the policy."""
     for tag in ("attachment", "partition"):
         for element in grant.iter(tag):
             expression = strip(element.text or "")
@@ -196,79 +185,75 @@ def _check_edited(grant: etree._Element) -> None:
                     if expression
                     else "the attachment is empty",
                     where=place(element),
-                    help="write the whole name or expression, e.g. /robot1/chatter",
+                    help="write the full name or expression, e.g. /robot1/chatter",
                     code="expression-invalid",
                 )
             try:
                 parse_expression(expression)
             except (ComArmorError, ValueError) as error:
-                said = error.diagnostics[0] if isinstance(error, ComArmorError) else None
+                diagnostic = error.diagnostics[0] if isinstance(error, ComArmorError) else None
                 raise KeymintError(
-                    said.message if said else str(error),
+                    diagnostic.message if diagnostic else str(error),
                     where=place(element),
-                    help=(said.help if said else "") or "expressions are those of POSIX fnmatch; '\\' escapes",
+                    help=(diagnostic.help if diagnostic else "")
+                    or "expressions are those of POSIX fnmatch; '\\' escapes",
                     code="expression-invalid",
                 ) from None
 
 
-def says(grant: Grant, rules: SubjectRules) -> bool:
-    """Tell whether a document has exactly these rules in this order, as far as a reader sees.
+def has_rules(grant: Grant, rules: SubjectRules) -> bool:
+    """Tell whether a document has exactly these rules in this order.
 
-    The folders of their origins do not count: they depend on where the tool is called.
+    The folders of their origins are ignored, since they depend on the current folder.
     """
     if grant.edited or len(grant.rules) != len(rules.rules):
         return False
     return all(
-        (one.effect, one.kind, one.permissions, one.expressions, one.partitions, one.audit)
-        == (other.effect, other.kind, other.permissions, other.expressions, other.partitions, other.audit)
-        and _spots(_origin(one.origin, "")) == _spots(other.origin)
-        for one, other in zip(grant.rules, rules.rules, strict=True)
+        rule == replace(other, origin=rule.origin) and _places(rule.origin) == _places(other.origin)
+        for rule, other in zip(grant.rules, rules.rules, strict=True)
     )
 
 
-def _spots(origin: Origin | None) -> list[tuple[str, int]]:
-    """Return names of files, without their folders, and lines."""
-    return [] if origin is None else [(posixpath.basename(one.file), one.line) for one in (origin, *origin.chain)]
+def _places(origin: Origin) -> list[tuple[str, int]]:
+    """Return the names of files, without their folders, and lines."""
+    return [(posixpath.basename(each.file), each.line) for each in (origin, *origin.chain)]
 
 
 def to_ir(grant: Grant, subject: str, file: str, base: str) -> SubjectRules:
     """Return the rules of a document.
 
-    Rules that a person edited come from the document itself; others from where the policy says them.
+    The origin of a rule is its place in the policy, or in the document if the document was edited.
 
     Args:
         grant: the document.
         subject: the subject.
-        file: the document's path as the user would type it.
+        file: the document's path, for messages.
         base: folder that origins are relative to.
     """
-    edited = grant.edited
-    return SubjectRules(
-        subject,
-        tuple(
-            Rule(
-                rule.effect,
-                rule.kind,
-                rule.permissions,
-                rule.expressions,
-                rule.partitions,
-                rule.audit,
-                (not edited and _origin(rule.origin, base)) or Origin(file, rule.line),
-            )
-            for rule in grant.rules
-        ),
-    )
+    rules = []
+    for rule, place_ in zip(grant.rules, grant.places, strict=True):
+        in_document = grant.edited or rule.origin == place_
+        rules.append(replace(rule, origin=Origin(file, place_.line) if in_document else _in(base, rule.origin)))
+    return SubjectRules(subject, tuple(rules))
 
 
 @lru_cache(maxsize=4096)
-def _origin(written: str, base: str) -> Origin | None:
-    """Return the origin that ``file:line; file:line`` says, or None when it does not say one."""
+def _origin(text: str) -> Origin | None:
+    """Return the origin in a text ``file:line; file:line``, or None if it has another form."""
     places = []
-    for item in written.split("; "):
+    for item in text.split("; "):
         path, _, number = item.rpartition(":")
         if not path or not (number.isascii() and number.isdigit()):
             return None
-        plain = unquote(path, errors="surrogateescape") if "%" in path else path
-        places.append((plain if plain.startswith("/") else posixpath.normpath(base + plain), int(number)))
-    chain = tuple(Origin(*one) for one in places[1:])
-    return Origin(*places[0], chain)
+        places.append(Origin(unquote(path, errors="surrogateescape") if "%" in path else path, int(number)))
+    return replace(places[0], chain=tuple(places[1:]))
+
+
+@lru_cache(maxsize=4096)
+def _in(base: str, origin: Origin) -> Origin:
+    """Return an origin with its relative paths in a folder."""
+    first, *chain = (
+        Origin(each.file if each.file.startswith("/") else posixpath.normpath(base + each.file), each.line)
+        for each in (origin, *origin.chain)
+    )
+    return replace(first, chain=tuple(chain))
