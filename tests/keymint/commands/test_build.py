@@ -27,22 +27,6 @@ def test_unsigned_documents_and_a_key(keymint, ws: Path) -> None:
     assert not (ws / "install").exists()
 
 
-def test_again_writes_nothing(keymint, ws: Path) -> None:
-    keymint("build", cwd=ws)
-    before = snapshot(ws)
-    outcome = keymint("build", cwd=ws)
-    assert "nothing to do: 2 packages up to date" in outcome.out
-    assert snapshot(ws) == before
-
-
-def test_a_lost_record_is_no_reason_to_write_documents(keymint, ws: Path) -> None:
-    keymint("build", cwd=ws)
-    before = snapshot(ws / "build"), snapshot(ws / "private")
-    (ws / ".keymint/state.json").write_text("{")
-    assert keymint("build", cwd=ws).code == 0
-    assert (snapshot(ws / "build"), snapshot(ws / "private")) == before
-
-
 def test_one_package_by_name(keymint, ws: Path) -> None:
     assert keymint("build", "/robot1/listener", cwd=ws).code == 0
     assert not (ws / "build/talker").exists()
@@ -54,108 +38,12 @@ def test_an_unknown_package(keymint, ws: Path) -> None:
     assert "did you mean 'robot1/listener'?" in outcome.err
 
 
-def test_a_defect_in_one_package_stops_all_before_the_first_byte(keymint, ws: Path) -> None:
-    path = ws / "src/talker/permissions.xml"
-    path.write_text(path.read_text().replace("<attachment>/chatter", "<attachmnt>/chatter"))
-    before = snapshot(ws)
-    outcome = keymint("build", cwd=ws)
-    assert outcome.code == 1
-    assert outcome.err.startswith("src/talker/permissions.xml:")
-    assert snapshot(ws) == before
-
-
-def test_only_what_changed_is_built_anew(keymint, ws: Path, policy: Path) -> None:
-    keymint("build", cwd=ws)
-    before = snapshot(ws / "build/robot1/listener")
-    policy.write_text(policy.read_text().replace("<permissions><ros_publish/>", "<permissions><ros_subscribe/>"))
-    keymint("create", "--all", cwd=ws)
-    outcome = keymint("build", "-v", cwd=ws)
-    assert outcome.code == 0
-    assert snapshot(ws / "build/robot1/listener") == before
-    lines = outcome.out.splitlines()
-    assert any(line.split()[:3] == ["updated", "build", "talker"] for line in lines)
-    assert any(line.split()[:3] == ["unchanged", "build", "robot1/listener"] for line in lines)
-
-
 def test_documents_are_the_same_whatever_the_machine(keymint, policy: Path, tmp_path: Path) -> None:
     documents = []
     for name in ("one", "two"):
         assert keymint("provision", policy, "-w", name).code == 0
         documents.append({path: content for path, (_, _, content) in snapshot(tmp_path / name / "build").items()})
     assert documents[0] == documents[1]
-
-
-class TestKeys:
-    def test_are_kept(self, keymint, ws: Path) -> None:
-        keymint("build", cwd=ws)
-        key = (ws / "private/identities/talker/key.pem").read_bytes()
-        keymint("build", "-f", cwd=ws)
-        assert (ws / "private/identities/talker/key.pem").read_bytes() == key
-
-    def test_are_replaced_on_request(self, keymint, ws: Path) -> None:
-        keymint("build", cwd=ws)
-        key = (ws / "private/identities/talker/key.pem").read_bytes()
-        other = (ws / "private/identities/robot1/listener/key.pem").read_bytes()
-        assert keymint("build", "--renew", "talker", cwd=ws).code == 0
-        assert (ws / "private/identities/talker/key.pem").read_bytes() != key
-        assert (ws / "private/identities/robot1/listener/key.pem").read_bytes() == other
-
-    def test_of_another_kind_than_asked_for_are_refused(self, keymint, ws: Path) -> None:
-        keymint("build", cwd=ws)
-        path = ws / "profile/package.defaults/identities.xml"
-        text = path.read_text()
-        assert "SECP256R1" in text
-        path.write_text(
-            text.replace("<ec>", "<rsa>")
-            .replace("</ec>", "</rsa>")
-            .replace("<curve>SECP256R1</curve>", "<key_size>2048</key_size>")
-        )
-        outcome = keymint("build", cwd=ws)
-        assert outcome.code == 1
-        assert "private/identities/talker/key.pem: error: is not an RSA key of 2048 bits" in outcome.err
-        assert keymint("build", "--renew", cwd=ws).code == 0
-
-    def test_that_are_damaged_are_said_to_be_without_being_shown(self, keymint, ws: Path) -> None:
-        keymint("build", cwd=ws)
-        path = ws / "private/identities/talker/key.pem"
-        content = path.read_text()
-        path.write_text(content.replace("-----BEGIN", "----BEGIN"))
-        (ws / ".keymint/state.json").unlink()
-        outcome = keymint("build", cwd=ws)
-        assert outcome.code == 1
-        assert "private/identities/talker/key.pem" in outcome.err
-        assert content.splitlines()[1] not in outcome.err
-
-
-class TestEditsByHand:
-    def edit(self, ws: Path) -> Path:
-        path = ws / "build/talker/permissions.xml"
-        path.write_text(path.read_text().replace("rt/chatter", "rt/edited"))
-        return path
-
-    def test_are_kept_and_said(self, keymint, ws: Path) -> None:
-        keymint("build", cwd=ws)
-        path = self.edit(ws)
-        outcome = keymint("build", cwd=ws)
-        assert outcome.code == 0
-        assert "permissions.xml edited by hand" in outcome.out
-        assert "rt/edited" in path.read_text()
-
-    def test_and_changed_sources_are_a_conflict(self, keymint, ws: Path, policy: Path) -> None:
-        keymint("build", cwd=ws)
-        path = self.edit(ws)
-        policy.write_text(policy.read_text().replace("/chatter", "/other"))
-        keymint("create", "--all", cwd=ws)
-        outcome = keymint("build", cwd=ws)
-        assert outcome.code == 1
-        assert "build/talker/permissions.xml: error: was edited by hand" in outcome.err
-        assert "rt/edited" in path.read_text()
-
-    def test_are_discarded_with_force(self, keymint, ws: Path) -> None:
-        keymint("build", cwd=ws)
-        path = self.edit(ws)
-        assert keymint("build", "-f", "talker", cwd=ws).code == 0
-        assert "rt/edited" not in path.read_text()
 
 
 PORTABILITY = """<profiles><profile name="p"><attachment>/cam</attachment>

@@ -71,66 +71,6 @@ def test_without_a_name_it_is_a_usage_error(keymint, ws: Path) -> None:
     assert "--all" in outcome.err
 
 
-def test_again_writes_nothing(keymint, ws: Path) -> None:
-    keymint("create", "--all", cwd=ws)
-    outcome = keymint("create", "--all", cwd=ws)
-    assert "nothing to do: 1 package up to date" in outcome.out
-
-
-def test_a_changed_policy_reaches_existing_packages(keymint, ws: Path, tmp_path: Path) -> None:
-    keymint("create", "--all", "robot2/driver", cwd=ws)
-    (tmp_path / "p.xml").write_text(PROFILE.replace("{namespace}cmd", "{namespace}command"))
-    assert keymint("create", "--all", cwd=ws).code == 0
-    for robot in ("robot1", "robot2"):
-        assert f"/{robot}/command" in (ws / f"src/{robot}/driver/permissions.xml").read_text()
-
-
-def test_permissions_that_are_withdrawn_do_not_live_on(keymint, ws: Path, tmp_path: Path) -> None:
-    keymint("create", "--all", "robot2/driver", cwd=ws)
-    (tmp_path / "p.xml").write_text(
-        "<profiles><profile name='o'><attachment>/robot1/driver</attachment></profile></profiles>"
-    )
-    outcome = keymint("create", "--all", cwd=ws)
-    assert outcome.code == 0
-    assert "no profile of the policy applies to /robot2/driver any more" in outcome.err
-    assert "/robot2/cmd" not in (ws / "src/robot2/driver/permissions.xml").read_text()
-
-
-class TestEditsByHand:
-    """Three versions: written last, there now, to be written."""
-
-    def edit(self, ws: Path) -> Path:
-        path = ws / "src/robot1/driver/permissions.xml"
-        path.write_text(path.read_text().replace("/robot1/cmd", "/robot1/cmd_edited"))
-        return path
-
-    def test_an_edit_is_kept_while_the_policy_does_not_change(self, keymint, ws: Path) -> None:
-        keymint("create", "--all", cwd=ws)
-        path = self.edit(ws)
-        assert keymint("create", "--all", cwd=ws).code == 0
-        assert "cmd_edited" in path.read_text()
-
-    def test_an_edit_and_a_changed_policy_are_a_conflict(self, keymint, ws: Path, tmp_path: Path) -> None:
-        keymint("create", "--all", cwd=ws)
-        path = self.edit(ws)
-        (tmp_path / "p.xml").write_text(PROFILE.replace("{namespace}cmd", "{namespace}other"))
-        outcome = keymint("create", "--all", cwd=ws)
-        assert outcome.code == 1
-        assert "src/robot1/driver/permissions.xml" in outcome.err
-        assert "--force" in outcome.err
-        assert "cmd_edited" in path.read_text()
-        assert keymint("create", "--all", "--force", cwd=ws).code == 0
-        assert "/robot1/other" in path.read_text()
-
-    def test_other_files_of_a_package_are_never_touched(self, keymint, ws: Path, tmp_path: Path) -> None:
-        keymint("create", "--all", cwd=ws)
-        path = ws / "src/robot1/driver/governance.xml"
-        path.write_text(path.read_text() + "<!-- mine -->\n")
-        (tmp_path / "p.xml").write_text(PROFILE.replace("{namespace}cmd", "{namespace}other"))
-        assert keymint("create", "--all", cwd=ws).code == 0
-        assert path.read_text().endswith("<!-- mine -->\n")
-
-
 def test_the_workspace_is_found_upward(keymint, ws: Path) -> None:
     deep = ws / "profile/comarmor.d"
     assert keymint("create", "--all", cwd=deep).code == 0
@@ -141,15 +81,3 @@ def test_outside_of_a_workspace(keymint, tmp_path: Path) -> None:
     outcome = keymint("create", "--all", cwd=tmp_path)
     assert outcome.code == 1
     assert "keymint init" in outcome.err
-
-
-def test_a_copy_of_a_workspace_follows_its_own_policy(keymint, tmp_path: Path) -> None:
-    import shutil
-
-    assert keymint("init", "one").code == 0
-    assert keymint("create", "--all", "-w", "one").code == 0
-    shutil.copytree(tmp_path / "one", tmp_path / "two")
-    policy = tmp_path / "two/profile/comarmor.d/talker_listener.xml"
-    policy.write_text(policy.read_text().replace("/chatter", "/other"))
-    assert keymint("create", "--all", "-w", "two").code == 0
-    assert "/other" in (tmp_path / "two/src/talker/permissions.xml").read_text()

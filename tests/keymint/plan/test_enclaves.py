@@ -192,3 +192,37 @@ class TestOneBadEnclave:
             outcome = keymint("check", "--json", cwd=ws)
             assert outcome.code == 3
             assert outcome.document["result"]["checked"] == ["/robot1/listener", "/talker"]
+
+
+class TestPrune:
+    def remove(self, ws: Path) -> None:
+        for path in (ws / "src/talker").iterdir():
+            path.unlink()
+        (ws / "src/talker").rmdir()
+
+    def test_an_enclave_without_a_package_is_reported(self, keymint, provisioned: Path) -> None:
+        self.remove(provisioned)
+        assert "orphaned" in keymint("status", cwd=provisioned).out
+        outcome = keymint("install", cwd=provisioned)
+        assert "the enclave /talker is installed, but has no source package" in outcome.err
+        assert (provisioned / "install/enclaves/talker/key.pem").is_file()
+
+    def test_and_removed_on_request(self, keymint, provisioned: Path) -> None:
+        self.remove(provisioned)
+        assert keymint("install", "--prune", cwd=provisioned).code == 0
+        assert not (provisioned / "install/enclaves/talker").exists()
+        assert (provisioned / "install/enclaves/robot1/listener/key.pem").is_file()
+        assert keymint("check", cwd=provisioned).code == 0
+
+    def test_enclaves_inside_of_it_stay(self, keymint, tmp_path: Path) -> None:
+        (tmp_path / "p.xml").write_text(
+            "<profiles><profile name='a'><attachments><attachment>/robot</attachment>"
+            "<attachment>/robot/arm</attachment></attachments></profile></profiles>"
+        )
+        assert keymint("provision", "p.xml", "-w", "ws").code == 0
+        ws = tmp_path / "ws"
+        for path in (ws / "src/robot").glob("*.xml"):
+            path.unlink()
+        assert keymint("install", "--prune", cwd=ws).code == 0
+        assert not (ws / "install/enclaves/robot/key.pem").exists()
+        assert (ws / "install/enclaves/robot/arm/key.pem").is_file()

@@ -1,4 +1,4 @@
-"""Keys and certificates that were swapped, lost or damaged: nothing is replaced by a new one without being asked."""
+"""Keys and certificates of authorities that were swapped, lost or damaged are never replaced without being asked."""
 
 from __future__ import annotations
 
@@ -157,24 +157,6 @@ def test_a_wrong_key_in_place_is_refused_with_the_choice(keymint, ws: Path) -> N
     assert not any(each["help"].startswith(("run 'keymint install'", "'keymint install'")) for each in found)
 
 
-def test_a_new_authority_takes_the_option(keymint, ws: Path) -> None:
-    shutil.copyfile(ws / AUTHORITY_KEYS[1], ws / AUTHORITY_KEYS[0])
-    before = trusted(ws)
-    dry = snapshot(ws)
-    assert keymint("install", "--new-authority", "identity_ca", "--dry-run", cwd=ws).code == 0
-    assert snapshot(ws) == dry
-    outcome = keymint("install", "--new-authority", "identity_ca", cwd=ws)
-    assert outcome.code == 0
-    assert "'identity_ca' is a new authority: no deployed enclave trusts it until all are redeployed" in outcome.err
-    after = trusted(ws)
-    changed = {name for name in before if before[name] != after[name]}
-    assert changed == {f"{enclave}/identity_ca.cert.pem" for enclave in ENCLAVES}
-    assert keymint("check", cwd=ws).code == 0
-    assert keymint("install", cwd=ws).out.startswith("nothing to do")
-    (ws / ".keymint/state.json").unlink()
-    assert keymint("install", cwd=ws).code == 0
-
-
 @pytest.mark.parametrize("name", ["identity_ca", "permissions_ca"])
 @pytest.mark.parametrize("damage", ["empty", "truncated", "flipped"])
 def test_a_damaged_key_of_an_authority_is_named_and_its_hint_replaces_no_other_key(
@@ -191,20 +173,6 @@ def test_a_damaged_key_of_an_authority_is_named_and_its_hint_replaces_no_other_k
     changed = {key.split("/")[-1] for key in before if before[key] != after[key]}
     assert changed == {f"{name}.cert.pem"}
     assert keymint("check", cwd=ws).code == 0
-
-
-@pytest.mark.parametrize(
-    ("words", "code", "said"),
-    [
-        (("--new-authority", "identity-ca"), 2, "did you mean 'identity_ca'?"),
-        (("talker", "--new-authority", "identity_ca"), 2, "leave the names of packages out"),
-    ],
-)
-def test_the_option_is_checked(keymint, ws: Path, words, code: int, said: str) -> None:
-    before = snapshot(ws)
-    outcome = keymint("install", *words, cwd=ws)
-    assert (outcome.code, said in outcome.err) == (code, True), outcome.err
-    assert snapshot(ws) == before
 
 
 def test_key_and_certificate_of_another_workspace_are_not_taken(keymint, made: Path, ws: Path) -> None:
@@ -244,57 +212,6 @@ def test_two_authorities_of_one_key(keymint, made: Path, tmp_path: Path) -> None
     assert keymint("check", cwd=ws).code == 0
 
 
-def test_longer_validity_keeps_key_and_name(keymint, ws: Path) -> None:
-    path = ws / "profile/profile.defaults/authorities.xml"
-    path.write_text(path.read_text().replace("<not_after>2037", "<not_after>2038"))
-    before = trusted(ws)
-    old = [(ws / each).read_bytes() for each in CERTIFICATES]
-    keymint("build", cwd=ws)
-    outcome = keymint("install", cwd=ws)
-    assert outcome.code == 0, outcome.err
-    assert outcome.err.count("is issued again, for the same key") == 2
-    assert trusted(ws) == before
-    assert all(each not in old for each in [(ws / each).read_bytes() for each in CERTIFICATES])
-    assert keymint("check", cwd=ws).code == 0
-
-
-@pytest.mark.parametrize(
-    ("old", "new", "said"),
-    [
-        ("CN={name}", "CN={name},O=Example", "is for 'CN=identity_ca'"),
-        ("SECP256R1", "SECP384R1", "is not an EC key on SECP384R1"),
-    ],
-)
-def test_another_name_or_kind_of_key_is_a_new_authority(keymint, ws: Path, old: str, new: str, said: str) -> None:
-    path = ws / "profile/profile.defaults/authorities.xml"
-    path.write_text(path.read_text().replace(old, new))
-    keymint("build", cwd=ws)
-    before = snapshot(ws)
-    outcome = keymint("install", cwd=ws)
-    assert outcome.code == 1
-    assert said in outcome.err
-    assert "--new-authority identity_ca" in outcome.err
-    assert snapshot(ws) == before
-    assert "--new-authority identity_ca" in keymint("check", cwd=ws).err
-    both = ("--new-authority", "identity_ca", "--new-authority", "permissions_ca")
-    assert keymint("install", *both, cwd=ws).code == 0
-    assert keymint("check", cwd=ws).code == 0
-
-
-def test_an_offline_authority_that_lost_its_certificate_is_not_made_anew(keymint, ws: Path) -> None:
-    for path in (CERTIFICATES[0], AUTHORITY_KEYS[0]):
-        (ws / path).unlink()
-    before = snapshot(ws)
-    outcome = keymint("install", cwd=ws)
-    assert outcome.code == 1
-    assert "--new-authority identity_ca" in outcome.err
-    assert snapshot(ws) == before
-    assert "authority-missing" in keymint("check", "--json", cwd=ws).codes()
-    shutil.copyfile(ws / "install/enclaves/talker/identity_ca.cert.pem", ws / CERTIFICATES[0])
-    assert keymint("install", cwd=ws).out.startswith("nothing to do")
-    assert keymint("check", cwd=ws).code == 0
-
-
 def test_before_anything_is_installed_keys_of_ones_own_are_taken(keymint, made: Path, tmp_path: Path) -> None:
     assert keymint("init", "own", "--policy", made / "policy.xml").code == 0
     own = tmp_path / "own"
@@ -320,60 +237,3 @@ def test_a_run_that_was_killed_between_key_and_certificate_is_carried_on(keymint
     assert keymint("install", cwd=ws).code == 0
     assert keymint("check", cwd=ws).code == 0
     assert keys.fingerprint(keys.from_pem((ws / path).read_bytes())) == keys.fingerprint(key)
-
-
-class TestIdentities:
-    def test_an_authoritys_key_never_reaches_a_robot(self, keymint, ws: Path) -> None:
-        shutil.copyfile(ws / AUTHORITY_KEYS[1], ws / IDENTITY_KEYS[0])
-        (ws / ".keymint/state.json").unlink()
-        shutil.rmtree(ws / "install")
-        outcome = keymint("install", cwd=ws)
-        assert outcome.code == 1
-        assert "is the private key of the authority 'permissions_ca'" in outcome.err
-        assert not (ws / "install").exists()
-        assert "key-of-authority" in keymint("check", "--json", cwd=ws).codes()
-
-    def test_two_subjects_with_one_key(self, keymint, ws: Path) -> None:
-        shutil.copyfile(ws / IDENTITY_KEYS[1], ws / IDENTITY_KEYS[0])
-        (ws / ".keymint/state.json").unlink()
-        for installed in (True, False):
-            if not installed:
-                shutil.rmtree(ws / "install")
-            outcome = keymint("install", cwd=ws)
-            assert outcome.code == 1
-            assert "private/identities/" in outcome.err
-            assert "key-shared" in keymint("check", "--json", cwd=ws).codes()
-
-    def test_a_replaced_key_is_mended_by_either_hint(self, keymint, ws: Path) -> None:
-        original = (ws / IDENTITY_KEYS[0]).read_bytes()
-        another_key(ws, ws / IDENTITY_KEYS[0])
-        outcome = keymint("install", cwd=ws)
-        assert outcome.code == 1
-        assert "is not the private key that /talker had: it was replaced" in outcome.err
-        assert "'keymint build talker'" in outcome.err
-        (ws / IDENTITY_KEYS[0]).unlink()
-        assert keymint("build", "talker", cwd=ws).code == 0
-        assert (ws / IDENTITY_KEYS[0]).read_bytes() == original
-        assert (ws / IDENTITY_KEYS[0]).stat().st_mode & 0o777 == 0o600
-        another_key(ws, ws / IDENTITY_KEYS[0])
-        assert "'keymint build --renew talker'" in keymint("check", cwd=ws).err
-        assert keymint("build", "--renew", "talker", cwd=ws).code == 0
-        assert keymint("install", cwd=ws).code == 0
-        assert keymint("check", cwd=ws).code == 0
-        assert public_key(ws / IDENTITY_KEYS[0]) != load_pem_private_key(original, None).public_key()
-
-    def test_a_key_that_is_nowhere_is_not_minted_without_being_asked(self, keymint, ws: Path) -> None:
-        (ws / IDENTITY_KEYS[0]).unlink()
-        (ws / "install/enclaves/talker/key.pem").unlink()
-        outcome = keymint("build", cwd=ws)
-        assert outcome.code == 1
-        assert "the private key of /talker is missing" in outcome.err
-        assert keymint("build", "--renew", "talker", cwd=ws).code == 0
-        assert keymint("install", cwd=ws).code == 0
-
-    def test_of_a_package_that_was_pruned_is_forgotten(self, keymint, ws: Path) -> None:
-        shutil.rmtree(ws / "src/talker")
-        assert keymint("install", "--prune", "--no-prove", cwd=ws).code == 0
-        shutil.rmtree(ws / "private/identities/talker")
-        for words in (("create", "--all"), ("build",), ("install",), ("check",)):
-            assert keymint(*words, cwd=ws).code == 0

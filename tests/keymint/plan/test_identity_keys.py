@@ -1,0 +1,144 @@
+"""Private keys of subjects: minted once, restored from the enclave, never replaced without being asked."""
+
+from __future__ import annotations
+
+import shutil
+from pathlib import Path
+
+import pytest
+from cryptography import x509
+from cryptography.hazmat.primitives.serialization import Encoding, PublicFormat, load_pem_private_key
+
+from keymint.pki import keys
+from tests.conftest import snapshot
+
+AUTHORITY_KEYS = ("private/identity_ca.key.pem", "private/permissions_ca.key.pem")
+
+
+IDENTITY_KEYS = ("private/identities/talker/key.pem", "private/identities/robot1/listener/key.pem")
+
+
+def public_key(path: Path) -> bytes:
+    """The public key of a file with a certificate or an unencrypted private key."""
+    content = path.read_bytes()
+    if b"CERTIFICATE" in content:
+        key = x509.load_pem_x509_certificates(content)[0].public_key()
+    else:
+        key = load_pem_private_key(content, None).public_key()
+    return key.public_bytes(Encoding.DER, PublicFormat.SubjectPublicKeyInfo)
+
+
+def content(ws: Path) -> dict[str, bytes]:
+    return {name: data for name, (_, _, data) in snapshot(ws).items() if not name.startswith(".keymint")}
+
+
+def another_key(_ws: Path, path: Path) -> None:
+    from keymint.api import KeySpec
+
+    path.write_bytes(keys.to_pem(keys.generate(KeySpec("ec", "SECP256R1"))))
+
+
+class TestIdentities:
+    def test_an_authoritys_key_never_reaches_a_robot(self, keymint, ws: Path) -> None:
+        shutil.copyfile(ws / AUTHORITY_KEYS[1], ws / IDENTITY_KEYS[0])
+        (ws / ".keymint/state.json").unlink()
+        shutil.rmtree(ws / "install")
+        outcome = keymint("install", cwd=ws)
+        assert outcome.code == 1
+        assert "is the private key of the authority 'permissions_ca'" in outcome.err
+        assert not (ws / "install").exists()
+        assert "key-of-authority" in keymint("check", "--json", cwd=ws).codes()
+
+    def test_two_subjects_with_one_key(self, keymint, ws: Path) -> None:
+        shutil.copyfile(ws / IDENTITY_KEYS[1], ws / IDENTITY_KEYS[0])
+        (ws / ".keymint/state.json").unlink()
+        for installed in (True, False):
+            if not installed:
+                shutil.rmtree(ws / "install")
+            outcome = keymint("install", cwd=ws)
+            assert outcome.code == 1
+            assert "private/identities/" in outcome.err
+            assert "key-shared" in keymint("check", "--json", cwd=ws).codes()
+
+    def test_a_replaced_key_is_mended_by_either_hint(self, keymint, ws: Path) -> None:
+        original = (ws / IDENTITY_KEYS[0]).read_bytes()
+        another_key(ws, ws / IDENTITY_KEYS[0])
+        outcome = keymint("install", cwd=ws)
+        assert outcome.code == 1
+        assert "is not the private key that /talker had: it was replaced" in outcome.err
+        assert "'keymint build talker'" in outcome.err
+        (ws / IDENTITY_KEYS[0]).unlink()
+        assert keymint("build", "talker", cwd=ws).code == 0
+        assert (ws / IDENTITY_KEYS[0]).read_bytes() == original
+        assert (ws / IDENTITY_KEYS[0]).stat().st_mode & 0o777 == 0o600
+        another_key(ws, ws / IDENTITY_KEYS[0])
+        assert "'keymint build --renew talker'" in keymint("check", cwd=ws).err
+        assert keymint("build", "--renew", "talker", cwd=ws).code == 0
+        assert keymint("install", cwd=ws).code == 0
+        assert keymint("check", cwd=ws).code == 0
+        assert public_key(ws / IDENTITY_KEYS[0]) != load_pem_private_key(original, None).public_key()
+
+    def test_a_key_that_is_nowhere_is_not_minted_without_being_asked(self, keymint, ws: Path) -> None:
+        (ws / IDENTITY_KEYS[0]).unlink()
+        (ws / "install/enclaves/talker/key.pem").unlink()
+        outcome = keymint("build", cwd=ws)
+        assert outcome.code == 1
+        assert "the private key of /talker is missing" in outcome.err
+        assert keymint("build", "--renew", "talker", cwd=ws).code == 0
+        assert keymint("install", cwd=ws).code == 0
+
+    def test_of_a_package_that_was_pruned_is_forgotten(self, keymint, ws: Path) -> None:
+        shutil.rmtree(ws / "src/talker")
+        assert keymint("install", "--prune", "--no-prove", cwd=ws).code == 0
+        shutil.rmtree(ws / "private/identities/talker")
+        for words in (("create", "--all"), ("build",), ("install",), ("check",)):
+            assert keymint(*words, cwd=ws).code == 0
+
+
+@pytest.fixture
+def created(keymint, policy: Path, tmp_path: Path) -> Path:
+    assert keymint("init", "ws", "--policy", policy).code == 0
+    assert keymint("create", "--all", "-w", "ws").code == 0
+    return tmp_path / "ws"
+
+
+class TestKeys:
+    def test_are_kept(self, keymint, created: Path) -> None:
+        keymint("build", cwd=created)
+        key = (created / "private/identities/talker/key.pem").read_bytes()
+        keymint("build", "-f", cwd=created)
+        assert (created / "private/identities/talker/key.pem").read_bytes() == key
+
+    def test_are_replaced_on_request(self, keymint, created: Path) -> None:
+        keymint("build", cwd=created)
+        key = (created / "private/identities/talker/key.pem").read_bytes()
+        other = (created / "private/identities/robot1/listener/key.pem").read_bytes()
+        assert keymint("build", "--renew", "talker", cwd=created).code == 0
+        assert (created / "private/identities/talker/key.pem").read_bytes() != key
+        assert (created / "private/identities/robot1/listener/key.pem").read_bytes() == other
+
+    def test_of_another_kind_than_asked_for_are_refused(self, keymint, created: Path) -> None:
+        keymint("build", cwd=created)
+        path = created / "profile/package.defaults/identities.xml"
+        text = path.read_text()
+        assert "SECP256R1" in text
+        path.write_text(
+            text.replace("<ec>", "<rsa>")
+            .replace("</ec>", "</rsa>")
+            .replace("<curve>SECP256R1</curve>", "<key_size>2048</key_size>")
+        )
+        outcome = keymint("build", cwd=created)
+        assert outcome.code == 1
+        assert "private/identities/talker/key.pem: error: is not an RSA key of 2048 bits" in outcome.err
+        assert keymint("build", "--renew", cwd=created).code == 0
+
+    def test_that_are_damaged_are_said_to_be_without_being_shown(self, keymint, created: Path) -> None:
+        keymint("build", cwd=created)
+        path = created / "private/identities/talker/key.pem"
+        content = path.read_text()
+        path.write_text(content.replace("-----BEGIN", "----BEGIN"))
+        (created / ".keymint/state.json").unlink()
+        outcome = keymint("build", cwd=created)
+        assert outcome.code == 1
+        assert "private/identities/talker/key.pem" in outcome.err
+        assert content.splitlines()[1] not in outcome.err
