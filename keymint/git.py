@@ -1,4 +1,4 @@
-"""Trees of files as they were at a revision: the one module that asks git."""
+"""Run git, and extract files of a revision. No other module runs git."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from keymint.errors import KeymintError
 
 _SECONDS = 120
 GIT_MISSING = "git-missing"
-"""Code of the error that git cannot be run."""
+"""Diagnostic code if git cannot be run."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -34,16 +34,16 @@ class Revision:
 
 
 def is_revision(text: str, folder: Path) -> bool:
-    """Tell whether a text is ``REV:path`` and not a file that has such a name."""
+    """Return True for ``REV:path``, unless a file has that name."""
     return ":" in text and not (folder / text).exists()
 
 
 @contextmanager
 def at_revision(text: str, folder: Path, environment: Mapping[str, str]) -> Iterator[Revision]:
-    """Yield a path as it was at a revision, in a temporary folder that goes afterwards.
+    """Extract a path of a revision to a temporary folder that is removed afterwards.
 
     Args:
-        text: ``REV:path``; as with git the path is relative to the repository, or with ``./`` to the folder.
+        text: ``REV:path``; as in git, the path is relative to the repository, or with ``./`` to the folder.
         folder: a folder of the repository.
         environment: environment variables for git.
 
@@ -52,7 +52,7 @@ def at_revision(text: str, folder: Path, environment: Mapping[str, str]) -> Iter
     """
     name, _, path = text.partition(":")
     if not name or name.startswith("-"):
-        raise KeymintError(f"{text!r} names no revision", help="write REV:path, e.g. HEAD~1:policy", code="revision")
+        raise KeymintError(f"{text!r} has no revision", help="write REV:path, e.g. HEAD~1:policy", code="revision")
     top = Path(run_git(("rev-parse", "--show-toplevel"), folder, environment).decode().rstrip("\n"))
     if path.startswith(("./", "../")):
         prefix = run_git(("rev-parse", "--show-prefix"), folder, environment).decode().rstrip("\n")
@@ -61,31 +61,31 @@ def at_revision(text: str, folder: Path, environment: Mapping[str, str]) -> Iter
         ("rev-parse", "--verify", "--quiet", "--end-of-options", f"{name}^{{commit}}"), top, environment, name
     )
     archive = run_git(("archive", "--format=tar", commit.decode().strip()), top, environment)
-    with tempfile.TemporaryDirectory(prefix="keymint-") as made:
-        root = Path(made).resolve()
+    with tempfile.TemporaryDirectory(prefix="keymint-") as temporary:
+        root = Path(temporary).resolve()
         with tarfile.open(fileobj=io.BytesIO(archive)) as tar:
             tar.extractall(root, filter="data")
-        found = (root / path).resolve()
-        if not found.is_relative_to(root) or not found.exists():
+        extracted = (root / path).resolve()
+        if not extracted.is_relative_to(root) or not extracted.exists():
             raise KeymintError(
                 f"there is no {path!r} at {name!r}",
                 help="the path is relative to the repository; with ./ to the current folder",
                 code="revision",
             )
-        yield Revision(name, found, root)
+        yield Revision(name, extracted, root)
 
 
 def run_git(arguments: tuple[str, ...], folder: Path, environment: Mapping[str, str], revision: str = "") -> bytes:
-    """Return what git writes to standard output; run without a shell.
+    """Run git without a shell and return its standard output.
 
     Args:
-        arguments: of git.
-        folder: where it runs.
-        environment: its environment variables.
-        revision: name of the revision that it is asked for, for messages.
+        arguments: arguments of git.
+        folder: working directory.
+        environment: environment variables.
+        revision: name of the requested revision, for messages.
 
     Raises:
-        KeymintError: there is no git (with the code :data:`GIT_MISSING`), or it fails.
+        KeymintError: git is missing (with the code :data:`GIT_MISSING`), or fails.
     """
     try:
         done = subprocess.run(  # noqa: S603 - the program is fixed, and an argument cannot become an option
@@ -104,6 +104,6 @@ def run_git(arguments: tuple[str, ...], folder: Path, environment: Mapping[str, 
             raise KeymintError(
                 f"there is no revision {revision!r}", help="'git log --oneline' lists them", code="revision"
             )
-        said = (done.stderr.decode(errors="replace").strip().splitlines() or ["it failed"])[-1]
-        raise KeymintError(f"git says: {said}", help="run this in a checkout of git", code="revision")
+        reason = (done.stderr.decode(errors="replace").strip().splitlines() or ["unknown reason"])[-1]
+        raise KeymintError(f"git failed: {reason}", help="run this in a checkout of git", code="revision")
     return done.stdout

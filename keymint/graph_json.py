@@ -17,11 +17,11 @@ from keymint.graph import Edge, Graph, Object
 FORMAT = "keymint-graph"
 VERSION = 1
 MAX_BYTES = 16 * 2**20
-"""Bytes of a document that is read."""
+"""Maximum size of a document in bytes."""
 MAX_NAME = 1024
-"""Characters of a name."""
+"""Maximum length of a name."""
 MAX_DOMAIN = 232
-"""Highest DDS domain id whose ports are ports (RTPS 2.2, 9.6.1.1, with the default gains)."""
+"""Highest DDS domain id with valid port numbers (RTPS 2.2, 9.6.1.1, with the default gains)."""
 
 _CONTROL = re.compile(r"[\x00-\x1f\x7f\ud800-\udfff\ufffe\uffff]")
 
@@ -34,7 +34,7 @@ def legal_subject(name: str) -> bool:
 
 
 def legal_text(text: str) -> bool:
-    """Tell whether a text may be the name of an object, a partition or a type: not too long, no control characters."""
+    """Return True for a legal name of an object, partition or type: not too long, without control characters."""
     return len(text) <= MAX_NAME and not _CONTROL.search(text)
 
 
@@ -44,7 +44,7 @@ def merge(first: Graph, second: Graph) -> Graph:
 
 
 def recognises(content: bytes) -> bool:
-    """Tell whether a file looks like JSON, so that :func:`load` is the one to read it."""
+    """Return True if a file looks like JSON, for :func:`load`."""
     return content.removeprefix(b"\xef\xbb\xbf").lstrip()[:1] == b"{"
 
 
@@ -52,10 +52,10 @@ def recognises(content: bytes) -> bool:
 
 
 def dump(graph: Graph) -> bytes:
-    """Return a graph as a JSON document: the same graph is the same bytes; one edge a line, for people and for diff."""
+    """Return a graph as a canonical JSON document, with one edge per line for readers and diffs."""
     head = [f'"format": "{FORMAT}"', f'"version": {VERSION}', _array("subjects", map(json.dumps, graph.subjects))]
     edges = _array("edges", (json.dumps(_edge(edge)) for edge in graph.edges))
-    types = _array("types", (json.dumps({**_object(found), "type": name}) for found, name in graph.types))
+    types = _array("types", (json.dumps({**_object(object_), "type": name}) for object_, name in graph.types))
     return ("{\n  " + ",\n  ".join([*head, edges, types]) + "\n}\n").encode()
 
 
@@ -65,19 +65,21 @@ def _array(name: str, items: Iterator[str]) -> str:
 
 
 def _edge(edge: Edge) -> dict[str, Any]:
-    partitions = {"partitions": list(edge.object.partitions)} if edge.object.partitions else {}
     return {
         "subject": edge.subject,
         "permission": edge.permission,
         "object": edge.object.name,
-        **partitions,
+        **_partitions(edge.object),
         "domain": edge.domain,
     }
 
 
-def _object(found: Object) -> dict[str, Any]:
-    partitions = {"partitions": list(found.partitions)} if found.partitions else {}
-    return {"kind": found.kind, "object": found.name, **partitions}
+def _object(object_: Object) -> dict[str, Any]:
+    return {"kind": object_.kind, "object": object_.name, **_partitions(object_)}
+
+
+def _partitions(object_: Object) -> dict[str, Any]:
+    return {"partitions": list(object_.partitions)} if object_.partitions else {}
 
 
 # -- reading -----------------------------------------------------------------------------------------------------
@@ -91,14 +93,13 @@ def load(content: bytes, name: str) -> Graph:
         name: its file as the user would type it, for messages.
 
     Raises:
-        KeymintError: it is no such document; says where, what was expected, and how to mend it.
+        KeymintError: the document is invalid; with line, expectation and fix.
     """
-    reader = _Reader(name, content)
-    return reader.graph()
+    return _GraphReader(name, content).graph()
 
 
-class _Reader:
-    """Reads one document; what is wrong is said with its line."""
+class _GraphReader:
+    """Reads one document; errors have its line."""
 
     def __init__(self, name: str, content: bytes) -> None:
         self._name = name
@@ -163,17 +164,15 @@ class _Reader:
         if not isinstance(value, str) or (not value and not empty):
             self._refuse(path, f"is {_shown(value)}, expected text")
         if len(value) > MAX_NAME:
-            self._refuse(path, f"has {len(value):,} characters, {MAX_NAME:,} are the most")
+            self._refuse(path, f"has {len(value):,} characters, at most {MAX_NAME:,} are allowed")
         if _CONTROL.search(value):
-            self._refuse(path, f"{_shown(value)} holds a character that no name has")
+            self._refuse(path, f"{_shown(value)} contains an illegal character")
         return value
 
     def _subject(self, path: Path, value: Any) -> str:
         name = self._text_of(path, value)
         if not legal_subject(name):
-            self._refuse(
-                path, f"{_shown(name)} is not the name of a subject", "a name is '/' and segments, e.g. /robot1/talker"
-            )
+            self._refuse(path, f"{_shown(name)} is not a subject name", "subject names look like /robot1/talker")
         return name
 
     def _edge(self, path: Path, value: Any) -> Edge:
@@ -200,18 +199,18 @@ class _Reader:
         listed = entry.get("partitions", [])
         if not isinstance(listed, list):
             self._refuse((*path, "partitions"), f"is {_shown(listed)}, expected an array of DDS partitions")
-        found = {self._text_of((*path, "partitions", at), item, empty=True) for at, item in enumerate(listed)}
+        names = {self._text_of((*path, "partitions", at), item, empty=True) for at, item in enumerate(listed)}
         if kind == "topic":
-            return Object(kind, name, partitions(found))
+            return Object(kind, name, partitions(names))
         if listed:
-            self._refuse((*path, "partitions"), f"a {kind} has no partitions", "only a raw topic has")
+            self._refuse((*path, "partitions"), f"a {kind} has no partitions", "only DDS topics have")
         if not name.startswith("/"):
-            self._refuse((*path, "object"), f"{_shown(name)} does not begin with '/'", "ROS names here are absolute")
+            self._refuse((*path, "object"), f"{_shown(name)} does not begin with '/'", "write the absolute ROS name")
         return Object(kind, name)
 
 
 def partitions(names: set[str]) -> tuple[str, ...]:
-    """Return partitions as an :class:`~keymint.graph.Object` holds them: the default one alone is none."""
+    """Return partitions as in :class:`~keymint.graph.Object`: empty for the default partition alone."""
     return () if names == {""} else tuple(sorted(names))
 
 
@@ -221,31 +220,31 @@ def _shown(value: Any) -> str:
 
 
 def _refuse_constant(text: str) -> NoReturn:
-    raise ValueError(f"{text} is no JSON number")
+    raise ValueError(f"{text} is not a JSON number")
 
 
 def _unique(pairs: Sequence[tuple[str, Any]]) -> dict[str, Any]:
     members = dict(pairs)
     if len(members) < len(pairs):
         names = [name for name, _ in pairs]
-        raise ValueError(f"the member {next(name for name in names if names.count(name) > 1)!r} stands twice")
+        raise ValueError(f"the member {next(name for name in names if names.count(name) > 1)!r} appears twice")
     return members
 
 
 def _line(text: str, path: Path) -> int:
-    """Return the line of what a path leads to, or of its innermost part that exists, in a text that is JSON."""
+    """Return the line of the value at a path in JSON text, or of its innermost existing parent."""
     decoder = json.JSONDecoder()
     at = _skip(text, text.find("{"))
     for step in path:
-        found = next((start for name, start in _inside(decoder, text, at) if name == step), None)
-        if found is None:
+        start = next((start for name, start in _inside(decoder, text, at) if name == step), None)
+        if start is None:
             break
-        at = found
+        at = start
     return text.count("\n", 0, at) + 1
 
 
 def _inside(decoder: json.JSONDecoder, text: str, at: int) -> Iterator[tuple[str | int, int]]:
-    """Yield name or index, and the place, of what an object or array at a place of a text holds."""
+    """Yield name or index, and position, of the members of the object or array at a position in JSON text."""
     opening = text[at]
     if opening not in "{[":
         return

@@ -1,11 +1,11 @@
-"""What subjects ask for, and how often: hints for the order of rules, from a file of counts or from a graph.
+"""Read hints for the order of rules: how often subjects request access, from a CSV file of counts or from a graph.
 
-A file of counts is CSV (RFC 4180) with a header line that names the columns::
+A file of counts is CSV (RFC 4180) with a header line::
 
     subject,permission,object,count
     /amr1/nav,ros_publish,/amr1/cmd_vel,36000
 
-A column ``partition`` may be there as well. In a graph every edge counts once.
+A column ``partition`` is optional. In a graph every edge counts once.
 """
 
 from __future__ import annotations
@@ -28,14 +28,14 @@ MAX_COUNT = 2**63
 
 
 def load_hints(content: bytes, name: str) -> tuple[Hint, ...]:
-    """Return what a file says is asked for, sorted.
+    """Return the requested edges of a file with their counts, sorted.
 
     Args:
         content: a graph in JSON, or counts in CSV; UTF-8.
         name: the file as the user would type it, for messages.
 
     Raises:
-        KeymintError: it is neither; every line that is wrong, with what was expected.
+        KeymintError: the file is neither; with a diagnostic for every invalid line.
     """
     if graph_json.recognises(content):
         return tuple(Hint(edge, 1) for edge in graph_json.load(content, name).edges)
@@ -46,7 +46,7 @@ def load_hints(content: bytes, name: str) -> tuple[Hint, ...]:
     except UnicodeDecodeError as error:
         raise _error(name, content[: error.start].count(b"\n") + 1, "the text is not UTF-8") from None
     rows = csv.reader(lines, strict=True)
-    found: dict[Edge, int] = {}
+    counts: dict[Edge, int] = {}
     problems: list[Diagnostic] = []
     try:
         columns = _columns(next(rows, []), name)
@@ -59,27 +59,27 @@ def load_hints(content: bytes, name: str) -> tuple[Hint, ...]:
                 except KeymintError as error:
                     problems += error.diagnostics
                 else:
-                    found[edge] = found.get(edge, 0) + times
+                    counts[edge] = counts.get(edge, 0) + times
     except csv.Error as error:
         raise _error(name, rows.line_num, f"not CSV: {error}") from None
     if problems:
         raise KeymintError.of(problems)
-    return tuple(Hint(edge, times) for edge, times in sorted(found.items()))
+    return tuple(Hint(edge, times) for edge, times in sorted(counts.items()))
 
 
 def unknown_subjects(demand: Sequence[Hint], known: Sequence[str], name: str) -> Iterator[Diagnostic]:
-    """Yield a warning for each subject of the hints that a workspace does not have.
+    """Yield a warning for each subject of the hints that is not in the workspace.
 
     Args:
         demand: the hints.
-        known: the subjects that there are.
+        known: the subjects of the workspace.
         name: the file of the hints, for messages.
     """
     for subject in sorted({each.edge.subject for each in demand} - set(known)):
         yield Diagnostic(
             "hints-subject",
             Severity.WARNING,
-            f"the hints are about {subject}, which is no subject of this workspace",
+            f"the hints name {subject}, which is not a subject of this workspace",
             Origin(name),
             did_you_mean(subject, known),
         )
@@ -88,8 +88,8 @@ def unknown_subjects(demand: Sequence[Hint], known: Sequence[str], name: str) ->
 def _columns(header: Sequence[str], name: str) -> list[str]:
     columns = [each.strip() for each in header]
     if len(set(columns)) != len(columns) or not set(COLUMNS) <= set(columns) <= {*COLUMNS, *OPTIONAL}:
-        message = f"the first line is {','.join(columns)!r}, which does not name the columns"
-        raise _error(name, 1, message, f"write {','.join(COLUMNS)!r}, or give a graph of 'keymint discover'")
+        message = f"the first line is {','.join(columns)!r}, not the names of the columns"
+        raise _error(name, 1, message, f"write {','.join(COLUMNS)!r}, or use a graph by 'keymint discover'")
     return columns
 
 
@@ -98,7 +98,7 @@ def _counted(row: Mapping[str, str], width: int, cells: Sequence[str], name: str
         raise _error(name, line, f"has {counted(len(cells), 'field')} instead of {width}")
     subject, permission, text = (row[column].strip() for column in ("subject", "permission", "object"))
     if not legal_subject(subject):
-        raise _error(name, line, f"{subject!r} is no name of a subject", "write it in full, as '/robot/arm'")
+        raise _error(name, line, f"{subject!r} is not a subject name", "write the full name, e.g. '/robot/arm'")
     kind = KIND_OF.get(permission)
     if kind is None:
         help_ = did_you_mean(permission, KIND_OF, f"one of {', '.join(KIND_OF)}")
@@ -108,7 +108,7 @@ def _counted(row: Mapping[str, str], width: int, cells: Sequence[str], name: str
         raise _error(name, line, "the object, or its partition, is empty, too long or has control characters")
     count = row["count"].strip()
     if not (count.isascii() and count.isdigit() and len(count) < len(str(MAX_COUNT))):
-        raise _error(name, line, f"{count!r} is no count", "write a whole number, from 0")
+        raise _error(name, line, f"{count!r} is not a count", "write an integer from 0")
     if partition and kind != "topic":
         raise _error(name, line, f"a {kind} has no partition", "leave it empty")
     return Edge(subject, permission, Object(kind, text, (partition,) if partition else ())), int(count)

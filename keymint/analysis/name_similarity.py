@@ -36,7 +36,7 @@ _SIMILAR = 0.8
 """Minimum similarity of two names by :meth:`difflib.SequenceMatcher.ratio`."""
 _FEW = 64
 """Maximum number of compared names with the same words."""
-_STEPS = 2_000
+STEPS = 2_000
 """Maximum steps of the search for one name."""
 _DIGITS = re.compile(r"\d+")
 
@@ -139,7 +139,7 @@ def _unknown(given_up: Sequence[str]) -> Iterator[Diagnostic]:
     if given_up:
         others = f" and {len(given_up) - 1:,} others" if len(given_up) > 1 else ""
         yield undecided(
-            f"names similar to {given_up[0]!r}{others} are unknown: too many to compare within {_STEPS:,} steps",
+            f"names similar to {given_up[0]!r}{others} are unknown: too many to compare within {STEPS:,} steps",
             None,
             "check these names yourself, or lint parts of the policy",
         )
@@ -171,7 +171,7 @@ class _CandidateNames:
             return None
         words = _DIGITS.sub("", name)
         best: tuple[float, str] | None = None
-        with step_limit(_STEPS):
+        with step_limit(STEPS):
             for other in self._words.near(words, most):
                 for near in self._likely(name, other) if other != words else ():
                     spend(len(name))

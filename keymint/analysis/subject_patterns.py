@@ -36,7 +36,7 @@ EVERY = parse("/*")
 """Matches every subject."""
 _PREFERRED = "xyzabcdefghijklmnopqrstuvw0123456789_/ABCDEFGHIJKLMNOPQRSTUVWXYZ"
 _FILLINGS = ("x", "", "x/y", "/x", "x/", "_")
-_MOST_EXAMPLES = 400
+MOST_EXAMPLES = 400
 _OVERLAPS = 1_000_000
 """Maximum steps of the search for overlapping patterns of subjects."""
 _MOST_PIECES = 64
@@ -170,10 +170,10 @@ def _filled(pattern: Glob, filling: str) -> str:
 
 
 def _with_overlaps(wild: Sequence[Glob], given_up: list[str]) -> Iterator[Glob]:
-    """Yield patterns and the overlaps of two of them, up to :data:`_MOST_EXAMPLES` overlaps."""
+    """Yield patterns and the overlaps of two of them, up to :data:`MOST_EXAMPLES` overlaps."""
     yield from wild
-    reason = f"more than {_MOST_EXAMPLES} patterns of subjects overlap"
-    left = _MOST_EXAMPLES
+    reason = f"more than {MOST_EXAMPLES} patterns of subjects overlap"
+    left = MOST_EXAMPLES
     known = set(wild)
     try:
         for each in _overlaps(wild):
@@ -203,7 +203,7 @@ def _overlaps(wild: Sequence[Glob]) -> list[Glob]:
             before = sorted(((place, other) for other, place in near.meeting(one) if place < at), key=itemgetter(0))
             for _, other in before:
                 overlaps |= dict.fromkeys(each for each in intersection(one, other) if each not in (one, other))
-            if len(overlaps) > 2 * _MOST_EXAMPLES:
+            if len(overlaps) > 2 * MOST_EXAMPLES:
                 break
     return list(overlaps)
 

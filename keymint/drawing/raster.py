@@ -8,7 +8,7 @@ from keymint.drawing.palette import FONTS
 from keymint.errors import KeymintError
 from keymint.plugins import how_to_add
 
-_MOST_PIXELS = 100_000_000
+MOST_PIXELS = 100_000_000
 """Maximum pixels of a picture: 400 MB while it is drawn."""
 _NOTHING = '<svg xmlns="http://www.w3.org/2000/svg" width="20" height="20"></svg>'
 _LETTER = _NOTHING.replace("></", f'><text x="2" y="16" font-family="{FONTS}">x</text></')
@@ -34,7 +34,7 @@ def png(document: bytes, scale: float = 2.0) -> bytes:
         ) from error
     root = etree.fromstring(document)
     pixels = float(root.get("width", "1")) * float(root.get("height", "1"))
-    zoom = min(scale, (_MOST_PIXELS / pixels) ** 0.5)
+    zoom = min(scale, (MOST_PIXELS / pixels) ** 0.5)
     try:
         if resvg_py.svg_to_bytes(svg_string=_LETTER) == resvg_py.svg_to_bytes(svg_string=_NOTHING):
             raise KeymintError(

@@ -43,9 +43,9 @@ def test_a_file_as_it_was(repository: Path, text: str, inside: str) -> None:
     [
         ("HEAD~9:d", "no revision 'HEAD~9'"),
         ("HEAD:nope", "there is no 'nope' at 'HEAD'"),
-        ("HEAD:../..", "git says"),
-        ("--output=x:d", "names no revision"),
-        (":d", "names no revision"),
+        ("HEAD:../..", "git failed"),
+        ("--output=x:d", "has no revision"),
+        (":d", "has no revision"),
     ],
 )
 def test_mistakes(repository: Path, text: str, said: str) -> None:

@@ -48,7 +48,7 @@ def test_calls_grow_with_the_policy(tmp_path: Path) -> None:
 
 
 def test_names_that_are_all_alike_end_with_a_note(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(name_similarity, "_STEPS", 200)
+    monkeypatch.setattr(name_similarity, "STEPS", 200)
     steps, codes = linted(tmp_path, FAMILIES["misspelt"](60))
     assert "lint-unknown" in codes
     assert steps < 2 * 60 * 300
@@ -77,7 +77,7 @@ def test_patterns_of_subjects_that_overlap_too_often_end_with_a_note(
     text = "".join(
         f'<profile name="{at}"><attachment>/*{at}*</attachment></profile>' for at in ("a", "b", "c", "d", "e", "f")
     )
-    monkeypatch.setattr(subject_patterns, "_MOST_EXAMPLES", 3)
+    monkeypatch.setattr(subject_patterns, "MOST_EXAMPLES", 3)
     assert "lint-unknown" in linted(tmp_path, f"<profiles>{text}</profiles>")[1]
 
 

@@ -139,7 +139,7 @@ class TestForms:
         outcome = keymint("build", "--hints", "hints.csv", cwd=ws)
         assert outcome.code == 0
         assert outcome.err == (
-            "hints.csv: warning: the hints are about /talkr, which is no subject of this workspace "
+            "hints.csv: warning: the hints name /talkr, which is not a subject of this workspace "
             "(did you mean '/talker'?)\n"
         )
 
@@ -147,7 +147,7 @@ class TestForms:
         ("words", "code", "said"),
         [
             (["--hints", "none.csv"], 1, "none.csv: error: no such file"),
-            (["--hints", "bad.csv"], 1, "bad.csv:1: error: the first line is 'a,b', which does not name the columns"),
+            (["--hints", "bad.csv"], 1, "bad.csv:1: error: the first line is 'a,b', not the names of the columns"),
             (["--hints", "bad.csv", "--no-optimise"], 2, "--hints is about the order of rules"),
         ],
     )

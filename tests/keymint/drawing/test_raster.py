@@ -33,7 +33,7 @@ def test_png_has_the_size_that_was_asked_for() -> None:
 
 
 def test_a_large_picture_is_made_smaller(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(raster, "_MOST_PIXELS", 10_000)
+    monkeypatch.setattr(raster, "MOST_PIXELS", 10_000)
     width, height = size(png(svg(one_of_each()), 10))
     assert width * height < 11_000
 
