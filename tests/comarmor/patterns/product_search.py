@@ -11,19 +11,19 @@ from comarmor.patterns.glob import literal
 from comarmor.patterns.steps import spend
 
 Residual = tuple[tuple[bool, frozenset[int]], ...]
-"""What is left of a list: its blocks, of which neighbours differ in effect; the last one allows."""
+"""The rest of a list: blocks with alternating effects, of which the last one allows."""
 _State = tuple[int | None, tuple[Residual, ...], Residual, frozenset[int]]
 
 
 class ProductSearch:
-    """Looks for the shortest word about which a conjunction of lists and another list differ.
+    """Searches for the shortest word on which a conjunction of lists and another list differ.
 
     Args:
-        together: the lists that permit what all of them permit.
-        other: the list that is held against them.
-        universe: the words in question.
-        arena: with an alphabet for all patterns of the lists.
-        meter: called for every state.
+        together: lists; together they permit the words that all of them permit.
+        other: the list to compare with them.
+        universe: the words to compare.
+        derivatives: derivatives of all patterns of the lists.
+        count_state: called for every state.
     """
 
     def __init__(
@@ -31,28 +31,28 @@ class ProductSearch:
         together: Sequence[DecisionList],
         other: DecisionList,
         universe: Universe,
-        arena: Derivatives,
-        meter: Callable[[], None],
+        derivatives: Derivatives,
+        count_state: Callable[[], None],
     ) -> None:
         self._together = together
         self._other = other
         self._universe = universe
-        self._arena = arena
-        self._meter = meter
+        self._derivatives = derivatives
+        self._count_state = count_state
         self._after: dict[tuple[Residual, str], Residual] = {}
 
     def shortest(self) -> str | None:
         """Return the shortest word, or None when both sides are equal.
 
         Raises:
-            SpentError: the budget is spent.
+            BudgetError: the budget is spent.
         """
         best, apart = self._among_literals()
         start: _State = (
-            self._arena.universe,
+            self._derivatives.universe,
             tuple(self._residual(each) for each in self._together),
             self._residual(self._other),
-            frozenset(self._arena.node((text,) if text else ()) for text in apart),
+            frozenset(self._derivatives.node((text,) if text else ()) for text in apart),
         )
         level: list[tuple[_State, str]] = [(start, "")]
         seen = {start}
@@ -64,11 +64,11 @@ class ProductSearch:
             following: list[tuple[_State, str]] = []
             for state, word in level:
                 nodes = _nodes(state)
-                for letter in self._arena.letters_to_try(nodes):
+                for letter in self._derivatives.letters_to_try(nodes):
                     spend(1 + len(nodes) // 4)
                     after = self._step(state, letter)
                     if after is not None and after not in seen:
-                        self._meter()
+                        self._count_state()
                         seen.add(after)
                         following.append((after, word + letter))
             level = following
@@ -76,11 +76,11 @@ class ProductSearch:
         return best
 
     def _among_literals(self) -> tuple[str | None, list[str]]:
-        """Decide the words that are named exactly.
+        """Decide the words that are literal patterns.
 
         Returns:
-            the shortest on which the sides differ; and those on which they would if nothing were named exactly, which
-            the search must not stop at.
+            the shortest one on which the sides differ; and those on which they would differ without literal patterns,
+            at which the search must not stop.
         """
         lists = (*self._together, self._other)
         full, wild = ([Evaluator(each, literals=flag) for each in lists] for flag in (True, False))
@@ -96,43 +96,47 @@ class ProductSearch:
             (
                 (
                     block.allows,
-                    frozenset(self._arena.node(pattern) for pattern in block.patterns if literal(pattern) is None),
+                    frozenset(
+                        self._derivatives.node(pattern) for pattern in block.patterns if literal(pattern) is None
+                    ),
                 )
                 for block in decisions
             ),
-            self._arena.everything,
+            self._derivatives.everything,
         )
 
     def _step(self, state: _State, letter: str) -> _State | None:
-        """Return the state after a letter; None where no word of the universe, or no difference, follows."""
+        """Return the state after a letter; None if no word of the universe, or no difference, follows."""
         place, together, other, apart = state
-        inside = self._arena.step(place, letter) if place is not None else ()
+        inside = self._derivatives.step(place, letter) if place is not None else ()
         if not inside:
             return None
         left = tuple(self._stepped(each, letter) for each in together)
         right = self._stepped(other, letter)
         if all(each == right for each in left):
             return None
-        return inside[0], left, right, self._arena.steps(apart, letter)
+        return inside[0], left, right, self._derivatives.steps(apart, letter)
 
     def _stepped(self, residual: Residual, letter: str) -> Residual:
         key = (residual, letter)
         found = self._after.get(key)
         if found is None:
-            arena = self._arena
-            found = _reduced(((allows, arena.steps(nodes, letter)) for allows, nodes in residual), arena.everything)
+            derivatives = self._derivatives
+            found = _reduced(
+                ((allows, derivatives.steps(nodes, letter)) for allows, nodes in residual), derivatives.everything
+            )
             self._after[key] = found
         return found
 
     def _differs(self, state: _State) -> bool:
         place, together, other, apart = state
-        accepts = self._arena.accepts
+        accepts = self._derivatives.accepts
         if place is None or not accepts[place] or any(accepts[node] for node in apart):
             return False
         return all(self._permits(each) for each in together) is not self._permits(other)
 
     def _permits(self, residual: Residual) -> bool:
-        accepts = self._arena.accepts
+        accepts = self._derivatives.accepts
         return next((allows for allows, nodes in residual if any(accepts[node] for node in nodes)), False)
 
 
@@ -146,7 +150,7 @@ def _nodes(state: _State) -> list[int]:
 
 
 def _reduced(blocks: Iterable[tuple[bool, frozenset[int]]], everything: int) -> Residual:
-    """Leave out what changes nothing: what an earlier block has, what follows a block of all words, a last denial."""
+    """Drop nodes of earlier blocks, blocks after one that matches every word, and a last denial."""
     found: list[tuple[bool, frozenset[int]]] = []
     known: frozenset[int] = frozenset()
     for allows, nodes in blocks:

@@ -1,4 +1,4 @@
-"""Small words, small lists, and the definition: what the engine is compared with."""
+"""Small words and lists, and the first difference by definition: the engine is compared with it."""
 
 from __future__ import annotations
 

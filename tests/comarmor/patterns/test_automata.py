@@ -1,4 +1,4 @@
-"""The engine held against a library that determinises: both are exact, but in different ways."""
+"""The engine agrees with a library that determinises."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ def automaton(pattern: Glob) -> DFA:
 
 
 def permitted(decisions: DecisionList) -> DFA:
-    """Return the automaton of what a list permits: of each step what no step before it matches."""
+    """Return the automaton of what a list permits: for each block the words that no earlier block matches."""
     nothing = DFA.empty_language(set(LETTERS))
     allowed = matched = nothing
     for block in decisions:

@@ -1,4 +1,4 @@
-"""Evaluation of many words, held against evaluation by definition."""
+"""The fast evaluator decides as the definition does."""
 
 from __future__ import annotations
 
@@ -14,10 +14,10 @@ from .small import WORDS, lists
 @pytest.mark.parametrize("few", [0, evaluate.INDEX_FROM])
 @settings(max_examples=200, deadline=None)
 @given(lists)
-def test_an_evaluator_says_what_the_definition_says(few, decisions):
+def test_an_evaluator_decides_as_the_definition_does(few, decisions):
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(evaluate, "INDEX_FROM", few)
         evaluator = Evaluator(decisions)
-        said = {word for word in WORDS if evaluator.permits(word)}
-        assert said == {word for word in WORDS if permits(decisions, word)}
+        permitted = {word for word in WORDS if evaluator.permits(word)}
+        assert permitted == {word for word in WORDS if permits(decisions, word)}
         assert set(evaluator.permitted_literals()) == {word for word in evaluator.literals if permits(decisions, word)}

@@ -1,4 +1,4 @@
-"""What expressions match; the C library's ``fnmatch()`` is the oracle."""
+"""Expressions of policies; the oracle is ``fnmatch()`` of the C library."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ NAMES = st.text(alphabet="abz/-!^.:{}][*\\_0", max_size=8)
 
 
 def fnmatch(pattern: str, name: str) -> bool:
-    """What the C library says, in the C locale, in which a byte is a character."""
+    """Match by the C library, in the C locale, in which a byte is a character."""
     return LIBC.fnmatch(pattern.encode("latin-1"), name.encode("latin-1"), 0) == 0
 
 

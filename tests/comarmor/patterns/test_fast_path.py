@@ -1,4 +1,4 @@
-"""What is seen without a search is so: held against the definition, and against both engines."""
+"""What the fast path proves agrees with the definition and with both engines."""
 
 from __future__ import annotations
 
@@ -24,13 +24,13 @@ NARROW = Universe(charset([(97, 97)]))
 
 
 def without_search(a, *b, universe=PRINTABLE):
-    """Tell whether lists are equal, with a budget that lets no engine search."""
+    """Compare lists with a budget that allows no search."""
     return difference(a, *b, universe=universe, budget=SearchBudget(0))
 
 
 @st.composite
 def alike(draw):
-    """A list, and one that often says the same: made of its patterns, in another order and other blocks."""
+    """A list, and one that is often equal: made of its patterns, in another order and other blocks."""
     a = draw(lists)
     b = [Block(block.allows, (pattern,)) for block in a for pattern in block.patterns]
     for _ in range(draw(st.integers(0, 3))):
@@ -49,7 +49,7 @@ def alike(draw):
 
 @settings(max_examples=1500, deadline=None)
 @given(alike())
-def test_what_is_seen_to_be_equal_is_equal(pair):
+def test_lists_that_are_proven_equal_are_equal(pair):
     a, b = pair
     if fast_path.equal(a, (b,), UNIVERSE):
         assert first_difference(a, b) is None
@@ -71,22 +71,24 @@ def test_of_several_lists_too(pair, other):
 @given(alike(), st.sampled_from([UNIVERSE, NARROW, PRINTABLE]))
 def test_no_engine_contradicts(pair, universe):
     a, b = pair
-    arena = Derivatives(patterns_of(a, b), universe)
+    derivatives = Derivatives(patterns_of(a, b), universe)
 
     def escape(left, right):
-        return CounterexampleSearch((left,), right, universe, lambda: arena, SearchBudget().state_counter()).shortest()
+        return CounterexampleSearch(
+            (left,), right, universe, lambda: derivatives, SearchBudget().state_counter()
+        ).shortest()
 
     if fast_path.implied(a, b, universe):
         assert escape(a, b) is None
     if fast_path.equal(a, (b,), universe):
         assert escape(a, b) is None
         assert escape(b, a) is None
-        assert ProductSearch((b,), a, universe, arena, SearchBudget().state_counter()).shortest() is None
+        assert ProductSearch((b,), a, universe, derivatives, SearchBudget().state_counter()).shortest() is None
 
 
 @settings(max_examples=200, deadline=None)
 @given(lists)
-def test_a_list_is_seen_to_equal_itself(a):
+def test_a_list_is_proven_to_equal_itself(a):
     assert fast_path.equal(a, (a,), UNIVERSE)
     assert fast_path.equal(a, (a, a), UNIVERSE)
 
@@ -131,7 +133,7 @@ def test_words_outside_of_the_universe_do_not_count():
         ((allow("x*"),), (allow("x*"), allow("y*"))),
     ],
 )
-def test_what_is_not_seen_is_left_to_the_engines(a, b):
+def test_other_questions_are_left_to_the_search(a, b):
     assert isinstance(without_search(a, b), Unknown)
 
 
@@ -141,7 +143,7 @@ def test_implication_needs_no_search_where_a_wider_pattern_stands():
     assert isinstance(implies(narrow, (allow("x/*"),), PRINTABLE, SearchBudget(0)), Unknown)
 
 
-def test_the_effort_is_bounded(monkeypatch):
+def test_the_number_of_pairs_is_limited(monkeypatch):
     dice = random.Random(1)
     inner = [f"*{dice.randrange(10**6)}*" for _ in range(20)]
     a, b = (deny(*inner), allow("x*")), (deny(*inner, "y*"), allow("x*"))

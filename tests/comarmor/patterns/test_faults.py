@@ -1,4 +1,4 @@
-"""The mutation test: faults that a compiler, or a hand, could put into a document; what changes the meaning is found.
+"""Mutations of documents: every one that changes the meaning is detected.
 
 The definition decides whether a fault changes the meaning: every small pair of a partition and a topic is tried.
 """
@@ -164,8 +164,8 @@ def test_every_fault_that_changes_the_meaning_is_found(fault):
             assert found.word not in WORDS
         else:
             assert found == Equal()
-            arena = Derivatives((p for decisions in (a, b) for block in decisions for p in block.patterns), PAIRS)
-            assert ProductSearch((b,), a, PAIRS, arena, SearchBudget().state_counter()).shortest() is None
+            derivatives = Derivatives((p for decisions in (a, b) for block in decisions for p in block.patterns), PAIRS)
+            assert ProductSearch((b,), a, PAIRS, derivatives, SearchBudget().state_counter()).shortest() is None
 
 
 def test_there_are_enough_faults():

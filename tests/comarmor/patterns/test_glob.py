@@ -1,4 +1,4 @@
-"""Expressions are read as the C library reads them, and what is left after a prefix is exact."""
+"""Patterns match as the C library does, and partial derivatives are exact."""
 
 from __future__ import annotations
 
@@ -71,7 +71,7 @@ def test_tokens_are_normalised():
 
 
 @given(expression=EXPRESSIONS, prefix=st.text(alphabet="ab/", max_size=3), text=TEXTS)
-def test_what_is_left_after_a_prefix_is_exact(expression, prefix, text):
+def test_derivatives_are_exact(expression, prefix, text):
     try:
         tokens = glob.parse(expression)
     except PatternError:

@@ -1,4 +1,4 @@
-"""The questions, held against their definition on all small words."""
+"""Comparisons agree with the definition on all small words."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ from .small import PRINTABLE, UNIVERSE, WORDS, allow, deny, first_difference, li
 
 
 def agrees(found: object, first: str | None) -> bool:
-    """Tell whether an outcome is right, given the first small word that is a witness."""
+    """Return whether a result is right, given the first small word that is a witness."""
     if isinstance(found, Equal):
         return first is None
     assert isinstance(found, Witness)
@@ -45,7 +45,7 @@ def test_difference_is_found_with_a_shortest_word(a, b):
 
 @settings(max_examples=300, deadline=None)
 @given(lists, lists, lists)
-def test_a_list_is_held_against_several_that_permit_together(a, b, c):
+def test_a_list_is_compared_with_a_conjunction(a, b, c):
     assert agrees(difference(a, b, c, universe=UNIVERSE), first_difference(a, b, c))
 
 
@@ -53,8 +53,8 @@ def test_a_list_is_held_against_several_that_permit_together(a, b, c):
 @given(lists, lists, lists)
 def test_the_engines_agree(a, b, c):
     found = difference(a, b, c, universe=UNIVERSE)
-    arena = Derivatives(patterns_of(a, b, c), UNIVERSE)
-    other = ProductSearch((b, c), a, UNIVERSE, arena, SearchBudget().state_counter()).shortest()
+    derivatives = Derivatives(patterns_of(a, b, c), UNIVERSE)
+    other = ProductSearch((b, c), a, UNIVERSE, derivatives, SearchBudget().state_counter()).shortest()
     assert (other is None) == isinstance(found, Equal)
     if isinstance(found, Witness):
         assert other is not None
@@ -70,7 +70,7 @@ def test_implication_and_intersection(a, b):
     assert agrees(escapes((a, b), (), UNIVERSE), common)
 
 
-def test_a_list_equals_itself_said_otherwise():
+def test_rewritten_lists_are_equal():
     assert difference((allow("rt/*"),), (allow("rt/", "rt/?*"),)) == Equal()
     assert difference((deny("a*b"), allow("a*")), (deny("ab", "a?*b"), allow("a", "a?*"))) == Equal()
     assert difference((), (deny("*"), allow("x"))) == Equal()
@@ -111,7 +111,7 @@ def test_words_of_two_fields_cannot_run_into_each_other():
     assert not merged.left
 
 
-def test_a_character_that_only_a_dropped_pattern_names_is_still_told_apart():
+def test_a_character_of_a_pattern_without_effect_is_distinguished():
     # A last denial changes nothing, but the alphabet is made of all patterns.
     assert difference((allow("a*"), deny("*q*")), (allow("a*"),)) == Equal()
 

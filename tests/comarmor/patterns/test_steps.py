@@ -1,4 +1,4 @@
-"""Effort is counted in steps, the same whatever was asked before."""
+"""The count of steps limits searches and does not depend on earlier calls."""
 
 from __future__ import annotations
 
@@ -13,11 +13,11 @@ from tests.effort import calls_of
 
 
 def test_steps_are_counted_and_end() -> None:
-    with step_limit(10) as effort:
+    with step_limit(10) as counter:
         spend(4)
         with step_limit(5):
             spend(3)
-        assert (effort.spent, effort.remaining) == (7, 3)
+        assert (counter.spent, counter.remaining) == (7, 3)
         with pytest.raises(StepLimitError, match="within 10 steps"), step_limit(50):
             spend(4)
         with pytest.raises(StepLimitError):
@@ -25,7 +25,7 @@ def test_steps_are_counted_and_end() -> None:
     spend(1_000)
 
 
-def test_an_answer_that_is_remembered_costs_the_same() -> None:
+def test_a_cached_result_costs_the_same() -> None:
     @cached(8)
     def asked(number: int) -> int:
         spend(number)
@@ -33,9 +33,9 @@ def test_an_answer_that_is_remembered_costs_the_same() -> None:
 
     costs = []
     for _ in range(2):
-        with step_limit(None) as effort:
+        with step_limit(None) as counter:
             assert asked(5) == 5
-        costs.append(effort.spent)
+        costs.append(counter.spent)
     assert costs == [6, 6]
     with step_limit(3), pytest.raises(StepLimitError):
         asked(5)
@@ -55,9 +55,9 @@ def test_an_answer_that_is_remembered_costs_the_same() -> None:
 def test_the_count_does_not_depend_on_the_past(ask) -> None:
     costs = []
     for _ in range(2):
-        with step_limit(None) as effort:
+        with step_limit(None) as counter:
             ask()
-        costs.append(effort.spent)
+        costs.append(counter.spent)
     assert costs[0] == costs[1] > 10
 
 
@@ -65,9 +65,9 @@ def test_a_step_stands_for_a_bounded_amount_of_work() -> None:
     one, other = parse("*ab*cd*ef*"), parse("*mn*op*qr*")
 
     def ask() -> int:
-        with step_limit(None) as effort:
+        with step_limit(None) as counter:
             assert len(intersection(one, other, 100)) > 0
-        return effort.spent
+        return counter.spent
 
     steps, calls = calls_of(ask)
     assert calls < 60 * steps
@@ -79,8 +79,8 @@ def test_a_question_that_takes_too_long_is_unknown() -> None:
     a = (Block(True, hard), Block(False, (parse("*q"),)))
     b = (Block(True, hard[:-1]),)
     for question in (difference, implies):
-        with step_limit(200) as effort:
+        with step_limit(200) as counter:
             assert isinstance(question(a, b), Unknown)
-        assert effort.spent < 20_000
+        assert counter.spent < 20_000
         assert isinstance(question(a, b, budget=SearchBudget(states=50)), Unknown)
         assert question(b, b) == Equal()
