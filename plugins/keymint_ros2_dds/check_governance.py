@@ -16,7 +16,7 @@ from keymint_ros2_dds.decision.semantics import STANDARD
 from keymint_ros2_dds.layout import GOVERNANCE_P7S
 from keymint_ros2_dds.proving import octets
 from keymint_ros2_dds.proving.enclave_governance import EnclaveGovernance, cuts
-from keymint_ros2_dds.proving.protection import LAST_DOMAIN, STRICT, Weaker, weaker
+from keymint_ros2_dds.proving.protection import STRICT, Weaker, weaker
 
 _NAMES = Universe(octets.ALPHABET, last_nonempty=True)
 
@@ -48,7 +48,7 @@ def findings(inspection: Inspection) -> Iterator[Diagnostic]:
 def _drifted(inspection: Inspection, governing: EnclaveGovernance) -> Iterator[Diagnostic]:
     subject, document = inspection.package.subject, governing.document
     again = f"'keymint install {inspection.package.name}' signs what the sources build"
-    for domains in cuts(document, governing.sources, last=LAST_DOMAIN):
+    for domains in cuts(document, governing.sources):
         rule = DomainAccess.of(document, domains.first, STANDARD).rule
         if rule is None:
             continue

@@ -1,9 +1,8 @@
-"""The policy decision point: what a permissions document says, by the standard and by each vendor."""
+"""The policy decision point: decide by a permissions document, as the standard and each vendor do."""
 
 from __future__ import annotations
 
 from keymint_ros2_dds.decision.evaluator import DecisionOutcome, DocumentEvaluator, EndpointDecision, decide
-from keymint_ros2_dds.decision.explain import explain
 from keymint_ros2_dds.decision.semantics import (
     CYCLONEDDS_0_10,
     FASTDDS_2_9,
@@ -12,6 +11,7 @@ from keymint_ros2_dds.decision.semantics import (
     Deviation,
     Semantics,
     Variation,
+    explain,
 )
 from keymint_ros2_dds.reading.signed_permissions import PermissionsDocument, read
 

@@ -1,7 +1,7 @@
-"""The decision about an endpoint by both documents: the governance says whether the permissions are asked at all.
+"""Decide about an endpoint by both documents: the governance determines whether the permissions are checked at all.
 
-DDS Security 1.1, 9.4.3: a participant must be let in; then the first topic rule that is about a topic decides whether
-its permissions are asked. A topic without a rule is refused.
+DDS Security 1.1, 9.4.3: the participant must be allowed to join; then the first topic rule that matches the topic
+determines whether permissions are checked. A topic without a rule is refused.
 """
 
 from __future__ import annotations
@@ -24,14 +24,14 @@ from keymint_ros2_dds.reading.signed_governance import (
 
 @dataclass(frozen=True, slots=True)
 class DomainAccess:
-    """What a governance document says in a domain, as an implementation reads it.
+    """Access control in one domain, as an implementation reads a governance document.
 
     Attributes:
         document: the document.
         domain: DDS domain id.
         semantics: how documents are read.
-        refusal: why the document is not read, or an empty text.
-        rule: the domain rule that counts, or None.
+        refusal: why the document is refused or not modelled, or an empty text.
+        rule: the domain rule that applies, or None.
     """
 
     document: GovernanceDocument
@@ -48,10 +48,10 @@ class DomainAccess:
         return cls(document, domain, semantics, refusal, rule)
 
     def admits(self, *, joins: bool) -> bool:
-        """Tell whether there is a participant.
+        """Tell whether the participant may join.
 
         Args:
-            joins: a rule of the permissions lets it join, or their default does.
+            joins: a rule of the permissions, or their default, lets it join.
         """
         if joins or self.rule is None:
             return joins and not self.refusal
@@ -60,13 +60,13 @@ class DomainAccess:
     def decide(
         self, evaluator: DocumentEvaluator, action: str, topic: str, partitions: Sequence[str] = ()
     ) -> EndpointDecision:
-        """Decide an endpoint by governance and permissions.
+        """Decide about an endpoint by governance and permissions.
 
         Args:
-            evaluator: decides by the permissions.
+            evaluator: evaluates the permissions.
             action: ``publish`` or ``subscribe``.
             topic: DDS topic name.
-            partitions: of the endpoint.
+            partitions: partitions of the endpoint.
         """
         if self.refusal:
             return EndpointDecision(DecisionOutcome.ERROR, 0, self.refusal)
@@ -88,7 +88,7 @@ class DomainAccess:
         topic: str,
         partitions: Sequence[str],
     ) -> EndpointDecision:
-        """Decide by the permissions, if the governance wants them to be asked."""
+        """Decide by the topic rule, and by the permissions if it controls access."""
         rule = self._topic_rule(domain_rule, topic)
         if rule is None:
             where = self.document.place(domain_rule.line)

@@ -1,8 +1,7 @@
-"""The decision: Algorithm 1 of White et al. 2018, which is DDS Security 1.1, 9.4.1.3, with points that may differ.
+"""Evaluate a permissions document: Algorithm 1 of White et al. 2018 (DDS Security 1.1, 9.4.1.3) and vendor deviations.
 
-A document is asked for its grant by subject name and validity; the grant's rules are gone through in order by domain
-and action, and their criteria by topic, partitions and data tags. The first that matches decides by its qualifier,
-else the grant's default does. When no grant matches there is no decision: that is an error, and denies.
+Subject name and validity select a grant. The first criteria, in document order, that match domain, action, topic,
+partitions and data tags decide, else the grant's default. If no grant matches, the result is an error, which denies.
 """
 
 from __future__ import annotations
@@ -29,7 +28,7 @@ DEFAULT_PARTITION = ("",)
 
 
 class DecisionOutcome(StrEnum):
-    """How a question ends. ``error``: no grant matches, so that there is nothing to decide by."""
+    """Result of a decision. ``error``: no grant matches, or the document is refused or not modelled."""
 
     ALLOWED = "allowed"
     DENIED = "denied"
@@ -38,7 +37,7 @@ class DecisionOutcome(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class EndpointDecision:
-    """What a document says of an endpoint.
+    """The decision about an endpoint.
 
     Attributes:
         outcome: allowed, denied, or error.
@@ -54,13 +53,13 @@ class EndpointDecision:
 
     @property
     def allowed(self) -> bool:
-        """Whether the endpoint may be; an error denies."""
+        """Whether the endpoint is allowed; an error denies."""
         return self.outcome is DecisionOutcome.ALLOWED
 
 
 @dataclass(frozen=True, slots=True)
 class _Expressions:
-    """Expressions of one list, ready to be asked."""
+    """Expressions of one list, compiled."""
 
     plain: frozenset[str]
     wild: re.Pattern[str] | None
@@ -71,7 +70,7 @@ class _Expressions:
 
 @dataclass(frozen=True, slots=True)
 class _Step:
-    """Criteria of a rule, or those of a whole rule taken together.
+    """Criteria of a rule; or all criteria of a rule, pooled.
 
     ``partitions`` is None where every partition matches.
     """
@@ -85,7 +84,7 @@ class _Step:
 
 
 class DocumentEvaluator:
-    """Decides by one document for one subject in a domain; made once, asked often.
+    """Decides about the endpoints of one subject in a domain by one document.
 
     Args:
         document: the document.
@@ -95,9 +94,9 @@ class DocumentEvaluator:
         variation: the standard, or an implementation.
 
     Attributes:
-        semantics: the points of the variation.
-        refusal: what ends every question, or None.
-        joins: the subject may have a participant: some allow_rule holds in the domain, or the default allows.
+        semantics: how the implementation reads documents.
+        refusal: the decision about every endpoint, if there is no grant to evaluate; else None.
+        joins: the participant may join: an allow_rule applies in the domain, or the default allows.
     """
 
     def __init__(
@@ -138,15 +137,15 @@ class DocumentEvaluator:
         *,
         topic_checked: bool = True,
     ) -> EndpointDecision:
-        """Return what is decided about an endpoint.
+        """Decide about an endpoint.
 
         Args:
             action: ``publish``, ``subscribe`` or ``relay``.
             topic: DDS topic name.
             partitions: of the endpoint's publisher or subscriber; none is the default partition.
             tags: data tags of the endpoint.
-            topic_checked: the governance document controls both reading and writing the topic, so that the topic
-                itself is checked by those who do so.
+            topic_checked: the governance controls both reading and writing the topic; implementations with a topic
+                check then perform it.
         """
         if self.refusal is not None:
             return self.refusal
@@ -170,7 +169,7 @@ class DocumentEvaluator:
         return self._by_default(topic)
 
     def _concerns(self, step: _Step, asked: Sequence[str], tags: Collection[tuple[str, str]]) -> bool:
-        """Tell whether partitions and tags match: an allow needs all of the endpoint's, a deny one of them."""
+        """Tell whether partitions and tags match: an allow rule needs all of the endpoint's, a deny rule one."""
         need = all if step.allows else any
         if step.tags is not None and self.semantics.tags_count and not need(tag in step.tags for tag in tags):
             return False
@@ -198,14 +197,14 @@ def decide(
     tags: Collection[tuple[str, str]] = (),
     variation: Variation = OMG,
 ) -> EndpointDecision:
-    """Return what a document says of one endpoint; see :class:`DocumentEvaluator`."""
+    """Decide about one endpoint by a document; see :class:`DocumentEvaluator`."""
     return DocumentEvaluator(document, subject_name, now, domain, variation).decide(action, topic, partitions, tags)
 
 
 def _grant(
     document: PermissionsDocument, subject_name: str, now: datetime, semantics: Semantics
 ) -> DocumentGrant | EndpointDecision:
-    """Return the grant that counts, or why there is none."""
+    """Return the grant that applies, or why there is none."""
     reason = f"no grant applies to {subject_name!r}"
     found_line = 0
     for grant in semantics.grants(document, subject_name):
@@ -233,7 +232,7 @@ def _steps(rules: Iterable[DocumentRule], semantics: Semantics) -> Iterator[_Ste
 
 
 def _groups(rule: DocumentRule, semantics: Semantics) -> Iterable[Sequence[DocumentCriteria]]:
-    """Return criteria that are asked together: each by itself, or all of an action."""
+    """Return groups of criteria that are matched together: each alone, or all of an action."""
     if not semantics.pools_criteria:
         return [[criteria] for criteria in rule.criteria]
     pooled: dict[str, list[DocumentCriteria]] = {}

@@ -1,8 +1,8 @@
-"""The points on which implementations of DDS Security differ, and how each of them sees them.
+"""The points on which implementations of DDS Security differ from the standard.
 
-Every point is a field of :class:`Semantics`, whose defaults are the standard's. A :class:`Deviation` changes a point,
-and a :class:`Variation` is a list of deviations: an implementation. The rows are those of the table in
-``docs/vendors.md``, which was measured on Cyclone DDS 0.10.2 and Fast DDS 2.9.1.
+Each point is a field of :class:`Semantics`; the defaults are the standard's. A :class:`Deviation` changes fields, and a
+:class:`Variation` is an implementation: a list of deviations. The rows are those of the table in ``docs/vendors.md``,
+which was measured on Cyclone DDS 0.10.2 and Fast DDS 2.9.1.
 """
 
 from __future__ import annotations
@@ -26,12 +26,12 @@ from keymint_ros2_dds.reading.signed_permissions import (
 
 
 def trimmed(text: str) -> str:
-    """Cyclone DDS: white space around a text is no part of it."""
+    """Return a text as Cyclone DDS reads it: without the white space around it."""
     return text.strip(BLANKS)
 
 
 def unless_blank(text: str) -> str:
-    """Fast DDS: white space alone is no text."""
+    """Return a text as Fast DDS reads it: white space alone is an empty text."""
     return text if text.strip(BLANKS) else ""
 
 
@@ -44,23 +44,23 @@ class Semantics:
 
     Attributes:
         parser: whose parser reads the documents; it decides which documents are refused, and which are not modelled.
-        selects: whether a grant's subject name is about an identity: both as text, ``CN=/talker,OU=h``.
-        passes_over_invalid: a grant that is not valid now is passed over; else it ends the search.
-        date: reads a date of the document; None is none: it never holds.
-        no_beginning_holds: a beginning that is no date has passed.
+        selects: tells whether a grant's subject name matches an identity's; both are text, ``CN=/talker,OU=h``.
+        passes_over_invalid: a grant that is not valid now is skipped; else it ends the search.
+        date: reads a date of the document; returns None if it cannot, and then the grant is never valid.
+        no_beginning_holds: a ``not_before`` that cannot be read counts as past.
         reads_text: returns an expression, or a subject name, as it is read.
-        default_counts: ``<default>`` is looked at; else it is always DENY.
+        default_counts: ``<default>`` is evaluated; else it is always DENY.
         min_only_is_exact: a range of domains with ``min`` alone is that domain; else every higher one as well.
-        domains_count: rules of other domains are passed over.
+        domains_count: rules of other domains are skipped.
         fnmatch: the dialect of expressions.
         pools_criteria: topics and partitions of all criteria of a rule are taken together.
         first_topic_decides: a rule that names the topic ends the search, also if its partitions do not match.
-        deny_default: a deny rule without partitions is about the default partition alone; else about every partition.
+        deny_default: a deny rule without partitions applies to the default partition only; else to every partition.
         deny_topic: the partitions of a deny rule do not matter.
-        topic_check: the first criteria that name the topic, in any direction, decide whether there is a topic at all.
-        tags_count: data tags are looked at.
-        needs_rule_to_join: a participant needs a rule that allows something, whatever the governance document says.
-        topic_rules_both_ways: the name of a topic is taken for an expression about those of topic rules, too.
+        topic_check: the first criteria that match the topic, in any direction, decide whether it may be created.
+        tags_count: data tags are evaluated.
+        needs_rule_to_join: a participant needs an allow rule, even if the governance does not control joining.
+        topic_rules_both_ways: a topic rule also matches if the topic's name, as a pattern, matches its expression.
     """
 
     parser: Parser = Parser.STANDARD
@@ -91,11 +91,11 @@ class Semantics:
         return strictness.unmodelled(document, self.parser)
 
     def grants(self, document: PermissionsDocument, subject_name: str) -> Sequence[DocumentGrant]:
-        """Return the grants that are about an identity, in the order of the document."""
+        """Return the grants that match an identity, in the order of the document."""
         return [each for each in document.grants if self.selects(self.reads_text(each.subject_name), subject_name)]
 
     def period(self, grant: DocumentGrant) -> tuple[datetime, datetime] | None:
-        """Return when a grant is valid, both ends included; None is never."""
+        """Return the period of validity of a grant, both ends included; None if it is never valid."""
         begin, end = self.date(grant.not_before), self.date(grant.not_after)
         if begin is None and self.no_beginning_holds:
             begin = BEGINNING_OF_TIME
@@ -119,10 +119,10 @@ class Deviation:
     row: str
     name: str
     text: str
-    changes: Mapping[str, Any] = field(repr=False)
+    changes: Mapping[str, Any] = field(repr=False, compare=False)
 
     def __str__(self) -> str:
-        """Return what a report says: row, name and text."""
+        """Return row, name and text, as reports show them."""
         return f"row {self.row}, {self.name}: {self.text}"
 
 
@@ -131,7 +131,7 @@ class Variation:
     """An implementation: the standard with deviations.
 
     Attributes:
-        name: e.g. ``cyclonedds-0.10``; tells variations apart.
+        name: e.g. ``cyclonedds-0.10``; unique.
         deviations: in the order of their rows.
     """
 
@@ -140,17 +140,22 @@ class Variation:
 
     @property
     def semantics(self) -> Semantics:
-        """The points with all deviations applied."""
-        return functools.reduce(lambda found, deviation: replace(found, **deviation.changes), self.deviations, STANDARD)
+        """The standard's semantics with all deviations applied."""
+        return _semantics(self)
 
     def without(self, deviation: Deviation) -> Variation:
-        """Return the implementation if it did not differ on one point."""
+        """Return the implementation without one deviation."""
         left = tuple(item for item in self.deviations if item != deviation)
         return Variation(f"{self.name} without {deviation.name}", left)
 
     def only(self, deviation: Deviation) -> Variation:
-        """Return the implementation if it differed on one point alone."""
+        """Return the standard with one deviation alone."""
         return Variation(f"{self.name} with {deviation.name} alone", (deviation,))
+
+
+@functools.lru_cache(maxsize=64)
+def _semantics(variation: Variation) -> Semantics:
+    return functools.reduce(lambda points, each: replace(points, **each.changes), variation.deviations, STANDARD)
 
 
 def _on(row: str, name: str, text: str, **changes: Any) -> Deviation:
@@ -160,9 +165,9 @@ def _on(row: str, name: str, text: str, **changes: Any) -> Deviation:
 CYCLONE_DEVIATIONS = (
     _on("1", "subject-tokens", "every part of the identity's name must occur in the grant's, in any order",
         selects=subject_names.parts_occur),
-    _on("2", "first-grant-only", "the first grant of the subject counts, also when it is not valid now",
+    _on("2", "first-grant-only", "the first grant of the subject applies, even if it is not valid now",
         passes_over_invalid=False),
-    _on("6", "deny-default-partition", "a deny rule without partitions is about the default partition alone",
+    _on("6", "deny-default-partition", "a deny rule without partitions applies to the default partition only",
         deny_default=True),
     _on("9", "topic-check", "the first rule that names a topic decides whether it exists, whatever its direction",
         topic_check=True),
@@ -171,10 +176,10 @@ CYCLONE_DEVIATIONS = (
     _on("12", "min-only", "a range of domains with a minimum alone is that one domain", min_only_is_exact=True),
     _on("15", "late-dates", "a date that does not fit 64 bits of nanoseconds, or is none, is over",
         date=dates.cyclone, no_beginning_holds=True),
-    _on("16", "trimmed-text", "white space around a text is no part of it", reads_text=trimmed),
+    _on("16", "trimmed-text", "white space around a text is ignored", reads_text=trimmed),
     _on("17", "fnmatch", "no escapes; only '!' negates a set; the ']' that ends a set is a member of it",
         fnmatch=fnmatch.CYCLONE_DDS),
-    _on("data tags", "tags-ignored", "data tags are not looked at", tags_count=False),
+    _on("data tags", "tags-ignored", "data tags are ignored", tags_count=False),
 )  # fmt: skip
 
 FAST_DEVIATIONS = (
@@ -193,15 +198,35 @@ FAST_DEVIATIONS = (
     _on("14", "zone-ignored", "the zone of a date is ignored", date=dates.fast),
     _on("16", "blank-text", "a text of white space alone is empty", reads_text=unless_blank),
     _on("17", "fnmatch", "expressions have no escapes", fnmatch=fnmatch.FAST_DDS),
-    _on("19", "rule-to-join", "a participant needs an allow_rule, also where joining is not controlled",
+    _on("19", "rule-to-join", "a participant needs an allow_rule, even if joining is not controlled",
         needs_rule_to_join=True),
     _on("20", "topic-rules-both-ways",
         "the name of a topic is compared as an expression with the expressions of the governance, too",
         topic_rules_both_ways=True),
-    _on("data tags", "tags-ignored", "data tags are not looked at", tags_count=False),
+    _on("data tags", "tags-ignored", "data tags are ignored", tags_count=False),
 )  # fmt: skip
 
 OMG = Variation("omg")
 CYCLONEDDS_0_10 = Variation("cyclonedds-0.10", CYCLONE_DEVIATIONS)
 FASTDDS_2_9 = Variation("fastdds-2.9", FAST_DEVIATIONS)
 VARIATIONS: Mapping[str, Variation] = {each.name: each for each in (OMG, CYCLONEDDS_0_10, FASTDDS_2_9)}
+
+
+def explain(ask: Callable[[Variation], bool], variation: Variation) -> tuple[Deviation, ...]:
+    """Return the deviations for which an implementation decides differently from the standard; empty if it does not.
+
+    Preferred are deviations each of which suffices alone, then those without any of which the decision would be the
+    standard's, then all.
+
+    Args:
+        ask: decides the same question by an implementation.
+        variation: the implementation.
+    """
+    expected, decided = ask(OMG), ask(variation)
+    if expected == decided:
+        return ()
+    alone = tuple(each for each in variation.deviations if ask(variation.only(each)) == decided)
+    if alone:
+        return alone
+    needed = tuple(each for each in variation.deviations if ask(variation.without(each)) == expected)
+    return needed or variation.deviations

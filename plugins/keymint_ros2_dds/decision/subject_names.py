@@ -1,4 +1,4 @@
-"""Whether a grant is about an identity: subject names as text, the identity's as RFC 2253 has it (last RDN first)."""
+"""Match the subject name of a grant with that of an identity, as text in the order of RFC 2253 (last RDN first)."""
 
 from __future__ import annotations
 
@@ -12,9 +12,9 @@ _MAX_PARTS = 20
 
 
 def same_name(grant: str, identity: str) -> bool:
-    """Return whether both are the same distinguished name, written from either end (DDS Security 1.1, 9.4.1.3.2.1).
+    """Compare distinguished names, whose RDNs may be in either order (DDS Security 1.1, 9.4.1.3.2.1).
 
-    The specification names no order, and implementations write both.
+    The specification does not define the order, and implementations write both.
     """
     text = grant.strip()
     if text == identity:
@@ -28,7 +28,7 @@ def same_name(grant: str, identity: str) -> bool:
 
 
 def parts_occur(grant: str, identity: str) -> bool:
-    """Cyclone DDS: both names are split at ``,``, ``/`` and ``|``; what the identity has, the grant must have."""
+    """Compare as Cyclone DDS: split at ``,``, ``/`` and ``|``; the grant must have every part of the identity."""
     wanted, found = _parts(identity), _parts(grant)
     return len(wanted) <= _MAX_PARTS and len(found) <= _MAX_PARTS and set(wanted) <= set(found)
 
@@ -38,5 +38,5 @@ def _parts(name: str) -> list[str]:
 
 
 def same_text(grant: str, identity: str) -> bool:
-    """Fast DDS 2.9: both names are split at ``,`` and compared part by part, blanks around a part aside."""
+    """Compare as Fast DDS 2.9: split at ``,``; the parts must be equal, ignoring blanks around them."""
     return [part.strip(" ") for part in grant.split(",")] == [part.strip(" ") for part in identity.split(",")]

@@ -1,8 +1,8 @@
-"""Proofs about permissions documents: over all names, they permit exactly what the policy says.
+"""Prove that permissions documents permit exactly what the policy allows, over all names.
 
-The signed document is read again as installed, and turned into decision lists: by the standard, and by a model of each
-vendor. So is the policy, and :mod:`comarmor.patterns.proofs` compares them. Each counterexample
-is checked once more: on the policy's side by evaluating its rules, on the document's side by the decision point.
+The installed, signed document is read again and translated into decision lists: as the standard reads it, and as the
+model of each vendor does. :mod:`comarmor.patterns.proofs` compares them with the decision lists of the policy. Each
+counterexample is checked again by evaluating the policy's rules, and by the decision point.
 """
 
 from __future__ import annotations

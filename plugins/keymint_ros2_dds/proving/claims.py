@@ -1,10 +1,9 @@
-"""The claims about one permissions document."""
+"""Prove or refute the claims about one permissions document."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import cache
 from itertools import pairwise
 from types import MappingProxyType
 
@@ -26,10 +25,10 @@ from keymint.ir import SubjectRules
 from keymint_ros2_dds import decision
 from keymint_ros2_dds.decision import OMG, VARIATIONS, DocumentEvaluator, EndpointDecision, Variation
 from keymint_ros2_dds.decision.access import DomainAccess
-from keymint_ros2_dds.decision.semantics import Semantics
+from keymint_ros2_dds.domains import merged
 from keymint_ros2_dds.lowering.lower import Lowered
 from keymint_ros2_dds.proving import octets, permission_lists, policy_evaluator, protection
-from keymint_ros2_dds.proving.enclave_governance import EnclaveGovernance, cuts
+from keymint_ros2_dds.proving.enclave_governance import ACTIONS, LAST_DOMAIN, EnclaveGovernance, cuts
 from keymint_ros2_dds.proving.governance_lists import (
     NOTHING,
     REFUSED,
@@ -39,12 +38,9 @@ from keymint_ros2_dds.proving.governance_lists import (
     without_wildcards,
 )
 from keymint_ros2_dds.proving.governance_lists import difference as governed_difference
-from keymint_ros2_dds.proving.grant_periods import GrantPeriod, grant_periods, joined
+from keymint_ros2_dds.proving.grant_periods import GrantPeriod, grant_periods
 from keymint_ros2_dds.reading.signed_permissions import DocumentGrant, PermissionsDocument
 
-ACTIONS = ("publish", "subscribe")
-LAST_DOMAIN = 232
-"""The highest domain id whose ports exist for any participant (DDSI-RTPS 2.3, 9.6.1.1)."""
 _ALWAYS = (
     "the governance that counts is that of the subject's own enclave: a participant's local checks read no other",
     "packets are protected as the governance says: where it neither signs nor encrypts, the network is trusted",
@@ -74,15 +70,15 @@ ASSUMPTIONS: Mapping[str, tuple[str, ...]] = MappingProxyType(
 
 @dataclass(frozen=True, slots=True)
 class ProofSpec:
-    """What a permissions document is held against, and at what cost.
+    """What a permissions document must permit, and how long a proof may take.
 
     Attributes:
         subject_name: the identity's, in the order of RFC 2253, e.g. ``CN=/talker,OU=0f``.
-        rules: what the policy says of the subject.
+        rules: the policy's rules for the subject.
         distro: ROS 2 distribution whose name mapping applies.
-        domains: the domains in which the policy holds.
+        domains: the domains in which the policy applies.
         states: how many states a comparison may visit.
-        go_on: asked again and again; a comparison is given up when it returns False.
+        go_on: called repeatedly; a comparison ends as unknown when it returns False.
     """
 
     subject_name: str
@@ -95,12 +91,12 @@ class ProofSpec:
 
 @dataclass(frozen=True, slots=True)
 class ProofQuestion:
-    """What is asked of a permissions document, signed or not.
+    """A permissions document, and what it must permit.
 
     Attributes:
         document: the document.
-        held: what it is held against.
-        lowered: the rules of that on the level of DDS, from :func:`keymint_ros2_dds.lowering.lower.lower`.
+        held: what it must permit.
+        lowered: its rules in terms of DDS, from :func:`keymint_ros2_dds.lowering.lower.lower`.
         governing: the governance beside it; None puts every topic, and joining, under access control.
     """
 
@@ -114,7 +110,7 @@ def prove_document(question: ProofQuestion, *, models: Sequence[str] | None = No
     """Return the claims about a document, by model, action and domains.
 
     Args:
-        question: what is asked.
+        question: the document, and what it must permit.
         models: names of the models, of :data:`ASSUMPTIONS`; None: all.
     """
     compare = _Comparator(question)
@@ -128,13 +124,13 @@ _DATE = "%Y-%m-%dT%H:%M:%S"
 
 @dataclass(frozen=True, slots=True)
 class _Permitted:
-    """What documents permit.
+    """What the documents permit.
 
     Attributes:
         lists: decision lists of the permissions, of which all must permit.
-        regions: what the governance makes of topics, if it does not put each under access control.
-        exempt: permits the topics that the sources leave open on purpose.
-        both_ways: names with wildcards are left out, since they are compared both ways with topic rules.
+        regions: topics by their governance; None if every topic is under access control.
+        exempt: permits the topics that the sources leave open, as the profile accepts.
+        both_ways: names with wildcards are excluded, because topic rules match them in both directions.
     """
 
     lists: tuple[DecisionList, ...]
@@ -147,7 +143,7 @@ _NONE = _Permitted((NOTHING,))
 
 
 class _Comparator:
-    """What a policy says, held against decision lists of the document: once for all models that read it alike."""
+    """Compares the policy with decision lists of the document, once for all models with the same lists."""
 
     def __init__(self, question: ProofQuestion) -> None:
         self._question = question
@@ -162,7 +158,7 @@ class _Comparator:
         self._known: dict[tuple[object, ...], ProofResult] = {}
 
     def of(self, action: str, permitted: _Permitted, *, inside: bool) -> ProofResult:
-        """Compare what the policy says of an action, inside or outside of its domains, with what is permitted."""
+        """Compare what the policy allows, inside or outside of its domains, with what is permitted."""
         said = self._said[action] if inside else ()
         key = (said, permitted)
         found = self._known.get(key)
@@ -178,20 +174,14 @@ class _Comparator:
         return governed_difference(said, permitted.lists, permitted.regions, permitted.exempt, universe, budget)
 
 
-@cache
-def _semantics(name: str) -> Semantics:
-    """Return how a model reads documents; put together from its deviations once, and not for every enclave."""
-    return VARIATIONS[name].semantics
-
-
 class _Model:
-    """The claims of one model."""
+    """Makes the claims of one model."""
 
     def __init__(self, question: ProofQuestion, comparison: _Comparator, name: str) -> None:
         self._question = question
         self._comparison = comparison
         self._variation = VARIATIONS[name]
-        self._semantics = _semantics(name)
+        self._semantics = VARIATIONS[name].semantics
         self._refused = self._semantics.refusal(question.document)
         self._unmodelled = "" if self._refused else self._semantics.unmodelled(question.document)
         self._governing = question.governing
@@ -217,7 +207,7 @@ class _Model:
         for action in ACTIONS:
             for domains, inside in groups:
                 claim = self._claim(action, domains, inside=inside)
-                # That nothing is permitted where the policy does not hold is said only where it is wrong.
+                # That nothing is permitted outside of the policy's domains is reported only where it is wrong.
                 if inside or claim.proof is not Proof.PROVEN:
                     yield claim
         if self._governing is not None and not self._refused and not self._unmodelled:
@@ -229,7 +219,7 @@ class _Model:
         return SearchBudget(self._question.held.states, self._question.held.go_on)
 
     def _rule(self, domain: int) -> DomainAccess | None:
-        """Return what the governance says in a domain; None where there is no governance in question."""
+        """Return the access control in a domain; None if the proof is about permissions only."""
         if self._governing is None:
             return None
         found = self._governed.get(domain)
@@ -238,7 +228,7 @@ class _Model:
         return found
 
     def _domains(self) -> Iterator[tuple[tuple[DomainRange, ...], bool]]:
-        """Yield groups of domains in which policy and document are the same, and whether the policy holds there."""
+        """Yield groups of domains with the same policy and rules, and whether the policy applies there."""
         wanted = self._question.held.domains
         grants = [era.grant for era in self._eras]
         rules = [rule for grant in grants for rule in grant.rules]
@@ -248,7 +238,7 @@ class _Model:
             edges |= {first, first + 1, *(() if each.last is None else (each.last + 1,))}
         if self._governing is not None:
             documents = (self._governing.document, self._governing.sources)
-            edges |= {each.first for each in cuts(*documents, last=LAST_DOMAIN)}
+            edges |= {each.first for each in cuts(*documents)}
         steps = [*sorted(edge for edge in edges if 0 <= edge <= LAST_DOMAIN), LAST_DOMAIN + 1]
         permits_more = self._semantics.default_counts and any(grant.allows for grant in grants)
         groups: dict[tuple[object, ...], list[DomainRange]] = {}
@@ -260,12 +250,12 @@ class _Model:
             opens = rule is not None and any(
                 not each.controls(action) for each in rule.topic_rules for action in ACTIONS
             )
-            # Where neither policy nor document says anything there is nothing to compare.
+            # Without rules in the policy or the document there is nothing to compare.
             if inside or opens or (self._semantics.domains_count and (permits_more or any(held))):
                 accepted = None if self._governing is None else self._governing.accepted_rule(first)
                 groups.setdefault((inside, rule, accepted, *held), []).append(DomainRange(first, following - 1))
         for kind, domains in groups.items():
-            yield tuple(joined(domains)), bool(kind[0])
+            yield tuple(merged(domains)), bool(kind[0])
 
     def _claim(self, action: str, domains: tuple[DomainRange, ...], *, inside: bool) -> Claim:
         universe = octets.PAIRS if self._comparison.pairs else octets.TOPICS
@@ -296,7 +286,7 @@ class _Model:
         return claim(Proof.UNKNOWN, self._by_locale) if self._by_locale else claim(Proof.PROVEN)
 
     def _compare(self, era: GrantPeriod | None, action: str, domain: int, *, inside: bool) -> ProofResult:
-        """Compare what the policy says with what is permitted while a grant is in force, or where none ever is."""
+        """Compare the policy with what is permitted while a grant is in force; without a grant nothing is."""
         permitted = _NONE if era is None else self._permitted(era.grant, action, domain, inside=inside)
         return self._comparison.of(action, permitted, inside=inside)
 
@@ -317,13 +307,13 @@ class _Model:
         if found.closed:
             return _Permitted(own)
         if not inside and not semantics.domains_count:
-            own = (NOTHING,)  # that the permissions are not used there is assumed
+            own = (NOTHING,)  # by assumption the permissions are not used there
         accepted = self._governing.accepted_rule(domain)
         exempt = NOTHING if accepted is None else regions(accepted, action, semantics, pairs=pairs).opened
         return _Permitted(own, found, exempt, semantics.topic_rules_both_ways)
 
     def _both_ways(self, domain: int, action: str) -> bool:
-        """Tell whether names with wildcards are left out of a claim."""
+        """Tell whether a claim excludes names with wildcards."""
         governed = self._rule(domain)
         if governed is None or governed.rule is None or not self._semantics.topic_rules_both_ways:
             return False
@@ -375,9 +365,9 @@ class _Model:
     def _verdict(
         self, action: str, domain: int, era: GrantPeriod | None, name: tuple[str, str], *, permitted: bool
     ) -> Verdict:
-        """Return what the decision point says of a topic and partition, read by this model.
+        """Return the verdict of the decision point about a topic and partition, by this model.
 
-        Where the engine says that it is permitted, the permissions alone may do so: a peer goes by its own governance.
+        Where the engine finds it permitted, the permissions alone may do so: a peer evaluates its own governance.
         """
         question, (topic, partition) = self._question, name
         if self._refused:
@@ -394,7 +384,7 @@ class _Model:
             governed = DomainAccess.of(self._governing.document, domain, variation.semantics)
             found = governed.decide(evaluator, action, topic, partitions)
             if not found.allowed and permitted and (alone := evaluator.decide(action, topic, partitions)).allowed:
-                reason = f"{alone.reason}; only the governance of this enclave refuses it: peers go by their own"
+                reason = f"{alone.reason}; only the governance of this enclave refuses it: peers evaluate their own"
                 return replace(alone, reason=reason)
             return found
 

@@ -1,4 +1,4 @@
-"""The governance document of an enclave, and what of it the sources say on purpose."""
+"""The governance document of an enclave, and which of its openings the sources accept."""
 
 from __future__ import annotations
 
@@ -22,18 +22,20 @@ from keymint_ros2_dds.reading.signed_governance import (
 )
 
 ACTIONS = ("publish", "subscribe")
+LAST_DOMAIN = 232
+"""The highest domain id whose ports exist for any participant (DDSI-RTPS 2.3, 9.6.1.1)."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class EnclaveGovernance:
-    """A governance document as it is signed, beside what the sources say.
+    """A signed governance document, and the one that the sources compile to.
 
     Attributes:
         document: the document.
-        sources: what the sources compile to; None where that is not known.
-        accepted: what the sources leave open is accepted.
+        sources: what the sources compile to; None if there are no sources.
+        accepted: the profile accepts what the sources leave open.
         key: digest of all that claims depend on.
-        differs: the document is not what the sources compile to, byte for byte.
+        differs: the document differs from what the sources compile to, in any byte.
     """
 
     document: GovernanceDocument
@@ -46,17 +48,17 @@ class EnclaveGovernance:
     def of(
         cls, content: bytes, place: tuple[str, int], said: Governance | None, subject: str, distro: str
     ) -> EnclaveGovernance:
-        """Read a document.
+        """Read a signed governance document.
 
         Args:
             content: the document, unsigned.
-            place: the file that it lies in, and how many lines of that come before it.
-            said: what the sources say.
-            subject: whose document it is.
+            place: its file, and the number of lines before it there.
+            said: the governance of the sources.
+            subject: the subject of the enclave.
             distro: ROS 2 distribution whose mapping of names applies.
 
         Raises:
-            KeymintError: the document cannot be read, or the sources say what no document can.
+            KeymintError: the document cannot be read, or the sources cannot be expressed as a document.
         """
         built = b""
         if said is not None:
@@ -67,7 +69,7 @@ class EnclaveGovernance:
         return cls(signed_governance.read(content, *place), own, accepted, key, content != built)
 
     def source_rule(self, domain: int) -> DocumentDomainRule | None:
-        """Return the rule of the sources for a domain."""
+        """Return the rule of the sources that applies in a domain."""
         return None if self.sources is None else self.sources.rule(domain)
 
     def accepted_rule(self, domain: int) -> DocumentDomainRule | None:
@@ -75,12 +77,12 @@ class EnclaveGovernance:
         return self.source_rule(domain) if self.accepted else None
 
     def transparent(self, domains: tuple[DomainRange, ...]) -> bool:
-        """Tell whether the document changes nothing of what the permissions say, by every reading.
+        """Tell whether the permissions alone decide, as every implementation reads the document.
 
         Then it is plain, each domain has a rule, and each rule puts joining and every topic under access control.
 
         Args:
-            domains: the domains in question.
+            domains: the domains of the policy.
         """
         document = self.document
         if document.quirks or self.differs or self.outlandish():
@@ -101,7 +103,7 @@ class EnclaveGovernance:
         return closed and exact and all(document.rule(domain) is not None for domain in wanted)
 
     def outlandish(self) -> str:
-        """Return why what a rule matches depends on the locale of a vendor; or an empty text."""
+        """Return why a match depends on the locale of a process, or an empty text."""
         for rule in self.document.domain_rules:
             for topic in rule.topic_rules:
                 if not topic.expression.isascii() or "[:" in topic.expression:
@@ -110,7 +112,7 @@ class EnclaveGovernance:
         return ""
 
     def opens(self) -> bool:
-        """Tell whether some rule leaves some topic open."""
+        """Tell whether any rule leaves a topic open."""
         return any(
             not topic.controls(action)
             for rule in self.document.domain_rules
@@ -119,7 +121,7 @@ class EnclaveGovernance:
         )
 
     def excepted(self, rule: DocumentDomainRule, action: str, domain: int) -> Iterator[str]:
-        """Yield what a rule of the document leaves open in a domain, as far as that may be accepted."""
+        """Yield what a rule of the document leaves open in a domain, and the profile accepts."""
         own = self.accepted_rule(domain)
         if own is None:
             return
@@ -135,17 +137,12 @@ class EnclaveGovernance:
             yield f"participants without identity{where or ' in domain 0'} ({place}: {UNAUTHENTICATED} is true)"
 
 
-def cuts(*documents: GovernanceDocument | None, last: int) -> Iterator[DomainRange]:
-    """Yield ranges of domains in each of which the same rules of all documents count.
-
-    Args:
-        documents: the documents.
-        last: the highest domain id.
-    """
-    edges = {0, last + 1}
+def cuts(*documents: GovernanceDocument | None) -> Iterator[DomainRange]:
+    """Yield ranges of domains in each of which the same rules of all documents apply."""
+    edges = {0, LAST_DOMAIN + 1}
     for document in documents:
         for each in (each for rule in (document.domain_rules if document else ()) for each in rule.domains):
             first = each.first or 0
             edges |= {first, first + 1, *(() if each.last is None else (each.last + 1,))}
-    for begin, end in pairwise(sorted(edge for edge in edges if 0 <= edge <= last + 1)):
+    for begin, end in pairwise(sorted(edge for edge in edges if 0 <= edge <= LAST_DOMAIN + 1)):
         yield DomainRange(begin, end - 1)

@@ -1,4 +1,4 @@
-"""From an enclave that is installed to what is asked of it: its files are read again, and its signature is verified."""
+"""Prove an installed enclave: read its files again, and verify their signatures."""
 
 from __future__ import annotations
 
@@ -21,14 +21,14 @@ from keymint_ros2_dds.transports.enclave_files import subject_name
 def prove(task: ProofTask, *, models: Sequence[str] | None = None) -> tuple[Claim, ...]:
     """Return the claims about an enclave, by model, action and domains.
 
-    Nothing is claimed of an enclave that does not rest on the workspace's authorities.
+    Nothing is claimed about an enclave whose trust anchors differ from the workspace's.
 
     Args:
-        task: what is to be proven.
+        task: the enclave, and the policy that it must implement.
         models: names of the models; None: all.
 
     Raises:
-        KeymintError: a file of the enclave is missing, cannot be read, or does not rest on the anchors, or a rule of
+        KeymintError: a file of the enclave is missing, cannot be read, or is not issued by the anchors; or a rule of
             the policy cannot be mapped.
     """
     files, folder = task.files, task.folder
@@ -47,7 +47,7 @@ def prove(task: ProofTask, *, models: Sequence[str] | None = None) -> tuple[Clai
 
 
 def terms(files: Mapping[str, bytes], folder: str, anchors: TrustAnchors) -> tuple[ValidityTerm, ...]:
-    """Return when an enclave is permitted anything; see :meth:`keymint.api.Prover.terms`.
+    """Return the periods of validity of an enclave; see :meth:`keymint.api.Prover.terms`.
 
     Raises:
         KeymintError: a file is missing, cannot be read, or is not signed by the workspace's authority.
@@ -59,7 +59,7 @@ def terms(files: Mapping[str, bytes], folder: str, anchors: TrustAnchors) -> tup
 
 
 def _document(files: Mapping[str, bytes], folder: str, anchors: TrustAnchors) -> tuple[bytes, tuple[str, int]]:
-    """Return the signed permissions document, and its place: a file, and how many lines of it come before."""
+    """Return the signed permissions document, its file, and the number of lines before it there."""
     file, where = _file(files, folder, PERMISSIONS_P7S), Origin(f"{folder}/{PERMISSIONS_P7S}")
     signed = smime.read(file, anchors.permissions.chain, where=where)
     same = files.get(PERMISSIONS_XML) == signed.content
@@ -68,7 +68,7 @@ def _document(files: Mapping[str, bytes], folder: str, anchors: TrustAnchors) ->
 
 
 def _governing(task: ProofTask) -> EnclaveGovernance:
-    """Read the signed governance beside what the sources say of it."""
+    """Read the signed governance, and the one of the sources."""
     file = f"{task.folder}/{GOVERNANCE_P7S}"
     document = _file(task.files, task.folder, GOVERNANCE_P7S)
     signed = smime.read(document, task.anchors.permissions.chain, where=Origin(file))

@@ -1,8 +1,8 @@
-"""What a governance document makes of topics, as decision lists beside those of the permissions.
+"""Translate a governance document into decision lists, and compare a policy with governance and permissions together.
 
-In a domain each topic is open (its permissions are not asked), controlled (they are), or refused (no topic rule is
-about it). So an endpoint is permitted if its topic is open, or controlled and permitted. Such a union of lists is no
-decision list; the comparison asks instead for words that some lists permit and another one refuses, case by case.
+In a domain each topic is open (permissions are not checked), controlled (they are), or refused (no topic rule matches).
+An endpoint is permitted if its topic is open, or controlled and permitted. Such a union is not a decision list, so the
+comparison searches, case by case, for words that some lists permit and another one refuses.
 """
 
 from __future__ import annotations
@@ -30,20 +30,20 @@ from keymint_ros2_dds.proving.permission_lists import SEPARATOR
 from keymint_ros2_dds.reading.signed_governance import DocumentDomainRule
 
 WILDCARDS = "*?["
-"""Fast DDS takes the name of a topic for an expression about the expressions of topic rules, too. It makes no
-difference for names without these characters."""
+"""Fast DDS also matches the expressions of topic rules with the topic's name as a pattern. That makes no difference for
+names without these characters."""
 NOTHING: DecisionList = ()
 """Permits nothing."""
 
 
 @dataclass(frozen=True, slots=True)
 class Regions:
-    """The topics of a domain, for an action.
+    """The topics of a domain, by access control for an action.
 
     Attributes:
-        opened: permits the topics whose permissions are not asked about the action.
-        either: permits those whose permissions are not asked about the action or the other one.
-        covered: permits the topics that a rule is about.
+        opened: permits the topics that are open for the action.
+        either: permits the topics that are open for this action or the other one.
+        covered: permits the topics that a rule matches.
         closed: every topic is controlled.
     """
 
@@ -59,13 +59,13 @@ REFUSED = Regions(NOTHING, NOTHING, NOTHING, closed=False)
 
 @lru_cache(maxsize=256)
 def regions(rule: DocumentDomainRule, action: str, semantics: Semantics, *, pairs: bool) -> Regions:
-    """Return what a domain rule makes of topics.
+    """Return the topics of a domain rule, by access control.
 
     Args:
         rule: the rule.
         action: ``publish`` or ``subscribe``.
         semantics: how the document is read.
-        pairs: words have partitions; the governance knows none, so a topic is open in all of them.
+        pairs: words have partitions; a governance has none, so a topic is open in all of them.
 
     Raises:
         PatternError: implementations read an expression differently.
@@ -83,7 +83,7 @@ def regions(rule: DocumentDomainRule, action: str, semantics: Semantics, *, pair
 
 
 def patterns(expression: str, semantics: Semantics, *, pairs: bool) -> tuple[Glob, ...]:
-    """Return the words that a topic expression of the governance is about.
+    """Return the words that a topic expression of the governance matches.
 
     Raises:
         PatternError: implementations read it differently.
@@ -97,12 +97,12 @@ def _every(*, pairs: bool) -> Glob:
 
 
 def refused(decisions: DecisionList) -> DecisionList:
-    """Return the list that permits what a list refuses."""
+    """Return the complement of a list."""
     return (*(Block(not block.allows, block.patterns) for block in decisions), Block(True, (EVERYTHING,)))
 
 
 def without_wildcards(universe: Universe) -> Universe:
-    """Return the words of a universe that have no :data:`WILDCARDS`."""
+    """Return the words of a universe without :data:`WILDCARDS`."""
     kept: list[tuple[int, int]] = []
     for low, high in universe.alphabet.ranges:
         at = low
@@ -122,19 +122,18 @@ def difference(
     universe: Universe,
     budget: SearchBudget,
 ) -> ProofResult:
-    """Tell whether a policy says exactly what the documents permit.
+    """Compare what a policy allows with what the documents permit.
 
     Args:
-        said: what the policy says.
-        permitted: the endpoint's list of the permissions, and the topic's where that is checked; all must permit.
-        found: what the governance makes of topics.
+        said: what the policy allows.
+        permitted: the permissions' list for the endpoint, and for the topic where that is checked; all must permit.
+        found: topics by the governance.
         exempt: permits the topics that may be open.
-        universe: the words in question.
-        budget: what each of the questions may cost.
+        universe: the words to compare.
+        budget: limits of each search.
 
     Returns:
-        :class:`Equal`, a shortest :class:`Witness` that an open topic or the permissions make the difference, or
-        :class:`Unknown`.
+        :class:`Equal`, a shortest :class:`Witness`, or :class:`Unknown`.
     """
     best: Witness | None = None
     unknown: Unknown | None = None
@@ -150,11 +149,11 @@ def difference(
 def _questions(
     said: DecisionList, permitted: Sequence[DecisionList], found: Regions, exempt: DecisionList
 ) -> Iterator[tuple[tuple[DecisionList, ...], DecisionList, bool]]:
-    """Yield lists that permit together what another one refuses, and whether the policy is among the first.
+    """Yield the searches: lists that all permit, one that refuses, and whether the policy is among the first.
 
-    What is open for the action is open for either one, and what is open is covered. With the endpoint's list ``e`` and
+    A topic that is open for the action is open for either one, and is covered. With the endpoint's list ``e`` and
     the topic's ``t``, the documents permit ``opened`` + ``e`` * ``either`` + ``e`` * ``t`` * ``covered``. The
-    permissions alone must not permit more either, covered or not: peers hold them against a governance of their own.
+    permissions alone must not permit more either, covered or not: peers evaluate them with their own governance.
     """
     endpoint, *topic = permitted
     outside = (refused(exempt),) if exempt else ()

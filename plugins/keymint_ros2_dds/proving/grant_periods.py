@@ -1,13 +1,12 @@
-"""When grants are in force, and in which domains claims hold: ranges, put together."""
+"""The periods in which the grants of a document are in force."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass
 from datetime import UTC, datetime, timedelta
 from itertools import pairwise
 
-from keymint.api import DomainRange
 from keymint_ros2_dds.decision.semantics import Semantics
 from keymint_ros2_dds.reading.signed_permissions import DocumentGrant, PermissionsDocument
 
@@ -17,7 +16,7 @@ _LAST_MOMENT = datetime.max.replace(tzinfo=UTC) - _SECOND
 
 @dataclass(frozen=True, slots=True)
 class GrantPeriod:
-    """A time at which a grant is in force; others may follow in which it is, too."""
+    """A period in which a grant is in force; it may have others later."""
 
     grant: DocumentGrant
     begin: datetime
@@ -25,7 +24,7 @@ class GrantPeriod:
 
 
 def grant_periods(document: PermissionsDocument, subject_name: str, semantics: Semantics) -> Iterator[GrantPeriod]:
-    """Yield a time at which each grant that is about the identity is in force; grants that never are have none."""
+    """Yield a period for each grant of the identity that is ever in force."""
     grants = semantics.grants(document, subject_name)
     if not semantics.passes_over_invalid:
         grants = grants[:1]
@@ -45,15 +44,3 @@ def grant_periods(document: PermissionsDocument, subject_name: str, semantics: S
 
 def _next(moment: datetime) -> datetime:
     return moment + _SECOND if moment < _LAST_MOMENT else moment
-
-
-def joined(domains: Sequence[DomainRange]) -> Iterator[DomainRange]:
-    """Yield ranges of domains, neighbours as one."""
-    first, last = domains[0].first, domains[0].last
-    for each in domains[1:]:
-        if each.first == last + 1:
-            last = each.last
-        else:
-            yield DomainRange(first, last)
-            first, last = each.first, each.last
-    yield DomainRange(first, last)

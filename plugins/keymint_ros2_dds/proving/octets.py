@@ -1,13 +1,13 @@
-"""The names that claims are about: all that DDS can carry, as bytes.
+"""The names that claims cover: all DDS names, as bytes.
 
-A DDS name is a string of C: bytes other than NUL. Vendors compare bytes, in the C locale, and so does a claim: each
-byte is one character here, an expression is its bytes in UTF-8, and ``?`` and a set stand for one byte.
+A DDS name is a C string: bytes other than NUL. In the C locale vendors compare bytes, and so do claims: each byte is
+one character here, an expression is its UTF-8 bytes, and ``?`` and a set match one byte.
 
-Fast DDS takes the locale of its process. In one of UTF-8, ``fnmatch`` of glibc lets ``?`` and a set stand for one
-byte or for one character. For names of ASCII that is the same, so a claim holds for these in every locale. For other
-names the C locale is an assumption. Nothing is claimed where an expression itself depends on the locale: a set with
-characters beyond ASCII, a class such as ``[:alpha:]``, or characters beyond ASCII beside ``?`` and sets elsewhere. The
-compiler writes none of these. A class in a policy is that of the C locale.
+Fast DDS uses the locale of its process. In a UTF-8 locale ``fnmatch`` of glibc lets ``?`` and a set match one byte or
+one character. For ASCII names that is the same, so claims about them hold in every locale; for others the C locale is
+an assumption. Nothing is claimed where an expression itself depends on the locale: a set with characters beyond ASCII,
+a class such as ``[:alpha:]``, or characters beyond ASCII together with ``?`` and sets elsewhere. The compiler writes
+none of these. A class in a policy is that of the C locale.
 """
 
 from __future__ import annotations
@@ -41,24 +41,24 @@ _CLASS = re.compile(r"\[:(?!x?digit:\])")
 
 
 def of_glob(glob: Glob) -> Glob:
-    """Return a pattern over bytes: its literal characters as the bytes of their UTF-8 form."""
+    """Return a pattern over bytes: its literals as UTF-8."""
     return tuple(fnmatch.in_bytes(token) if isinstance(token, str) else token for token in glob)
 
 
 def in_text(name: str) -> str:
-    """Return a name of bytes as text; a byte that is no UTF-8 becomes a surrogate, as Python does (PEP 383)."""
+    """Return a name of bytes as text; invalid UTF-8 becomes surrogates (PEP 383)."""
     return name if name.isascii() else name.encode("latin-1").decode("utf-8", "surrogateescape")
 
 
 def ambiguous(
     document: PermissionsDocument, grants: Iterable[DocumentGrant], rules: SubjectRules, semantics: Semantics
 ) -> str:
-    """Return why expressions cannot be read as bytes: a set with members beyond ASCII; empty if they can.
+    """Return which expression cannot be read as bytes, as it has a set with members beyond ASCII; or an empty text.
 
     Args:
         document: the permissions document.
-        grants: those of its grants that count.
-        rules: what the policy says of the subject.
+        grants: the grants that apply.
+        rules: the policy's rules for the subject.
         semantics: how the document is read.
     """
     for expression, place in _all(document, grants, rules, semantics):
@@ -70,9 +70,9 @@ def ambiguous(
 def by_locale(
     document: PermissionsDocument, grants: Iterable[DocumentGrant], rules: SubjectRules, semantics: Semantics
 ) -> str:
-    """Return why a claim that is proven over bytes is not made, as expressions depend on the locale; empty if it is.
+    """Return which expression depends on the locale, so that a claim proven over bytes is not made; or an empty text.
 
-    Args: as of :func:`ambiguous`.
+    Args: as for :func:`ambiguous`.
     """
     own = tuple(_expressions(grants, semantics))
     for expression, line in own:
@@ -93,7 +93,7 @@ def by_locale(
 def _all(
     document: PermissionsDocument, grants: Iterable[DocumentGrant], rules: SubjectRules, semantics: Semantics
 ) -> Iterator[tuple[str, str]]:
-    """Yield the expressions of a document and of a policy, each with its place."""
+    """Yield the expressions of document and policy, each with its place."""
     for expression, line in _expressions(grants, semantics):
         yield expression, str(document.place(line))
     for rule in rules.rules:
@@ -102,7 +102,7 @@ def _all(
 
 
 def _expressions(grants: Iterable[DocumentGrant], semantics: Semantics) -> Iterator[tuple[str, int]]:
-    """Yield the expressions that count, each with its line."""
+    """Yield the expressions of grants, each with its line."""
     for grant in grants:
         for rule in grant.rules:
             for criteria in rule.criteria:

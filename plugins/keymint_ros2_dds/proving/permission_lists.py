@@ -1,7 +1,7 @@
-"""From a grant, and from a policy, to decision lists: by the standard, and by the model of each vendor.
+"""Translate grants, as each implementation reads them, and policies into decision lists.
 
-Where partitions matter, a word is ``partition NUL topic``, and a rule is the product of its partitions and topics; so
-what a rule lets in beyond what was meant shows itself as a word. Else a word is a topic in the default partition.
+If partitions are used, a word is ``partition NUL topic``, and a rule is the product of its partitions and topics; then
+a combination that a rule permits by accident is a word, too. Otherwise a word is a topic in the default partition.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ _DEFAULT: Glob = ()
 
 
 def has_partitions(lowered: Lowered, grants: Iterable[DocumentGrant]) -> bool:
-    """Tell whether anything may be allowed outside of the default partition, by the policy or by a document."""
+    """Tell whether policy or document may allow anything outside of the default partition."""
     return any(listed not in {(), ("",)} for side in lowered.allow.values() for _, listed in side) or any(
         grant.allows  # by default, in every partition
         or any(
@@ -40,7 +40,7 @@ def has_partitions(lowered: Lowered, grants: Iterable[DocumentGrant]) -> bool:
 
 
 def of_policy(lowered: Lowered, action: str, *, pairs: bool) -> DecisionList:
-    """Return what a policy says of an action: deny overrides allow."""
+    """Return the decision list of a policy for an action: deny overrides allow."""
     found = []
     for effect, sides in ((Effect.DENY, lowered.deny), (Effect.ALLOW, lowered.allow)):
         every = (EVERYTHING,) if effect is Effect.DENY else (_DEFAULT,)
@@ -61,7 +61,7 @@ def of_policy(lowered: Lowered, action: str, *, pairs: bool) -> DecisionList:
 def of_grant(
     grant: DocumentGrant, domain: int, action: str, semantics: Semantics, *, pairs: bool
 ) -> tuple[DecisionList, ...]:
-    """Return decision lists of which all must permit a word: the endpoint's, and the topic's where it is checked.
+    """Return the decision lists of a grant, all of which must permit: for endpoints, and for topics if checked.
 
     Args:
         grant: the grant.
@@ -82,7 +82,7 @@ def of_grant(
 
 
 def holds(rule: DocumentRule, domain: int, semantics: Semantics) -> bool:
-    """Tell whether a rule is about a domain."""
+    """Tell whether a rule applies in a domain."""
     if not semantics.domains_count:
         return True
     return any(each.contain(domain, min_only_is_exact=semantics.min_only_is_exact) for each in rule.domains)
@@ -93,7 +93,7 @@ def _endpoints(rules: Iterable[DocumentRule], action: str, semantics: Semantics,
         own = [criteria for criteria in rule.criteria if criteria.action == action]
         for together in [own] if semantics.pools_criteria and own else [[criteria] for criteria in own]:
             if not rule.allows and semantics.tags_count and all(criteria.tags is not None for criteria in together):
-                continue  # a denial of data tags is about no endpoint without them
+                continue  # a denial of data tags does not apply to endpoints without them
             topics = _read(chain.from_iterable(criteria.topics for criteria in together), semantics)
             words = _words(_partitions(rule, together, semantics), topics, pairs=pairs)
             yield Block(rule.allows, words)
@@ -102,7 +102,7 @@ def _endpoints(rules: Iterable[DocumentRule], action: str, semantics: Semantics,
 
 
 def _topics(rules: Iterable[DocumentRule], semantics: Semantics, *, pairs: bool) -> Iterator[Block]:
-    """Yield the steps of the topic check: by the first criteria that name the topic, whatever their direction."""
+    """Yield the blocks of the topic check: the first criteria that match the topic decide, in any direction."""
     for rule in rules:
         for criteria in rule.criteria:
             if criteria.action != Action.RELAY:

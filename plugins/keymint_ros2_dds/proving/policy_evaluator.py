@@ -1,6 +1,6 @@
-"""What a policy says of one endpoint, by going through its rules: the plain evaluator, beside the compiler's mapping.
+"""Evaluate a policy for one endpoint by its rules; independent of the compiler's translation, to check it.
 
-An endpoint means something as a raw topic, and as a part of ROS entities; a rule that is about any of these counts.
+An endpoint is a raw topic, and may be part of ROS entities; rules that match any of these apply.
 """
 
 from __future__ import annotations
@@ -25,14 +25,14 @@ def is_ros_name(name: str) -> bool:
 
 
 def decide(rules: SubjectRules, distro: str, action: str, topic: str, partition: str) -> Rule | None:
-    """Return the rule that decides about an endpoint, of several the first denial; None if no rule matches it."""
+    """Return the rule that decides about an endpoint: the first denial, else the first match, else None."""
     edges = endpoint_edges(rules.subject, distro, action, topic, partition)
     about = [rule for rule in rules.rules if any(_is_about(rule, edge, partition) for edge in edges)]
     return next((rule for rule in about if rule.effect is Effect.DENY), about[0] if about else None)
 
 
 def endpoint_edges(subject: str, distro: str, action: str, topic: str, partition: str) -> tuple[Edge, ...]:
-    """Return the edge of an endpoint, and those on ROS names that need it."""
+    """Return the edge of an endpoint, and those of the ROS entities that need it."""
     partitions = (partition,) if partition or distro == ARDENT else ()
     endpoint = Edge(subject, action, Object("topic", topic, partitions))
     return (endpoint, *meanings(distro, endpoint))
@@ -50,7 +50,7 @@ def _matches(expression: str, name: str) -> bool:
 
 
 def _names(rule: Rule, edge: Edge) -> Iterator[str]:
-    """Yield the names that a rule must match to be about an edge; for a composite, what its part belongs to."""
+    """Yield the names that a rule must match to apply to an edge; a composite rule has them without a suffix."""
     for permission in rule.permissions:
         for kind, part, suffix in parts(rule.kind, permission):
             if (kind, part) == (edge.object.kind, edge.permission) and edge.object.name.endswith(suffix):

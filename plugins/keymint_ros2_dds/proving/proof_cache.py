@@ -1,4 +1,4 @@
-"""From the bytes of a permissions document to claims, each once in a run: what is built is installed soon after."""
+"""Prove permissions documents from their bytes, and cache the claims: an installed document was often just built."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from keymint_ros2_dds.proving.claims import ASSUMPTIONS, ProofQuestion, ProofSpe
 from keymint_ros2_dds.proving.enclave_governance import EnclaveGovernance
 
 MOST = 10_000
-"""Documents whose claims are remembered."""
+"""Number of documents whose claims are cached."""
 
 _proven: dict[bytes, tuple[Claim, ...]] = {}
 
@@ -30,18 +30,18 @@ def prove_content(
 
     Args:
         content: the document, unsigned.
-        place: the file that it lies in, as the user would type it, and how many lines of that come before it.
-        held: what it is held against.
+        place: its file as the user would type it, and the number of lines before it there.
+        held: what it must permit.
         models: names of the models, of :data:`ASSUMPTIONS`; None: all.
-        lowered: the rules on the level of DDS, where they are known.
-        governing: the governance beside the document; None puts everything under access control.
+        lowered: the rules in terms of DDS, if known.
+        governing: the governance of the enclave; None puts everything under access control.
 
     Raises:
         KeymintError: the document cannot be read, or a rule cannot be mapped.
     """
     names = tuple(ASSUMPTIONS if models is None else models)
     if governing is not None and governing.transparent(held.domains):
-        # What is proven without a governance is proven beside one that puts everything under access control.
+        # A proof without governance holds for one that puts everything under access control.
         claims = prove_content(content, place, held, models=models, lowered=lowered)
         if all(claim.proof is Proof.PROVEN for claim in claims):
             return claims
@@ -52,14 +52,14 @@ def prove_content(
     document = decision.read(content, *place)
     question = ProofQuestion(document, held, lower(held.rules, held.distro) if lowered is None else lowered, governing)
     claims = prove_document(question, models=names)
-    # What is proven is so wherever the document lies; of what is not, the places are said.
+    # Proofs do not depend on the place of the document; counterexamples name it.
     if len(_proven) < MOST and all(claim.proof is Proof.PROVEN for claim in claims):
         _proven[key] = claims
     return claims
 
 
 def _key(content: bytes, held: ProofSpec, models: tuple[str, ...], governing: EnclaveGovernance | None) -> bytes:
-    """Return a digest of all that proven claims depend on."""
+    """Return a digest of everything that proven claims depend on."""
     rules = tuple((r.effect, r.kind, r.permissions, r.expressions, r.partitions) for r in held.rules.rules)
     said = repr((held.subject_name, held.rules.subject, rules, held.distro, held.domains, models))
     said += "" if governing is None else governing.key.hex()

@@ -1,7 +1,7 @@
-"""Claims about a domain as a whole, made only where they do not hold: who may join, and how topics are protected.
+"""Refute claims about domains: who may join, and how topics are protected.
 
-Permissions are about participants that were let in with an identity and a rule. A governance that lets others in, or
-that protects a topic less than the sources say, takes from the worth of every claim.
+Permissions bind participants that joined with an identity and a rule. A governance that lets others join, or protects a
+topic less than the sources do, weakens every claim. These claims are reported only if they do not hold.
 """
 
 from __future__ import annotations
@@ -30,7 +30,6 @@ from keymint_ros2_dds.reading.signed_governance import (
     DocumentTopicRule,
 )
 
-LAST_DOMAIN = 232
 JOINS = "every participant"
 PROTECTED = "every topic name that the claims about publish and subscribe are about"
 ACCEPT = "or accept it with <accept><open_governance/></accept> in profile/keymint_profile.xml"
@@ -42,19 +41,19 @@ _QUALITIES = {
     "SIGN_WITH_ORIGIN_AUTHENTICATION": {"signed", "origin"},
     "ENCRYPT_WITH_ORIGIN_AUTHENTICATION": {"signed", "encrypted", "origin"},
 }
-"""What a text of a protection gives; others give nothing."""
+"""The protection that each value gives; other values give none."""
 
 
 @dataclass(frozen=True, slots=True)
 class Weaker:
-    """What a document protects less than the sources say.
+    """An element that protects less than the sources require.
 
     Attributes:
         line: line of the rule.
         tag: the element.
-        text: what it says.
-        said: what the sources say.
-        topic: a topic that it is about; empty for the domain as a whole.
+        text: its value.
+        said: the value in the sources.
+        topic: a topic that it protects; empty for the domain.
     """
 
     line: int
@@ -65,7 +64,7 @@ class Weaker:
 
 
 def help_for(governing: EnclaveGovernance | None, domain: int) -> str:
-    """Return how to mend what a governance leaves open, or refuses."""
+    """Return how to fix a governance that leaves something open, or refuses it."""
     if governing is None:
         return ""
     if governing.accepted_rule(domain) is not None:
@@ -81,17 +80,17 @@ def claims(
     universe: Universe,
     budget: SearchBudget,
 ) -> Iterator[Claim]:
-    """Yield the claims about domains as a whole that do not hold, or are not known.
+    """Yield the claims about domains that are refuted or unknown.
 
     Args:
         subject: the subject.
-        model: whose reading.
+        model: name of the model.
         semantics: how documents are read.
         governing: the governance.
         universe: names of topics.
-        budget: what each question may cost.
+        budget: limits of each search.
     """
-    for domains in cuts(governing.document, governing.sources, last=LAST_DOMAIN):
+    for domains in cuts(governing.document, governing.sources):
         rule = DomainAccess.of(governing.document, domains.first, semantics).rule
         if rule is None:
             continue
@@ -153,7 +152,7 @@ STRICT = DocumentDomainRule(
     ),
     line=0,
 )
-"""What is asked of a domain of which the sources say nothing: access control, and no protection."""
+"""What a domain without sources requires: access control, and no protection."""
 
 
 def weaker(
@@ -165,14 +164,14 @@ def weaker(
     *,
     access: bool = False,
 ) -> Iterator[Weaker | Unknown]:
-    """Yield what a domain rule protects less than another one: each element once, with a shortest topic.
+    """Yield each element that protects less than in another rule, with a shortest topic.
 
     Args:
         signed: the rule of the document.
-        said: that of the sources.
+        said: the rule of the sources.
         semantics: how documents are read.
         universe: names of topics, in words of one field.
-        budget: what each question may cost.
+        budget: limits of each search.
         access: access control counts as protection, too.
 
     Raises:
@@ -207,7 +206,7 @@ def _weaker_domain(signed: DocumentDomainRule, said: DocumentDomainRule, *, acce
 
 
 def _lacking(rule: DocumentTopicRule, own: DocumentTopicRule, *, access: bool) -> Iterator[tuple[str, str, str]]:
-    """Yield each element in which a topic rule is weaker than another one, and what both say."""
+    """Yield each element in which a topic rule is weaker than another, with both values."""
     for tag, text, wanted in zip(TOPIC_PROTECTIONS, rule.protections, own.protections, strict=True):
         if _lacks(text, wanted):
             yield tag, text, wanted
@@ -221,7 +220,7 @@ def _lacks(text: str, wanted: str) -> bool:
 
 
 def _regions(rule: DocumentDomainRule, semantics: Semantics) -> Iterator[tuple[DocumentTopicRule, DecisionList]]:
-    """Yield each topic rule with the list that permits the topics that it decides."""
+    """Yield each topic rule, with the list that permits the topics that it applies to."""
     before: tuple[Block, ...] = ()
     for each in rule.topic_rules:
         own = patterns(each.expression, semantics, pairs=False)

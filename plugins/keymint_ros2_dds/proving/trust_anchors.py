@@ -1,7 +1,7 @@
-"""What in an enclave does not rest on the workspace's authorities.
+"""Compare the trust anchors of an enclave with the authorities of the workspace.
 
-A vendor trusts the authorities that lie in the enclave. So an enclave that is wholly someone else's is sound in itself:
-only the workspace can tell.
+Vendors trust the authorities in the enclave. An enclave of someone else is consistent in itself, so only a comparison
+with the workspace detects it.
 """
 
 from __future__ import annotations
@@ -37,11 +37,11 @@ Source: ``get_security_files`` in ``security.cpp`` of rmw_dds_common, from Jazzy
 """
 _ANY_TIME = datetime(2000, 1, 1, tzinfo=UTC)
 _TIMES = frozenset(("certificate-expired", "certificate-not-yet-valid"))
-"""What a certificate is at a time is not a matter of whom it rests on."""
+"""Findings about time; they do not concern trust."""
 
 
 def differences(files: Mapping[str, bytes], folder: str, anchors: TrustAnchors) -> tuple[Diagnostic, ...]:
-    """Return what does not rest on the workspace's authorities; see :meth:`keymint.api.Prover.differences`."""
+    """Return what is not issued by the workspace's authorities; see :meth:`keymint.api.Prover.differences`."""
     missing = tuple(_missing(anchors))
     return missing or tuple(_AnchorCheck(files, folder, anchors).found())
 
@@ -62,7 +62,7 @@ def _missing(anchors: TrustAnchors) -> Iterator[Diagnostic]:
 
 
 class _AnchorCheck:
-    """One enclave, held against what it must rest on."""
+    """Checks the files of one enclave."""
 
     def __init__(self, files: Mapping[str, bytes], folder: str, anchors: TrustAnchors) -> None:
         self._files = files
@@ -102,7 +102,7 @@ class _AnchorCheck:
             yield self._error("file-replaced", name, message, "remove it")
 
     def _revocations(self) -> Iterator[Diagnostic]:
-        """Look at a revocation list: vendors refuse the participant if it is not the authority's, or revokes it."""
+        """Check a revocation list: vendors refuse participants if it is not the authority's, or revokes them."""
         pem = self._files.get(CRL)
         if pem is None:
             return
@@ -112,7 +112,7 @@ class _AnchorCheck:
             yield self._error("revocation-list", CRL, problem, help_)
 
     def _authorities(self) -> Iterator[Diagnostic]:
-        """Compare the authorities that the enclave trusts, also those that its layout does not have."""
+        """Compare the authorities in the enclave, including files that its layout does not have."""
         wanted: Mapping[str, TrustAnchor] = {
             IDENTITY_CA: self._anchors.identity,
             PERMISSIONS_CA: self._anchors.permissions,
@@ -167,7 +167,7 @@ class _AnchorCheck:
             yield replace(each, where=Origin(f"{self._folder}/{name}", line))
 
 
-# As a rule all enclaves have the same governance.
+# Enclaves usually have the same governance.
 @lru_cache(maxsize=64)
 def _refused(document: bytes, authority: bytes) -> tuple[Diagnostic, ...]:
     try:

@@ -1,11 +1,11 @@
-"""When an enclave is permitted anything: validity of its certificates, and of its grants as each model reads dates."""
+"""Collect the periods of validity of an enclave: of its certificates, and of its grants as each model reads dates."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import replace
 from datetime import UTC, datetime, timedelta
-from functools import cache, lru_cache
+from functools import lru_cache
 
 from comarmor.errors import Origin
 from keymint.api import ValidityTerm
@@ -42,7 +42,7 @@ def of_certificates(files: Mapping[str, bytes], folder: str) -> Iterator[Validit
         yield ValidityTerm("revocation-list", "the revocation list", Origin(f"{folder}/{CRL}"), (listed,))
 
 
-# As a rule all enclaves have the same authorities.
+# Enclaves usually have the same authorities.
 @lru_cache(maxsize=64)
 def _certificates(pem: bytes) -> tuple[tuple[str, Period], ...]:
     return tuple(
@@ -52,9 +52,9 @@ def _certificates(pem: bytes) -> tuple[tuple[str, Period], ...]:
 
 
 def of_grants(document: PermissionsDocument, subject_name: str) -> Iterator[ValidityTerm]:
-    """Yield when a grant of the document is in force, as each model reads it; models that agree have one term.
+    """Yield the periods in which a grant is in force, by model; models that agree share a term.
 
-    A model that refuses the document, or finds no grant in it, has none: a claim says so.
+    A model that refuses the document, or finds no grant in it, has none; a claim reports that.
 
     Args:
         document: the permissions document.
@@ -62,7 +62,7 @@ def of_grants(document: PermissionsDocument, subject_name: str) -> Iterator[Vali
     """
     together: dict[tuple[int, tuple[Period, ...]], list[str]] = {}
     for name in VARIATIONS:
-        semantics = _semantics(name)
+        semantics = VARIATIONS[name].semantics
         if semantics.refusal(document) or semantics.unmodelled(document):
             continue
         grants = semantics.grants(document, subject_name)
@@ -76,7 +76,7 @@ def of_grants(document: PermissionsDocument, subject_name: str) -> Iterator[Vali
 
 
 def joined(periods: Iterable[Period]) -> tuple[Period, ...]:
-    """Return periods sorted, those that meet or overlap as one; dates count in seconds."""
+    """Return periods in order; those that touch or overlap become one. Dates have a resolution of a second."""
     found: list[Period] = []
     for first, last in sorted(periods):
         if found and first <= min(found[-1][1], _LAST) + _SECOND:
@@ -91,8 +91,3 @@ def _periods(grants: Iterable[DocumentGrant], semantics: Semantics) -> Iterator[
         period = semantics.period(grant)
         if period is not None:
             yield period
-
-
-@cache
-def _semantics(name: str) -> Semantics:
-    return VARIATIONS[name].semantics

@@ -1,11 +1,7 @@
-"""A governance document as it is signed (DDS Security 1.1, 9.4.1.2), read into data types that know their lines.
+"""Read a governance document into data types that know their lines (DDS Security 1.1, 9.4.1.2).
 
-It says of each domain who may join, and of each topic whether permissions are asked at all. The first domain rule that
-is about a domain counts, and in it the first topic rule that is about a topic; a topic without a rule is refused.
-
-The models of vendors hold for plain documents: elements in the order of the schema, text without decoration. What a
-vendor refuses otherwise is stated where it was measured (Cyclone DDS 0.10.2, Fast DDS 2.9.1); of everything else
-there is no verdict.
+It determines who may join a domain, and for which topics permissions are checked. The first domain rule that contains a
+domain applies, and in it the first topic rule that matches a topic; a topic without a rule is refused.
 """
 
 from __future__ import annotations
@@ -42,8 +38,8 @@ class DocumentTopicRule:
 
     Attributes:
         expression: as it is written.
-        read_controlled: permissions are asked before a topic is subscribed to.
-        write_controlled: permissions are asked before a topic is published.
+        read_controlled: subscribing is subject to permissions.
+        write_controlled: publishing is subject to permissions.
         protections: the text of the elements of :data:`TOPIC_PROTECTIONS`, in this order.
         line: line of the element.
     """
@@ -55,7 +51,7 @@ class DocumentTopicRule:
     line: int
 
     def controls(self, action: str) -> bool:
-        """Tell whether permissions are asked for ``publish`` or ``subscribe``."""
+        """Tell whether permissions are checked for ``publish`` or ``subscribe``."""
         return self.write_controlled if action == "publish" else self.read_controlled
 
 
@@ -66,11 +62,11 @@ class DocumentDomainRule:
     Attributes:
         domains: the domains.
         join_controlled: a participant needs a rule of its permissions to join.
-        unauthenticated: a participant may be without identity and permissions.
+        unauthenticated: participants without identity and permissions may join.
         protections: the text of the elements of :data:`DOMAIN_PROTECTIONS`, in this order.
         topic_rules: in the order of the document.
         line: line of the element.
-        lines: of those of its elements that are no lists, by tag.
+        lines: the lines of its simple elements, by tag.
     """
 
     domains: tuple[DocumentDomains, ...]
@@ -89,7 +85,7 @@ class DocumentDomainRule:
         )
 
     def line_of(self, tag: str) -> int:
-        """Return the line of an element; the rule's where there is none."""
+        """Return the line of an element, or of the rule if there is no such element."""
         return dict(self.lines).get(tag, self.line)
 
 
@@ -121,11 +117,11 @@ class GovernanceDocument:
         return Origin(self.file, line + self.offset)
 
     def rule(self, domain: int, *, min_only_is_exact: bool = False) -> DocumentDomainRule | None:
-        """Return the rule that counts in a domain, or None if there is none.
+        """Return the rule that applies in a domain, or None.
 
         Args:
             domain: DDS domain id.
-            min_only_is_exact: a range with a minimum alone is that one domain.
+            min_only_is_exact: a range that has only a minimum is that one domain.
         """
         for rule in self.domain_rules:
             if any(each.contain(domain, min_only_is_exact=min_only_is_exact) for each in rule.domains):
@@ -139,7 +135,7 @@ def read(content: bytes, file: str = GOVERNANCE_XML, offset: int = 0) -> Governa
     Args:
         content: XML, unsigned.
         file: its name, for people.
-        offset: lines of the file before the document's first one.
+        offset: number of lines of the file before the document.
 
     Raises:
         KeymintError: it is not well-formed, or not a governance document.
@@ -152,7 +148,7 @@ def read(content: bytes, file: str = GOVERNANCE_XML, offset: int = 0) -> Governa
         raise KeymintError(first.message, where=where, help=first.help, code=first.code) from None
 
 
-# As a rule all enclaves have the same governance.
+# Enclaves usually have the same governance.
 @lru_cache(maxsize=64)
 def _read(content: bytes) -> GovernanceDocument:
     try:
@@ -217,7 +213,7 @@ def _text(element: etree._Element | None) -> str:
 
 
 def _is_true(element: etree._Element, tag: str, *, otherwise: bool = True) -> bool:
-    """Return a boolean; the schema refuses a document in which it is missing, or none."""
+    """Return a boolean; a document in which it is missing or invalid is refused by the schema."""
     return _BOOLEANS.get(_text(element.find(tag)), otherwise)
 
 

@@ -1,7 +1,6 @@
-"""Transports: what DDS implementations decide about installed enclaves, simulated and real.
+"""Transports: DDS implementations that decide about installed enclaves, simulated and real.
 
-The simulated ones are always usable; the real ones are found at run time. What each attribute names is loaded when it
-is opened.
+Simulated transports are always usable; real ones depend on the machine. Each is imported when it is opened.
 """
 
 from __future__ import annotations
@@ -25,7 +24,7 @@ class Opener:
         self._make = make
 
     def open(self, environment: Environment) -> Transport:
-        """Return the transport, which is then asked whether it is usable."""
+        """Return the transport; ask it then whether it is usable."""
         return self._make(environment)
 
 

@@ -1,4 +1,4 @@
-"""What the real transports share: participants of a vendor in processes of their own, one for each enclave."""
+"""Ask real participants of a vendor, each in its own process, which endpoints they may create."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from keymint_ros2_dds.vendors.participants import (
 
 
 def unsayable(endpoint: Edge) -> str:
-    """Return why no participant can be asked for an endpoint, or an empty text."""
+    """Return why no participant can create an endpoint of this name, or an empty text."""
     texts = (endpoint.object.name, *endpoint.object.partitions)
     if any(not char.isprintable() for text in texts for char in text):
         return "the name has a character that no DDS topic has"
@@ -34,13 +34,13 @@ def unsayable(endpoint: Edge) -> str:
 def verdict(
     enclave_model: EnclaveModel, model: Variation, needed: Sequence[Edge], answers: Iterator[tuple[bool, str]]
 ) -> Verdict:
-    """Put answers of a vendor about the endpoints of an edge together: all of them must be allowed.
+    """Combine a vendor's answers about the endpoints of an edge: all must be allowed.
 
     Args:
-        enclave_model: the enclave, to find the rule that decided and why the vendor deviates from the standard.
+        enclave_model: finds the rule that decided, and why the vendor deviates from the standard.
         model: the model of the vendor.
         needed: the endpoints.
-        answers: whether each is allowed, and what the vendor said; taken as long as they are.
+        answers: whether each is allowed, and the vendor's reason; consumed up to the first denial.
     """
     deviation, line, said = "", 0, ""
     allowed = bool(needed)
@@ -65,10 +65,10 @@ def refused(tier: Tier, usable: Availability, name: str) -> KeymintError:
 def admission(
     vendor: Vendor, model: Variation, models: EnclaveModels, edges: Iterable[Edge]
 ) -> Iterator[tuple[Edge, Verdict]]:
-    """Yield what a vendor lets real participants have: one for each enclave and domain, one at a time.
+    """Yield whether real participants may have each edge; one participant per enclave and domain, one at a time.
 
     Args:
-        vendor: the vendor, its probe built.
+        vendor: the vendor, with its built probe.
         model: the model of the vendor.
         models: the enclaves.
         edges: grouped by subject.

@@ -1,9 +1,9 @@
-"""The middleware of ROS 2 Ardent, on any transport: where it creates the endpoints of services.
+"""The middleware of ROS 2 Ardent, on any transport: the partitions in which it creates the endpoints of services.
 
-It made the endpoints of a service in the empty partition first, and put them into the service's partition afterwards
+It created the endpoints of a service in the empty partition first, and moved them to the service's partition later
 (White et al. 2018, "Procedurally Provisioned Access Control for Robotic Systems", section on results). Access control
-looks when an endpoint is created, and the empty partition is the only one that it sees: so the permissions of a service
-deny its own endpoints, and permissions amended by the empty partition admit those of every service of that base name.
+checks an endpoint when it is created, so it sees the empty partition only: the permissions of a service deny its own
+endpoints, and permissions that also allow the empty partition admit those of every service of that base name.
 """
 
 from __future__ import annotations
@@ -19,18 +19,18 @@ from keymint_ros2_dds.lowering.mapping import ARDENT
 
 _OF_SERVICES = ("rq", "rr")
 DEVIATION = "ardent-services: ROS 2 Ardent creates the endpoints of services in the empty partition first"
-"""How this differs from what the name mapping says; see :attr:`keymint.api.Verdict.deviation`."""
+"""How this differs from the name mapping; see :attr:`keymint.api.Verdict.deviation`."""
 
 
 def created(distro: str, edge: Edge) -> tuple[Edge, ...]:
-    """Return the endpoints of an edge as they are when the middleware creates them.
+    """Return the endpoints of an edge at their creation by the middleware.
 
     Args:
-        distro: ROS 2 distribution; all but Ardent create endpoints where they belong.
+        distro: ROS 2 distribution; all but Ardent create endpoints in their partition.
         edge: an edge of any kind.
 
     Raises:
-        KeymintError: the distribution or the permission is not known.
+        KeymintError: the distribution or the permission is unknown.
     """
     needed = endpoints(distro, edge)
     if distro != ARDENT or edge.object.kind == "topic":
@@ -53,7 +53,7 @@ class ArdentMiddleware:
     transport: Transport
 
     def usable(self) -> Availability:
-        """Tell whether the transport is; delivery of data is another matter, since partitions change in between."""
+        """Return whether the transport is usable; not for exchange of data, because partitions change before it."""
         found = self.transport.usable()
         tiers = tuple(tier for tier in found.tiers if tier is not Tier.EXCHANGE)
         return replace(found, tiers=tiers, by_default=False)

@@ -1,4 +1,4 @@
-"""Cyclone DDS 0.10, the real one: its access-control plugin alone, participants, or data between processes."""
+"""The installed Cyclone DDS 0.10: its access-control plugin alone, participants, or data between processes."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ from keymint_ros2_dds.vendors.participants import CycloneDDS
 
 
 class CycloneDDSTransport(RealTransport):
-    """Cyclone DDS; its access-control plugin decides without participants."""
+    """Cyclone DDS, whose access-control plugin decides without participants."""
 
     NAME = "cyclonedds"
     MODEL = CYCLONEDDS_0_10
@@ -34,7 +34,7 @@ class CycloneDDSTransport(RealTransport):
     NONCONFORMING = probe_builds.CYCLONEDDS_NONCONFORMING
 
     def _found(self, environment: Mapping[str, str]) -> Availability:
-        """Without a compiler and headers there is the decision alone."""
+        """Without compiler and headers only the tier *decision* is usable."""
         try:
             probe_builds.require_cyclone_plugins()
         except probe_builds.MissingVendorError as error:
@@ -53,7 +53,7 @@ class CycloneDDSTransport(RealTransport):
 
 
 def _decision(models: EnclaveModels, edges: Iterable[Edge]) -> Iterator[tuple[Edge, Verdict]]:
-    """Ask the access-control plugin of each subject's enclave; only those of one subject are open at a time."""
+    """Ask the access-control plugin about each enclave; only those of one subject are open at a time."""
     subject, opened = "", dict[int, "AccessControl | str"]()
     with ExitStack() as stack:
         for edge in edges:

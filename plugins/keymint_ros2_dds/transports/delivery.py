@@ -1,12 +1,11 @@
-"""The deepest tier: two processes, and data that is really delivered between them, or really not.
+"""The tier *exchange*: test whether data is delivered between two processes.
 
-For each endpoint of an edge another enclave is looked for that may be its other end. An endpoint that a participant of
-the subject may have is put to use: the sample must arrive. One that it may not have is tried all the same, by a
-participant of the subject that ignores its own permissions; then the other end is what must refuse it.
+For each endpoint of an edge, search for an enclave that may be its other end. If a participant of the subject may have
+the endpoint, a sample must arrive. If not, a participant of the subject that ignores its own permissions creates it;
+then the other end must refuse it.
 
-That nothing arrives is concluded from a sample that does: where the two enclaves may talk on some other topic, that
-topic's endpoints are made last, and when its sample has arrived, all others have been decided about. Otherwise it is
-concluded from silence.
+To conclude that a sample will not arrive, wait for one that does: if the two enclaves may communicate on another topic,
+its endpoints are created last, and when its sample arrives, all others have been decided. Otherwise wait for a time.
 """
 
 from __future__ import annotations
@@ -35,20 +34,20 @@ from keymint_ros2_dds.vendors.participants import (
 )
 
 BATCH = 20
-"""Edges that are decided with one pair of processes."""
+"""Number of edges per pair of processes."""
 DELIVERY_SECONDS = 10.0
-"""How long a sample may take that is allowed."""
+"""How long an allowed sample may take."""
 SILENCE_SECONDS = 3.0
-"""How long nothing must arrive where no other sample shows that everything has been decided about."""
+"""How long no sample must arrive, if there is no other sample to wait for."""
 SETTLE_SECONDS = 0.3
-"""How long nothing must arrive where one does."""
+"""How long no sample must arrive after another one has."""
 
 _OTHER_END: Mapping[str, str] = {"publish": "subscribe", "subscribe": "publish"}
 
 
 @dataclass(slots=True)
 class _Trial:
-    """One endpoint of the subject under trial, with the enclave that is its other end."""
+    """An endpoint of the subject under test, with the enclave of its other end."""
 
     endpoint: Edge
     admitted: bool
@@ -59,7 +58,7 @@ class _Trial:
 
 @dataclass(slots=True)
 class _Peers:
-    """Finds enclaves that may be the other end of an endpoint, by the model of the vendor."""
+    """Finds an enclave that may be the other end of an endpoint, by the model of the vendor."""
 
     models: EnclaveModels
     enclaves: Sequence[Enclave]
@@ -67,7 +66,7 @@ class _Peers:
     kept: dict[tuple[str, int], EnclaveModel] = field(default_factory=dict)
 
     def of(self, endpoint: Edge) -> Enclave | None:
-        """Return the first enclave, by name and not the subject's own, that may be the other end."""
+        """Return the first other enclave, by name, that may be the other end."""
         wildcards = set("*?[")
         if endpoint.permission not in _OTHER_END or any(wildcards & set(p) for p in endpoint.object.partitions):
             return None  # two expressions never match each other (DDS 1.4, 2.2.3.13)
@@ -90,13 +89,13 @@ class _Peers:
 def exchange(
     vendor: Vendor, model: Variation, models: EnclaveModels, enclaves: Sequence[Enclave], edges: Iterable[Edge]
 ) -> Iterator[tuple[Edge, Verdict]]:
-    """Yield whether data of each edge is delivered.
+    """Yield whether data is delivered for each edge.
 
     Args:
         vendor: the vendor, with its probe and the library for participants that do not conform.
         model: the model of the vendor.
         models: the enclaves.
-        enclaves: the same, as those that may be the other end.
+        enclaves: the same; each may be the other end.
         edges: grouped by subject.
 
     Raises:
@@ -134,7 +133,7 @@ def _batch(
 
 
 def _admitted(vendor: Vendor, enclave: Enclave, peers: _Peers, batch: Sequence[Edge]) -> dict[Edge, _Trial]:
-    """Return all endpoints of the edges with what a participant of the subject is told about them."""
+    """Return all endpoints of the edges, and whether the vendor admits them to a participant of the subject."""
     needed = dict.fromkeys(endpoint for edge in batch for endpoint in endpoints(enclave.distro, edge))
     found: dict[Edge, _Trial] = {}
     with System(vendor) as system:
@@ -165,7 +164,7 @@ def _deliver(vendor: Vendor, enclave: Enclave, trials: Sequence[_Trial]) -> None
 
 
 def _intrude(vendor: Vendor, enclave: Enclave, trials: Sequence[_Trial]) -> None:
-    """Try the endpoints that the subject may not have, as a participant that ignores its own permissions."""
+    """Try denied endpoints, with a participant that ignores its own permissions."""
     denied = [trial for trial in trials if not trial.admitted]
     if not denied:
         return
@@ -182,13 +181,13 @@ def _intrude(vendor: Vendor, enclave: Enclave, trials: Sequence[_Trial]) -> None
 
 @dataclass(frozen=True, slots=True)
 class _SentSample:
-    """A writer that has written a sample, and the reader that is to have it."""
+    """A sample that was written, and the reader that waits for it."""
 
     reader: ProbeEndpoint
     text: str
 
     def arrives(self, seconds: float) -> bool:
-        """Wait until this very sample arrives; others, of another writer on the topic, are passed over."""
+        """Wait until the sample arrives; skip samples of other writers on the topic."""
         while (found := self.reader.read(seconds)) is not None:
             if found == self.text:
                 return True
@@ -198,7 +197,7 @@ class _SentSample:
 def _pairs(
     system: System, enclave: Enclave, trials: Sequence[_Trial], *, conforming: bool
 ) -> list[tuple[_Trial, _SentSample | None]]:
-    """Make both ends of each endpoint, in order, and write a sample; None where an end cannot be made."""
+    """Create both ends of each endpoint, in order, and write a sample; None if an end cannot be created."""
     domain, peer = trials[0].endpoint.domain, trials[0].peer
     found: list[tuple[_Trial, _SentSample | None]] = []
     try:
@@ -225,7 +224,7 @@ def _pairs(
 def _answer(trial: _Trial) -> tuple[bool, str]:
     peer = trial.peer
     if peer is None:
-        ending = "no other enclave may be the other end, so that nothing was sent"
+        ending = "no other enclave may be the other end, so nothing was sent"
         return trial.admitted, f"it is admitted; {ending}" if trial.admitted else f"{trial.said}; {ending}"
     if trial.admitted:
         reason = f"a sample was delivered with {peer.subject}"

@@ -1,4 +1,4 @@
-"""The files of an installed enclave, as a transport reads them."""
+"""Read the files of an installed enclave."""
 
 from __future__ import annotations
 
@@ -70,7 +70,7 @@ def content(folder: Path, name: str) -> bytes:
 
 
 def authority(folder: Path, *, permissions: bool) -> bytes:
-    """Return the certificate of an authority: the layout of Ardent has one file for both.
+    """Return the certificate of an authority; the layout of Ardent has one file for both.
 
     Raises:
         KeymintError: it cannot be read.
@@ -83,40 +83,40 @@ def subject_name(certificate: bytes, where: Origin) -> str:
     """Return the subject of an identity as grants name it: in the order of RFC 2253, last RDN first.
 
     Raises:
-        KeymintError: it is no certificate.
+        KeymintError: it is not a certificate.
     """
     loaded: x509.Certificate = certificates.load(certificate, where)
     try:
         return names.render(loaded.subject)
-    except KeymintError:  # not portable, which is for ``keymint check`` to say
+    except KeymintError:  # not portable; ``keymint check`` reports it
         return loaded.subject.rfc4514_string()
 
 
 def refuse_encrypted_key(enclave: Enclave) -> None:
-    """Refuse to ask a participant about an enclave whose private key is encrypted: nobody gives it the password.
+    """Refuse an enclave whose private key is encrypted: participants cannot be given the password.
 
     Raises:
         KeymintError: the key is encrypted.
     """
     if (enclave.folder / KEY).is_file() and b"ENCRYPTED" in content(enclave.folder, KEY):
         raise KeymintError(
-            f"the private key of {enclave.subject} is encrypted, and the participants that are asked get no password",
-            help="ask transports that need no key: -t omg -t cyclonedds-0.10 -t fastdds-2.9",
+            f"the private key of {enclave.subject} is encrypted, and participants cannot be given the password",
+            help="use transports that need no key: -t omg -t cyclonedds-0.10 -t fastdds-2.9",
             code="key-encrypted",
         )
 
 
 def raise_if_unread(error: KeymintError, folder: Path) -> None:
-    """Raise the error for an enclave with a signed file in a form that is not read here; return for any other error.
+    """Raise the error if Keymint does not read this form of a signed file; return for other errors.
 
-    A vendor may accept such a file, so nothing can be claimed of what it decides.
+    A vendor may accept such a file, so its decision is not known.
 
     Args:
-        error: what the reader said.
+        error: error of the reader.
         folder: the enclave's folder.
 
     Raises:
-        KeymintError: the file, with its path, and what cannot be said.
+        KeymintError: with the path of the file.
     """
     found = error.diagnostics[0]
     if found.code != mime.UNREAD or found.where is None:

@@ -1,4 +1,4 @@
-"""Fast DDS 2.9, the real one: participants, or data between processes."""
+"""The installed Fast DDS 2.9: participants, or data between processes."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ class FastDDSTransport(RealTransport):
     NONCONFORMING = probe_builds.FASTDDS_NONCONFORMING
 
     def _found(self, environment: Mapping[str, str]) -> Availability:
-        """It takes a compiler and headers."""
+        """Fast DDS needs a compiler and headers."""
         try:
             probe_builds.FASTDDS.require(environment)
         except probe_builds.MissingVendorError as error:

@@ -1,4 +1,4 @@
-"""What the transports of real vendors share: what can be used, tier by tier, and how their probes are built."""
+"""A transport with participants of a real vendor: its tiers, and the build of its probe programs."""
 
 from __future__ import annotations
 
@@ -25,8 +25,8 @@ class RealTransport(ABC):
         NAME: the transport's name.
         MODEL: the model of the vendor, to explain what it decides.
         VENDOR: how participants are started.
-        PROBE: how the program is built that they run in.
-        NONCONFORMING: how the library is built with which a participant ignores its own permissions.
+        PROBE: how to build their program.
+        NONCONFORMING: how to build the library that makes a participant ignore its own permissions.
     """
 
     NAME: ClassVar[str]
@@ -39,7 +39,7 @@ class RealTransport(ABC):
         self._environment = environment
 
     def usable(self) -> Availability:
-        """Tell which tiers can be used here; looked for once."""
+        """Return which tiers are usable here; determined once."""
         return self._usable
 
     @cached_property
@@ -48,7 +48,7 @@ class RealTransport(ABC):
 
     @abstractmethod
     def _found(self, environment: Mapping[str, str]) -> Availability:
-        """Look for what the tiers need."""
+        """Look for the libraries, compilers and headers that the tiers need."""
 
     def label(self, enclaves: Sequence[Enclave], edges: Iterable[Edge], tier: Tier) -> Iterator[tuple[Edge, Verdict]]:
         """See :meth:`keymint.api.Transport.label`."""
@@ -66,7 +66,7 @@ class RealTransport(ABC):
         return exchange(vendor, self.MODEL, models, enclaves, edges)
 
     def _decision(self, models: EnclaveModels, edges: Iterable[Edge]) -> Iterator[tuple[Edge, Verdict]]:
-        """Ask for decisions alone; of a vendor that cannot be asked without a participant, by admission."""
+        """Decide without data exchange; a vendor that needs a participant for that does so by admission."""
         return admission.admission(self._vendor(nonconforming=False), self.MODEL, models, edges)
 
     def _vendor(self, *, nonconforming: bool) -> Vendor:

@@ -15,7 +15,7 @@ from keymint_ros2_dds.transports.enclave_model import EnclaveModel, EnclaveModel
 
 @dataclass(frozen=True, slots=True)
 class Simulated:
-    """A transport that is the standard, or the model of an implementation."""
+    """A transport that decides as the standard, or as the model of a vendor."""
 
     variation: Variation
     environment: Environment
@@ -26,7 +26,7 @@ class Simulated:
         return cls(decision.VARIATIONS[name], environment)
 
     def usable(self) -> Availability:
-        """Tell that it is."""
+        """Return that it is usable."""
         versions = {"omg": "1.1"}
         version = versions.get(self.variation.name) or self.variation.name.rpartition("-")[2]
         return Availability(usable=True, version=version, tiers=(Tier.DECISION,))
