@@ -1,4 +1,4 @@
-"""Do the simulated vendors decide as the real ones? Prints the counts, and every disagreement; ends with 1 if any.
+"""Compare the simulated vendors with the real ones; print counts and disagreements, and exit with 1 if there are any.
 
 usage: python benchmarks/agreement.py [--documents N] [--requests N] [--seed N] [cyclonedds] [fastdds]
 """
@@ -27,11 +27,11 @@ from keymint.plugins import Plugins
 
 PAIRS = {"cyclonedds": "cyclonedds-0.10", "fastdds": "fastdds-2.9"}
 CHUNK = 100
-"""Documents that are on the disk at a time."""
+"""Documents on the disk at a time."""
 
 
 class Enclaves:
-    """Writes enclaves of one identity with documents of a writer."""
+    """Writes enclaves of one identity, with the documents of a writer."""
 
     def __init__(self, writer: Writer) -> None:
         self._writer = writer
@@ -55,7 +55,7 @@ class Enclaves:
         }
 
     def write(self, folder: Path, subject: str) -> Enclave:
-        """Write an enclave with the next document."""
+        """Write an enclave with the next documents."""
         folder.mkdir()
         files = self.files | {
             "permissions.p7s": self.sign(self._writer.document()),
@@ -66,33 +66,36 @@ class Enclaves:
         return Enclave(subject, folder, "humble")
 
     def sign(self, content: bytes) -> bytes:
-        """Sign a document by the permissions authority."""
+        """Sign a document with the permissions authority."""
         return smime.sign(content, self._notary, self._notary_key)
 
 
 def disagreements(plugins: Plugins, vendor: str, documents: int, requests: int, seed: int) -> Iterator[tuple[int, str]]:
-    """Yield whether the vendor allows each request, and how its model disagrees; a document may not be modelled."""
+    """Yield for each request whether the vendor allows it, and how its model disagrees.
+
+    The second part is empty if the model agrees, or does not know.
+    """
     real, simulated = plugins.transport(vendor), plugins.transport(PAIRS[vendor])
     writer = Writer(seed, datetime.now(UTC))
-    made = Enclaves(writer)
+    writer_of_enclaves = Enclaves(writer)
     subjects = iter(f"/document{number}" for number in range(documents))
     while chunk := list(islice(subjects, CHUNK)):
         with tempfile.TemporaryDirectory() as scratch:
-            enclaves = [made.write(Path(scratch) / subject[1:], subject) for subject in chunk]
+            enclaves = [writer_of_enclaves.write(Path(scratch) / subject[1:], subject) for subject in chunk]
             edges = [edge for subject in chunk for edge in writer.requests(subject, requests)]
             pairs = zip(
                 real.label(enclaves, edges, Tier.DECISION),
                 simulated.label(enclaves, edges, Tier.DECISION),
                 strict=True,
             )
-            for (edge, found), (_, modelled) in pairs:
-                if found.allowed == modelled.allowed or "is not modelled" in modelled.reason:
-                    yield int(found.allowed), ""
+            for (edge, decision), (_, modelled) in pairs:
+                if decision.allowed == modelled.allowed or "is not modelled" in modelled.reason:
+                    yield int(decision.allowed), ""
                 else:
-                    yield int(found.allowed), _told(edge, found.reason, modelled.reason, enclaves)
+                    yield int(decision.allowed), _report(edge, decision.reason, modelled.reason, enclaves)
 
 
-def _told(edge: Edge, real: str, modelled: str, enclaves: list[Enclave]) -> str:
+def _report(edge: Edge, real: str, modelled: str, enclaves: list[Enclave]) -> str:
     folder = next(enclave.folder for enclave in enclaves if enclave.subject == edge.subject)
     document = smime.signed_content((folder / "permissions.p7s").read_bytes()).decode()
     governance = smime.signed_content((folder / "governance.p7s").read_bytes()).decode()
@@ -106,7 +109,7 @@ def main() -> int:
     parser.add_argument("--documents", type=int, default=400)
     parser.add_argument("--requests", type=int, default=40)
     parser.add_argument("--seed", type=int, default=2018)
-    parser.add_argument("--show", type=int, default=10, help="disagreements to print in full")
+    parser.add_argument("--show", type=int, default=10, help="number of disagreements to print in full")
     options = parser.parse_args()
     wrong = 0
     with tempfile.TemporaryDirectory() as cache:

@@ -1,10 +1,11 @@
-"""Do random policies of all features stay within the limits? Prints the most steps of each stage; ends with 1 if not.
+"""Check that random policies stay within the limits; print the most steps of each stage, and exit with 1 if not.
 
 usage: python benchmarks/bounds.py [--policies N] [--seed N] [--families]
 
-Steps are those of comarmor.patterns.steps: no clock is read, so that the figures are the same on every machine. A
-policy is refused if the compiler gives one of its subjects up; at most 2 in 100 may be. What vendors do not read
-alike is not counted as that. With --families policies that grow are tried as well, in two sizes.
+Steps are counted by comarmor.patterns.steps. No clock is read, so the figures are the same on every machine. A policy
+is refused if the compiler gives up on one of its subjects; at most 2 in 100 may be. Subjects whose rules cannot be
+expressed portably across vendors are counted separately. With --families, it also measures growing policies in two
+sizes.
 """
 
 from __future__ import annotations
@@ -28,13 +29,13 @@ def main() -> int:
     parser.add_argument("--policies", type=int, default=500)
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--families", action="store_true")
-    asked = parser.parse_args()
+    options = parser.parse_args()
     with tempfile.TemporaryDirectory() as folder:
         sweep = Sweep(Path(folder))
-        for seed in range(asked.seed, asked.seed + asked.policies):
+        for seed in range(options.seed, options.seed + options.policies):
             text = minified(tokens(seed))
             sweep.run(str(seed), text, changed(text))
-        if asked.families:
+        if options.families:
             for name, family in FAMILIES.items():
                 for size in (100, 200):
                     before = dict(sweep.tally.most)
@@ -47,10 +48,10 @@ def main() -> int:
     for stage, (steps, name) in tally.most.items():
         print(f"{stage}: at most {steps:,} steps (policy {name})")
     print(f"refused: {len(tally.refused)} policies {tally.refused}")
-    print(f"not read alike by all vendors: {tally.unportable} subjects")
+    print(f"not portable across vendors: {tally.unportable} subjects")
     print(f"not proven: {len(tally.unproven)} subjects {tally.unproven}; lint unknown: {len(tally.unknown)} policies")
     within = tally.most["compile"][0] <= COMPILE and tally.most["lint"][0] <= 2 * redundant_rules.TOGETHER
-    return 0 if within and len(tally.refused) * 50 <= asked.policies else 1
+    return 0 if within and len(tally.refused) * 50 <= options.policies else 1
 
 
 if __name__ == "__main__":

@@ -1,4 +1,4 @@
-"""Decisions a second: the policy, the simulated decision points, and the real vendors. As ratios to the policy.
+"""Measure decisions per second of the policy, the simulated transports and the real vendors, relative to the policy.
 
 usage: python benchmarks/decisions.py [--edges N] [--policy PATH]
 """
@@ -25,16 +25,16 @@ EXAMPLES = Path(__file__).resolve().parent.parent / "examples"
 
 
 def objects(subjects: Iterable[str]) -> list[Object]:
-    """Return objects of which some are allowed and most are not."""
+    """Return objects, few of them allowed."""
     names = ["/chatter", "/rosout", "/clock", "/parameter_events", "/tf", "/scan", "/map", "/odom", "/cmd_vel"]
     services = [f"{subject}/{verb}_parameters" for subject in subjects for verb in ("get", "set", "list")]
     return [Object("ros_topic", name) for name in names] + [Object("ros_service", name) for name in services]
 
 
-def rate(edges: list[Edge], decided: Iterable[object]) -> float:
-    """Return how many decisions are made in a second."""
+def rate(edges: list[Edge], decisions: Iterable[object]) -> float:
+    """Return the number of decisions per second."""
     begin = time.perf_counter()
-    count = sum(1 for _ in decided)
+    count = sum(1 for _ in decisions)
     elapsed = time.perf_counter() - begin
     if count != len(edges):
         raise SystemExit(f"{count} decisions on {len(edges)} edges")
@@ -53,14 +53,14 @@ def main() -> int:
         subprocess.run(command, check=True)
         root = workspace / "install" / "enclaves"
         enclaves = [
-            Enclave(f"/{found.parent.relative_to(root)}", found.parent, "humble") for found in root.rglob("cert.pem")
+            Enclave(f"/{path.parent.relative_to(root)}", path.parent, "humble") for path in root.rglob("cert.pem")
         ]
         plugins = Plugins(environment=Environment(datetime.now(UTC), Path(scratch) / "cache", dict(os.environ)))
         subjects = sorted(enclave.subject for enclave in enclaves)
         ends = [
-            Edge(subject, "ros_publish" if found.kind == "ros_topic" else "ros_call", found)
+            Edge(subject, "ros_publish" if each.kind == "ros_topic" else "ros_call", each)
             for subject in subjects
-            for found in objects(subjects)
+            for each in objects(subjects)
         ]
         edges = sorted(islice(cycle(complete(Graph.of(ends))), options.edges))
         source = PolicySource("policy", options.policy.resolve(), Origin("benchmark"))
@@ -72,9 +72,9 @@ def main() -> int:
             if not usable.usable:
                 print(f"{name:24} not usable: {usable.reason}")
                 continue
-            list(transport.label(enclaves, edges[:1], Tier.DECISION))  # builds what has to be built
-            found = rate(edges, transport.label(enclaves, iter(edges), Tier.DECISION))
-            print(f"{name:24} {found:10,.0f}/s {found / base:6.2f}")
+            list(transport.label(enclaves, edges[:1], Tier.DECISION))  # builds the vendor's programs
+            speed = rate(edges, transport.label(enclaves, iter(edges), Tier.DECISION))
+            print(f"{name:24} {speed:10,.0f}/s {speed / base:6.2f}")
     return 0
 
 

@@ -1,9 +1,9 @@
-"""Does diff find what brute force finds? Prints what was counted, and every pair that it is wrong about.
+"""Compare diff with brute force; print the counts and every pair of policies where diff is wrong.
 
 usage: python benchmarks/diff.py [--pairs N] [--seed N]
 
-Each pair of random policies is one edit apart (tests/keymint/algebra/edits.py). The reference evaluator decides every
-request there is about some hundred subjects and objects. Ends with 1 if diff missed something or said something false.
+Each pair of random policies is one edit apart (tests/keymint/analysis/edits.py). The reference evaluator decides every
+request of some hundred subjects and objects. Exits with 1 if diff missed a change or reported a false one.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
 
-from tests.keymint.algebra.differential import compared, pair
+from tests.keymint.analysis.differential import compared, pair
 
 
 def main() -> int:

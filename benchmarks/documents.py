@@ -1,4 +1,4 @@
-"""Random permissions documents and requests: what a compiler writes, what people write, and what is merely legal."""
+"""Random permissions documents and requests: as compilers or people write them, and unusual but legal ones."""
 
 from __future__ import annotations
 
@@ -31,7 +31,9 @@ _ODD_PATTERNS = [
 _LISTS: list[list[str] | None] = [
     None, None, None, [""], ["a"], ["a", "b"], ["*"], ["a", ""], ["a*"], ["?"], ["[ab]"], ["b"], ["ab"], ["[!a]"],
 ]  # fmt: skip
-_ASKED: list[tuple[str, ...]] = [(), (), ("",), ("a",), ("b",), ("a", "b"), ("", "a"), ("*",), ("ab",), ("a*",)]
+_REQUESTED: list[tuple[str, ...]] = [
+    (), (), ("",), ("a",), ("b",), ("a", "b"), ("", "a"), ("*",), ("ab",), ("a*",),
+]  # fmt: skip
 _DOMAINS = ["<id>0</id>"] * 16 + [
     "<id>1</id>", "<id>1</id><id>0</id>", "<id_range><min>0</min><max>9</max></id_range>",
     "<id_range><min>1</min><max>9</max></id_range>", "<id_range><min>0</min></id_range>",
@@ -40,11 +42,11 @@ _DOMAINS = ["<id>0</id>"] * 16 + [
 
 
 class Writer:
-    """Writes documents and requests, the same for the same seed.
+    """Generates documents and requests, the same ones for the same seed.
 
     Args:
-        seed: of the random numbers.
-        now: the clock, UTC.
+        seed: seed of the random numbers.
+        now: the current time, UTC.
     """
 
     def __init__(self, seed: int, now: datetime) -> None:
@@ -57,7 +59,7 @@ class Writer:
         return f'<?xml version="1.0" encoding="UTF-8"?>\n<dds><permissions>{grants}</permissions></dds>\n'.encode()
 
     def governance(self) -> bytes:
-        """Return an unsigned governance document; most control everything."""
+        """Return an unsigned governance document; most protect all topics."""
         control = self._some([("true", "true")] * 12 + [("false", "true"), ("true", "false"), ("false", "false")])
         rules = [("*", control)]
         if self._one_in(10):
@@ -89,12 +91,12 @@ class Writer:
         ).encode()
 
     def requests(self, subject: str, count: int) -> list[Edge]:
-        """Return so many different requests, in domain 0."""
-        found: set[Edge] = set()
-        while len(found) < count:
+        """Return ``count`` different requests, in domain 0."""
+        requests: set[Edge] = set()
+        while len(requests) < count:
             action = self._some(["publish", "subscribe"])
-            found.add(Edge(subject, action, Object("topic", self._some(_TOPICS), self._some(_ASKED))))
-        return sorted(found)
+            requests.add(Edge(subject, action, Object("topic", self._some(_TOPICS), self._some(_REQUESTED))))
+        return sorted(requests)
 
     def _grant(self, number: int) -> str:
         begin, end = self._validity()
@@ -130,10 +132,10 @@ class Writer:
             f"<topic>{escape(self._some(self._some([_TOPICS, _TOPICS, _PATTERNS, _PATTERNS, self._odd()])))}</topic>"
             for _ in range(self._some([1, 1, 2, 3]))
         )
-        listed = self._some(_LISTS)
+        listed_partitions = self._some(_LISTS)
         partitions = ""
-        if listed is not None:
-            partitions = "".join(f"<partition>{each}</partition>" for each in listed)
+        if listed_partitions is not None:
+            partitions = "".join(f"<partition>{each}</partition>" for each in listed_partitions)
             partitions = f"<partitions>{partitions}</partitions>"
         elif self._one_in(60):
             partitions = "<partitions/>"

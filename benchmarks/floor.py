@@ -1,6 +1,6 @@
-"""The floor: bare ``cryptography`` calls that do for N enclaves what provisioning cannot do without.
+"""The floor: the least work that provisions N enclaves, with bare ``cryptography`` calls.
 
-A key, a certificate, two S/MIME signatures and seven files an enclave; no policy, no validation, no safe writing.
+A key, a certificate, two S/MIME signatures and seven files per enclave; no policy, no validation, no safe writing.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ _DAY = timedelta(days=1)
 
 
 def builder_of(subject: x509.Name, issuer: x509.Name, key: ec.EllipticCurvePublicKey) -> x509.CertificateBuilder:
-    """Return the beginning of a certificate that is valid for a year."""
+    """Return the builder of a certificate that is valid for a year."""
     now = datetime.now(UTC)
     return (
         x509.CertificateBuilder()
@@ -42,7 +42,7 @@ def authority(name: str) -> tuple[x509.Certificate, ec.EllipticCurvePrivateKey]:
 
 
 def provision(folder: Path, names: list[str], permissions: bytes, governance: bytes) -> None:
-    """Make one enclave a name below a folder.
+    """Write one enclave for each name into a folder.
 
     Args:
         folder: an empty folder.

@@ -1,8 +1,7 @@
-"""The policy of a robot's navigation and manipulation: one enclave for a dozen nodes, and every name that they use.
+"""The policy of a robot's navigation and manipulation: one enclave for a dozen nodes, with every name that they use.
 
-The names are those of Nav2 and MoveIt as they start by default, as words and not numbered: what a document for a real
-robot is made of. Every node has its parameters, its life cycle and its own topics; servers and clients of the actions
-share the enclave.
+The names are the defaults of Nav2 and MoveIt. They are words, not numbers, as in a document for a real robot. Every
+node has its parameters, its life cycle and its own topics; servers and clients of the actions share the enclave.
 """
 
 from __future__ import annotations

@@ -1,9 +1,9 @@
-"""Is what a governance opens found, always? Random governance documents, permissions and policies, held three ways.
+"""Check that every topic which a governance opens is reported, on random documents and policies.
 
-For each document and domain, every name of a small set is decided by brute force (written here a second time), by the
-decision point, and by the real access-control plugin of Cyclone DDS; for a few documents also by participants of Fast
-DDS. The claims are held against that: what is proven has no name on which document and policy differ, and every
-counterexample is one. Prints the counts, and every disagreement; ends with 1 if there is any.
+For each document and domain, every name of a small set is decided by brute force (implemented here independently), by
+the models, by the real access-control plugin of Cyclone DDS, and for a few documents by participants of Fast DDS. The
+claims must agree: if one is proven, document and policy are the same for every name, and every counterexample is real.
+Prints the counts and every disagreement; exits with 1 if there are any.
 
 usage: python benchmarks/open_governance.py [--documents N] [--fastdds N] [--seed N]
 """
@@ -71,8 +71,8 @@ class Domain:
     unauthenticated: bool
     topics: tuple[Topic, ...]
 
-    def about(self, domain: int, *, exact: bool) -> bool:
-        """Tell whether the rule is about a domain; vendors take a minimum alone for one domain."""
+    def applies(self, domain: int, *, exact: bool) -> bool:
+        """Tell whether the rule applies to a domain; ``exact``: a minimum alone means one domain, as for vendors."""
         if "<max>" in self.listed:
             return domain <= 1
         if "<min>" in self.listed:
@@ -82,11 +82,11 @@ class Domain:
 
 @dataclass(frozen=True)
 class Case:
-    """What is compared: a policy, a grant that may say otherwise, and a governance."""
+    """A governance, a grant, and a policy, from which the grant may differ."""
 
     domains: tuple[Domain, ...]
     granted: tuple[tuple[str, str, str], ...]
-    said: tuple[tuple[str, str, str], ...]
+    policy: tuple[tuple[str, str, str], ...]
 
 
 class Cases:
@@ -98,9 +98,9 @@ class Cases:
     def next(self) -> Case:
         """Return the next case."""
         some = self._random
-        said = tuple(self._rule() for _ in range(some.choice([0, 1, 2, 3])))
-        granted = said if self._likely(70) else tuple(self._rule() for _ in range(some.choice([0, 1, 2])))
-        return Case(tuple(self._domain() for _ in range(some.choice([1, 1, 2]))), granted, said)
+        policy = tuple(self._rule() for _ in range(some.choice([0, 1, 2, 3])))
+        granted = policy if self._likely(70) else tuple(self._rule() for _ in range(some.choice([0, 1, 2])))
+        return Case(tuple(self._domain() for _ in range(some.choice([1, 1, 2]))), granted, policy)
 
     def _likely(self, percent: int) -> bool:
         return self._random.randrange(100) < percent
@@ -155,13 +155,13 @@ def _boolean(value: bool) -> str:
 
 
 def permissions_of(case: Case, subject: str, now: datetime) -> bytes:
-    """Return the permissions document of a case: deny first, in domain 0."""
+    """Return the permissions document of a case: deny rules first, in domain 0."""
     rules = "".join(
         f"<{effect}_rule><domains><id>0</id></domains>\n<{action}><topics><topic>{escape(expression)}</topic></topics>"
         f"</{action}></{effect}_rule>\n"
-        for wanted in ("deny", "allow")
+        for group in ("deny", "allow")
         for effect, action, expression in case.granted
-        if effect == wanted
+        if effect == group
     )
     begin, end = (f"{now + timedelta(days=days):%Y-%m-%dT%H:%M:%S}" for days in (-2, 900))
     return (
@@ -176,8 +176,8 @@ def by_policy(case: Case, action: str, topic: str, partitions: Sequence[str], do
     """Decide by the policy: deny overrides, and only the default partition is allowed."""
     if domain != 0:
         return False
-    about = [effect for effect, own, expression in case.said if own == action and _matches(expression, topic)]
-    return "deny" not in about and "allow" in about and not any(partitions)
+    effects = [effect for effect, own, expression in case.policy if own == action and _matches(expression, topic)]
+    return "deny" not in effects and "allow" in effects and not any(partitions)
 
 
 def by_permissions(
@@ -206,27 +206,27 @@ def by_permissions(
 def by_documents(case: Case, model: str, action: str, topic: str, partitions: Sequence[str], domain: int) -> bool:
     """Decide by governance and grant."""
     exact = model != "omg"
-    rule = next((each for each in case.domains if each.about(domain, exact=exact)), None)
+    rule = next((each for each in case.domains if each.applies(domain, exact=exact)), None)
     if rule is None:
         return False
     fast = model == FAST
     joins = any(effect == "allow" for effect, _, _ in case.granted) and (domain == 0 or fast)
     if not joins and (fast or (rule.join and all(each.read and each.write for each in rule.topics))):
         return False
-    found = next((each for each in rule.topics if _matches(each.expression, topic, model, ruling=True)), None)
-    if found is None:
+    topic_rule = next((each for each in rule.topics if _matches(each.expression, topic, model, governance=True)), None)
+    if topic_rule is None:
         return False
-    if not (found.write if action == "publish" else found.read):
+    if not (topic_rule.write if action == "publish" else topic_rule.read):
         return True
-    check = found.read and found.write
+    check = topic_rule.read and topic_rule.write
     return by_permissions(case, model, action, topic, partitions, domain, topic_check=check)
 
 
-def _matches(expression: str, topic: str, model: str = "", *, ruling: bool = False) -> bool:
-    """Match as a model does; Fast DDS takes a topic for an expression about those of a governance, too."""
+def _matches(expression: str, topic: str, model: str = "", *, governance: bool = False) -> bool:
+    """Match as a model does; in a governance, Fast DDS also uses the topic as a pattern for the expression."""
     if model == "cyclonedds-0.10":
         expression = expression.replace("[!", "[!]") if "[!" in expression else expression.replace("[", "[]")
-    if ruling and model == FAST and fnmatch.fnmatchcase(expression, topic):
+    if governance and model == FAST and fnmatch.fnmatchcase(expression, topic):
         return True
     return fnmatch.fnmatchcase(topic, expression)
 
@@ -235,20 +235,20 @@ def rules_of(case: Case, subject: str) -> SubjectRules:
     """Return the policy of a case."""
     return SubjectRules(
         subject,
-        tuple(Rule(Effect(e.upper()), "topic", (action,), (x,), (), False, _HERE) for e, action, x in case.said),
+        tuple(Rule(Effect(e.upper()), "topic", (action,), (x,), (), False, _HERE) for e, action, x in case.policy),
     )
 
 
 def claims_of(case: Case, permissions: bytes, subject: str) -> tuple[Claim, ...]:
     """Return the claims about the documents of a case."""
     rules = rules_of(case, "/robot")
-    held = ProofSpec(subject, rules, "humble", (DomainRange(0, 0),), 50_000, lambda: True)
+    spec = ProofSpec(subject, rules, "humble", (DomainRange(0, 0),), 50_000, lambda: True)
     governing = EnclaveGovernance.of(governance_of(case), ("governance.p7s", 0), None, "/robot", "humble")
-    return prove_document(ProofQuestion(decision.read(permissions), held, lower(rules, "humble"), governing))
+    return prove_document(ProofQuestion(decision.read(permissions), spec, lower(rules, "humble"), governing))
 
 
 def wrong_claims(case: Case, claims: Sequence[Claim], counts: Counter[str]) -> Iterator[str]:
-    """Yield what is wrong with claims, by brute force."""
+    """Yield the errors of claims, found by brute force."""
     for model in MODELS:
         for domain in DOMAINS:
             for action in ACTIONS:
@@ -276,14 +276,15 @@ def wrong_claims(case: Case, claims: Sequence[Claim], counts: Counter[str]) -> I
             yield f"unknown: {claim}"
         if claim.counterexample is None or claim.action not in ACTIONS:
             continue
-        found = claim.counterexample
-        name, partitions, domain = found.endpoint.object.name, found.endpoint.object.partitions, found.endpoint.domain
-        said = by_policy(case, claim.action, name, partitions, domain)
+        example = claim.counterexample
+        endpoint = example.endpoint
+        name, partitions, domain = endpoint.object.name, endpoint.object.partitions, endpoint.domain
+        allowed = by_policy(case, claim.action, name, partitions, domain)
         permitted = by_documents(case, claim.model, claim.action, name, partitions, domain)
         alone = by_permissions(case, claim.model, claim.action, name, partitions, domain)
-        peers = "peers go by their own" in found.document.reason
+        peers = "peers go by their own" in example.document.reason
         decided = alone if peers else permitted
-        if not said == found.policy.allowed != found.document.allowed == decided:
+        if not allowed == example.policy.allowed != example.document.allowed == decided:
             yield f"no counterexample: {claim}"
         counts["of permissions alone"] += peers
     yield from _of_domains(case, claims)
@@ -292,29 +293,29 @@ def wrong_claims(case: Case, claims: Sequence[Claim], counts: Counter[str]) -> I
 def _opened(case: Case, action: str, topic: str, domain: int) -> bool:
     """Tell whether the governance opens a topic for vendors.
 
-    That permissions of other domains count for Fast DDS, too, is an assumption of its claims.
+    The claims about Fast DDS assume that permissions of other domains apply too.
     """
-    rule = next((each for each in case.domains if each.about(domain, exact=True)), None)
-    found = next((each for each in rule.topics if _matches(each.expression, topic)), None) if rule else None
-    return found is not None and not (found.write if action == "publish" else found.read)
+    rule = next((each for each in case.domains if each.applies(domain, exact=True)), None)
+    topic_rule = next((each for each in rule.topics if _matches(each.expression, topic)), None) if rule else None
+    return topic_rule is not None and not (topic_rule.write if action == "publish" else topic_rule.read)
 
 
 def _of_domains(case: Case, claims: Sequence[Claim]) -> Iterator[str]:
     for domain in DOMAINS:
         for model in MODELS:
-            rule = next((each for each in case.domains if each.about(domain, exact=model != "omg")), None)
+            rule = next((each for each in case.domains if each.applies(domain, exact=model != "omg")), None)
             opens = rule is not None and (not rule.join or rule.unauthenticated)
-            found = any(
+            reported = any(
                 claim.action == "join" and any(each.first <= domain <= each.last for each in claim.domains)
                 for claim in claims
                 if claim.model == model
             )
-            if opens != found:
-                yield f"join: {model} in domain {domain}: {opens} {found}"
+            if opens != reported:
+                yield f"join: {model} in domain {domain}: {opens}, reported {reported}"
 
 
 class Bench:
-    """Decides the same questions in every way."""
+    """Compares brute force with the models and the vendors."""
 
     def __init__(self, seed: int) -> None:
         self.now = datetime.now(UTC)
@@ -323,52 +324,53 @@ class Bench:
         self.subject = subject_name(self.files["cert.pem"], Origin("cert.pem"))
 
     def signed(self, content: bytes) -> bytes:
-        """Sign a document by the permissions authority."""
+        """Sign a document with the permissions authority."""
         return self._enclaves.sign(content)
 
     def modelled(self, case: Case, permissions: bytes, counts: Counter[str]) -> Iterator[str]:
-        """Yield where the decision point does not decide as brute force does."""
-        document, ruling = decision.read(permissions), signed_governance.read(governance_of(case))
+        """Yield the differences between the models and brute force."""
+        document, governance = decision.read(permissions), signed_governance.read(governance_of(case))
         for model in MODELS:
             variation = VARIATIONS[model]
             for domain in DOMAINS:
                 evaluator = DocumentEvaluator(document, self.subject, self.now, domain, variation)
-                governed = DomainAccess.of(ruling, domain, evaluator.semantics)
-                for action, name, partitions in _asked():
-                    found = governed.decide(evaluator, action, name, partitions)
-                    wanted = by_documents(case, model, action, name, partitions, domain)
+                access = DomainAccess.of(governance, domain, evaluator.semantics)
+                for action, name, partitions in _requests():
+                    decided = access.decide(evaluator, action, name, partitions)
+                    expected = by_documents(case, model, action, name, partitions, domain)
                     counts["model"] += 1
-                    if found.allowed != wanted:
-                        yield f"model {model}: {action} {name} {partitions} in {domain}: brute force {wanted}, {found}"
+                    if decided.allowed != expected:
+                        request = f"{action} {name} {partitions} in {domain}"
+                        yield f"model {model}: {request}: brute force {expected}, {decided}"
 
     def cyclone(self, case: Case, permissions: bytes, counts: Counter[str]) -> Iterator[str]:
-        """Yield where Cyclone DDS does not decide as brute force does."""
+        """Yield the differences between Cyclone DDS and brute force."""
         ca = self.files["permissions_ca.cert.pem"]
-        signed, ruling = self.signed(permissions), self.signed(governance_of(case))
+        signed, governance = self.signed(permissions), self.signed(governance_of(case))
         for domain in DOMAINS:
             with AccessControl(
                 certificate=self.files["cert.pem"],
                 permissions_ca=ca,
-                governance=ruling,
+                governance=governance,
                 permissions=signed,
                 domain=domain,
-            ) as opened:
-                if not opened.valid:
-                    yield f"cyclone refuses: {opened.reason}"
+            ) as access:
+                if not access.valid:
+                    yield f"cyclone refuses: {access.reason}"
                     return
-                joins = opened.joins()
-                for action, name, partitions in _asked():
-                    found = joins and opened.allows(action, name, partitions)  # type: ignore[arg-type]
-                    wanted = by_documents(case, "cyclonedds-0.10", action, name, partitions, domain)
+                joins = access.joins()
+                for action, name, partitions in _requests():
+                    allowed = joins and access.allows(action, name, partitions)  # type: ignore[arg-type]
+                    expected = by_documents(case, "cyclonedds-0.10", action, name, partitions, domain)
                     counts["cyclone"] += 1
-                    counts["cyclone allows"] += found
-                    if found != wanted:
-                        yield f"cyclone: {action} {name} {partitions} in {domain}: {found}, brute force {wanted}"
+                    counts["cyclone allows"] += allowed
+                    if allowed != expected:
+                        yield f"cyclone: {action} {name} {partitions} in {domain}: {allowed}, brute force {expected}"
 
     def fast(
         self, case: Case, permissions: bytes, vendor: FastDDS, folder: Path, counts: Counter[str]
     ) -> Iterator[str]:
-        """Yield where Fast DDS does not decide as brute force does, in domain 0."""
+        """Yield the differences between Fast DDS and brute force, in domain 0."""
         folder.mkdir()
         documents = {"permissions.p7s": self.signed(permissions), "governance.p7s": self.signed(governance_of(case))}
         for name, content in {**self.files, **documents}.items():
@@ -379,37 +381,37 @@ class Bench:
                     participant = system.open(folder)
                 except RefusedError:
                     participant = None
-                for action, topic, partitions in _asked():
-                    found = participant is not None and participant.allows(action, topic, partitions)  # type: ignore[arg-type]
-                    wanted = by_documents(case, FAST, action, topic, partitions, 0)
+                for action, topic, partitions in _requests():
+                    allowed = participant is not None and participant.allows(action, topic, partitions)  # type: ignore[arg-type]
+                    expected = by_documents(case, FAST, action, topic, partitions, 0)
                     counts["fastdds"] += 1
-                    counts["fastdds allows"] += found
-                    if found != wanted:
-                        yield f"fastdds: {action} {topic} {partitions}: brute force {wanted}, it says {found}"
+                    counts["fastdds allows"] += allowed
+                    if allowed != expected:
+                        yield f"fastdds: {action} {topic} {partitions}: {allowed}, brute force {expected}"
         except ProbeError as error:
             yield f"fastdds: {error}"
 
 
-def _asked() -> Iterator[tuple[str, str, tuple[str, ...]]]:
+def _requests() -> Iterator[tuple[str, str, tuple[str, ...]]]:
     return ((action, name, partitions) for action in ACTIONS for name in NAMES for partitions in PARTITIONS)
 
 
 def compare(
     seed: int, documents: int, *, cyclone: bool = True, fastdds: FastDDS | None = None, fast_documents: int = 0
 ) -> tuple[Counter[str], list[str]]:
-    """Compare so many cases; return counts, and what is wrong."""
+    """Compare as many random cases as ``documents``; return counts and errors."""
     cases, bench, counts, wrong = Cases(seed), Bench(seed), Counter[str](), []
     with tempfile.TemporaryDirectory() as scratch:
         for number in range(documents):
             case = cases.next()
             permissions = permissions_of(case, bench.subject, bench.now)
-            found = [*bench.modelled(case, permissions, counts)]
-            found += wrong_claims(case, claims_of(case, permissions, bench.subject), counts)
+            errors = [*bench.modelled(case, permissions, counts)]
+            errors += wrong_claims(case, claims_of(case, permissions, bench.subject), counts)
             if cyclone:
-                found += bench.cyclone(case, permissions, counts)
+                errors += bench.cyclone(case, permissions, counts)
             if fastdds is not None and number < fast_documents:
-                found += bench.fast(case, permissions, fastdds, Path(scratch) / str(number), counts)
-            wrong += [f"case {number} of seed {seed}: {each}\n  {case}" for each in found]
+                errors += bench.fast(case, permissions, fastdds, Path(scratch) / str(number), counts)
+            wrong += [f"case {number} of seed {seed}: {each}\n  {case}" for each in errors]
     return counts, wrong
 
 
@@ -417,16 +419,16 @@ def main() -> int:
     """Compare, print, and return the exit code."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--documents", type=int, default=3000)
-    parser.add_argument("--fastdds", type=int, default=100, help="so many of them are given to Fast DDS as well")
+    parser.add_argument("--fastdds", type=int, default=100, help="number of them that Fast DDS reads as well")
     parser.add_argument("--seed", type=int, default=2018)
-    parser.add_argument("--show", type=int, default=5, help="disagreements to print in full")
+    parser.add_argument("--show", type=int, default=5, help="number of disagreements to print in full")
     options = parser.parse_args()
     vendor: FastDDS | None = None
     with tempfile.TemporaryDirectory() as cache:
         try:
             vendor = FastDDS(probe_builds.FASTDDS.build(Path(cache))) if options.fastdds else None
         except probe_builds.MissingVendorError as error:
-            print(f"Fast DDS is not asked: {error}")
+            print(f"Fast DDS is not used: {error}")
         counts, wrong = compare(options.seed, options.documents, fastdds=vendor, fast_documents=options.fastdds)
     for each in wrong[: options.show]:
         print(each)

@@ -1,10 +1,9 @@
-"""What provisioning costs: N enclaves beside the floor of bare ``cryptography`` calls, and a run without changes.
+"""Measure the cost of provisioning N enclaves, relative to bare ``cryptography`` calls, and of a run without changes.
 
 usage: python benchmarks/provision.py [--sizes 10,100,1000] [--repeat 3]
 
-Both work on tmpfs and run one after the other, so that the noise of the machine meets both; the best of the repeats
-counts. Seconds are of processor time (user and system, children included): other work on the machine does not count.
-Ratios are what to look at.
+Both work on tmpfs and run one after the other, so that noise affects both. The best repeat counts. Seconds are
+processor time (user and system, including children), so other work on the machine does not count. Compare the ratios.
 """
 
 from __future__ import annotations
@@ -50,25 +49,25 @@ def policy(size: int) -> str:
 
 
 def spent() -> float:
-    """Return the seconds of processor time that this process and its children have taken."""
+    """Return the processor time of this process and its children in seconds."""
     usages = [resource.getrusage(who) for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN)]
     return sum(usage.ru_utime + usage.ru_stime for usage in usages)
 
 
 def timed(function: Callable[[], object]) -> float:
-    """Return the seconds of processor time that a call takes."""
+    """Return the processor time of a call in seconds."""
     start = spent()
     function()
     return spent() - start
 
 
 def run(*arguments: str) -> None:
-    """Run the command line; a failure ends the benchmark."""
+    """Run a keymint command; a failure ends the benchmark."""
     subprocess.run([*KEYMINT, *arguments], check=True, stdout=subprocess.DEVNULL)
 
 
 def measure(size: int, repeat: int, scratch: Path) -> tuple[float, float, float, float]:
-    """Return the best seconds of the floor, of a first run with and without proofs, and of a run without changes."""
+    """Return the best seconds of the floor, a first run with and without proofs, and a run without changes."""
     best = [float("inf")] * 4
     for attempt in range(repeat):
         folder = scratch / f"{size}-{attempt}"
@@ -91,7 +90,7 @@ def measure(size: int, repeat: int, scratch: Path) -> tuple[float, float, float,
 
 
 def median_of(command: list[str], repeat: int = 15) -> float:
-    """Return the median seconds that a user waits for a command."""
+    """Return the median wall-clock time of a command in seconds."""
 
     def waited() -> float:
         start = time.perf_counter()

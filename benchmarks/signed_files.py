@@ -1,7 +1,7 @@
-"""Do all readers see the same content in every signed file that Keymint accepts? Prints the counts; ends with 1 if not.
+"""Check that all readers see the same content in every signed file that Keymint accepts; exit with 1 if not.
 
-Mutated files are given to Keymint's reader, to OpenSSL's functions as the vendors call them, to ``openssl smime
--verify``, to Cyclone DDS's access-control plugin, and to Python's ``email``.
+Mutated files are read by Keymint, by OpenSSL's functions as the vendors call them, by ``openssl smime -verify``, by
+Cyclone DDS's access-control plugin, and by Python's ``email``.
 
 usage: python benchmarks/signed_files.py [--count N] [--seed N] [--workers N]
 """
@@ -20,21 +20,21 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 from tests.real.signed_readers import Bench, Counts
 
 CHUNK = 1000
-"""Files of one seed; the documents are signed again for each."""
+"""Number of files per seed; the documents are signed again for each seed."""
 
 
 def compared(task: tuple[int, int]) -> Counts:
     count, seed = task
     with tempfile.TemporaryDirectory() as scratch:
         bench = Bench(Path(scratch), cyclone=True)
-        found = bench.compare(count, seed)
+        counts = bench.compare(count, seed)
         for name, signed, text in bench.genuine:
-            found.counts["files as tools sign them"] += 1
+            counts.counts["files as tools sign them"] += 1
             readings = {"we": bench.ours(signed)} | {reader: read(signed) for reader, read in bench.readers.items()}
             for reader, content in readings.items():
                 if content is None or content.replace(b"\r\n", b"\n") != text:
-                    found.wrong.append(f"{name}, seed {seed}: {reader} does not read what was signed")
-        return found
+                    counts.wrong.append(f"{name}, seed {seed}: {reader} reads other content than was signed")
+        return counts
 
 
 def main() -> int:
@@ -47,9 +47,9 @@ def main() -> int:
     tasks = [(min(CHUNK, arguments.count - start), arguments.seed * 1_000_000 + start) for start in starts]
     total, wrong = Counter[str](), list[str]()
     with ProcessPoolExecutor(arguments.workers) as pool:
-        for found in pool.map(compared, tasks):
-            total += found.counts
-            wrong += found.wrong
+        for counts in pool.map(compared, tasks):
+            total += counts.counts
+            wrong += counts.wrong
             print(f"\r{total['files']} of {arguments.count} files", end="", file=sys.stderr, flush=True)
     print(file=sys.stderr)
     for name, number in sorted(total.items()):

@@ -1,10 +1,10 @@
-"""How large permissions are: the plain form, folded, and gathered; the fleet example and many exact rules.
+"""Measure the size of permissions (plain, grouped, and as written) of the fleet example and of many exact rules.
 
 usage: python benchmarks/sizes.py [--rules 1000]
 
-Bytes are those of the unsigned document; signing adds about 1,450. Handshakes were seen to work with signed documents
-of up to 56,000 bytes on every vendor, and to fail on Fast DDS with 67,000. ``grouped`` is the
-folded form without gathering: what a careful person writes by hand.
+Sizes are bytes of the unsigned document; signing adds about 1,450. Handshakes succeeded with signed documents of up to
+56,000 bytes on every vendor, and failed on Fast DDS with 67,000. ``grouped`` is the folded form without gathering, like
+a document that a careful person writes by hand.
 """
 
 from __future__ import annotations
@@ -49,7 +49,7 @@ HERE = Origin("benchmark")
 
 
 def package(rules: SubjectRules) -> Package:
-    """Return a package that asks for these rules."""
+    """Return a package with these rules."""
     begin = datetime(2026, 1, 1, tzinfo=UTC)
     validity, domains = Validity(begin, begin + timedelta(days=365)), (DomainRange(0, 0),)
     name = f"OU=0f,CN={rules.subject}"
@@ -80,7 +80,7 @@ def exact(names: Sequence[str]) -> str:
 
 
 def families(size: int) -> Iterator[tuple[str, list[str]]]:
-    """Yield kinds of exact names under a few namespaces."""
+    """Yield lists of exact names under a few namespaces, each with a title."""
     dice = random.Random(size)
     spaces = [SPACES[number % len(SPACES)] for number in range(size)]
     yield "numbered", [f"/{space}/sensor{number // len(SPACES)}" for number, space in enumerate(spaces)]
@@ -101,11 +101,11 @@ def families(size: int) -> Iterator[tuple[str, list[str]]]:
 
 def measured(rules: SubjectRules) -> tuple[int, int, int, float]:
     """Return the bytes of the plain, the grouped and the smallest form, and the seconds of a build."""
-    asked = package(rules)
+    source = package(rules)
     with mock.patch.object(compile, "gathered", functools.partial(gathering.gathered, min_saved=10**9)):
-        grouped = build_type.build(asked, BuildOptions())
+        grouped = build_type.build(source, BuildOptions())
     begin = time.process_time()
-    built = build_type.build(asked, BuildOptions())
+    built = build_type.build(source, BuildOptions())
     seconds = time.process_time() - begin
     name = "permissions.xml"
     return built.plain_sizes[name], len(grouped.documents[name]), len(built.documents[name]), seconds
@@ -132,9 +132,9 @@ def main() -> None:
     print(f"{'':28} {'plain':>9}  {'grouped':>9}  {'written':>9}  {'gain':>6} {'build':>10}")
     total = [0, 0, 0, 0.0]
     for rules in subjects(FLEET):
-        found = measured(rules)
-        total = [old + new for old, new in zip(total, found, strict=True)]
-        show(f"fleet {rules.subject}", *found, lambda _size: " ")
+        sizes = measured(rules)
+        total = [old + new for old, new in zip(total, sizes, strict=True)]
+        show(f"fleet {rules.subject}", *sizes, lambda _size: " ")
     show("fleet, all", int(total[0]), int(total[1]), int(total[2]), total[3], lambda _size: " ")
     with tempfile.TemporaryDirectory() as folder:
         for title, names in families(options.rules):
@@ -145,7 +145,7 @@ def main() -> None:
         path.write_text(navigation.policy())
         for rules in subjects(path):
             with mock.patch.object(dds_xml, "INDENTED", 10**9):
-                show("navigation, with blanks", *measured(rules), fits)
+                show("navigation, indented", *measured(rules), fits)
             show("navigation, as written", *measured(rules), fits)
     print("* a signed document of that size breaks handshakes on Fast DDS")
 

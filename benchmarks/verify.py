@@ -1,11 +1,10 @@
-"""What verifying costs: how time and memory grow with subjects and objects, all edges of the completion asked.
+"""Measure how the time and memory of verify grow with subjects and objects, for all edges of the completion.
 
 usage: python benchmarks/verify.py [--sizes 25x250,50x500,100x1000,200x2000] [--transport NAME]...
 
-For each size a policy is provisioned on tmpfs, and a graph that names every subject and object is completed and
-verified in a process of its own, at the tier ``decision``. Seconds are of processor time; peak memory is that of the
-process. What to look at: the cost of an edge stays the same, memory grows by about a byte an edge and by what names
-take, not by what labels do.
+For each size, it provisions a policy on tmpfs, and verifies the completion of a graph that names every subject and
+object, in a process of its own, at the tier ``decision``. Seconds are processor time; peak memory is that of the
+process. Expect a constant cost per edge, and memory that grows by about a byte per edge plus the names.
 """
 
 from __future__ import annotations
@@ -44,23 +43,23 @@ PROFILE = """  <profile name="node{n}">
 
 
 def policy(subjects: int) -> str:
-    """Return a policy that names so many subjects exactly."""
+    """Return a policy that names each of its subjects exactly."""
     profiles = "".join(PROFILE.format(n=n, next=(n + 1) % subjects) for n in range(subjects))
     return f'<profiles xmlns:xi="http://www.w3.org/2001/XInclude">\n{profiles}</profiles>\n'
 
 
 def graph(subjects: int, objects: int) -> str:
-    """Return a graph of so many subjects and objects, a tenth of which are services."""
+    """Return a graph in which a tenth of the objects are services."""
     edges = []
-    for at in range(objects):
-        n, serial = at % subjects, at // subjects
+    for number in range(objects):
+        n, serial = number % subjects, number // subjects
         permission, name = ("ros_execute", "/serve") if serial % 10 == 0 else ("ros_publish", "/data")
         edges.append({"subject": f"/robot{n}/node", "permission": permission, "object": f"{name}/{n}_{serial}"})
     return json.dumps({"format": "keymint-graph", "version": 1, "edges": edges})
 
 
 def measured(arguments: list[str]) -> tuple[dict, float, float]:
-    """Run keymint; return its JSON, the seconds of processor time that it took, and its peak memory in MB."""
+    """Run keymint; return its JSON, its processor time in seconds, and its peak memory in MB."""
     with tempfile.TemporaryFile() as out:
         process = subprocess.Popen([*KEYMINT, *arguments], stdout=out)
         _, status, usage = os.wait4(process.pid, 0)
@@ -75,7 +74,7 @@ def measured(arguments: list[str]) -> tuple[dict, float, float]:
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--sizes", default="25x250,50x500,100x1000,200x2000", help="SUBJECTSxOBJECTS,…")
-    parser.add_argument("--transport", action="append", help="ask only this one; may be given again")
+    parser.add_argument("--transport", action="append", help="measure only this one; may be repeated")
     options = parser.parse_args()
     chosen = options.transport or ["omg", "cyclonedds-0.10", "fastdds-2.9"]
     print(f"{'size':>10} {'transport':>16} {'edges':>9} {'errors':>7} {'seconds':>8} {'us/edge':>8} {'peak MB':>8}")
@@ -85,8 +84,8 @@ def main() -> None:
             root = Path(folder)
             (root / "policy.xml").write_text(policy(subjects))
             (root / "graph.json").write_text(graph(subjects, objects))
-            made = [*KEYMINT, "provision", str(root / "policy.xml"), "-w", str(root / "ws"), "-q"]
-            subprocess.run(made, check=True)
+            command = [*KEYMINT, "provision", str(root / "policy.xml"), "-w", str(root / "ws"), "-q"]
+            subprocess.run(command, check=True)
             for transport in chosen:
                 document, seconds, peak = measured(
                     ["verify", "-w", str(root / "ws"), "--graph", str(root / "graph.json"), "-t", transport, "--json"]
