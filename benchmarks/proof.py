@@ -35,7 +35,7 @@ from comarmor.patterns.glob import parse
 from comarmor.patterns.proofs import difference
 from comarmor.patterns.tokens import Charset
 
-WORDS = (  # noqa: SIM905 - a list of so many strings would be harder to read
+WORDS = (  # noqa: SIM905 - a list of strings would be harder to read
     "arm base camera chatter cmd depth drive estop fleet gripper image imu joint lidar map motor nav odom plan pose "
     "scan state status task twist wheel"
 ).split()
@@ -49,12 +49,12 @@ EXACT = 0.8
 def patterns(size: int) -> list[str]:
     """Return different expressions, the same on every run."""
     dice = random.Random(size)
-    found: dict[str, None] = {}
-    while len(found) < size:
+    expressions: dict[str, None] = {}
+    while len(expressions) < size:
         name = "/".join(f"{dice.choice(WORDS)}{dice.randrange(100)}" for _ in range(dice.randint(2, 4)))
         forms = [f"rt/{name}/*", f"rt/*/{name}", f"*{name}", f"*{name}*"]
-        found[f"rt/{name}" if dice.random() < EXACT else dice.choice(forms)] = None
-    return list(found)
+        expressions[f"rt/{name}" if dice.random() < EXACT else dice.choice(forms)] = None
+    return list(expressions)
 
 
 def rewritten(expressions: Iterable[str]) -> Iterator[str]:

@@ -154,7 +154,7 @@ class CounterexampleSearch:
 
 
 _Excluded = tuple["_Opposites", int]
-"""The patterns of the first so many blocks must not match."""
+"""The excluded patterns, and the number of blocks from the first whose patterns count."""
 
 
 def _without_covered(patterns: Iterable[Glob]) -> tuple[Glob, ...]:

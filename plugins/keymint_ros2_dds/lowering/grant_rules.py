@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Generic, TypeVar
 
+from comarmor.patterns.tokens import SPECIAL
 from comarmor.rules import Effect
 from keymint_ros2_dds.lowering.dds_topics import Action
 
@@ -34,5 +35,5 @@ class GrantRule(Generic[_Pattern]):
 
 
 def is_name(expression: str) -> bool:
-    """Tell whether an expression matches no topic but the one of that name."""
-    return not any(char in "*?[\\" for char in expression)
+    """Return whether an expression matches only the topic of that name, in every dialect."""
+    return not SPECIAL.search(expression)

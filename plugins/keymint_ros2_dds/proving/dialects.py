@@ -13,7 +13,7 @@ from keymint_ros2_dds.proving import octets
 
 @cache
 def _strict(dialect: Dialect) -> Dialect:
-    """Return the dialect with errors for notation that no two implementations read alike."""
+    """Return the dialect with errors for notation that implementations read differently."""
     return replace(dialect, errors=frozenset({Undefined.UNKNOWN_CLASS, Undefined.COLLATION}))
 
 

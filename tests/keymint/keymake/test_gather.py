@@ -1,4 +1,4 @@
-"""Gathering names: the patterns match the names, and nothing else."""
+"""Gathered patterns match exactly the names."""
 
 from __future__ import annotations
 

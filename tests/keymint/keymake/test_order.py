@@ -1,4 +1,4 @@
-"""Decision lists permit what is allowed without what is denied, and hold nothing without effect."""
+"""Decision lists permit what is allowed and not denied, and contain nothing without effect."""
 
 from __future__ import annotations
 
