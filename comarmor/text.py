@@ -10,11 +10,11 @@ _LONGEST_WORD = 128
 
 
 def printable(text: str) -> str:
-    """Return text on one line, with all that is not printable escaped as Python does.
+    """Return text on one line, with characters that are not printable escaped as in Python.
 
-    That covers what steers a terminal (C0 and C1 controls), what reorders or hides text (format characters, such as
-    the overrides of Unicode's bidirectional algorithm), line ends, and bytes of a file's name that are no UTF-8
-    (lone surrogates, PEP 383).
+    These are terminal controls (C0 and C1), characters that reorder or hide text (format characters, such as the
+    overrides of Unicode's bidirectional algorithm), line ends, and bytes of file names that are not UTF-8 (lone
+    surrogates, PEP 383).
     """
     if text.isprintable():
         return text
@@ -22,14 +22,14 @@ def printable(text: str) -> str:
 
 
 def printable_lines(text: str) -> str:
-    """Return text of several lines (or with tabs), escaped as :func:`printable` does but for these."""
+    """Return text escaped as by :func:`printable`, but with line ends and tabs kept."""
     if text.isascii() and text.isprintable():
         return text
     return "".join(char if char.isprintable() or char in "\n\t" else _escaped(char) for char in text)
 
 
 def encodable(value: Any) -> Any:
-    """Return what JSON can hold, with lone surrogates in its texts escaped: they have no form in UTF-8 (RFC 8259, 8.1).
+    """Return a value for JSON, with lone surrogates in texts escaped, which UTF-8 cannot encode (RFC 8259, 8.1).
 
     Args:
         value: texts, numbers, and mappings and sequences of them.

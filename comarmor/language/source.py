@@ -30,19 +30,6 @@ from comarmor.xml.sandboxed_paths import (
     unreadable,
 )
 
-__all__ = [
-    "INCLUDE",
-    "LIMITS",
-    "TESTS",
-    "XINCLUDE",
-    "Limits",
-    "PolicyFile",
-    "PolicyFiles",
-    "line",
-    "load_tree",
-    "parse",
-]
-
 INCLUDE = f"{{{XINCLUDE}}}include"
 TESTS = ".test.xml"
 """Suffix of policy tests, which are beside the policy's root files."""

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from comarmor.errors import Origin, cited
+from comarmor.errors import Origin
 from tests.conftest import CHECKOUT
 
 NAME = "common/node/logging.xml:3 (library)"
@@ -21,22 +21,6 @@ DENIED = """<profiles xmlns:xi="http://www.w3.org/2001/XInclude">
   </profile>
 </profiles>
 """
-
-
-@pytest.mark.parametrize(
-    "folder",
-    [
-        "templates/keymint_ros/",
-        "/opt/v/lib/python3.12/site-packages/keymint_ros/_data/templates/",
-        "../checkout/templates/keymint_ros/",
-    ],
-)
-def test_a_place(folder: str) -> None:
-    file = f"{folder}comarmor.d/iron/common/node.xml"
-    assert cited(file, 3) == "common/node.xml:3 (library)"
-    outer = Origin("policy.xml", 7)
-    assert str(Origin(file, 0, (outer,))) == "common/node.xml (library), included from policy.xml:7"
-    assert cited("comarmor.d/common/node.xml", 3) == "comarmor.d/common/node.xml:3"
 
 
 @pytest.mark.parametrize(

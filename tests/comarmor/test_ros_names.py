@@ -1,0 +1,19 @@
+"""Legal ROS names."""
+
+from __future__ import annotations
+
+import pytest
+
+from comarmor.ros_names import is_fully_qualified, is_segment
+
+
+@pytest.mark.parametrize("name", ["/a", "/robot1/talker", "/_x/Y_2"])
+def test_legal_names(name: str) -> None:
+    assert is_fully_qualified(name)
+    assert all(map(is_segment, name[1:].split("/")))
+
+
+@pytest.mark.parametrize("name", ["", "/", "a", "/a/", "//a", "/1a", "/a-b", "/a\n", "/ä", "/a b"])
+def test_illegal_names(name: str) -> None:
+    assert not is_fully_qualified(name)
+    assert not is_segment(name) or name == "a"

@@ -1,0 +1,45 @@
+"""Text of messages: escaped, quoted, counted, with suggestions."""
+
+from __future__ import annotations
+
+import json
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from comarmor.text import counted, did_you_mean, encodable, first_few, nearest_word, printable, quoted
+
+ANY = st.text(st.characters(codec=None))
+
+
+@given(ANY)
+def test_printable_text_is_one_printable_line(text: str) -> None:
+    assert printable(text).isprintable()
+
+
+@given(ANY)
+def test_encodable_text_has_a_form_in_utf_8(text: str) -> None:
+    json.dumps(encodable({text: [text]}), ensure_ascii=False).encode()
+
+
+@given(ANY, st.integers(1, 100))
+def test_quoted_text_has_a_limit(text: str, limit: int) -> None:
+    assert len(quoted(text, limit)) <= limit + 3
+
+
+@pytest.mark.parametrize(("number", "text"), [(0, "no edges"), (1, "1 edge"), (2, "2 edges")])
+def test_numbers_with_nouns(number: int, text: str) -> None:
+    assert counted(number, "edge") == text
+
+
+def test_suggestions_ignore_case() -> None:
+    assert did_you_mean("keyusage", ["keyUsage"]) == "did you mean 'keyUsage'?"
+    assert did_you_mean("x", ["keyUsage"], "known are keyUsage") == "known are keyUsage"
+    assert nearest_word("keyUsag", ["keyUsage", "other"]) == "keyUsage"
+    assert nearest_word("x" * 10_000, ["y" * 10_000]) == ""
+
+
+def test_the_first_of_many() -> None:
+    assert first_few(["a", "b"], 2) == "a, b"
+    assert first_few(["a", "b", "c"], 2) == "a, b, …"

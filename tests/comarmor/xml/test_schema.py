@@ -1,0 +1,55 @@
+"""Violations of a schema are explained, with file, line and the nearest known name."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from comarmor.errors import ComArmorError, Diagnostic
+from comarmor.xml.reader import parse
+from comarmor.xml.schema import validate
+
+COMMON = """<xs:schema xmlns:xs="http://www.w3.org/2001/XMLSchema">
+  <xs:complexType name="Key">
+    <xs:all><xs:element name="curve" type="xs:string"/><xs:element name="size" type="xs:int" minOccurs="0"/></xs:all>
+  </xs:complexType>
+</xs:schema>"""
+MAIN = """<xs:schema xmlns:xs="http://www.w3.org/2001/XMLSchema">
+  <xs:include schemaLocation="common.xsd"/>
+  <xs:element name="key" type="Key"/>
+</xs:schema>"""
+
+
+@pytest.fixture
+def schema(tmp_path: Path) -> Path:
+    (tmp_path / "common.xsd").write_text(COMMON)
+    (tmp_path / "main.xsd").write_text(MAIN)
+    return tmp_path / "main.xsd"
+
+
+def violations(content: str, schema: Path) -> tuple[Diagnostic, ...]:
+    with pytest.raises(ComArmorError) as caught:
+        validate(parse(content.encode(), "k.xml"), schema, "k.xml")
+    return caught.value.diagnostics
+
+
+def test_a_valid_document(schema: Path) -> None:
+    validate(parse(b"<key><size>1</size><curve/></key>", "k.xml"), schema, "k.xml")
+
+
+def test_a_misspelled_element_of_an_included_schema(schema: Path) -> None:
+    (diagnostic,) = violations("<key>\n<curv/></key>", schema)
+    assert (diagnostic.code, str(diagnostic.where)) == ("schema", "k.xml:2")
+    assert diagnostic.message.startswith("<curv> is not expected here")
+    assert diagnostic.help == "did you mean 'curve'?"
+
+
+def test_an_element_that_occurs_twice(schema: Path) -> None:
+    (diagnostic,) = violations("<key><curve/>\n<curve/></key>", schema)
+    assert "move it, or remove it" in diagnostic.help
+
+
+def test_a_value_of_the_wrong_type(schema: Path) -> None:
+    (diagnostic,) = violations("<key><curve/><size>big</size></key>", schema)
+    assert diagnostic.message.startswith("<size> is 'big', which is not a valid value")
