@@ -11,7 +11,7 @@ def main() -> None:
     """Run the command line and end the process with its exit code."""
     process.open_missing_streams()
     process.hold_signals()
-    from keymint import cli  # noqa: PLC0415 - a signal that arrives meanwhile waits
+    from keymint import cli  # noqa: PLC0415 - signals wait until the import is done
 
     process.stop_on_signals()
     try:

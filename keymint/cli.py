@@ -1,4 +1,4 @@
-"""The command line: finds the verbs, and is the only place that reads the clock, the environment and the umask."""
+"""The command line: finds the verbs. The only module that reads the clock, the environment and the umask."""
 
 from __future__ import annotations
 
@@ -25,36 +25,36 @@ from keymint.errors import ExitCode
 from keymint.process import Output, OutputError, StoppedError, held_signals, received, settle
 
 VERBS: Mapping[str, str] = {
-    "init": "Make a workspace.",
-    "create": "Make source packages from the policy.",
+    "init": "Create a workspace.",
+    "create": "Create source packages from the policy.",
     "build": "Build unsigned documents.",
-    "install": "Sign them, and stage enclaves for deployment.",
-    "check": "Hold what is installed against what it should be.",
-    "prove": "Prove that what is installed permits exactly what the policy says, over all names.",
-    "status": "Show how far every package has come, and when it expires.",
-    "verify": "Compare what transports decide with what the policy says, edge by edge.",
-    "why": "Explain one decision through all layers.",
-    "lint": "Find what in a policy is in vain, or is likely not meant.",
-    "diff": "Compare two policies by meaning: who gains, and who loses what.",
-    "query": "Ask a policy who can do what, also of subjects that it does not name.",
-    "test": "Run a policy's own unit tests.",
-    "provision": "All of it in one go: what a CI job calls.",
-    "discover": "Find the graph of a running system, or of captures of one.",
-    "learn": "Make the smallest policy that a graph needs.",
+    "install": "Sign documents and stage enclaves for deployment.",
+    "check": "Compare the installed keystore with its expected state.",
+    "prove": "Prove that installed documents permit exactly what the policy allows, for all names.",
+    "status": "Show the stage and the expiry of every package.",
+    "verify": "Report mismatches between policy and transports, edge by edge.",
+    "why": "Explain one decision, from policy to transport.",
+    "lint": "Report unreachable, redundant and suspicious rules of a policy.",
+    "diff": "Compare two policies: which subject gains or loses which permission.",
+    "query": "Ask a policy who can do what, including subjects that it does not name.",
+    "test": "Run the unit tests of a policy.",
+    "provision": "Run init, create, build and install in one step, e.g. in CI.",
+    "discover": "Record the graph of a running system, or read captures of one.",
+    "learn": "Generate the smallest policy that allows a graph.",
     "graph": "Draw a policy, or the graph of a system.",
-    "plugins": "List the plugins that are found.",
-    "transports": "List the transports: which can be used here, and how to install the rest.",
-    "completion": "Print the completion script of a shell.",
+    "plugins": "List the installed plugins.",
+    "transports": "List the transports: which are usable here, and how to install the others.",
+    "completion": "Print the completion script for a shell.",
 }
 
 
 _JSON_FORMAT = re.compile(r"-f ?json|--format[ =]json")
 _LAST = datetime(9900, 1, 1, tzinfo=UTC)
-"""A later clock is an error: authorities are made for ten years, and certificates end in the year 9999 (RFC 5280)."""
+"""A later clock is an error: authorities are valid for ten years, and certificates end in the year 9999 (RFC 5280)."""
 
 
 class _Verbs(click.Group):
-    """A group whose verbs are imported when they are used, so that ``--help`` is fast."""
+    """A group that imports a verb on first use, so that ``--help`` is fast."""
 
     def list_commands(self, ctx: click.Context) -> list[str]:
         del ctx
@@ -94,7 +94,7 @@ def cli() -> None:
     """Mint keys and notarize access control for robots: from a ComArmor policy to a DDS Security keystore.
 
     \b
-    keymint provision POLICY -w WORKSPACE     all in one go; or stage by stage:
+    keymint provision POLICY -w WORKSPACE     everything in one step; or stage by stage:
     keymint init my_ws && cd my_ws            a workspace with its authorities
     keymint create --all                      profile/comarmor.d/ -> src/
     keymint build                             src/ -> build/     (unsigned)
@@ -114,7 +114,7 @@ def main(arguments: list[str] | None = None) -> int:
 
 @contextmanager
 def _standard_streams() -> Iterator[tuple[Output, Output]]:
-    """Put streams in place that tell when they fail; libraries that print use them as well."""
+    """Replace the standard streams by streams that report failures; libraries that print use them too."""
     before = sys.stdout, sys.stderr
     streams = Output(sys.stdout), Output(sys.stderr, required=False)
     sys.stdout, sys.stderr = (cast("TextIO", stream) for stream in streams)
@@ -134,7 +134,7 @@ def _run(given: Sequence[str], out: Output, err: Output) -> int:
             out.flush()
     except OutputError as error:
         out.give_up()
-        if not error.broken_pipe:  # a reader that has seen enough is no problem to report
+        if not error.broken_pipe:  # a reader that stops early, e.g. head, is not an error
             err.write(f"keymint: error: standard output: {error}\n")
         code = int(ExitCode.FAILURE)
     settle()
@@ -143,9 +143,9 @@ def _run(given: Sequence[str], out: Output, err: Output) -> int:
 
 
 def _carried_out(given: Sequence[str]) -> int:
-    gc.set_threshold(50_000, 20, 50)  # a run makes many objects, few of them in cycles
+    gc.set_threshold(50_000, 20, 50)  # a run creates many objects, few of them in cycles
     os.umask(0o022)  # secrets are 0600 and public files 0644, whatever the user's umask
-    if not sys.warnoptions:  # a library's advice to its programmers is no message to a user
+    if not sys.warnoptions:  # warnings of libraries are for programmers, not for users
         warnings.simplefilter("ignore")
     try:
         result: Any = cli.main(list(given), prog_name="keymint", standalone_mode=False, obj=_setting)
@@ -157,17 +157,17 @@ def _carried_out(given: Sequence[str]) -> int:
         return stopped(given, signal.SIGINT)
     except OutputError:
         raise
-    except Exception as error:  # noqa: BLE001 - the user gets one line for our bugs as well
-        if received():  # raised while C code ran, which made something else of it
+    except Exception as error:  # noqa: BLE001 - the user gets one line for our bugs too
+        if received():  # a signal that arrived in C code, which raised another exception
             return stopped(given, received())
         return _failed(given, error)
     return result if isinstance(result, int) else int(ExitCode.DONE)
 
 
 def _failed(given: Sequence[str], error: Exception) -> int:
-    """Say what no verb was ready for, on one line: what the system refuses, or a mistake of ours."""
+    """Report an exception that no verb handled, on one line: a system error, or a bug."""
     if isinstance(error, OSError) and error.filename is not None and error.strerror is not None:
-        # The system may not even look at a path, e.g. since it is too long: no mistake of ours.
+        # The system refuses a path, e.g. one that is too long: not a bug.
         place = printable(os.fsdecode(error.filename) if isinstance(error.filename, bytes) else str(error.filename))
         shown = f"{place}: error: {error.strerror}"
         return _fail(given, "system", f"{place}: {error.strerror}", ExitCode.FAILURE, shown)
@@ -179,14 +179,14 @@ def _failed(given: Sequence[str], error: Exception) -> int:
 
 
 def stopped(arguments: Sequence[str], number: int) -> int:
-    """Say that a signal ended the run, and return the exit code.
+    """Report that a signal ended the run, and return the exit code.
 
     Args:
-        arguments: those of the command line.
-        number: of the signal.
+        arguments: arguments of the command line.
+        number: number of the signal.
     """
     exit_code = ExitCode.TERMINATED if number == signal.SIGTERM else ExitCode.INTERRUPTED
-    message = f"{exit_code.name.lower()}; every file is whole, run again to go on"
+    message = f"{exit_code.name.lower()}; no file is incomplete; run the command again to continue"
     return _fail(arguments, "interrupted", message, exit_code, f"keymint: {message}")
 
 
@@ -197,9 +197,9 @@ def _usage(error: click.ClickException) -> str:
 
 
 def _fail(arguments: Sequence[str], code: str, message: str, exit_code: ExitCode, in_words: str) -> int:
-    """Say what went wrong before a verb could, in the shape that was asked for.
+    """Report an error outside of a verb, as JSON if ``--json`` was given.
 
-    Where a document was begun already, a second one would only make both useless.
+    If a JSON document was already started, a second one would make both unreadable.
     """
     as_json = "--json" in arguments or ("diff" in arguments and bool(_JSON_FORMAT.search(" ".join(arguments))))
     if not as_json or getattr(sys.stdout, "began", False):
@@ -216,7 +216,7 @@ def _fail(arguments: Sequence[str], code: str, message: str, exit_code: ExitCode
 
 
 def _setting() -> Any:
-    """Return what only the command line knows; called when a verb runs, so that ``--help`` needs none of it."""
+    """Return the environment of the run; called when a verb runs, so that ``--help`` needs none of it."""
     from keymint.commands.run import Setting  # noqa: PLC0415 - not needed for --help
     from keymint.output.console import Streams  # noqa: PLC0415
 
@@ -240,23 +240,23 @@ def _setting() -> Any:
 
 
 def _cache() -> Path:
-    """Return the folder of this user for what can be made again (XDG Base Directory Specification)."""
+    """Return the cache directory of this user (XDG Base Directory Specification)."""
     named = os.environ.get("XDG_CACHE_HOME", "")
     try:
         return (Path(named) if named.startswith("/") else Path("~/.cache").expanduser()) / "keymint"
-    except RuntimeError:  # neither $HOME nor the system knows a home folder of this user
-        return Path(f"/tmp/keymint-{os.getuid()}")  # noqa: S108 - whoever uses it checks whose it is
+    except RuntimeError:  # this user has no home directory
+        return Path(f"/tmp/keymint-{os.getuid()}")  # noqa: S108 - its users check who owns it
 
 
 def _current_folder() -> Path:
     try:
         return Path.cwd()
     except OSError as error:
-        raise click.UsageError(f"the current folder cannot be used: {error.strerror}; go to another one") from None
+        raise click.UsageError(f"the current directory is unusable: {error.strerror}; change to another one") from None
 
 
 def _now() -> datetime:
-    """Return the time in UTC: that of ``SOURCE_DATE_EPOCH`` (reproducible-builds.org) if it is set."""
+    """Return the time in UTC: ``SOURCE_DATE_EPOCH`` (reproducible-builds.org) if it is set, else the clock."""
     epoch = os.environ.get("SOURCE_DATE_EPOCH")
     if epoch and re.fullmatch("[0-9]{1,12}", epoch) and int(epoch) < _LAST.timestamp():
         return datetime.fromtimestamp(int(epoch), UTC)
@@ -268,5 +268,5 @@ def _now() -> datetime:
     if 0 <= seconds < _LAST.timestamp():
         return datetime.fromtimestamp(int(seconds), UTC)
     raise click.UsageError(
-        f"the system's clock is {seconds:.0f} seconds after 1970, expected a time before the year {_LAST:%Y}: set it"
+        f"the system clock is {seconds:.0f} seconds after 1970, expected a time before the year {_LAST:%Y}: set it"
     )

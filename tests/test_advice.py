@@ -81,7 +81,7 @@ def wrong(text: str) -> Iterator[str]:
         ("'keymint build --renew X', or restore it", []),
         ("'keymint build -f X' discards it", []),
         ("'keymint build -x X' discards it", ["no -x of 'build'"]),
-        ("another keymint works in this workspace", []),
+        ("Waiting for the workspace lock held by another keymint process", []),
     ],
 )
 def test_what_does_not_exist_is_seen(text: str, found: list[str]) -> None:

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 from comarmor.errors import ComArmorError, Reason
 from comarmor.language.syntax import Decision
-from comarmor.patterns.expression import matches
+from comarmor.patterns.rule_matching import rule_matches, rule_matches_partition
 from comarmor.rules import PARTS, PERMISSIONS, Effect, Rule
 from comarmor.text import did_you_mean, quoted
 
@@ -49,16 +49,18 @@ def _decide_elementary(
     rules: Sequence[Rule], kind: str, permission: str, name: str, partitions: tuple[str, ...]
 ) -> Decision:
     """Decide a request that has no parts."""
-    matching = [rule for rule in rules if _covers(rule, kind, permission, name)]
+    matching = [rule for rule in rules if rule_matches(rule, kind, permission, name)]
     allowing: dict[Rule, None] = {}
     for partition in partitions or ("",):
         shown = f" in partition {quoted(partition)}" if partition else ""
-        denying = tuple(rule for rule in matching if rule.effect is Effect.DENY and _in_partition(rule, partition))
+        denying = tuple(
+            rule for rule in matching if rule.effect is Effect.DENY and rule_matches_partition(rule, partition)
+        )
         if denying:
             reason = Reason(("the DENY rule", denying[0].origin, f" matches{shown}"))
             return Decision(kind, permission, name, partitions, Effect.DENY, denying, reason)
         allowing_here = tuple(
-            rule for rule in matching if rule.effect is Effect.ALLOW and _in_partition(rule, partition)
+            rule for rule in matching if rule.effect is Effect.ALLOW and rule_matches_partition(rule, partition)
         )
         if not allowing_here:
             reason = Reason((f"no ALLOW rule matches{shown}",))
@@ -67,26 +69,6 @@ def _decide_elementary(
     deciding = tuple(allowing)
     reason = Reason(("the ALLOW rule", deciding[0].origin, " matches, and no DENY rule does"))
     return Decision(kind, permission, name, partitions, Effect.ALLOW, deciding, reason)
-
-
-def _covers(rule: Rule, kind: str, permission: str, name: str) -> bool:
-    """Whether a rule applies to an object, either directly or because the object implements a composite permission."""
-    if rule.kind == kind:
-        return permission in rule.permissions and any(matches(expression, name) for expression in rule.expressions)
-    return any(
-        (part_kind, part_permission) == (kind, permission)
-        and name.endswith(suffix)
-        and any(matches(expression, name.removesuffix(suffix)) for expression in rule.expressions)
-        for granted in rule.permissions
-        for part_kind, part_permission, suffix in PARTS.get((rule.kind, granted), ())
-    )
-
-
-def _in_partition(rule: Rule, partition: str) -> bool:
-    """Whether a rule applies to a partition: without partitions an ALLOW applies to the default one, a DENY to all."""
-    if rule.partitions:
-        return any(matches(expression, partition) for expression in rule.partitions)
-    return rule.effect is Effect.DENY or partition == ""
 
 
 def _known(kind: str, permission: str) -> None:

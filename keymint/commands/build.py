@@ -24,7 +24,7 @@ from keymint.session import Inputs
 
 @verb(jobs=True, dry_run=True)
 @click.argument("names", nargs=-1, metavar="[NAME]...", shell_complete=complete_package)
-@click.option("-f", "--force", is_flag=True, help="Rebuild everything, and discard edits by hand.")
+@click.option("-f", "--force", is_flag=True, help="Rebuild everything; discard manual edits.")
 @renew_option
 @document_options
 def build(
@@ -34,11 +34,11 @@ def build(
     renew: bool,
     document_options: DocumentOptions,
 ) -> Report:
-    """Build unsigned documents in build/, and mint a key for each subject that has none.
+    """Build unsigned documents in build/, and create a key for each subject that has none.
 
-    All packages are validated before the first byte is written. Nothing is signed: 'keymint install' does that,
-    so a document may be edited by hand in between. Permissions are rewritten into a smaller form, which is proven to
-    permit what the rules say; its size is shown beside that of the plain form. NAME is a package; by default all.
+    All packages are validated before anything is written. Documents stay unsigned until 'keymint install', so you may
+    edit them in between. Permissions are rewritten into a smaller form that is proven equivalent; both sizes are
+    shown. NAME is a package [all].
     """
     workspace = run.workspace()
     hinted = build_options(run, document_options)
@@ -55,7 +55,7 @@ def build(
 
 
 def no_packages(inputs: Inputs) -> Diagnostic:
-    """Return the warning for a source space without packages."""
+    """Return the warning that the source space has no packages."""
     return Diagnostic(
         "packages-none",
         Severity.WARNING,

@@ -1,4 +1,4 @@
-"""The options that shape the documents of a build."""
+"""The options of a build, with hints loaded."""
 
 from __future__ import annotations
 
@@ -17,24 +17,24 @@ from keymint.hints import load_hints, unknown_subjects
 
 @dataclass(frozen=True, slots=True)
 class Hinted:
-    """The options of a build, and where its hints come from."""
+    """The options of a build, and the file of its hints."""
 
     options: BuildOptions
     hints: str = ""
 
     def unknown(self, names: Sequence[str]) -> tuple[Diagnostic, ...]:
-        """Return a warning for each subject of the hints that is none of these packages'."""
+        """Return a warning for each subject of the hints without a package."""
         return tuple(unknown_subjects(self.options.demand, [f"/{name}" for name in names], self.hints))
 
 
 def build_options(run: Run, given: DocumentOptions) -> Hinted:
-    """Return the options of a build as a user gave them.
+    """Return the options of a build.
 
     Raises:
-        KeymintError: the file of hints cannot be read, or is none.
-        click.UsageError: there are hints for what is to be left as it is.
+        KeymintError: the file of hints cannot be read, or is malformed.
+        click.UsageError: hints are given without optimisation.
     """
     if given.hints is not None and not given.optimise:
-        raise click.UsageError("--hints is about the order of rules, which --no-optimise leaves as it is.")
+        raise click.UsageError("--hints changes the order of rules, which --no-optimise keeps.")
     demand = () if given.hints is None else load_hints(read_input(run, given.hints), str(given.hints))
     return Hinted(BuildOptions(given.allow_vendor_specific, given.optimise, demand), str(given.hints or ""))

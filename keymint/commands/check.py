@@ -1,4 +1,4 @@
-"""``keymint check``: holds what is installed against what it should be."""
+"""``keymint check``: compare the installed keystore with its expected state."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ _MOST_DAYS = 365 * 200
 
 
 def _period(_context: click.Context, _parameter: click.Parameter, value: str) -> timedelta:
-    """Return the length of time that a text such as ``30d``, ``12h`` or ``4w`` stands for."""
+    """Parse a length of time: ``30d``, ``12h`` or ``4w``."""
     match = re.fullmatch(r"(\d{1,6})([hdw])", value)
     period = int(match[1]) * _UNITS[match[2]] if match else None
     if period is None:
@@ -42,12 +42,13 @@ def _period(_context: click.Context, _parameter: click.Parameter, value: str) ->
     callback=_period,
     default="0d",
     metavar="PERIOD",
-    help="Report also what expires within this time: 12h, 30d, 4w.",
+    help="Also report certificates and grants that expire within this time: 12h, 30d, 4w.",
 )
 def check(run: Run, names: tuple[str, ...], within: timedelta) -> Report:
-    """Check every installed enclave: certificates, keys, signatures, schemas, dates, modes, drift.
+    """Compare installed enclaves with their expected state.
 
-    Ends with 3 when there is any finding. NAME is a package; by default all of them.
+    Checks certificates, keys, signatures, schemas, dates, file modes, and whether the installed documents match the
+    sources. Exit code 3: there are findings. NAME is a package [all].
     """
     workspace = run.workspace()
     inputs = run.snapshot(workspace)
@@ -68,7 +69,7 @@ def check(run: Run, names: tuple[str, ...], within: timedelta) -> Report:
 
 
 def _uncreated(session: Session, known: Sequence[str]) -> Sequence[Diagnostic]:
-    """Return the finding on subjects without a package; that the policy cannot be read is one as well."""
+    """Return findings on subjects without a package, or on a policy that cannot be read."""
     try:
         return uncreated(session, lazy_policy(session), known)
     except KeymintError as error:

@@ -1,4 +1,4 @@
-"""``keymint completion``: prints the shell's completion script."""
+"""``keymint completion``: print the completion script for a shell."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from keymint.output.report import Report
 @verb(workspace=False)
 @click.argument("shell", type=click.Choice(["bash", "zsh", "fish"]))
 def completion(run: Run, shell: str) -> Report:
-    """Print the completion script of a SHELL.
+    """Print the completion script for SHELL.
 
     \b
     bash:  eval "$(keymint completion bash)"      in ~/.bashrc
@@ -21,7 +21,7 @@ def completion(run: Run, shell: str) -> Report:
     fish:  keymint completion fish > ~/.config/fish/completions/keymint.fish
     """
     shell_class = get_completion_class(shell)
-    if shell_class is None:  # click knows all that the choice above lists
+    if shell_class is None:  # click supports all shells of the choice above
         raise click.UsageError(f"no completion for {shell}")
     whole = click.get_current_context().find_root().command
     source = shell_class(whole, {}, "keymint", "_KEYMINT_COMPLETE").source()

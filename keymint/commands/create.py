@@ -17,13 +17,13 @@ from keymint.session import Inputs
 
 @verb(jobs=True, dry_run=True)
 @click.argument("names", nargs=-1, metavar="[NAME]...")
-@click.option("--all", "all_subjects", is_flag=True, help="Every subject that the policy names exactly.")
-@click.option("-f", "--force", is_flag=True, help="Replace permissions.xml even where it was edited by hand.")
+@click.option("--all", "all_subjects", is_flag=True, help="Create every subject that the policy names exactly.")
+@click.option("-f", "--force", is_flag=True, help="Replace permissions.xml even if it was edited manually.")
 def create(run: Run, names: tuple[str, ...], all_subjects: bool, force: bool) -> Report:
-    """Make source packages in src/, one per subject, or bring their permissions.xml up to the policy.
+    """Create source packages in src/, one per subject, or update their permissions.xml from the policy.
 
-    NAME is a subject: /robot1/talker or robot1/talker. A subject need not be named exactly by the policy: it is
-    enough that a profile applies to it. Your edits of identities.xml and governance.xml are never touched.
+    NAME is a subject, e.g. /robot1/talker. Any subject that a profile applies to is allowed, even if the policy
+    names it only by a wildcard. Manual edits of identities.xml and governance.xml are preserved.
     """
     if not names and not all_subjects:
         raise KeymintError(

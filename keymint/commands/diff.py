@@ -1,4 +1,4 @@
-"""``keymint diff``: compares two policies by meaning."""
+"""``keymint diff``: compare two policies by meaning."""
 
 from __future__ import annotations
 
@@ -41,17 +41,17 @@ FORMATS = ("text", "markdown", "json")
 @click.argument("new", metavar="B")
 @click.option("-f", "--format", "kind", type=click.Choice(FORMATS), default="text", show_default=True)
 @click.option(
-    "--budget", default=STATES, show_default=True, metavar="STATES", type=click.IntRange(1), help="What it may cost."
+    "--budget", default=STATES, show_default=True, metavar="STATES", type=click.IntRange(1), help="Search limit."
 )
 @policy_options
 def diff(run: Run, old: str, new: str, kind: str, budget: int, policy_options: PolicyOptions) -> Report:
-    """Compare the policies A and B by meaning: what each subject gains and loses, over all names there are.
+    """Compare the policies A and B: list what each subject gains and loses, for all names.
 
-    A and B are ComArmor files or folders, workspaces, or any of these at a revision of git: REV:PATH. 'equivalent' is
-    proven for all subjects, also those that no policy names. Subjects that profiles match by a pattern are listed by
-    that pattern, with an example. Kinds are compared each by itself. Names are legal ROS names; of raw topics, and of
-    partitions, any text. Ends with 3 when a subject gains something, or
-    may do so where the answer is not known, so that it can guard a merge.
+    A and B are ComArmor files or directories, workspaces, or any of these at a Git revision: REV:PATH. 'equivalent'
+    is proven for all subjects, including those that neither policy names. Subjects that profiles match by a pattern
+    are listed as that pattern, with an example.
+
+    Exit code 3: a subject gains a permission, or may gain one where the answer is unknown. Use it to guard a merge.
 
     \b
     keymint diff old.xml new.xml
@@ -90,13 +90,13 @@ def diff(run: Run, old: str, new: str, kind: str, budget: int, policy_options: P
 
 
 def _libraries(policies: Policies, paths: Sequence[str]) -> Callable[[str], str | None]:
-    """Return a function that names a file of the library of any of some policies; None of any other file."""
+    """Return a function from a file to its name in the library of any of some policies, or None."""
     each = [library_name, *(policies.library(Path(path)) for path in paths)]
     return lambda file: next((name for library in each if (name := library(file))), None)
 
 
 def _loaded(run: Run, policies: Policies, text: str, stack: ExitStack, trees: dict[str, str]) -> LoadedPolicy:
-    """Return the policy that an argument names; notes under which name the user knows a temporary folder."""
+    """Return the policy that an argument names, and record the name that the user knows a temporary directory by."""
     if not is_revision(text, run.setting.cwd):
         return policies.load(Path(text))
     found = stack.enter_context(at_revision(text, run.setting.cwd, run.setting.environment))

@@ -1,4 +1,4 @@
-"""``keymint discover``: the graph of a running system, or of captures of one."""
+"""``keymint discover``: record the graph of a running system, or read captures of one."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ _FILE = click.Path(path_type=Path)
     default=10.0,
     show_default=True,
     metavar="S",
-    help="How long to look. What vanishes meanwhile counts as well.",
+    help="How long to observe. Endpoints that disappear meanwhile count too.",
 )
 @click.option(
     "--from",
@@ -42,24 +42,22 @@ _FILE = click.Path(path_type=Path)
     type=_FILE,
     multiple=True,
     metavar="FILE",
-    help="Read a capture in place of looking: XML of RTI Admin Console, or our own JSON. May be given again.",
+    help="Read a capture instead: XML of RTI Admin Console, or a Keymint graph. May be repeated.",
 )
 @click.option(
     "--append",
     type=_FILE,
     metavar="GRAPH",
-    help="Add to this graph; it is made when it is missing. Without -o the result is written there.",
+    help="Add to this graph, which is created if missing. Without -o the result is written there.",
 )
-@click.option("-o", "--output", type=_FILE, metavar="FILE", help="Write the graph there [standard output].")
-@click.option(
-    "--no-fold", is_flag=True, help="Leave actions and parameters as the services and topics they are made of."
-)
+@click.option("-o", "--output", type=_FILE, metavar="FILE", help="Write the graph to this file [standard output].")
+@click.option("--no-fold", is_flag=True, help="Keep the services and topics of actions and parameters separate.")
 @click.option(
     "--subject",
     "subjects",
     multiple=True,
     metavar="GUID=NAME",
-    help="Name of the participant whose GUID begins so (-v shows them). May be given again.",
+    help="Name the participant whose GUID has this prefix; -v shows GUIDs. May be repeated.",
 )
 @click.option(
     "--source",
@@ -68,7 +66,7 @@ _FILE = click.Path(path_type=Path)
     group="keymint.graph_sources",
     default="keymint_ros2_dds",
     show_default=True,
-    help="Plugin that finds graphs ('keymint plugins' lists them).",
+    help="Plugin that observes and reads graphs.",
 )
 def discover(
     run: Run,
@@ -81,11 +79,11 @@ def discover(
     subjects: tuple[str, ...],
     source_name: str,
 ) -> Report:
-    """Find the graph of a running system: which subject does what with which topic, service, action, parameter.
+    """Record the graph of a running system: the topics, services, actions and parameters that each subject uses.
 
-    It looks at a DDS domain (with Cyclone DDS, whatever the others use), or reads captures. One look misses clients
-    that live for a moment: look longer, or again with --append. Ctrl-C ends the look early and keeps what was seen
-    (exit code 130). The JSON is described in docs/graph.md.
+    Observes a DDS domain with Cyclone DDS, whatever DDS the nodes use, or reads captures. Short-lived clients may be
+    missed: observe longer, or again with --append. Ctrl-C stops early and keeps the result (exit code 130).
+    docs/graph.md describes the JSON.
 
     \b
     keymint discover --seconds 30 -o graph.json      while the application runs, without security
@@ -96,8 +94,8 @@ def discover(
     names = _names(subjects)
     if captures and domain is not None:
         raise KeymintError(
-            "--domain is of no use with --from",
-            help="a capture says which domain it is of",
+            "--domain cannot be combined with --from",
+            help="a capture contains its domain",
             code="usage",
             exit_code=ExitCode.USAGE,
         )
@@ -154,7 +152,7 @@ def _load(run: Run, source: GraphSource, path: Path, names: dict[str, str]) -> D
     if source.recognises(content):
         return source.read(content, str(path), names)
     raise KeymintError(
-        "is no graph and no capture that is known",
+        "is neither a graph nor a known capture format",
         where=Origin(str(path)),
         help="expected JSON as in docs/graph.md, or XML of RTI Admin Console",
         code="capture",
@@ -164,7 +162,7 @@ def _load(run: Run, source: GraphSource, path: Path, names: dict[str, str]) -> D
 def _observe(
     run: Run, source: GraphSource, domain: int | None, seconds: float, names: dict[str, str]
 ) -> tuple[DiscoveredGraph, ExitCode | None]:
-    """Return what is seen of a running system, and the exit code of a signal that ended the look early."""
+    """Return the graph of a running system, and the exit code of a signal that stopped the observation early."""
     usable = source.usable()
     if not usable.usable:
         raise KeymintError(
@@ -180,9 +178,8 @@ def _observe(
         early = Diagnostic(
             "discovery-interrupted",
             Severity.WARNING,
-            f"interrupted after {run.setting.monotonic() - start:.0f} of {seconds:g} s: "
-            "the graph has what was seen until then",
-            help="--append GRAPH looks again and adds",
+            f"interrupted after {run.setting.monotonic() - start:.0f} of {seconds:g} s: the graph is incomplete",
+            help="--append GRAPH observes again and adds to the graph",
         )
         return replace(found, diagnostics=(*found.diagnostics, early)), ending.exit_code
     if found.graph.subjects:
@@ -190,8 +187,8 @@ def _observe(
     nobody = Diagnostic(
         "discovery-empty",
         Severity.WARNING,
-        f"no participant was seen in domain {chosen} in {seconds:g} s",
-        help="check --domain, --seconds, CYCLONEDDS_URI and the network; secured participants hide from this one",
+        f"no participant seen in domain {chosen} in {seconds:g} s",
+        help="check --domain, --seconds, CYCLONEDDS_URI and the network; secured participants are invisible",
     )
     return replace(found, diagnostics=(*found.diagnostics, nobody)), None
 

@@ -1,4 +1,4 @@
-"""``keymint graph``: draws what a policy says, or what a system does."""
+"""``keymint graph``: draw a policy, or the graph of a system."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ class _Policy:
     Attributes:
         loaded: the policy.
         name: what a title calls it.
-        common: tells of the place of a rule whether it is one that every node includes.
+        common: returns whether the rule at a place is one that every node includes.
     """
 
     loaded: LoadedPolicy
@@ -73,8 +73,8 @@ class _Style:
 
 @verb(dry_run=True)
 @click.argument("source", metavar="[POLICY|GRAPH]", required=False, type=_PATH)
-@click.option("-o", "--output", type=_PATH, metavar="FILE", help="Write it there; the suffix is the format.")
-@click.option("-f", "--format", "kind", type=click.Choice(FORMATS), help="Format [that of FILE, else svg].")
+@click.option("-o", "--output", type=_PATH, metavar="FILE", help="Write to this file; its suffix selects the format.")
+@click.option("-f", "--format", "kind", type=click.Choice(FORMATS), help="Format [from the suffix of FILE, else svg].")
 @click.option("--policy", type=_PATH, metavar="PATH", help="Label the edges of GRAPH by this policy.")
 @option_group(
     "shown",
@@ -132,16 +132,16 @@ def graph(
     policy_options: PolicyOptions,
     source_type: str,
 ) -> Report:
-    """Draw a policy, or the graph of a system, as a picture or a page.
+    """Draw a policy, or the graph of a system, as a picture or a web page.
 
-    Subjects are joined to the topics, services, actions and parameters that they may use: arrows go from a subject to
-    what it publishes or serves, and from what it subscribes to or calls to the subject. POLICY is a ComArmor file or
-    folder, by default that of the workspace; GRAPH is what 'keymint discover' writes, or a capture.
+    Edges connect subjects with the topics, services, actions and parameters that they may use. Arrows show the
+    direction of data. POLICY is a ComArmor file or directory [the policy of the workspace]; GRAPH is a file written
+    by 'keymint discover', or a capture.
 
     \b
-    keymint graph policy.xml -o policy.svg                     what the policy allows and expressly denies
-    keymint graph policy.xml -o policy.html                    the same, to search in a browser
-    keymint graph graph.json --policy policy.xml --all -o g.png   what the policy says of all that could be done
+    keymint graph policy.xml -o policy.svg                     what the policy allows and denies
+    keymint graph policy.xml -o policy.html                    the same as a page with search
+    keymint graph graph.json --policy policy.xml --all -o g.png   every possible edge, with its label
     """
     chosen_format = _format(output, kind)
     policies = Policies(run, policy_options)
@@ -154,7 +154,7 @@ def graph(
     if found is None:
         if policy is not None:
             raise KeymintError(
-                f"{source or 'the policy of the workspace'} is a policy, and --policy labels a graph",
+                f"{source or 'the policy of the workspace'} is a policy; --policy labels only graphs",
                 help="leave out --policy",
                 code="usage",
                 exit_code=ExitCode.USAGE,
@@ -193,15 +193,15 @@ def _format(output: Path | None, kind: str | None) -> str:
     chosen = kind or {"gv": "dot", "htm": "html"}.get(suffix, suffix) or "svg"
     if chosen not in FORMATS:
         raise KeymintError(
-            f"{output} ends in no format that is known",
-            help=f"end it in .{', .'.join(FORMATS)}, or say --format",
+            f"{output} has an unknown suffix",
+            help=f"end it in .{', .'.join(FORMATS)}, or use --format",
             code="usage",
             exit_code=ExitCode.USAGE,
         )
     if chosen == "png" and output is None:
         raise KeymintError(
-            "a PNG picture is no text",
-            help="say where to write it: -o FILE.png",
+            "a PNG cannot be printed",
+            help="name a file: -o FILE.png",
             code="usage",
             exit_code=ExitCode.USAGE,
         )
@@ -209,7 +209,7 @@ def _format(output: Path | None, kind: str | None) -> str:
 
 
 def _graph(run: Run, source: Path, source_type: str) -> tuple[Graph | None, tuple[Diagnostic, ...]]:
-    """Return the graph in a file, or None for what must be a policy."""
+    """Return the graph in a file, or None if the file must be a policy."""
     if (run.setting.cwd / source).is_dir():
         return None, ()
     content = read_input(run, source)
@@ -221,7 +221,7 @@ def _graph(run: Run, source: Path, source_type: str) -> tuple[Graph | None, tupl
     try:
         capture = reader.read(content, str(source), {})
     except KeymintError:
-        return None, ()  # both are XML: what is no capture is read as a policy, which has the last word on defects
+        return None, ()  # both are XML: a file that is not a capture is read as a policy, which reports its defects
     return reader.interpret(capture.graph, fold=True), capture.diagnostics
 
 
@@ -243,8 +243,8 @@ def _labelled(
         )
     if everything:
         raise KeymintError(
-            "the completion of a graph has only edges that are labelled",
-            help="say by which policy: --policy PATH",
+            "--all needs labels",
+            help="name the policy: --policy PATH",
             code="usage",
             exit_code=ExitCode.USAGE,
         )

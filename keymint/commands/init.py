@@ -1,4 +1,4 @@
-"""``keymint init``: bootstraps a workspace."""
+"""``keymint init``: create a workspace."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ from keymint.workspace import Workspace
     "--policy",
     type=click.Path(path_type=Path),
     metavar="PATH",
-    help="A ComArmor policy, a file or a folder, to bind the workspace to [the talker/listener example].",
+    help="ComArmor file or directory that becomes the policy of the workspace [the talker/listener example].",
 )
 @profile_options
 def init(
@@ -36,10 +36,10 @@ def init(
     policy: Path | None,
     profile: ProfileOptions,
 ) -> Report:
-    """Make a workspace: a profile with conservative defaults, and its two authorities.
+    """Create a workspace: a profile with conservative defaults, and two certificate authorities.
 
     \b
-    Then write your policy in profile/comarmor.d/ (talker_listener.xml shows how), and run
+    Then write your policy in profile/comarmor.d/, where talker_listener.xml is an example, and run
         keymint create --all && keymint build && keymint install
     """
     workspace = run.workspace_at(folder)
@@ -56,7 +56,7 @@ def init(
 
 
 def _again(run: Run, workspace: Workspace) -> Report:
-    """Complete the authorities of a workspace that exists."""
+    """Create the missing authorities of an existing workspace."""
 
     def make_plan(inputs: Inputs) -> Plan:
         plan = plan_authorities(inputs.session())[0]
@@ -67,7 +67,7 @@ def _again(run: Run, workspace: Workspace) -> Report:
 
 
 def bootstrap_request(run: Run, workspace: Workspace, policy: Path | None, profile: ProfileOptions) -> Bootstrap:
-    """Return what a profile type is asked for.
+    """Return the request for a new profile.
 
     Raises:
         KeymintError: the policy does not exist.

@@ -1,4 +1,4 @@
-"""``keymint install``: signs what was built and stages it."""
+"""``keymint install``: sign built documents and stage enclaves."""
 
 from __future__ import annotations
 
@@ -40,16 +40,15 @@ def install(
     prove: bool,
     allow_vendor_specific: bool,
 ) -> Report:
-    """Sign what is in build/ and stage it in install/, one complete enclave per subject.
+    """Sign the documents in build/ and stage them in install/, one complete enclave per subject.
 
-    Nothing is installed unless each document is proven to permit exactly what the policy says, for every name there
-    is ('keymint prove --help'). A certificate or a signed document whose content and signer did not change is left as
-    it is. Each enclave can be copied to a robot alone; no authority's private key is ever staged. NAME is a package;
-    by default all.
+    Nothing is installed unless each document is proven to permit exactly what the policy allows, for all names; see
+    'keymint prove --help'. Unchanged certificates and signed documents are kept. Each enclave can be copied to a robot
+    by itself; private keys of authorities are never staged. NAME is a package [all].
     """
     workspace = run.workspace()
     if names and new_authority:
-        raise click.UsageError("--new-authority concerns all enclaves; leave the names of packages out.")
+        raise click.UsageError("--new-authority applies to all enclaves; do not name packages.")
 
     def make_plan(inputs: Inputs) -> Plan:
         session = inputs.session()

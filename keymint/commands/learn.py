@@ -1,4 +1,4 @@
-"""``keymint learn``: the smallest policy that a graph needs."""
+"""``keymint learn``: generate the smallest policy that allows a graph."""
 
 from __future__ import annotations
 
@@ -26,9 +26,9 @@ _FILE = click.Path(path_type=Path)
 
 @verb(workspace=False, dry_run=True)
 @click.argument("graph", type=_FILE)
-@click.option("--policy", type=_FILE, metavar="EXISTING", help="A policy that stays: propose only what it lacks.")
-@click.option("-o", "--output", type=_FILE, metavar="FILE", help="Write the policy there [standard output].")
-@click.option("-f", "--force", is_flag=True, help="Replace a policy that is there and differs.")
+@click.option("--policy", type=_FILE, metavar="EXISTING", help="Keep this policy; generate only what it lacks.")
+@click.option("-o", "--output", type=_FILE, metavar="FILE", help="Write the policy to this file [standard output].")
+@click.option("-f", "--force", is_flag=True, help="Replace an existing file with different content.")
 @policy_options
 def learn(
     run: Run,
@@ -38,20 +38,22 @@ def learn(
     force: bool,
     policy_options: PolicyOptions,
 ) -> Report:
-    """Make the smallest policy that allows what a GRAPH has, and nothing else: aa-genprof for robots.
+    """Generate the smallest policy that allows the edges of GRAPH, like aa-genprof for robots.
 
-    GRAPH is JSON, as 'keymint discover' writes it. Read the result before you trust it: it allows what the system
-    did, whoever did it, and nothing that it did not happen to do while you looked.
+    GRAPH is JSON written by 'keymint discover'. Review the result: it allows everything that the system did during the
+    observation, even by an attacker, and nothing that it did not do.
 
-    With --policy the result is an addition: it holds what EXISTING lacks, to be put beside it in one folder. What
-    EXISTING allows and the graph does not need is listed. Exit code 3: a DENY rule is in the way.
+    With --policy the result contains only what EXISTING lacks; put both into one directory. Permissions of EXISTING
+    that the graph does not use are listed.
+
+    Exit code 3: a DENY rule of EXISTING denies an edge of the graph.
     """
     policies = Policies(run, policy_options)
     learner = run.plugins.policy_type(policy_options.policy_type)
     if not isinstance(learner, PolicyLearner):
         raise KeymintError(f"the policy type {policy_options.policy_type!r} cannot learn", code="learn-unsupported")
     if policy_options.distro:
-        policies.shipped()  # an unknown distribution is an error with and without --policy
+        policies.shipped()  # an unknown distribution is an error even without --policy
     wanted = graph_json.load(read_input(run, graph), str(graph))
     existing = policies.at(run.setting.cwd / policy, str(policy)) if policy else None
     if output and existing:
@@ -88,26 +90,26 @@ def learn(
 
 
 def _about_domains(domains: Sequence[int], output: Path | None) -> Iterator[Diagnostic]:
-    """Yield a warning where the workspace must be told the domain, since a policy has no place for it."""
+    """Yield a warning if the graph has another domain than 0: a policy contains no domain."""
     if domains in ([], [0]):
         return
     if len(domains) == 1:
-        message = f"the graph was taken in DDS domain {domains[0]}, and a policy holds no domain"
+        message = f"the graph was recorded in DDS domain {domains[0]}; policies contain no domain"
         help_ = f"keymint provision {output or 'POLICY'} --domain {domains[0]}"
     else:
-        message = f"the graph has DDS domains {', '.join(map(str, domains))}; the policy allows all of it in each"
-        help_ = "to keep the domains apart, discover and learn each by itself, with a workspace for each"
+        message = f"the graph has DDS domains {', '.join(map(str, domains))}; the policy allows every edge in each"
+        help_ = "to keep the domains separate, run discover and learn for each, with one workspace each"
     yield Diagnostic("learn-domain", Severity.WARNING, message, Origin(str(output)) if output else None, help_)
 
 
 def _refuse_overwriting(run: Run, output: Path, existing: LoadedPolicy) -> None:
-    """Refuse to replace a policy by an addition to it."""
+    """Refuse to overwrite a file of the existing policy."""
     target = (run.setting.cwd / output).resolve()
     if target.exists() and target in {path.resolve() for path in existing.seen}:
         raise KeymintError(
-            "is part of the existing policy, which stays beside what is learned",
+            "is part of the existing policy",
             where=Origin(str(output)),
-            help="name another file in the same folder",
+            help="name another file in the same directory",
             code="learn-overwrites",
         )
 
@@ -115,9 +117,9 @@ def _refuse_overwriting(run: Run, output: Path, existing: LoadedPolicy) -> None:
 def _refuse_replacing(run: Run, output: Path, document: bytes) -> None:
     if (run.setting.cwd / output).exists() and read_input(run, output) != document:
         raise KeymintError(
-            "exists and differs from what is learned",
+            "exists and differs from the learned policy",
             where=Origin(str(output)),
-            help="name another file, hold it against the graph with --policy, or replace it with --force",
+            help="name another file, compare it with the graph by --policy, or replace it with --force",
             code="learn-exists",
         )
 
@@ -132,7 +134,7 @@ def _tell(run: Run, learned: LearnedPolicy, output: Path | None, written: list[s
         for found in learned.unused:
             run.console.line(f"unused   {_place(found)['place'] or found.subject}: {found.message}")
     if not learned.document:
-        run.console.line("nothing is missing: no file is needed")
+        run.console.line("the existing policy allows the graph: nothing to write")
     for file in written:
         run.console.line(f"{file} {'would be written' if run.dry_run else 'written'}")
     if learned.document and not written:

@@ -45,13 +45,13 @@ def lint(
     """Report unreachable, redundant and suspicious rules of POLICY.
 
     \b
-    rules that nothing is left of, or that add nothing; denials that deny nothing
-    attachments that no subject or object can match; profiles that never apply
-    tunables that nothing uses; names that are nearly, but not quite, alike
-    rules that cannot be compiled so that every vendor of DDS reads them alike
+    unreachable and redundant rules; DENY rules that deny nothing
+    attachments that match no subject or object; profiles that never apply
+    unused tunables; names that differ by a likely typing error
+    rules that cannot be expressed portably across DDS vendors
 
-    POLICY is a ComArmor file or folder, or a workspace; by default the policy of the workspace. A finding holds for all
-    names there are, and for every subject that the rule applies to. Ends with 3 when there is any.
+    POLICY is a ComArmor file or directory, or a workspace [the current workspace]. A finding is true for all names and
+    for every subject of the rule. Exit code 3: there are findings.
     """
     policies = Policies(run, policy_options)
     loaded = policies.load(policy)
@@ -61,7 +61,7 @@ def lint(
     compiler = run.plugins.build_type(build_type)
     found = [
         *look(loaded),
-        # What the compiler says of names that nothing has is said already, and better.
+        # lint already reports names that nothing can have.
         *(
             each
             for each in portability(compiler, build_type, policies.distro, subjects, run.setting.now)

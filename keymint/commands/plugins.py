@@ -1,4 +1,4 @@
-"""``keymint plugins``: what is installed, and whether it loads."""
+"""``keymint plugins``: the installed plugins, and whether they load."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from keymint.output.report import Report
 
 @verb(workspace=False)
 def plugins(run: Run) -> Report:
-    """List the plugins that are found: group, name, version, and where each comes from."""
+    """List the installed plugins: group, name, version, distribution, and whether each loads."""
     said: list[Diagnostic] = []
     listed = []
     for info in run.plugins.infos:

@@ -1,4 +1,4 @@
-"""Policies that a user names on the command line: files, folders, workspaces, and revisions of them."""
+"""Load the policies that the command line names: files, directories and workspaces."""
 
 from __future__ import annotations
 
@@ -18,10 +18,10 @@ _DEFAULT_DISTRO = "jazzy"
 
 
 class Policies:
-    """Reads the policies that a command line names.
+    """Loads the policies that a command line names.
 
     Args:
-        run: the verb under way.
+        run: the run.
         options: how to read a policy outside of a workspace.
     """
 
@@ -31,10 +31,10 @@ class Policies:
         self.distro = options.distro or run.setting.environment.get("ROS_DISTRO") or _DEFAULT_DISTRO
 
     def load(self, path: Path | None) -> LoadedPolicy:
-        """Return the policy at a path, or of the workspace there; of the current workspace where none is named.
+        """Load the policy at a path, or of the workspace there; without a path, of the current workspace.
 
         Raises:
-            KeymintError: there is none, or it has defects.
+            KeymintError: the policy is missing, or has defects.
         """
         if path is None:
             return self._of_workspace(self._run.workspace())
@@ -43,7 +43,7 @@ class Policies:
         return self._of_workspace(workspace) if workspace.exists() else self.at(folder, str(path))
 
     def shipped(self) -> Path:
-        """Return the folder of the policy library that ships with Keymint.
+        """Return the directory of the policy library that ships with Keymint.
 
         Raises:
             KeymintError: the distribution is not known.
@@ -51,14 +51,14 @@ class Policies:
         return self._run.plugins.profile_type(self._options.profile_type).library(self.distro)
 
     def at(self, path: Path, typed: str) -> LoadedPolicy:
-        """Return the policy at a path.
+        """Load the policy at a path.
 
         Args:
             path: file or folder.
             typed: the path as the user typed it.
 
         Raises:
-            KeymintError: there is none, or it has defects.
+            KeymintError: the policy is missing, or has defects.
         """
         source = PolicySource(typed, path, Origin(typed))
         return self._run.plugins.policy_type(self._options.policy_type).load([source], self.shipped())
@@ -81,12 +81,12 @@ class Policies:
         return cache(name_of)
 
     def common(self, path: Path | None) -> Callable[[Origin], bool]:
-        """Return a function that tells whether a rule is one of the shipped ``common/node.xml``, for every node."""
+        """Return a function that returns whether a rule belongs to the shipped ``common/node.xml``, for every node."""
         library = self.library(path)
         return lambda where: (library(where.file) or "").startswith(("common/node.xml", "common/node/"))
 
     def places(self, path: Path | None) -> tuple[Sequence[Path], Path]:
-        """Return where the policies are that :meth:`load` reads, and the library that they include from; resolved."""
+        """Return the resolved paths of the policies that :meth:`load` reads, and of the library that they include."""
         folder = self._run.setting.cwd / path if path is not None else None
         workspace = Workspace.at(folder, {}, self._run.setting.cwd) if folder else self._run.workspace()
         shipped = self.shipped()

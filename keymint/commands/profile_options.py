@@ -1,4 +1,4 @@
-"""The options that shape a new workspace's profile."""
+"""Compare the options of a new workspace with an existing profile."""
 
 from __future__ import annotations
 
@@ -17,20 +17,20 @@ _PLACES = {
     "domain": (f"{_DEFAULTS}/permissions.xml", f"{_DEFAULTS}/governance.xml"),
     "subject-format": (f"{_DEFAULTS}/permissions.xml", f"{_DEFAULTS}/identities.xml"),
 }
-"""Where a setting is that is not in the profile's marker; all the places have to agree."""
+"""Files of the settings that are not in the profile's manifest; all of them must agree."""
 
 
 def refuse_contradiction(run: Run, workspace: Workspace, given: ProfileOptions, policy: Path | None = None) -> None:
     """Refuse an option that differs from the profile of an existing workspace.
 
     Args:
-        run: the verb under way.
+        run: the run.
         workspace: the existing workspace.
         given: the options of this run.
         policy: the value of ``--policy``, which only ``init`` has.
 
     Raises:
-        KeymintError: the profile has another value, or it does not have this setting.
+        KeymintError: the profile has another value, or does not have this setting.
     """
     options = {**asdict(given), "policy": policy}
     values = {name.replace("_", "-"): str(value) for name, value in options.items() if value is not None}

@@ -1,4 +1,4 @@
-"""How refuted claims are reported: at the unsigned document where none is signed yet, and one cause in one line."""
+"""Report claims that are refuted or unknown: one line per cause, at the unsigned document before it is signed."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ STATES = 500_000
 OF_DOMAINS = frozenset(("join", "protect"))
 """Actions of claims about a domain, not about a topic; see :class:`keymint.api.Claim`."""
 _FIRST = b"<?xml"
-"""How a document begins; what a signed file has before it are the headers of S/MIME."""
+"""Start of a document; in a signed file the S/MIME headers precede it."""
 
 
 def unsigned(found: Diagnostic, session: Session) -> Diagnostic:
@@ -51,11 +51,11 @@ def unsigned(found: Diagnostic, session: Session) -> Diagnostic:
 
 
 def alike(refused: Iterable[Diagnostic], shown: Callable[[str], str]) -> Iterator[Diagnostic]:
-    """Yield findings; those that say the same of several packages, as their cause is one, once with the number.
+    """Yield diagnostics, merging those with the same cause in several packages.
 
     Args:
-        refused: findings, each about a subject.
-        shown: from the name of a package to the folder of its documents, as messages have it.
+        refused: diagnostics, each of one subject.
+        shown: returns the directory of a package's documents as messages print it.
     """
     groups: dict[tuple[str, str, str], list[Diagnostic]] = {}
     for found in refused:
@@ -69,7 +69,7 @@ def alike(refused: Iterable[Diagnostic], shown: Callable[[str], str]) -> Iterato
 
 
 def effort_of(run: Run, states: int = STATES, seconds: float = SECONDS) -> Effort:
-    """Return how much may be spent: states for a question, seconds for an enclave."""
+    """Return the limits of a proof: states per question, seconds per enclave."""
     return Effort(states, lambda: _deadline(run.setting.monotonic, seconds))
 
 
@@ -79,13 +79,13 @@ def _deadline(clock: Callable[[], float], seconds: float) -> Callable[[], bool]:
 
 
 def dated_of(found: Findings) -> Iterator[Diagnostic]:
-    """Yield what is not in force at the time at which the claims are judged."""
+    """Yield certificates and grants that are not valid at the time of the claims."""
     for enclave in found.enclaves:
         yield from terms.findings(enclave.terms, found.now, enclave.subject)
 
 
 def diagnostics_of(enclave: Proven) -> Iterator[Diagnostic]:
-    """Yield what is to be said of an enclave; what several models have in common once."""
+    """Yield the diagnostics of an enclave, merging the same result of several models."""
     yield from enclave.diagnostics
     together: dict[tuple[object, ...], list[Claim]] = {}
     for claim in enclave.claims:
@@ -101,7 +101,7 @@ def diagnostics_of(enclave: Proven) -> Iterator[Diagnostic]:
         if counterexample is None:
             actions = " and ".join(dict.fromkeys(claim.action for claim in claims))
             message = f"{enclave.subject}, {actions}: not proven for {models}: {claims[0].reason}"
-            spent = "give it more with --seconds or --states, or say the rules in a simpler way"
+            spent = "raise --seconds or --states, or simplify the rules"
             help_ = spent if claims[0].spent else ""
             yield Diagnostic("not-proven", Severity.ERROR, message, None, help_, enclave.subject)
         else:
@@ -125,7 +125,7 @@ def _refutation(subject: str, found: Counterexample, models: str) -> Diagnostic:
         f"{policy.reason}; {by_document} [{models}]"
     )
     deviation = f"; docs/vendors.md, {document.deviation}" if document.deviation else ""
-    help_ = f"no shorter name differs{deviation}{f'; {found.help}' if found.help else ''}"
+    help_ = f"a shortest counterexample{deviation}{f'; {found.help}' if found.help else ''}"
     return Diagnostic("counterexample", Severity.ERROR, message, where, help_, subject)
 
 

@@ -1,4 +1,4 @@
-"""What installing asks of a proof: that every enclave is proven, before the first byte is written."""
+"""Require a proof of every enclave before anything is installed."""
 
 from __future__ import annotations
 
@@ -27,15 +27,15 @@ def proven(
     *,
     standard_only: bool,
 ) -> Plan:
-    """Return a plan whose enclaves are proven, with the record of that.
+    """Prove the enclaves of a plan, and return the plan with the cached proofs.
 
     Args:
-        run: the verb under way.
+        run: the run.
         session: the workspace as it will be, and its profile.
-        names: the packages that are installed.
-        policy: what the enclaves are held against.
+        names: the packages to install.
+        policy: the policy to prove.
         plan: what will be done.
-        standard_only: vendors may differ from the standard.
+        standard_only: prove by the standard only; vendors may differ.
 
     Raises:
         KeymintError: a claim about an enclave is refuted or unknown; exit code 3.
@@ -55,13 +55,13 @@ def proven(
     if refused:
         edits = _refused_edits(session, plan, {each.subject for each in refused})
         by_edit = {each.subject for each in edits}
-        # Other warnings of the plan often say why, e.g. a policy that changed.
+        # Other warnings of the plan often name the cause, e.g. a changed policy.
         warned = [each for each in plan.diagnostics if each.code != HAND_EDITED or each.subject not in by_edit]
         unsigned = (proof_diagnostics.unsigned(each, session) for each in refused)
         build = session.workspace.build
         once = proof_diagnostics.alike(unsigned, lambda name: session.workspace.shown(build / name))
         raise KeymintError.of([*warned, *edits, *once], ExitCode.FINDINGS)
-    # Time is no reason to install nothing: what is not in force now may be tomorrow, or in a test.
+    # Validity does not stop an installation: a certificate may become valid tomorrow.
     known = {(each.code, each.subject) for each in plan.diagnostics}
     known |= {(each.code, "") for each in plan.diagnostics}
     dated = [each for each in dated_of(found) if (each.code, _subject_of(each)) not in known]
@@ -70,12 +70,12 @@ def proven(
 
 
 def _subject_of(found: Diagnostic) -> str:
-    """Return whom a finding is about: an authority belongs to no subject."""
+    """Return the subject of a diagnostic; an authority has none."""
     return "" if found.code.startswith("authority-") else found.subject
 
 
 def _refused_edits(session: Session, plan: Plan, subjects: Collection[str]) -> list[Diagnostic]:
-    """Return an error for each document that was edited by hand, of subjects whose proof fails."""
+    """Return an error for each manually edited document of subjects whose proof fails."""
     found: dict[Origin, Diagnostic] = {}
     for subject in sorted(subjects):
         name = subject.removeprefix("/")
@@ -85,19 +85,19 @@ def _refused_edits(session: Session, plan: Plan, subjects: Collection[str]) -> l
         if package.permissions.edited:
             discard[package.permissions.origin] = f"keymint create -f {name}"
         for where, command in discard.items():
-            message = f"was edited by hand, and the edit changes what {subject} may do"
-            help_ = f"write it into the policy instead; '{command}' discards the edit"
+            message = f"a manual edit changes what {subject} may do"
+            help_ = f"change the policy instead; '{command}' discards the edit"
             found[where] = Diagnostic(HAND_EDITED, Severity.ERROR, message, where, help_, subject)
     return list(found.values())
 
 
 def _holds(enclave: Proven, standard: str) -> bool:
-    """Tell whether an enclave is proven by the standard's reading, which a prover names first."""
+    """Return whether an enclave is proven by the standard, which a prover names first."""
     own = [claim for claim in enclave.claims if claim.model == standard]
     return bool(own) and all(claim.proof is Proof.PROVEN for claim in own)
 
 
 def _with_mend(help_: str, *, of_vendors: bool) -> str:
-    accept = "accept what vendors decide differently with --allow-vendor-specific, " if of_vendors else ""
+    accept = "accept differences between vendors with --allow-vendor-specific, " if of_vendors else ""
     mend = f"nothing was installed; rebuild it from the policy, {accept}or sign it anyway with --no-prove"
     return f"{help_}; {mend}" if help_ else mend

@@ -1,4 +1,4 @@
-"""``keymint prove``: over all names, the installed documents permit exactly what the policy says."""
+"""``keymint prove``: prove that installed documents permit exactly what the policy allows, for all names."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ from keymint.plan.prove import NO_PROVER, STAGE, Findings, Proven
 from keymint.plan.prove import prove as find
 
 SHOWN = 5
-"""So many of the things that governance opens are named in the summary; ``--json`` has all of them."""
+"""Number of unprotected topics in the summary; ``--json`` lists all of them."""
 
 
 @verb(dry_run=True)
@@ -37,27 +37,26 @@ SHOWN = 5
     type=Number(0),
     default=SECONDS,
     show_default=True,
-    help="Give an enclave up after this time; what is not decided is unknown.",
+    help="Stop after this time per enclave; undecided claims are unknown.",
 )
 @click.option(
     "--states",
     type=click.IntRange(1),
     default=STATES,
     show_default=True,
-    help="Give a question up after so many states.",
+    help="Stop after this many states per question.",
 )
 @standard_only_option
 def prove(run: Run, names: tuple[str, ...], seconds: float, states: int, allow_vendor_specific: bool) -> Report:
-    """Prove that installed documents permit exactly what the policy says, for every name there is.
+    """Prove that installed documents permit exactly what the policy allows, for all names.
 
-    The signed documents in install/ are read again, by the DDS Security standard and as each vendor reads them, and
-    compared with the policy over all names at once. Where they differ a shortest name is shown, with the rule of the
-    policy and the rule of the document.
+    Reads the signed documents in install/ by the DDS Security standard and as each vendor does, and compares them with
+    the policy for all names at once. A difference is shown as a shortest counterexample, with the rule of the policy
+    and the rule of the document. Proofs are cached until something changes; validity periods are checked on each run.
+    -v lists the assumptions of the proof. ENCLAVE is a package [all].
 
-    Ends with 3 when a claim is refuted or unknown, when a certificate or grant has expired or is not yet valid, when an
-    enclave does not rest on the workspace's authorities, or when one is installed that has no source package. What was
-    proven is recorded, and not proven again until something changes; its time is judged at each run. -v says what the
-    proof takes for granted. ENCLAVE is a package; by default all of them.
+    Exit code 3: a claim is refuted or unknown; a certificate or grant is expired or not yet valid; an enclave does not
+    trust the workspace's authorities; or an enclave has no source package.
     """
     workspace = run.workspace()
     inputs = run.snapshot(workspace)
@@ -114,21 +113,21 @@ def _summary(run: Run, found: Findings) -> None:
     parts += [f"{refuted} refuted"] * bool(refuted)
     parts += [f"{len(open_) - refuted} unknown"] * (len(open_) > refuted)
     parts += [f"{counted(unread, 'enclave')} could not be read"] * bool(unread)
-    parts += [f"{remembered} unchanged since proven"] * bool(remembered)
+    parts += [f"{remembered} cached"] * bool(remembered)
     models = ", ".join(_taken(found))
     enclaves = f"{counted(count, 'enclave')}{f' for {models}' if models else ''}"
     say(f"proved {enclaves}: {', '.join(parts)}{_when(found)}")
     if excepted := list(dict.fromkeys(_excepted(found))):
-        say(f"proven except for the topics that governance opens: {'; '.join(excepted[:SHOWN])}{_more(excepted)}")
+        say(f"not part of the proof, left open by governance: {'; '.join(excepted[:SHOWN])}{_more(excepted)}")
 
 
 def _until(found: Findings) -> datetime | None:
-    """Return until when all that was claimed is in force, or None if something is not now."""
+    """Return the end of the validity of all claims, or None if something is not valid now."""
     return terms.end([term for enclave in found.enclaves for term in enclave.terms], found.now)
 
 
 def _when(found: Findings) -> str:
-    """Return the time of the claims, in words."""
+    """Return the validity of the claims, in words."""
     if not any(enclave.terms for enclave in found.enclaves):
         return ""
     until = _until(found)
@@ -143,7 +142,7 @@ def _shown(moment: datetime | None) -> str | None:
 
 
 def _excepted(found: Findings) -> Iterator[str]:
-    """Yield what the proven claims except: what governance leaves open on purpose."""
+    """Yield the exceptions of the proven claims: topics that the governance leaves unprotected on purpose."""
     for enclave in found.enclaves:
         for claim in enclave.claims:
             yield from (f"{enclave.subject}, {each}" for each in claim.excepted)
@@ -155,23 +154,23 @@ def _more(excepted: Sequence[str]) -> str:
 
 
 def _taken(found: Findings) -> Mapping[str, Sequence[str]]:
-    """Return what is taken for granted, by each model that something was claimed of."""
+    """Return the assumptions of each model with a claim."""
     claimed = {claim.model for enclave in found.enclaves for claim in enclave.claims}
     return {model: lines for model, lines in found.assumptions.items() if model in claimed or not claimed}
 
 
 def _assumptions(found: Findings) -> Iterator[Diagnostic]:
-    """Yield what the claims take for granted, each line once, with the models that do."""
+    """Yield each assumption once, with the models that make it."""
     lines: dict[str, list[str]] = {}
     for model, assumed in _taken(found).items():
         for line in assumed:
             lines.setdefault(line, []).append(model)
     for line, models in lines.items():
-        yield Diagnostic("assumption", Severity.NOTE, f"assumed for {', '.join(models)}: {line}")
+        yield Diagnostic("assumption", Severity.NOTE, f"assumption ({', '.join(models)}): {line}")
 
 
 def legible(name: str) -> str:
-    r"""Return a name of bytes as text for JSON: a byte that is no UTF-8, a surrogate in Python, is ``\xNN``."""
+    r"""Return a name as text for JSON; a byte that is not UTF-8 becomes ``\xNN``."""
     return name.encode("utf-8", "surrogateescape").decode("utf-8", "backslashreplace")
 
 

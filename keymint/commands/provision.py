@@ -1,4 +1,4 @@
-"""``keymint provision``: all stages in one go."""
+"""``keymint provision``: all stages in one step."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ from keymint.session import Inputs
 @verb(jobs=True, dry_run=True)
 @click.argument("policy", type=click.Path(path_type=Path))
 @profile_options
-@click.option("-f", "--force", is_flag=True, help="Discard edits by hand of permissions.xml and of built documents.")
+@click.option("-f", "--force", is_flag=True, help="Discard manual edits of permissions.xml and of built documents.")
 @prune_option
 @renew_option
 @document_options
@@ -58,11 +58,11 @@ def provision(
     new_authority: tuple[str, ...],
     prove: bool,
 ) -> Report:
-    """From a ComArmor POLICY to a keystore in one go: init, create --all, build and install.
+    """Turn a ComArmor POLICY into a keystore in one step: init, create --all, build and install.
 
-    All of it is planned and validated before the first byte is written. Run it again after every change of the
-    policy: only what the change concerns is rebuilt and signed again, and no key is replaced. Nothing is installed
-    unless it is proven to permit exactly what the policy says, for every name there is.
+    Everything is planned and validated before anything is written. Run it again after each change of the policy: only
+    affected packages are rebuilt and signed, and keys are kept. Nothing is installed unless each document is proven to
+    permit exactly what the policy allows, for all names.
     """
     workspace = run.workspace_at(None)
     hinted = build_options(run, document_options)

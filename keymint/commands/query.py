@@ -1,4 +1,4 @@
-"""``keymint query``: answers questions about a policy, for all names and subjects there are."""
+"""``keymint query``: answer questions about a policy, for all names and subjects."""
 
 from __future__ import annotations
 
@@ -29,15 +29,13 @@ from keymint.output.report import Report
 
 _MOST = 20
 _Answer = tuple[str, dict[str, Any]]
-"""``yes``, ``no`` or ``unknown``, and what else there is to say."""
+"""``yes``, ``no`` or ``unknown``, and further results."""
 
 
 @verb()
 @click.argument("words", nargs=-1, metavar="[POLICY] QUESTION...")
-@click.option("--except", "but", multiple=True, metavar="OBJECT", help="flows, isolated: leave these out of account.")
-@click.option(
-    "--infrastructure", is_flag=True, help="flows, isolated: count also what the library allows to every node."
-)
+@click.option("--except", "but", multiple=True, metavar="OBJECT", help="flows, isolated: ignore these objects.")
+@click.option("--infrastructure", is_flag=True, help="flows, isolated: also count what the library allows every node.")
 @click.option("--partition", default="", metavar="NAME", help="DDS partition of a raw topic [the default one].")
 @policy_options
 def query(
@@ -48,7 +46,7 @@ def query(
     partition: str,
     policy_options: PolicyOptions,
 ) -> Report:
-    """Ask a policy a question. SUBJECT and OBJECT may be patterns; a permission may lack its 'ros_'.
+    """Ask a policy a question. SUBJECT and OBJECT may be patterns; the prefix 'ros_' of permissions is optional.
 
     \b
     keymint query who can publish /safety/estop
@@ -57,22 +55,23 @@ def query(
     keymint query flows /amr1/camera /cloud/uplink
     keymint query isolated '/amr1/*' '/amr2/*' --except '/fleet/*'
 
-    POLICY is a ComArmor file or folder, or a workspace; by default the workspace that the current folder lies in.
-    'no' is proven for all names, and for all subjects, also those that the policy does not name. 'flows' takes the
-    subjects that the policy names for steps on the way; 'isolated' asks for channels without anybody between. Both list
-    channels that the shipped common/node.xml allows to every node, as ros_discovery_info, apart: they count only with
-    --infrastructure. Ends with 3 when subjects are not isolated, or an answer is not known for certain.
+    POLICY is a ComArmor file or directory, or a workspace [the current workspace]. The answer 'no' is proven for all
+    names and subjects, including subjects that the policy does not name. 'flows' searches paths through the subjects
+    that the policy names; 'isolated' searches direct channels. Both list channels that the shipped common/node.xml
+    allows every node, such as ros_discovery_info, separately; they count only with --infrastructure.
+
+    Exit code 3: subjects are not isolated, or the answer is unknown.
     """
     path, question = _read(words, run.setting.cwd)
     if (but or infrastructure) and question.head not in ("flows", "isolated"):
         raise KeymintError(
             f"'{question.head}' takes no {'--except' if but else '--infrastructure'}",
-            help="it is about 'flows' and 'isolated'",
+            help="use it with 'flows' or 'isolated'",
             code="usage",
             exit_code=ExitCode.USAGE,
         )
     for expression in but:
-        parse_query(["who", "can", "publish", expression])  # an expression like any other
+        parse_query(["who", "can", "publish", expression])  # checks the expression
     policies = Policies(run, policy_options)
     policy = policies.load(path)
     common = policies.common(path) if question.head in ("flows", "isolated") and not infrastructure else None
@@ -87,14 +86,14 @@ def query(
     verdict, more = answer()
     said = list(_doubts(policy, question, partition, verdict))
     if verdict == "unknown":
-        said.append(Diagnostic("query-unknown", Severity.WARNING, "the answer is not known for certain"))
+        said.append(Diagnostic("query-unknown", Severity.WARNING, "the answer is unknown"))
     bad = verdict == "unknown" or (question.head == "isolated" and verdict == "no")
     result = {"question": question.head, "answer": verdict, **more}
     return Report(run.verb, None, (), said, result, ExitCode.FINDINGS if bad else ExitCode.DONE)
 
 
 def _doubts(policy: LoadedPolicy, question: PolicyQuery, partition: str, verdict: str) -> Iterator[Diagnostic]:
-    """Yield why a question may not be the one that was meant."""
+    """Yield warnings about likely mistakes in a question."""
     for subject in question.subjects if question.head != "what" else ():
         if found := unknown_subject(policy, parse(subject)):
             yield Diagnostic("query-subject", Severity.WARNING, found)
@@ -103,21 +102,21 @@ def _doubts(policy: LoadedPolicy, question: PolicyQuery, partition: str, verdict
         return
     if isinstance(find_permitted(kind, allow_only(query_pattern(kind, name, partition))), Equal):
         help_ = "segments are letters, digits and '_', do not begin with a digit, and none is empty"
-        yield Diagnostic("query-object", Severity.WARNING, f"no {kind} can be named as {name!r} says", help=help_)
+        yield Diagnostic("query-object", Severity.WARNING, f"no {kind} can have a name like {name!r}", help=help_)
     elif kind == RAW and verdict == "no" and not name.startswith(("rt/", "rq/", "rr/")):
         help_ = f"a ROS name begins with '/': did you mean {'/' + name!r}?"
-        yield Diagnostic("query-object", Severity.WARNING, f"{name!r} is taken for a raw DDS topic", help=help_)
+        yield Diagnostic("query-object", Severity.WARNING, f"{name!r} is read as a raw DDS topic", help=help_)
 
 
 def _read(words: Sequence[str], folder: Path) -> tuple[Path | None, PolicyQuery]:
-    """Return the policy that is named, and the question; a question in one argument is taken apart."""
+    """Return the path of the policy, if one is named, and the question, which may be one or several arguments."""
     path: Path | None = None
     rest = list(words)
     if rest and rest[0].split(" ")[0] not in HEADS and (len(rest) > 1 or (folder / rest[0]).exists()):
         path = Path(rest.pop(0))
     if not rest:
         raise KeymintError(
-            "there is no question", help=f"ask one of: {'; '.join(FORMS)}", code="usage", exit_code=ExitCode.USAGE
+            "the question is missing", help=f"ask one of: {'; '.join(FORMS)}", code="usage", exit_code=ExitCode.USAGE
         )
     return path, parse_query([each for one in rest for each in one.split()])
 
@@ -154,7 +153,7 @@ def _verdict(found: Sequence[PermissionHolder]) -> str:
 
 
 def _holder(run: Run, each: PermissionHolder, question: PolicyQuery) -> str:
-    """Return who holds a permission, on which name, and by which rule."""
+    """Return the holder of a permission, with the name and the rule."""
     like = f" (like {each.like})" if each.like and each.like != each.subject else ""
     if each.unknown:
         return f"perhaps {each.subject or f'subjects like {each.like}'}: {each.unknown}"
@@ -257,11 +256,11 @@ def _isolated(run: Run, channels: ChannelSearch, question: PolicyQuery) -> _Answ
         {
             "yes": f"isolated: nothing flows between {apart}{_but_for(channels, common)}",
             "no": f"not isolated: {counted(len(together), 'channel')} between {apart}",
-            "unknown": f"not known: no subject that the policy names breaks it, but others of {apart} may",
+            "unknown": f"unknown: no subject that the policy names breaks it, but others of {apart} may",
         }[verdict]
     )
     if verdict != "yes" and common:
-        run.console.line(f"besides, by infrastructure: {_names(common)}")
+        run.console.line(f"also, by infrastructure: {_names(common)}")
     return verdict, {
         "channels": [_channel(each) for each in certain],
         "perhaps": [_channel(each) for each in perhaps],
@@ -270,7 +269,7 @@ def _isolated(run: Run, channels: ChannelSearch, question: PolicyQuery) -> _Answ
 
 
 def _infrastructure(channels: ChannelSearch, pairs: Sequence[tuple[Sequence[str], Sequence[str]]]) -> Iterator[Channel]:
-    """Yield the channels between subjects that rules for every node allow, one for each name and direction."""
+    """Yield the channels that rules for every node allow, one for each name and direction."""
     seen: set[tuple[str, tuple[str, str], str]] = set()
     for writers, readers in pairs:
         for writer, reader in product(writers, readers):
@@ -282,7 +281,7 @@ def _infrastructure(channels: ChannelSearch, pairs: Sequence[tuple[Sequence[str]
 
 
 def _but_for(channels: ChannelSearch, infrastructure: Sequence[Channel]) -> str:
-    """Return what an answer leaves out of account."""
+    """Return what an answer ignores."""
     left = [*channels.but]
     if infrastructure:
         left.append(f"what the library allows to every node ({_names(infrastructure)})")
@@ -294,7 +293,7 @@ def _names(infrastructure: Sequence[Channel]) -> str:
 
 
 def _unnamed(channels: ChannelSearch, first: str, second: str) -> list[Channel]:
-    """Return what there may be between subjects that the policy does not name, each channel once."""
+    """Return the possible channels between subjects that the policy does not name, each once."""
     writers, readers = parse(first), parse(second)
     if literal(writers) is not None and literal(readers) is not None:
         return []
@@ -304,7 +303,7 @@ def _unnamed(channels: ChannelSearch, first: str, second: str) -> list[Channel]:
 
 def _step(channel: Channel) -> str:
     mine, theirs = channel.permissions
-    name = display_name(channel.kind, channel.word) or "a name that was not found"
+    name = display_name(channel.kind, channel.word) or "an unknown name"
     return f"{channel.writer} → {channel.reader} by {channel.kind} {name} ({mine}, {theirs})"
 
 

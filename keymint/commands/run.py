@@ -28,14 +28,14 @@ from keymint.workspace_lock import LOCK, shared
 
 @dataclass(frozen=True, slots=True)
 class Setting:
-    """What only the command line knows; everything below gets it from here.
+    """The environment of a run: clock, folders, streams.
 
     Attributes:
         now: the clock, UTC.
         monotonic: returns seconds, for progress.
         environment: environment variables.
-        cwd: current folder.
-        cache: folder of this user for what can be made again.
+        cwd: current directory.
+        cache: cache directory of this user.
         cores: number of processors.
         streams: where output goes.
     """
@@ -50,12 +50,12 @@ class Setting:
 
 
 class Run:
-    """One verb under way.
+    """One run of a verb.
 
     Args:
-        setting: what the command line knows.
-        verb: the verb's name.
-        options: the values of the options that all verbs share.
+        setting: the environment.
+        verb: name of the verb.
+        options: values of the common options.
     """
 
     def __init__(self, setting: Setting, verb: str, options: Mapping[str, Any]) -> None:
@@ -78,7 +78,7 @@ class Run:
     # -- the workspace -------------------------------------------------------------------------------------------
 
     def workspace(self) -> Workspace:
-        """Return the workspace that is named, or that the current folder lies in.
+        """Return the named workspace, or the one that contains the current directory.
 
         Raises:
             KeymintError: there is none.
@@ -89,33 +89,33 @@ class Run:
             else:
                 self.known_workspace = self.workspace_at(self._named)
                 if not self.known_workspace.exists():
-                    # Looking upward from a folder that was named helps whoever names a folder inside of it.
+                    # The user may have named a folder inside of a workspace.
                     self.known_workspace = find(self.setting.cwd / self._named, self._spaces, self.setting.cwd)
         return self.known_workspace
 
     def workspace_at(self, folder: Path | None) -> Workspace:
-        """Return the workspace at a folder (by default the named or the current one), whether or not it exists."""
+        """Return the workspace at a directory (default: the named or the current one), which may not exist yet."""
         self.known_workspace = Workspace.at(
             self.setting.cwd / (folder or self._named or "."), self._spaces, self.setting.cwd
         )
         return self.known_workspace
 
     def inputs(self, workspace: Workspace) -> Inputs:
-        """Return what stages plan from, as it is now."""
+        """Read the inputs of a plan."""
         record, mark = (read_file(workspace.state / name, MAX_RECORD) for name in (RECORD, "running"))
         state = load_state(record, mark)
         return Inputs(workspace, Tree(), state, self.plugins, self.setting.environment, self.setting.now)
 
     def snapshot(self, workspace: Workspace) -> Inputs:
-        """Return what verbs that only look read from: all of it as it is at one moment, when no run is under way.
+        """Read a consistent snapshot of a workspace into memory, for verbs that do not write.
 
-        The lock is held while it is read into memory, and no longer: what is made of it may take its time.
+        The workspace lock is held only while reading.
         """
-        for _ in range(2):  # a run may make the lock while a workspace without one is read
+        for _ in range(2):  # another run may create the lock meanwhile
             with shared(workspace.state, self.console.waiting) as locked:
                 inputs = self.inputs(workspace)
                 for space in workspace.spaces():
-                    # What else lies beside people's own files may be large, and is never read.
+                    # Other files beside the XML may be large, and are never read.
                     written = space in (workspace.profile, workspace.src)
                     inputs.tree.hold(space, suffix=".xml" if written else "")
                 inputs.tree.hold(workspace.state, suffix="no content")
@@ -124,10 +124,10 @@ class Run:
         return inputs
 
     def names(self, inputs: Inputs, given: tuple[str, ...]) -> tuple[str, ...]:
-        """Return the packages that a user named, or all of them.
+        """Return the packages that a user named, or all packages.
 
         Raises:
-            KeymintError: one is not legal, or is not a package of the workspace.
+            KeymintError: a name is illegal, or is not a package of the workspace.
         """
         known = packages(inputs.tree, inputs.workspace.src)
         if not given:
@@ -145,9 +145,9 @@ class Run:
     # -- doing it ------------------------------------------------------------------------------------------------
 
     def carry_out(self, workspace: Workspace, make_plan: Callable[[Inputs], Plan]) -> Report:
-        """Plan, carry the plan out under the workspace's lock, and return the report.
+        """Plan, execute the plan under the workspace lock, and return the report.
 
-        A workspace that does not exist yet is planned before its first byte is written, lock included.
+        A new workspace is planned before anything is written, including the lock.
         """
         if self.dry_run:
             plan = make_plan(self.snapshot(workspace))
@@ -168,14 +168,14 @@ class Run:
         return Report(self.verb, workspace, plan.steps, plan.diagnostics, {}, _exit_code(plan))
 
     def keep(self, inputs: Inputs, state: State) -> tuple[Diagnostic, ...]:
-        """Record what a verb found out that only looks, unless something changed in the workspace meanwhile.
+        """Save the results of a verb that does not write, unless the workspace changed meanwhile.
 
         Args:
-            inputs: the snapshot that it looked at.
-            state: the record with what it found out.
+            inputs: the snapshot of the verb.
+            state: the record with its results.
 
         Returns:
-            A note where the record cannot be written, e.g. on a read-only file system; that is no defect.
+            A note if the record cannot be written, e.g. on a read-only file system.
         """
         workspace = inputs.workspace
         if self.dry_run or inputs.state.interrupted or state.dump() == inputs.state.dump():
@@ -186,12 +186,12 @@ class Run:
                 if not store.is_marked() and self.inputs(workspace).state == inputs.state:
                     store.write(workspace.state, {RECORD: File(state.dump())})
         except KeymintError as error:
-            message = f"what was found out is not recorded: {error.diagnostics[0].message}"
+            message = f"the results are not cached: {error.diagnostics[0].message}"
             return (Diagnostic("not-recorded", Severity.NOTE, message, error.diagnostics[0].where),)
         return ()
 
 
 def _exit_code(plan: Plan) -> ExitCode:
-    """Return the exit code of a plan that was carried out: an error is about an enclave that was left as it is."""
+    """Return the exit code of an executed plan; an error concerns an enclave that was not changed."""
     failed = any(found.severity is Severity.ERROR for found in plan.diagnostics)
     return ExitCode.FAILURE if failed else ExitCode.DONE

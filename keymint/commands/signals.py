@@ -1,4 +1,4 @@
-"""Signals that end a long look early, with its result kept."""
+"""Signals that stop an observation early and keep its result."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ _EXIT_CODES = {signal.SIGINT: ExitCode.INTERRUPTED, signal.SIGTERM: ExitCode.TER
 
 
 class Ending:
-    """Whether a signal asked to end.
+    """Whether a signal requested the end.
 
     Attributes:
         exit_code: the exit code of the first signal, or None if there was none.
@@ -26,9 +26,9 @@ class Ending:
 
 @contextmanager
 def ended_by_signals() -> Iterator[Ending]:
-    """Yield what notes the first SIGINT or SIGTERM; a second one acts as usual, and so do all outside of the block."""
+    """Record the first SIGINT or SIGTERM within the block; a second one has its usual effect."""
     ending = Ending()
-    if threading.current_thread() is not threading.main_thread():  # only there a handler can be set
+    if threading.current_thread() is not threading.main_thread():  # only the main thread can set handlers
         yield ending
         return
     before = {number: signal.getsignal(number) for number in _EXIT_CODES}
@@ -42,7 +42,7 @@ def ended_by_signals() -> Iterator[Ending]:
         restore()
 
     for number, handler in before.items():
-        if handler is not signal.SIG_IGN:  # nohup, or a shell's background job, wants it ignored
+        if handler is not signal.SIG_IGN:  # nohup and background jobs of shells ignore it
             signal.signal(number, note)
     try:
         yield ending

@@ -1,4 +1,4 @@
-"""``keymint status``: where every package stands."""
+"""``keymint status``: stage and expiry of every package."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from keymint.status import Row, overview
 
 @verb()
 def status(run: Run) -> Report:
-    """Show a table of all packages: how far each has come, what is stale, and when it expires."""
+    """Show a table of all packages: the stage, whether it is stale, and when it expires."""
     workspace = run.workspace()
     inputs = run.snapshot(workspace)
     session = inputs.session()
@@ -53,7 +53,7 @@ def status(run: Run) -> Report:
 
 
 def _when(end: datetime | None, now: datetime) -> str:
-    """Return a date and how far off it is."""
+    """Return a date with the number of days until it."""
     if end is None:
         return "-"
     days = (end - now).days

@@ -1,4 +1,4 @@
-"""``keymint test``: runs a policy's own unit tests."""
+"""``keymint test``: run the unit tests of a policy."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ _PATH = click.Path(path_type=Path)
     type=Number(0, 100),
     default=0.0,
     metavar="PERCENT",
-    help="So many of the policy's rules must be exercised by an expectation [0].",
+    help="Fail if rule coverage is below PERCENT [0].",
 )
 @policy_options
 def test(
@@ -42,7 +42,7 @@ def test(
     min_coverage: float,
     policy_options: PolicyOptions,
 ) -> Report:
-    """Run the unit tests of POLICY: NAME.test.xml beside NAME.xml, or all *.test.xml in its folder.
+    """Run the unit tests of POLICY: NAME.test.xml beside NAME.xml, or all *.test.xml in its directory.
 
     \b
     <tests>
@@ -52,9 +52,11 @@ def test(
       </test>
     </tests>
 
-    A denial holds for every subject and every name that the expressions match, also for those that the policy does not
-    name. An allowance holds for every name, and for every subject that the policy names. -v lists the rules that no
-    expectation is about. Ends with 3 when an expectation does not hold.
+    <deny> must be true for every subject and every name that the expressions match, including those that the policy
+    does not name. <allow> must be true for every name, and for every subject that the policy names. -v lists the rules
+    that no expectation covers.
+
+    Exit code 3: an expectation fails, or rule coverage is below --min-coverage.
     """
     policies = Policies(run, policy_options)
     policy_type = run.plugins.policy_type(policy_options.policy_type)
@@ -64,7 +66,7 @@ def test(
     missing = next((folder for folder in folders if not folder.exists()), None)
     if missing is not None:
         shown = typed(run)(str(missing))
-        help_ = "name a policy, or its folder"
+        help_ = "name a policy, or its directory"
         raise KeymintError(
             f"the policy {shown!r} does not exist", where=Origin(shown), help=help_, code="policy-missing"
         )
@@ -84,7 +86,7 @@ def test(
     percent = 100 * (len(rules) - len(idle)) / len(rules) if rules else 100.0
     said = [*diagnostics(every), *_idle(idle)]
     if percent < min_coverage:
-        message = f"{percent:.0f} % of the rules are exercised, expected are {min_coverage:g} %"
+        message = f"rule coverage is {percent:.0f} %, below {min_coverage:g} %"
         said.append(Diagnostic("coverage-low", Severity.ERROR, message, help="'keymint test -v' lists the others"))
     if junit is not None:
         write_outputs(
@@ -110,7 +112,7 @@ def test(
 
 
 def _checked(checks: ExpectationChecker, expected: Sequence[Expectation]) -> list[ExpectationResult]:
-    """Check the expectations of a file; all that make no sense are said together."""
+    """Check the expectations of a file; raise the defects of all of them together."""
     found: list[ExpectationResult] = []
     defects: list[Diagnostic] = []
     for each in expected:
@@ -124,7 +126,7 @@ def _checked(checks: ExpectationChecker, expected: Sequence[Expectation]) -> lis
 
 
 def _own(rules: Mapping[Spot, Rule], folders: Sequence[Path], library: Path) -> dict[Spot, Rule]:
-    """Return the rules of the policy itself: those of the library are not for its tests."""
+    """Return the rules of the policy itself, without those of the library."""
     own = [folder if folder.is_dir() else folder.parent for folder in folders]
     found: dict[Spot, Rule] = {}
     for place in sorted(rules):
@@ -139,7 +141,7 @@ def _idle(rules: Sequence[Rule]) -> list[Diagnostic]:
         Diagnostic(
             "rule-untested",
             Severity.NOTE,
-            f"no expectation is about this {rule.effect} {rule.kind} rule ({', '.join(rule.permissions)})",
+            f"no expectation covers this {rule.effect} {rule.kind} rule ({', '.join(rule.permissions)})",
             rule.origin.alone(),
         )
         for rule in rules

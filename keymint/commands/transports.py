@@ -1,4 +1,4 @@
-"""``keymint transports``: which transports can be used on this machine, and how to install the rest."""
+"""``keymint transports``: usable transports on this machine, and how to install the others."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from keymint.output.report import Report
 
 @verb(workspace=False)
 def transports(run: Run) -> Report:
-    """List the transports that can be asked, simulated and real: which work here, and how to install the rest."""
+    """List the transports, simulated and real: which are usable here, and how to install the others."""
     found = [(name, transport.usable()) for name, transport in run.plugins.transports().items()]
     run.console.table(
         ["TRANSPORT", "USABLE", "VERSION", "TIERS"],
@@ -20,7 +20,7 @@ def transports(run: Run) -> Report:
     )
     named = [name for name, usable in found if usable.usable and not usable.by_default]
     if named:
-        run.console.line(f"asked only when they are named: {', '.join(named)}")
+        run.console.line(f"used only when named by -t: {', '.join(named)}")
     for name, usable in found:
         if not usable.usable:
             run.console.line(f"{name}: {usable.reason}" + (f" ({usable.help})" if usable.help else ""))

@@ -1,4 +1,4 @@
-"""Files that a user names on the command line, outside of any workspace: read bounded, written by the store."""
+"""Files that the command line names: read with limits, written by the store."""
 
 from __future__ import annotations
 
@@ -14,10 +14,10 @@ from keymint.tree import read_file
 
 
 def read_input(run: Run, path: Path) -> bytes:
-    """Return the bytes of a file that the user named; links are followed.
+    """Return the content of a file that the user named; links are followed.
 
     Raises:
-        KeymintError: there is none, it is no regular file, or cannot be read.
+        KeymintError: it is missing, is not a regular file, or cannot be read.
     """
     resolved = _resolved(run, path)
     try:
@@ -31,19 +31,19 @@ def read_input(run: Run, path: Path) -> bytes:
 
 
 def write_outputs(run: Run, path: Path, content: bytes, beside: Mapping[str, bytes] | None = None) -> list[str]:
-    """Write a file that the user named, atomically, and files beside it; one that is the same already is left alone.
+    """Write a file that the user named, and files beside it, atomically; unchanged files are not written.
 
     Args:
-        run: the verb under way; with ``--dry-run`` nothing is written.
+        run: the run; with ``--dry-run`` nothing is written.
         path: the file.
         content: its bytes.
         beside: further files by path relative to its folder, written first.
 
     Returns:
-        The files that were, or would be, written, as the user would type them.
+        The files that are, or would be, written, as the user would type them.
 
     Raises:
-        KeymintError: a link or something else stands in the way, or the system refuses.
+        KeymintError: the path is a link or a directory, or the system refuses.
     """
     target = _resolved(run, path.parent) / path.name
     folder = target.parent
@@ -58,7 +58,7 @@ def write_outputs(run: Run, path: Path, content: bytes, beside: Mapping[str, byt
 
 
 def exists(run: Run, path: Path) -> bool:
-    """Tell whether there is something at a path that the user named."""
+    """Return whether a path that the user named exists."""
     return _resolved(run, path).exists()
 
 
@@ -66,11 +66,11 @@ def _current(path: Path) -> bytes | None:
     try:
         return read_file(path)
     except KeymintError:
-        return None  # whatever it is, the store says why it is not replaced
+        return None  # the store reports why it cannot be replaced
 
 
 def _resolved(run: Run, path: Path) -> Path:
     try:
         return (run.setting.cwd / path).resolve()
     except (OSError, RuntimeError, ValueError) as error:
-        raise KeymintError("is no usable path", where=Origin(str(path)), code="file-missing") from error
+        raise KeymintError("is not a usable path", where=Origin(str(path)), code="file-missing") from error

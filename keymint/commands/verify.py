@@ -1,4 +1,4 @@
-"""``keymint verify``: holds what transports decide on the installed enclaves against what the policy says."""
+"""``keymint verify``: report mismatches between policy and transports."""
 
 from __future__ import annotations
 
@@ -47,8 +47,8 @@ _FILE = click.Path(path_type=Path, dir_okay=False)
     "--graph",
     type=click.Path(path_type=Path),
     metavar="FILE",
-    help="Complete this graph (docs/graph.md): every subject with every permission on every object. By default the "
-    "objects are what the policy mentions, and names that probe its patterns.",
+    help="Ask for every subject, permission and object of this graph (docs/graph.md) [the objects of the policy, and "
+    "names that probe its patterns].",
 )
 @transport_option
 @click.option(
@@ -56,18 +56,18 @@ _FILE = click.Path(path_type=Path, dir_okay=False)
     type=click.Choice([str(tier) for tier in Tier]),
     default=str(Tier.DECISION),
     show_default=True,
-    help="How deep to ask: its access-control code, real endpoints of real participants, or data that arrives.",
+    help="What to test: access-control code, endpoint creation, or data exchange.",
 )
 @click.option(
-    "--limit", type=click.IntRange(0), default=1000, show_default=True, help="Findings to list per transport."
+    "--limit", type=click.IntRange(0), default=1000, show_default=True, help="Mismatches to list per transport."
 )
-@click.option("--sarif", type=_FILE, metavar="FILE", help="Write the findings as SARIF 2.1.0.")
-@click.option("--junit", type=_FILE, metavar="FILE", help="Write the outcome as JUnit XML.")
+@click.option("--sarif", type=_FILE, metavar="FILE", help="Write the mismatches as SARIF 2.1.0.")
+@click.option("--junit", type=_FILE, metavar="FILE", help="Write the results as JUnit XML.")
 @click.option(
     "--report",
     type=click.Path(path_type=Path, file_okay=False),
     metavar="DIR",
-    help="Write a page to read in a browser, offline, and pictures of the labelled graph.",
+    help="Write an offline web page, and pictures of the labelled graph.",
 )
 def verify(
     run: Run,
@@ -80,22 +80,22 @@ def verify(
     junit: Path | None,
     report: Path | None,
 ) -> Report:
-    """Compare, edge by edge, what the policy says with what transports decide on the installed enclaves.
+    """Compare the decisions of transports on installed enclaves with the policy, edge by edge.
 
     \b
-    false positive: a transport allows what the policy does not
+    false positive: a transport allows what the policy denies
     false negative: a transport denies what the policy allows
 
-    Each is shown with the rule of the policy and the rule of the document that decide. Ends with 3 when there is any,
-    and when an enclave does not rest on the workspace's authorities: transports trust those that lie in the enclave.
-    NAME is a package; by default all of them.
+    Each mismatch is shown with the rule of the policy and the rule of the document. NAME is a package [all].
+
+    Exit code 3: there are mismatches, or an enclave does not trust the workspace's authorities.
     """
     workspace = run.workspace()
     inputs = run.snapshot(workspace)
     session = inputs.session()
     chosen_names = run.names(inputs, names)
     found = verification_scope(session, chosen_names)
-    # A transport trusts the authorities in the enclave. Whether they are the workspace's is asked here.
+    # A transport trusts the authorities in the enclave; they must be the workspace's.
     strange = differences(session, chosen_names)
     policy = load_policy(session)
     subjects = tuple(found.enclaves)
@@ -117,7 +117,7 @@ def verify(
                     name, transport, found.enclaves, edges(), said, Tier(tier), explain, limit, on_subject
                 )
                 outcomes.append(
-                    with_halves(outcome, transport, found.enclaves, edges(), judge, found.namings, explain, limit)
+                    with_halves(outcome, transport, found.enclaves, edges(), said, judge, found.namings, explain, limit)
                 )
         _show(run, outcomes, len(subjects), len(said))
         _write(run, outcomes, subjects, sarif, junit)
@@ -161,14 +161,14 @@ def _show(run: Run, outcomes: Sequence[Comparison], subjects: int, edges: int) -
     wrong = sum(outcome.confusion.errors for outcome in outcomes)
     run.console.line(
         f"verified {counted(subjects, 'enclave')}, {counted(edges, 'edge')} on "
-        f"{counted(len(outcomes), 'transport')}: {counted(wrong, 'edge')} decided otherwise than the policy says"
+        f"{counted(len(outcomes), 'transport')}: {counted(wrong, 'mismatch')} between policy and transports"
     )
 
 
 def _write(
     run: Run, outcomes: Sequence[Comparison], subjects: Sequence[str], sarif: Path | None, junit: Path | None
 ) -> None:
-    """Write the reports that were asked for."""
+    """Write the requested reports."""
     documents: Mapping[Path | None, Callable[[], bytes]] = {
         sarif: lambda: sarif_log("keymint verify", SARIF_RULES, sarif_results(outcomes), typed(run), Severity.ERROR),
         junit: lambda: junit_document("keymint verify", junit_suites(outcomes, subjects)),

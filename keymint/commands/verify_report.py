@@ -1,4 +1,4 @@
-"""What ``keymint verify --report`` writes: a page and pictures of the labelled graph."""
+"""Write the web page and the pictures of ``keymint verify --report``."""
 
 from __future__ import annotations
 
@@ -24,9 +24,9 @@ from keymint.verify.mismatch import Comparison, Mismatch
 
 PAGE = "index.html"
 MOST_TRUE = 10_000
-"""Edges without a finding that are kept of what is allowed, and again of what no rule allows: counts are of all.
+"""Edges without a mismatch to draw, of allowed edges and again of edges that no rule allows; counts include all.
 
-What a rule denies expressly is kept."""
+Edges that a rule denies are all drawn."""
 
 _UNSAFE = re.compile(r"[^A-Za-z0-9._-]+")
 
@@ -40,19 +40,19 @@ def labelled_edges(
     typed: Callable[[str], str],
     common: Callable[[Origin], bool] = nowhere,
 ) -> LabelledGraph:
-    """Return the graph that transports were held against, with their labels.
+    """Return the graph with the labels of policy and transports.
 
-    Nothing is asked again: an edge on which a transport has no finding is labelled as the policy labels it. Where
-    findings were counted and not kept, nothing is said of the edges that come after them.
+    An edge without a mismatch has the label of the policy. After the last mismatch that was kept, labels of a transport
+    with omitted mismatches are unknown.
 
     Args:
         title: one line.
-        outcomes: what came of each transport.
-        edges: all edges, in the order of the findings.
-        allowed: what the policy says of each: 1 allowed, 0 not.
-        decide: why it says so; asked only about edges that are kept.
+        outcomes: the comparison of each transport.
+        edges: all edges, in the order of the mismatches.
+        allowed: the policy's label of each edge: 1 allowed, 0 denied.
+        decide: returns the policy's decision; called only for edges that are drawn.
         typed: returns a path as the user would type it.
-        common: tells of the place of a rule whether it is one that every node includes.
+        common: returns whether the rule at a place is one that every node includes.
     """
     findings = [{finding.edge: finding for finding in outcome.findings} for outcome in outcomes]
     last = [outcome.findings[-1].edge if outcome.omitted and outcome.findings else None for outcome in outcomes]
@@ -84,7 +84,7 @@ def labelled_edges(
 def _with_endpoints(
     edges: Iterable[tuple[Edge, int]], findings: Sequence[Mapping[Edge, Mismatch]]
 ) -> Iterator[tuple[Edge, int]]:
-    """Yield edges with their labels, and then findings on endpoints, which are no edges of the graph."""
+    """Yield edges with their labels, then mismatches on endpoints, which are not edges of the graph."""
     left = dict.fromkeys(edge for each in findings for edge in each)
     for edge, may in edges:
         left.pop(edge, None)
@@ -110,28 +110,28 @@ def _place(origin: Origin, typed: Callable[[str], str]) -> Origin:
 
 
 def write_report(run: Run, folder: Path, labelled: LabelledGraph) -> list[str]:
-    """Write the page and the pictures of a labelled graph into a folder.
+    """Write the page and the pictures of a labelled graph into a directory.
 
     Returns:
-        The files that were written, as the user would type them.
+        The written files, as the user would type them.
 
     Raises:
-        KeymintError: something stands in the way, or the system refuses.
+        KeymintError: a file cannot be replaced.
     """
-    # Templates are slow to import, and a run without a report needs none.
+    # Templates are slow to import.
     from keymint.drawing.html_report import html_report  # noqa: PLC0415
     from keymint.drawing.svg import svg  # noqa: PLC0415
 
     pictures = {"graph.svg": svg(labelled)}
     for at, name in enumerate(labelled.transports):
         pictures[f"graph-{_UNSAFE.sub('_', name)}.svg"] = svg(labelled, DrawingOptions(transport=at))
-    # Also when there is none, so that no picture of an earlier run is taken for one of this.
+    # Written even without mismatches, to replace the picture of an earlier run.
     pictures["differences.svg"] = svg(select_edges(labelled, only=MISMATCHES))
     return write_outputs(run, folder / PAGE, html_report(labelled, sources(run, labelled)), pictures)
 
 
 def sources(run: Run, labelled: LabelledGraph) -> Mapping[str, bytes]:
-    """Return the files that places in a graph are in, by the names that they have there."""
+    """Return the content of the files that a graph refers to, by name."""
     places = {
         said.where
         for one in labelled.edges

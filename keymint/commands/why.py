@@ -1,4 +1,4 @@
-"""``keymint why``: explains one decision through all layers."""
+"""``keymint why``: explain one decision, from policy to transport."""
 
 from __future__ import annotations
 
@@ -40,10 +40,8 @@ _PERMISSIONS = [permission for permissions in LABELLED.values() for permission i
 @click.argument("subject")
 @click.argument("permission", shell_complete=lambda _c, _p, text: [p for p in _PERMISSIONS if p.startswith(text)])
 @click.argument("object_name", metavar="OBJECT")
-@click.option("--partition", "partitions", multiple=True, metavar="NAME", help="DDS partition; may be given again.")
-@click.option(
-    "--domain", type=click.IntRange(0, 232), metavar="N", help="DDS domain id [the first of the subject's grant]."
-)
+@click.option("--partition", "partitions", multiple=True, metavar="NAME", help="DDS partition; may be repeated.")
+@click.option("--domain", type=click.IntRange(0, 232), metavar="N", help="DDS domain id [the first one of the grant].")
 @transport_option
 def why(
     run: Run,
@@ -54,15 +52,14 @@ def why(
     domain: int | None,
     chosen: tuple[str, ...],
 ) -> Report:
-    """Explain why SUBJECT has PERMISSION on OBJECT, or has not: policy, package, DDS names, document, transports.
+    """Explain why SUBJECT has, or lacks, PERMISSION on OBJECT: policy, package, DDS names, document, transports.
 
     \b
     keymint why /talker ros_publish /chatter
     keymint why /robot1/nav ros_call /map/get
     keymint why /bridge publish telemetry --partition ops
 
-    The kind of the object is that of the permission. Ends with 3 when a transport and the policy
-    disagree, or the enclave does not rest on the workspace's authorities.
+    Exit code 3: a transport disagrees with the policy, or the enclave does not trust the workspace's authorities.
     """
     workspace = run.workspace()
     inputs = run.snapshot(workspace)
@@ -83,7 +80,7 @@ def why(
 
 
 def _strange(session: Session, found: Explanation) -> tuple[Diagnostic, ...]:
-    """Return what in the subject's enclave does not rest on the workspace's authorities."""
+    """Return diagnostics on authorities in the enclave that are not the workspace's."""
     if not (found.installed and found.packaged):
         return ()
     return differences(session, (found.edge.subject.removeprefix("/"),))
@@ -120,7 +117,7 @@ def _remedy(label: Mismatch, granted: Sequence[DomainRange]) -> str:
 
 
 def _lines(found: Explanation, typed: Callable[[str], str]) -> Iterator[str]:
-    """Yield the explanation in words, a layer after the other."""
+    """Yield the explanation in words, layer by layer."""
 
     def rule(each: MatchedRule) -> str:
         decides = "decides: " if each.where == found.policy.where else ""
@@ -128,15 +125,15 @@ def _lines(found: Explanation, typed: Callable[[str], str]) -> Iterator[str]:
 
     layers: dict[str, list[str]] = {"profiles": [_profile(each, typed) for each in found.profiles]}
     if not found.profiles:
-        layers["profiles"] = [f"none applies to {found.edge.subject}, so that it may do nothing"]
+        layers["profiles"] = [f"none applies to {found.edge.subject}, so it has no permission"]
     if found.similar:
         layers["profiles"].append(f"did you mean {found.similar!r}?")
     layers["policy"] = [rule(each) for each in found.rules] or [str(found.policy.reason)]
     if found.near:
         layers["policy"].append(f"nearest: {rule(found.near)}, but {found.near.note}")
-    layers["package"] = [rule(each) for each in found.package] or ["no rule of it is about this"]
+    layers["package"] = [rule(each) for each in found.package] or ["none of its rules applies to this"]
     if not found.packaged:
-        layers["package"] = ["there is none ('keymint create' makes it)"]
+        layers["package"] = ["missing ('keymint create' creates it)"]
     layers["needs"] = [_need(each) for each in found.endpoints]
     layers["enclave"] = list(_labels(found, typed))
     in_domain = f" in domain {found.edge.domain}" if found.edge.domain else ""
@@ -160,9 +157,9 @@ def _profile(profile: AppliedProfile, typed: Callable[[str], str]) -> str:
 
 
 def _labels(found: Explanation, typed: Callable[[str], str]) -> Iterator[str]:
-    """Yield what transports decide, told together where it is the same."""
+    """Yield the decisions of transports, one line for all with the same reason."""
     if not found.installed:
-        yield "none is installed ('keymint build' and 'keymint install' make it)"
+        yield "not installed (run 'keymint build' and 'keymint install')"
     together: dict[tuple[bool, str], list[str]] = {}
     for name, label in found.labels.items():
         deviation = f"; deviates from the standard: {label.verdict.deviation}" if label.verdict.deviation else ""
@@ -173,7 +170,7 @@ def _labels(found: Explanation, typed: Callable[[str], str]) -> Iterator[str]:
 
 
 def _document(found: Explanation, typed: Callable[[str], str]) -> dict[str, Any]:
-    """Return the explanation as what JSON can hold."""
+    """Return the explanation for JSON."""
 
     def rule(each: MatchedRule) -> dict[str, Any]:
         return {

@@ -9,7 +9,6 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import groupby
-from operator import attrgetter
 
 from keymint.api import Enclave, Transport, Verdict
 from keymint.graph import Edge
@@ -31,6 +30,7 @@ def with_halves(
     transport: Transport,
     enclaves: Mapping[str, Enclave],
     edges: Iterable[Edge],
+    allowed: Iterable[int],
     judge: EndpointPolicy,
     namings: Mapping[str, Naming],
     explain: Explain,
@@ -45,7 +45,8 @@ def with_halves(
         transport: the transport.
         enclaves: the enclave of each subject of the edges.
         edges: the edges, grouped by subject.
-        judge: what the policy says.
+        allowed: the policy's label of each edge: 1 allowed, 0 denied.
+        judge: the policy on endpoints.
         namings: the naming of each subject that has one.
         explain: says why a label is wrong.
         limit: findings to keep; all are counted.
@@ -57,7 +58,7 @@ def with_halves(
     findings = list(outcome.findings)
     wrong = dict(outcome.wrong)
     count = 0
-    asked = _endpoints(edges, judge, namings, waiting)
+    asked = _endpoints(zip(edges, allowed, strict=True), namings, waiting)
     for subject, labelled in label_by_subject(transport, enclaves, asked, outcome.tier):
         verdicts = dict(labelled)
         found = [each for each in _halves(waiting.pop(subject), verdicts) if not judge.decide(each).allowed]
@@ -72,25 +73,24 @@ def with_halves(
 
 
 def _endpoints(
-    edges: Iterable[Edge], judge: EndpointPolicy, namings: Mapping[str, Naming], waiting: dict[str, _Composites]
+    edges: Iterable[tuple[Edge, int]], namings: Mapping[str, Naming], waiting: dict[str, _Composites]
 ) -> Iterator[Edge]:
     """Yield the endpoints of edges that the policy denies and that have several, each once, grouped by subject.
 
     Args:
-        edges: the edges, grouped by subject.
-        judge: what the policy says.
+        edges: the edges with the policy's labels, grouped by subject.
         namings: the naming of each subject that has one.
         waiting: gets, by subject, what the endpoints belong to, before the first of them is yielded.
     """
-    for subject, group in groupby(edges, key=attrgetter("subject")):
+    for subject, group in groupby(edges, key=lambda labelled: labelled[0].subject):
         naming = namings.get(subject)
         if naming is None:
             continue
         known, composites = set[Edge](), list[Sequence[Edge]]()
-        for edge in group:
+        for edge, allowed in group:
             if edge.object.kind == RAW:
                 known.add(edge)
-            elif len(needed := naming.endpoints(edge)) > 1 and not judge.decide(edge).allowed:
+            elif len(needed := naming.endpoints(edge)) > 1 and not allowed:
                 composites.append(needed)
         if composites:
             waiting[subject] = _Composites(composites, frozenset(known))

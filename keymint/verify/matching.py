@@ -1,13 +1,13 @@
-"""Which rules of the intermediate representation are about an edge, and which come near."""
+"""The rules that apply to an edge, and the rule that nearly does."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
-from functools import lru_cache
 
 from comarmor.patterns import glob
-from comarmor.patterns.matching import matcher
+from comarmor.patterns.expression import matches
+from comarmor.patterns.rule_matching import rule_matches, rule_matches_partition
 from comarmor.rules import Effect, parts
 from comarmor.text import nearest_word
 from keymint.graph import Edge
@@ -15,51 +15,31 @@ from keymint.ir import Rule
 from keymint.verify.endpoint_policy import RAW
 
 
-@lru_cache(maxsize=1 << 12)
-def _matches(expression: str, name: str) -> bool:
-    return matcher(glob.parse(expression))(name)
+def matching_rules(rules: Sequence[Rule], edges: Iterable[Edge]) -> list[int]:
+    """Return the positions of the rules that apply to any of some edges or to a part of it, DENY rules first."""
+    found = {at for edge in edges for at, rule in enumerate(rules) if _applies(rule, edge)}
+    return sorted(found, key=lambda at: (rules[at].effect is Effect.ALLOW, at))
 
 
-def about(rules: Sequence[Rule], edge: Edge) -> tuple[int, ...]:
-    """Return the positions of the rules that match an edge itself, or a part of it, deny first."""
-    wanted = parts(edge.object.kind, edge.permission)
-    found = [at for at, rule in enumerate(rules) if any(_is_about(rule, part, edge) for part in wanted)]
-    return tuple(sorted(found, key=lambda at: rules[at].effect is Effect.ALLOW))
-
-
-def _is_about(rule: Rule, part: tuple[str, str, str], edge: Edge) -> bool:
-    """Tell whether a rule, itself or as what its composite permissions stand for, is about a part of an edge."""
-    kind, permission, suffix = part
-    name = edge.object.name + suffix
-    for held in rule.permissions:
-        for kind_of_part, permission_of_part, tail in parts(rule.kind, held):
-            if (kind_of_part, permission_of_part) != (kind, permission) or not name.endswith(tail):
-                continue
-            stem = name.removesuffix(tail)
-            if any(_matches(each, stem) for each in rule.expressions) and _in_partitions(rule, edge):
-                return True
-    return False
-
-
-def _in_partitions(rule: Rule, edge: Edge) -> bool:
-    asked = edge.object.partitions or ("",)
-    if not rule.partitions:
-        return rule.effect is Effect.DENY or "" in asked
-    return any(_matches(each, name) for each in rule.partitions for name in asked)
+def _applies(rule: Rule, edge: Edge) -> bool:
+    return any(
+        rule_matches(rule, kind, permission, edge.object.name + suffix)
+        for kind, permission, suffix in parts(edge.object.kind, edge.permission)
+    ) and any(rule_matches_partition(rule, partition) for partition in edge.object.partitions or ("",))
 
 
 @dataclass(frozen=True, slots=True)
 class NearMiss:
-    """A rule that nearly matches: its position, and what it lacks in words."""
+    """A rule that nearly matches: its position, and the difference in words."""
 
     at: int
     lacks: str
 
 
 def nearest(rules: Sequence[Rule], edge: Edge) -> NearMiss | None:
-    """Return the rule that comes nearest to allowing an edge, or None when none does.
+    """Return the ALLOW rule that comes nearest to an edge, or None.
 
-    One that names the object with another permission is nearer than one whose name is only similar.
+    The same object with another permission is nearer than an object with a similar name.
     """
     allows = [(at, rule) for at, rule in enumerate(rules) if rule.effect is Effect.ALLOW]
     candidates: Iterator[NearMiss | None] = (
@@ -69,14 +49,14 @@ def nearest(rules: Sequence[Rule], edge: Edge) -> NearMiss | None:
 
 
 def _names(rule: Rule, edge: Edge) -> bool:
-    return any(_matches(each, edge.object.name) for each in rule.expressions)
+    return any(matches(each, edge.object.name) for each in rule.expressions)
 
 
 def _other_partition(allows: Sequence[tuple[int, Rule]], edge: Edge) -> NearMiss | None:
     for at, rule in allows:
         if edge.object.kind == rule.kind == RAW and edge.permission in rule.permissions and _names(rule, edge):
             where = ", ".join(map(repr, rule.partitions)) or "the default partition only"
-            return NearMiss(at, f"it is about {'' if not rule.partitions else 'partitions '}{where}")
+            return NearMiss(at, f"it applies to {'' if not rule.partitions else 'partitions '}{where}")
     return None
 
 
@@ -91,7 +71,9 @@ def _other_kind(allows: Sequence[tuple[int, Rule]], edge: Edge) -> NearMiss | No
     for at, rule in allows:
         literal = any(glob.literal(glob.parse(each)) == edge.object.name for each in rule.expressions)
         if rule.kind != edge.object.kind and literal:
-            return NearMiss(at, f"it is a {rule.kind} rule, and {edge.permission} is about a {edge.object.kind}")
+            return NearMiss(
+                at, f"it is a {rule.kind} rule, and {edge.permission} is a permission of {edge.object.kind}"
+            )
     return None
 
 
@@ -103,4 +85,4 @@ def _similar_name(allows: Sequence[tuple[int, Rule]], edge: Edge) -> NearMiss | 
         for each in rule.expressions
     }
     near = nearest_word(edge.object.name, by_expression)
-    return NearMiss(by_expression[near], f"it is about {near!r}; did you mean that?") if near else None
+    return NearMiss(by_expression[near], f"it applies to {near!r}; did you mean that?") if near else None

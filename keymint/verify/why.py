@@ -17,7 +17,7 @@ from keymint.verify.compare import label_enclave
 from keymint.verify.copies import copied
 from keymint.verify.endpoint_policy import RAW, EndpointPolicy, Naming
 from keymint.verify.explain import Explainer
-from keymint.verify.matching import about, nearest
+from keymint.verify.matching import matching_rules, nearest
 from keymint.verify.mismatch import Mismatch
 from keymint.verify.scope import naming_of
 from keymint.workspace import packages
@@ -148,7 +148,7 @@ def explain(
     found = policy.rules(edge.subject)
     rules = found.rules if found else ()
     asked = (edge, *naming.meanings(edge)) if naming and edge.object.kind == RAW else (edge,)
-    matching = sorted({at for each in asked for at in about(rules, each)}, key=lambda at: rules[at].effect != "DENY")
+    matching = matching_rules(rules, asked)
     near = None if matching else nearest(rules, edge)
     subjects = policy.subjects()
     there = name in installed(session)
@@ -188,7 +188,7 @@ def _package(session: Session, name: str, edge: Edge) -> tuple[Sequence[MatchedR
     places = _places(session, name, files, rules)
     naming = naming_of(session, package)
     asked = (edge, *naming.meanings(edge)) if naming and edge.object.kind == RAW else (edge,)
-    matching = sorted({at for each in asked for at in about(rules, each)}, key=lambda at: rules[at].effect != "DENY")
+    matching = matching_rules(rules, asked)
     return [MatchedRule(rules[at], places[at]) for at in matching], naming
 
 
