@@ -36,7 +36,7 @@ def execute(
         on_step: called for every step when it is done.
 
     Raises:
-        KeymintError: the system refuses a write; every file is whole, and a later run goes on from here.
+        KeymintError: the system refuses a write; no file is incomplete, and a later run goes on from here.
     """
     record = plan.state.dump()
     guards = gitignore.missing(workspace, plan)

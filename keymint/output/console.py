@@ -72,7 +72,7 @@ class Console:
 
     def waiting(self) -> None:
         """Say that another run holds the workspace."""
-        self._say_err("another keymint works in this workspace; waiting for it to end")
+        self._say_err("Waiting for the workspace lock held by another keymint process")
 
     @contextmanager
     def progress(self, total: int, clock: Any) -> Iterator[Any]:

@@ -148,7 +148,7 @@ class TestForms:
         [
             (["--hints", "none.csv"], 1, "none.csv: error: no such file"),
             (["--hints", "bad.csv"], 1, "bad.csv:1: error: the first line is 'a,b', not the names of the columns"),
-            (["--hints", "bad.csv", "--no-optimise"], 2, "--hints is about the order of rules"),
+            (["--hints", "bad.csv", "--no-optimise"], 2, "--hints changes the order of rules"),
         ],
     )
     def test_wrong_hints_build_nothing(self, keymint, ws: Path, words, code, said) -> None:

@@ -87,8 +87,8 @@ def test_some_subjects(keymint, policy: Path) -> None:
 @pytest.mark.parametrize(
     ("arguments", "code", "said"),
     [
-        (["policy.xml", "-o", "out.jpg"], 2, "ends in no format"),
-        (["policy.xml", "--policy", "policy.xml"], 2, "--policy labels a graph"),
+        (["policy.xml", "-o", "out.jpg"], 2, "has an unknown suffix"),
+        (["policy.xml", "--policy", "policy.xml"], 2, "--policy labels only graphs"),
         (["graph.json", "--all"], 2, "--policy PATH"),
         (["graph.json", "--subject", "/taker"], 2, "did you mean '/talker'?"),
         (["policy.xml", "--namespace", "/robot"], 2, "did you mean '/robot1/'?"),

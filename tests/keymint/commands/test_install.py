@@ -100,7 +100,7 @@ def test_an_edit_that_changes_the_meaning_is_refused_by_name(
     outcome = keymint("install", cwd=provisioned)
     assert outcome.code == 3
     first = next(line for line in outcome.err.splitlines() if line.startswith(file))
-    assert "error: was edited by hand, and the edit changes what /talker may do" in first
+    assert "error: a manual edit changes what /talker may do" in first
     assert discard in first
     assert "signing the edited document" not in outcome.err
     assert snapshot(provisioned / "install") == before

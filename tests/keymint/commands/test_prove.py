@@ -74,7 +74,7 @@ def test_install_refuses_what_is_not_proven(keymint: Callable, provisioned: Path
     assert outcome.code == 3
     assert "permits it to publish 'rt/chattera'" in outcome.err
     assert installed.read_bytes() == before, "nothing is installed"
-    assert "build/talker/permissions.xml: error: was edited by hand" in outcome.err, "the cause is reported as well"
+    assert "build/talker/permissions.xml: error: a manual edit changes" in outcome.err, "the cause is reported as well"
     assert "--allow-vendor-specific" not in outcome.err, "the standard is at odds with it as well"
     assert keymint("install", "--no-prove", "-w", provisioned).code == 0
     assert installed.read_bytes() != before, "unless that is asked for"

@@ -32,7 +32,7 @@ SHARED = ["--except", "/parameter_events", "--except", "ros_discovery_info"]
         (
             "isolated /robot1/base /fleet/dispatcher",
             3,
-            "besides, by infrastructure: ros_discovery_info, /parameter_eve",
+            "also, by infrastructure: ros_discovery_info, /parameter_eve",
         ),
         (
             "flows /fleet/dashboard /robot1/lidar",
@@ -122,14 +122,14 @@ def test_subjects_that_the_policy_does_not_name(keymint, tmp_path: Path) -> None
 
 
 def test_no_question(keymint, policy: Path) -> None:
-    assert "there is no question" in keymint("query", policy).err
-    assert "there is no question" in keymint("query").err
+    assert "the question is missing" in keymint("query", policy).err
+    assert "the question is missing" in keymint("query").err
 
 
 @pytest.mark.parametrize(
     ("question", "said"),
     [
-        ("who can publish //x", "no ros_topic can be named as '//x' says"),
+        ("who can publish //x", "no ros_topic can have a name like '//x'"),
         ("who can publish fleet/emergency_stop", "did you mean '/fleet/emergency_stop'?"),
         ("can /robt1/base publish /robot1/odom", "did you mean '/robot1/base'?"),
         ("flows /robot1/base /nobody", "no profile of the policy applies to /nobody"),

@@ -165,7 +165,7 @@ def test_what_was_proven_is_recorded(workspace: Path, keymint: Keymint) -> None:
     assert stamps(workspace) == before
     assert keymint("prove", "-w", workspace).code == 0
     assert stamps(workspace) != before
-    assert "2 unchanged since proven" in keymint("prove", "-w", workspace).out
+    assert "2 cached" in keymint("prove", "-w", workspace).out
 
 
 def test_what_was_proven_is_not_recorded_over_what_somebody_did_meanwhile(

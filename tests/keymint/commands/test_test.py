@@ -61,7 +61,7 @@ def test_an_expectation(expect, element: str, subject: str, permission: str, nam
 def test_coverage(expect) -> None:
     outcome = expect(one("allow", "/a", "publish", "/x/y"), options=("-v",))
     assert outcome.out == "1 of 1 expectations hold; 1 of 3 rules are exercised (33 %)\n"
-    assert "p.xml:3: note: no expectation is about this DENY ros_topic rule (ros_publish)" in outcome.err
+    assert "p.xml:3: note: no expectation covers this DENY ros_topic rule (ros_publish)" in outcome.err
     assert expect(one("allow", "/a", "publish", "/x/y"), options=("--min-coverage", "50")).code == 3
     outcome = expect(
         one("allow", "/a", "publish", "/x/y"),

@@ -140,7 +140,7 @@ def test_a_subject_without_an_enclave(why) -> None:
     outcome = why("/cell/am", "ros_publish", "/estop")
     assert outcome.code == 0
     assert "did you mean '/cell/arm'?" in outcome.out
-    assert "none is installed" in outcome.out
+    assert "not installed" in outcome.out
 
 
 def test_a_subject_that_no_profile_applies_to(why) -> None:

@@ -66,7 +66,7 @@ def test_a_new_authority_takes_the_option(keymint, ws: Path) -> None:
     ("words", "code", "said"),
     [
         (("--new-authority", "identity-ca"), 2, "did you mean 'identity_ca'?"),
-        (("talker", "--new-authority", "identity_ca"), 2, "leave the names of packages out"),
+        (("talker", "--new-authority", "identity_ca"), 2, "do not name packages"),
     ],
 )
 def test_the_option_is_checked(keymint, ws: Path, words, code: int, said: str) -> None:
