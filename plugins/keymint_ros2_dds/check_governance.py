@@ -1,4 +1,4 @@
-"""``keymint check``: what an installed governance leaves open, or protects less than the sources say."""
+"""``keymint check``: findings on an installed governance that opens topics or protects less than its sources."""
 
 from __future__ import annotations
 
@@ -22,50 +22,53 @@ _NAMES = Universe(octets.ALPHABET, last_nonempty=True)
 
 
 def findings(inspection: Inspection) -> Iterator[Diagnostic]:
-    """Yield what the sources leave open, and what the signed document does beyond that.
+    """Yield findings on what the sources leave open, and on what the signed document protects less.
 
     Args:
-        inspection: the enclave; its governance document is signed, and valid.
+        inspection: the enclave; its governance document is signed and valid.
 
     Raises:
-        KeymintError: the sources say what no document can.
+        KeymintError: the sources cannot be compiled.
     """
     package = inspection.package
-    for found in governance_warnings.findings(package):
-        if found.severity is Severity.WARNING and found.code != governance_warnings.UNPROTECTED:
-            yield found
+    for finding in governance_warnings.findings(package):
+        if finding.severity is Severity.WARNING and finding.code != governance_warnings.UNPROTECTED:
+            yield finding
     file = f"{inspection.folder}/{GOVERNANCE_P7S}"
     try:
         signed = smime.read(inspection.files[GOVERNANCE_P7S], inspection.permissions_ca, where=Origin(file))
     except KeymintError:
-        return  # said by whoever judges the signature
+        return  # the check of signatures reports it
     place = (file, signed.lines_before)
     governing = EnclaveGovernance.of(signed.content, place, package.governance, package.subject, package.distro)
     if governing.differs:
-        yield from dict.fromkeys(_drifted(inspection, governing))
+        yield from dict.fromkeys(_weaker_protection(inspection, governing))
 
 
-def _drifted(inspection: Inspection, governing: EnclaveGovernance) -> Iterator[Diagnostic]:
+def _weaker_protection(inspection: Inspection, governing: EnclaveGovernance) -> Iterator[Diagnostic]:
     subject, document = inspection.package.subject, governing.document
-    again = f"'keymint install {inspection.package.name}' signs what the sources build"
+    help_ = f"'keymint install {inspection.package.name}' signs what the sources build"
     for domains in cuts(document, governing.sources):
         rule = DomainAccess.of(document, domains.first, STANDARD).rule
         if rule is None:
             continue
-        own = governing.source_rule(domains.first) or STRICT
+        expected = governing.source_rule(domains.first) or STRICT
         try:
-            all_found = list(weaker(rule, own, STANDARD, _NAMES, SearchBudget(governance_warnings.STATES), access=True))
+            results = list(
+                weaker(rule, expected, STANDARD, _NAMES, SearchBudget(governance_warnings.STATES), access=True)
+            )
         except PatternError as error:
-            yield Diagnostic("governance-unread", Severity.ERROR, str(error), document.place(rule.line), again, subject)
+            where = document.place(rule.line)
+            yield Diagnostic("governance-unread", Severity.ERROR, str(error), where, help_, subject)
             continue
-        for found in all_found:
-            if isinstance(found, Weaker):
-                about = f" for {found.topic!r}" if found.topic else ""
-                message = f"{found.tag} is {found.text}{about}, but the sources say {found.said}"
-                where = document.place(found.line)
-                yield Diagnostic("governance-weaker", Severity.ERROR, message, where, again, subject)
+        for result in results:
+            if isinstance(result, Weaker):
+                scope = f" for {result.topic!r}" if result.topic else ""
+                message = f"{result.tag} is {result.text}{scope}, but the sources say {result.said}"
+                where = document.place(result.line)
+                yield Diagnostic("governance-weaker", Severity.ERROR, message, where, help_, subject)
             else:
-                message = f"whether it protects what the sources protect is not known: {found.reason}"
+                message = f"whether it protects as much as the sources is unknown: {result.reason}"
                 yield Diagnostic(
-                    "governance-unknown", Severity.ERROR, message, document.place(rule.line), again, subject
+                    "governance-unknown", Severity.ERROR, message, document.place(rule.line), help_, subject
                 )

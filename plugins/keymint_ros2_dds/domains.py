@@ -45,7 +45,7 @@ def check_domains(ranges: Sequence[DomainRange], where: Origin, subject: str) ->
             message = f"the range of domains {item.first} to {item.last} is empty"
             diagnostics.append(Diagnostic("domains", Severity.ERROR, message, where, "put the lower id first", subject))
         elif item.last > MAX_DOMAIN:
-            message = f"domain {item.last} is higher than {MAX_DOMAIN}; Cyclone DDS refuses the whole document"
+            message = f"domain {item.last} is higher than {MAX_DOMAIN}; Cyclone DDS refuses the document"
             diagnostics.append(
                 Diagnostic("portability-domain", Severity.ERROR, message, where, f"use 0 to {MAX_DOMAIN}", subject)
             )

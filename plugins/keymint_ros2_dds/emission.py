@@ -19,7 +19,7 @@ from keymint.pki import names
 from keymint_ros2_dds.compiling.compile import Compiled, compile_rules, vendor_notes
 from keymint_ros2_dds.decision import OMG
 from keymint_ros2_dds.documents import dds_xml
-from keymint_ros2_dds.documents.permissions_document import render
+from keymint_ros2_dds.documents.permissions_document import document_tree, render
 from keymint_ros2_dds.layout import PERMISSIONS, PERMISSIONS_XML
 from keymint_ros2_dds.lowering.dds_topics import Action
 from keymint_ros2_dds.lowering.grant_rules import GrantRule
@@ -73,7 +73,9 @@ def _smallest_proven(package: Package, options: BuildOptions, compiled: Compiled
             diagnostics += vendor_notes(rules, package.permissions)
             break
         diagnostics.append(_form_unproven(package, open_claims[0]))
-    plain = document if rules == compiled.plain else render(package.permissions, compiled.plain)
+    plain = (
+        document if rules == compiled.plain else dds_xml.serialize(document_tree(package.permissions, compiled.plain))
+    )
     return Emitted(document, len(plain), compiled.lowered, tuple(diagnostics))
 
 
@@ -113,7 +115,7 @@ def _models(compiled: Compiled) -> tuple[str, ...]:
 
 def _open_claims(package: Package, lowered: Lowered, document: bytes, models: Sequence[str]) -> list[Claim]:
     """Return the claims about a document that are not proven."""
-    held = ProofSpec(
+    spec = ProofSpec(
         names.render(names.parse(package.permissions.subject_name, package.permissions.origin)),
         package.permissions.rules,
         package.distro,
@@ -121,7 +123,7 @@ def _open_claims(package: Package, lowered: Lowered, document: bytes, models: Se
         STATES,
         lambda: True,
     )
-    claims = prove_content(document, (PERMISSIONS_XML, 0), held, models=models, lowered=lowered)
+    claims = prove_content(document, (PERMISSIONS_XML, 0), spec, models=models, lowered=lowered)
     return [claim for claim in claims if claim.proof is not Proof.PROVEN]
 
 

@@ -83,18 +83,17 @@ def _open_topics(
     package: Package, rule: DomainRule, domains: tuple[DomainRange, ...], lowered: Lowered | None
 ) -> Iterator[_Finding]:
     inside = any(a.first <= b.last and b.first <= a.last for a in domains for b in package.permissions.domains)
-    before: list[Glob] = []
+    earlier: list[Glob] = []
     for topic in rule.topic_rules:
-        own = [
-            each
-            for each in governance_document.patterns(topic, package.distro)
-            if not union_covers(tuple(before), each)
-        ]
-        open_ = [] if not own else [action for action in ACCESS if not _controls(topic, action)]
+        patterns = governance_document.patterns(topic, package.distro)
+        effective = [pattern for pattern in patterns if not union_covers(tuple(earlier), pattern)]
+        if not effective:
+            continue
+        open_ = [action for action in ACCESS if not _controls(topic, action)]
         if open_ and inside and lowered is None:
             lowered = lower(package.permissions.rules, package.distro)
         for action in open_:
-            if inside and lowered is not None and _allowed(lowered, action, tuple(before), tuple(own)):
+            if inside and lowered is not None and _allowed(lowered, action, tuple(earlier), tuple(effective)):
                 continue
             text = (
                 f"{ACCESS[action]} is false for {topic.expression!r}: every participant may {action} all matching "
@@ -102,27 +101,27 @@ def _open_topics(
             )
             yield "governance-open", text, topic.origin
         kinds = (rule.rtps_protection_kind, topic.metadata_protection_kind, topic.data_protection_kind)
-        if own and set(kinds) == {_NONE}:
+        if set(kinds) == {_NONE}:
             text = (
                 f"nothing protects what {topic.expression!r} matches in {in_words(domains)} (rtps_, metadata_ and "
                 "data_protection_kind are NONE): whoever reaches the network can read and forge it"
             )
             yield UNPROTECTED, text, topic.origin
-        before += own
+        earlier += effective
 
 
 def _controls(topic: TopicProtection, action: str) -> bool:
     return topic.enable_write_access_control if action == "publish" else topic.enable_read_access_control
 
 
-def _allowed(lowered: Lowered, action: str, before: tuple[Glob, ...], own: tuple[Glob, ...]) -> bool:
+def _allowed(lowered: Lowered, action: str, earlier: tuple[Glob, ...], patterns: tuple[Glob, ...]) -> bool:
     """Tell whether a policy allows all topics that a rule leaves open, in every partition."""
     opened: DecisionList = tuple(
         Block(
             allows,
             tuple(normalise((*EVERYTHING, permission_lists.SEPARATOR, *octets.of_glob(topic))) for topic in topics),
         )
-        for allows, topics in ((False, before), (True, own))
+        for allows, topics in ((False, earlier), (True, patterns))
     )
     policy = permission_lists.of_policy(lowered, action, pairs=True)
     return isinstance(escapes((opened,), policy, _PAIRS, SearchBudget(STATES)), Equal)

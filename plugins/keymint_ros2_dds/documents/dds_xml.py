@@ -60,22 +60,25 @@ def date(moment: datetime) -> str:
 
 
 def render(document: etree._Element, kind: str) -> bytes:
-    """Validate a document against its schema and return it as bytes, indented unless it is large.
+    """Validate a document against its schema and return it as bytes.
 
     Raises:
         KeymintError: the document is not valid.
     """
     validate(document, kind, f"{kind}.xml")
-    content = _serialized(document, "  ")
-    if len(content) > INDENTED:
-        content = _serialized(document, "")
+    content = serialize(document)
     _valid.add(_digest(content, kind))
     return content
 
 
-def _serialized(document: etree._Element, space: str) -> bytes:
-    etree.indent(document, space=space)
-    return _HEAD + etree.tostring(document, encoding="utf-8") + b"\n"
+def serialize(document: etree._Element) -> bytes:
+    """Return a document as bytes, indented unless it is large."""
+    for indentation in ("  ", ""):
+        etree.indent(document, indentation)
+        content = _HEAD + etree.tostring(document, encoding="utf-8") + b"\n"
+        if len(content) <= INDENTED:
+            break
+    return content
 
 
 def require_valid(content: bytes, kind: str, name: str) -> None:

@@ -24,6 +24,15 @@ def render(permissions: Permissions, rules: Iterable[GrantRule[str]]) -> bytes:
     """Return the permissions document, valid against its schema; a pure function of its arguments.
 
     Raises:
+        KeymintError: as :func:`document_tree` does.
+    """
+    return dds_xml.render(document_tree(permissions, rules), PERMISSIONS)
+
+
+def document_tree(permissions: Permissions, rules: Iterable[GrantRule[str]]) -> etree._Element:
+    """Return the root element of the permissions document.
+
+    Raises:
         KeymintError: the subject's name, a date or a domain cannot be expressed portably across DDS vendors.
     """
     subject = permissions.rules.subject
@@ -46,7 +55,7 @@ def render(permissions: Permissions, rules: Iterable[GrantRule[str]]) -> bytes:
     for rule in rules:
         _add_rule(grant, permissions, rule)
     dds_xml.child(grant, "default", "DENY")
-    return dds_xml.render(root, PERMISSIONS)
+    return root
 
 
 def _add_rule(grant: etree._Element, permissions: Permissions, rule: GrantRule[str]) -> None:

@@ -1,4 +1,4 @@
-"""The DDS endpoints that an edge of a semantic graph stands for, and the edges that an endpoint can stand for."""
+"""Maps edges on ROS names to the DDS endpoints that they need, and DDS endpoints back to such edges."""
 
 from __future__ import annotations
 
@@ -16,40 +16,40 @@ _KINDS = {
 
 
 @lru_cache(maxsize=64)
-def _images(distro: str, kind: str, permission: str) -> tuple[tuple[str, str, str], ...]:
+def _dds_topics(distro: str, kind: str, permission: str) -> tuple[tuple[str, str, str], ...]:
     """Return action, prefix and suffix of each endpoint of a permission."""
     check_distro(distro)
     if not has_kind(distro, kind):
         raise KeymintError(f"ROS 2 {distro.capitalize()} has no {kind}", code="distro-kind")
-    found = []
+    result = []
     for _, part, tail in parts(kind, permission):
         if part not in DDS_TOPICS:
             raise KeymintError(f"DDS knows no permission {part!r} of a {kind}", code="permission-unknown")
-        found += [(str(image.action), image.prefix, tail + image.suffix) for image in DDS_TOPICS[part]]
-    return tuple(found)
+        result += [(str(topic.action), topic.prefix, tail + topic.suffix) for topic in DDS_TOPICS[part]]
+    return tuple(result)
 
 
 def endpoints(distro: str, edge: Edge) -> tuple[Edge, ...]:
-    """Return the edges of kind ``topic`` that a subject needs for an edge; an edge of that kind is its own.
+    """Return the edges of kind ``topic`` that an edge needs; an edge of that kind needs only itself.
 
     Args:
         distro: ROS 2 distribution whose name mapping applies.
         edge: an edge of any kind.
 
     Raises:
-        KeymintError: the distribution or the permission is not known.
+        KeymintError: the distribution or the permission is unknown.
     """
     if edge.object.kind == "topic":
         return (edge,)
     name = edge.object.name
     return tuple(
         Edge(edge.subject, action, _topic(distro, f"{prefix}{name}{suffix}"), edge.domain)
-        for action, prefix, suffix in _images(distro, edge.object.kind, edge.permission)
+        for action, prefix, suffix in _dds_topics(distro, edge.object.kind, edge.permission)
     )
 
 
 def _topic(distro: str, path: str) -> Object:
-    """Return the topic of a ROS name with its prefix and suffix: for Ardent, all but the base name is a partition."""
+    """Return the DDS topic of a ROS name with prefix and suffix; for Ardent, all but the base name is a partition."""
     if distro != ARDENT:
         return Object("topic", path)
     partition, _, topic = path.rpartition("/")
@@ -57,27 +57,27 @@ def _topic(distro: str, path: str) -> Object:
 
 
 def _paths(distro: str, topic: Object) -> tuple[tuple[str, tuple[str, ...]], ...]:
-    """Return the ROS names, with prefix and suffix, that a topic may stand for, and the partitions that are left."""
+    """Return the ROS names, with prefix and suffix, that map to a topic, each with the remaining partitions."""
     if distro != ARDENT:
         return ((topic.name, topic.partitions),)
     return tuple((f"{partition}/{topic.name}", ()) for partition in topic.partitions)
 
 
 def meanings(distro: str, endpoint: Edge) -> tuple[Edge, ...]:
-    """Return the edges on ROS names, none of them composite, that need an endpoint.
+    """Return the edges on ROS names that need an endpoint; none of them is composite.
 
     Args:
         distro: ROS 2 distribution whose name mapping applies.
         endpoint: an edge of kind ``topic``.
 
     Raises:
-        KeymintError: the distribution is not known.
+        KeymintError: the distribution is unknown.
     """
-    found = []
+    result = []
     for path, partitions in _paths(distro, endpoint.object):
         for permission, kind in _KINDS.items():
-            for action, prefix, suffix in _images(distro, kind, permission):
+            for action, prefix, suffix in _dds_topics(distro, kind, permission):
                 if action == endpoint.permission and path.startswith(f"{prefix}/") and path.endswith(suffix):
                     name = path[len(prefix) : len(path) - len(suffix)]
-                    found.append(Edge(endpoint.subject, permission, Object(kind, name, partitions), endpoint.domain))
-    return tuple(found)
+                    result.append(Edge(endpoint.subject, permission, Object(kind, name, partitions), endpoint.domain))
+    return tuple(result)
