@@ -13,7 +13,7 @@ from keymint_ros2_dds import governance_warnings, vendor_limits
 from keymint_ros2_dds.documents import governance_document
 from keymint_ros2_dds.domains import in_words, uncovered
 from keymint_ros2_dds.emission import emit
-from keymint_ros2_dds.layout import GOVERNANCE, GOVERNANCE_XML, PERMISSIONS, PERMISSIONS_XML
+from keymint_ros2_dds.enclave_layout import GOVERNANCE, GOVERNANCE_XML, PERMISSIONS, PERMISSIONS_XML
 
 
 def build(package: Package, options: BuildOptions) -> BuildResult:

@@ -17,7 +17,7 @@ from keymint_ros2_dds import check_governance, revocation, vendor_limits
 from keymint_ros2_dds.documents import dds_xml
 from keymint_ros2_dds.domains import in_words, uncovered
 from keymint_ros2_dds.emission import is_form_of
-from keymint_ros2_dds.layout import (
+from keymint_ros2_dds.enclave_layout import (
     CA,
     CERTIFICATE,
     CRL,

@@ -13,7 +13,7 @@ from keymint.pki import smime
 from keymint_ros2_dds import governance_warnings
 from keymint_ros2_dds.decision.access import DomainAccess
 from keymint_ros2_dds.decision.semantics import STANDARD
-from keymint_ros2_dds.layout import GOVERNANCE_P7S
+from keymint_ros2_dds.enclave_layout import GOVERNANCE_P7S
 from keymint_ros2_dds.proving import octets
 from keymint_ros2_dds.proving.enclave_governance import EnclaveGovernance, cuts
 from keymint_ros2_dds.proving.protection import STRICT, Weaker, weaker

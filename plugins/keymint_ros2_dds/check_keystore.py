@@ -10,7 +10,7 @@ from comarmor.errors import Diagnostic, Origin, Severity
 from keymint.api import Inspection
 from keymint.errors import KeymintError
 from keymint.pki import certificates, names
-from keymint_ros2_dds.layout import CERTIFICATE
+from keymint_ros2_dds.enclave_layout import CERTIFICATE
 
 
 def check_all(inspections: Sequence[Inspection]) -> tuple[Diagnostic, ...]:

@@ -7,7 +7,7 @@ from keymint.api import Enclave
 from keymint.errors import KeymintError
 from keymint.pki import smime
 from keymint_ros2_dds import decision
-from keymint_ros2_dds.layout import PERMISSIONS_P7S
+from keymint_ros2_dds.enclave_layout import PERMISSIONS_P7S
 from keymint_ros2_dds.transports import enclave_files
 
 

@@ -20,8 +20,8 @@ from keymint_ros2_dds.compiling.compile import Compiled, compile_rules, vendor_n
 from keymint_ros2_dds.decision import OMG
 from keymint_ros2_dds.documents import dds_xml
 from keymint_ros2_dds.documents.permissions_document import document_tree, render
-from keymint_ros2_dds.layout import PERMISSIONS, PERMISSIONS_XML
-from keymint_ros2_dds.lowering.dds_topics import Action
+from keymint_ros2_dds.enclave_layout import PERMISSIONS, PERMISSIONS_XML
+from keymint_ros2_dds.lowering.dds_topics import TopicAction
 from keymint_ros2_dds.lowering.grant_rules import GrantRule
 from keymint_ros2_dds.lowering.lower import Lowered
 from keymint_ros2_dds.proving import ASSUMPTIONS, ProofSpec, prove_content
@@ -105,7 +105,7 @@ def is_form_of(package: Package, document: bytes) -> bool:
 
 def _relay_rules(document: bytes) -> list[bytes]:
     root = dds_xml.read(document, PERMISSIONS, PERMISSIONS_XML)
-    return [etree.tostring(rule, method="c14n") for rule in root.iterfind(f".//{Action.RELAY}/..")]
+    return [etree.tostring(rule, method="c14n") for rule in root.iterfind(f".//{TopicAction.RELAY}/..")]
 
 
 def _models(compiled: Compiled) -> tuple[str, ...]:

@@ -11,7 +11,7 @@ from keymint.api import Artifact, EnclaveCredentials, Package
 from keymint.errors import KeymintError
 from keymint.pki import smime
 from keymint_ros2_dds.documents import dds_xml
-from keymint_ros2_dds.layout import (
+from keymint_ros2_dds.enclave_layout import (
     CA,
     CERTIFICATE,
     FILES,

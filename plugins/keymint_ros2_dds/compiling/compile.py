@@ -20,7 +20,7 @@ from keymint_ros2_dds.compiling.gathering import GUARD, gathered
 from keymint_ros2_dds.compiling.partitions import PartitionError
 from keymint_ros2_dds.compiling.priority import EndpointCount, prioritised
 from keymint_ros2_dds.compiling.rule_order import OrderError, portable_rules, rule_per_policy_rule, standard_rules
-from keymint_ros2_dds.lowering.dds_topics import Action
+from keymint_ros2_dds.lowering.dds_topics import TopicAction
 from keymint_ros2_dds.lowering.endpoints import endpoints
 from keymint_ros2_dds.lowering.grant_rules import GrantRule
 from keymint_ros2_dds.lowering.lower import Lowered, lower
@@ -65,7 +65,7 @@ def compile_rules(permissions: Permissions, distro: str, options: BuildOptions) 
     check_distro(distro)
     lowered = lower(permissions.rules, distro)
     report = _PortabilityReport(lowered, permissions.rules.subject, options.allow_vendor_specific)
-    for action in Action:
+    for action in TopicAction:
         for pattern, reason in partitions.unsafe(lowered.allow[action]):
             report.add("portability-partition", action, pattern, reason)
     minimal = report.with_expressions(_minimal_rules(lowered, report))
@@ -142,7 +142,7 @@ class _PortabilityReport:
         """Return a report on the same rules without diagnostics."""
         return _PortabilityReport(self._lowered, self._subject, self._warn)
 
-    def add(self, code: str, action: Action | None, pattern: Glob, reason: str) -> None:
+    def add(self, code: str, action: TopicAction | None, pattern: Glob, reason: str) -> None:
         rule = self._rule(action, pattern)
         where = rule.origin if rule else None
         prefix = (
@@ -162,9 +162,9 @@ class _PortabilityReport:
         """Return rules with expressions in place of patterns."""
         return tuple(GrantRule(rule.effect, rule.partitions, dict(self._expressions(rule))) for rule in rules)
 
-    def _expressions(self, rule: GrantRule[Glob]) -> Iterator[tuple[Action, tuple[str, ...]]]:
+    def _expressions(self, rule: GrantRule[Glob]) -> Iterator[tuple[TopicAction, tuple[str, ...]]]:
         """Yield the sorted expressions of a rule by action."""
-        for action in Action:
+        for action in TopicAction:
             texts: set[str] = set()
             for pattern in rule.topics.get(action, ()):
                 try:
@@ -175,7 +175,7 @@ class _PortabilityReport:
             if texts:
                 yield action, tuple(sorted(texts))
 
-    def _rule(self, action: Action | None, pattern: Glob) -> Rule | None:
+    def _rule(self, action: TopicAction | None, pattern: Glob) -> Rule | None:
         """Return the policy rule that has a pattern, or else one that overlaps it; denials first."""
         patterns = sorted(self._lowered.patterns(), key=lambda item: item[0] is Effect.ALLOW)
         candidates = [(other, rule) for _, at, other, rule in patterns if action in {None, at}]
@@ -193,7 +193,7 @@ def vendor_notes(rules: Iterable[GrantRule[str]], permissions: Permissions) -> I
             "no-permissions", Severity.NOTE, f"{subject} is allowed nothing, so it may not join a domain either",
             permissions.origin, "allow something if it is to take part", subject,
         )  # fmt: skip
-    if any(Action.RELAY in rule.topics for rule in rules):
+    if any(TopicAction.RELAY in rule.topics for rule in rules):
         yield Diagnostic(
             "vendor-relay", Severity.WARNING, "Cyclone DDS and OpenDDS ignore permissions to relay",
             permissions.origin, "do not rely on them there", subject,

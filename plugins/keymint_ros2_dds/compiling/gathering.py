@@ -13,7 +13,7 @@ from comarmor.patterns import glob
 from comarmor.patterns.matching import matcher
 from comarmor.rules import Effect
 from keymint.keymake.gather import Pattern, gather
-from keymint_ros2_dds.lowering.dds_topics import Action
+from keymint_ros2_dds.lowering.dds_topics import TopicAction
 from keymint_ros2_dds.lowering.grant_rules import DEFAULT, EVERY, GrantRule, Partitions, is_name
 
 GUARD = "*]*"
@@ -25,7 +25,7 @@ MIN_SAVED_PART = 10
 
 _RULE, _CRITERIA, _TOPIC = 130, 90, 28
 """Approximate bytes of a rule, of its criteria for an action, and of an expression, without the texts in them."""
-_ACTIONS = (Action.PUBLISH, Action.SUBSCRIBE)
+_ACTIONS = (TopicAction.PUBLISH, TopicAction.SUBSCRIBE)
 
 
 def gathered(rules: Sequence[GrantRule[str]], *, min_saved: int | None = None) -> tuple[GrantRule[str], ...]:
@@ -44,7 +44,7 @@ def gathered(rules: Sequence[GrantRule[str]], *, min_saved: int | None = None) -
     endpoints, relays = rules[:relay], rules[relay:]
     movable = _named_once(endpoints)
     remaining: list[GrantRule[str]] = []
-    gathered_topics: dict[Partitions, dict[Action, tuple[str, ...]]] = {}
+    gathered_topics: dict[Partitions, dict[TopicAction, tuple[str, ...]]] = {}
     for rule in endpoints:
         topics = dict(rule.topics)
         for action in _ACTIONS if rule.effect is Effect.ALLOW else ():
@@ -63,7 +63,7 @@ def gathered(rules: Sequence[GrantRule[str]], *, min_saved: int | None = None) -
 
 
 def _joined(
-    remaining: Sequence[GrantRule[str]], topics: Mapping[Partitions, Mapping[Action, tuple[str, ...]]]
+    remaining: Sequence[GrantRule[str]], topics: Mapping[Partitions, Mapping[TopicAction, tuple[str, ...]]]
 ) -> list[GrantRule[str]]:
     """Return the remaining rules, then the guard and the gathered topics; an allow rule comes first."""
     denied = DEFAULT if set(topics) == {DEFAULT} else EVERY

@@ -13,7 +13,7 @@ from comarmor.patterns.glob import Glob
 from comarmor.patterns.matching import matcher, matches
 from comarmor.patterns.relations import all_disjoint
 from keymint_ros2_dds.compiling.gathering import GUARD
-from keymint_ros2_dds.lowering.dds_topics import Action
+from keymint_ros2_dds.lowering.dds_topics import TopicAction
 from keymint_ros2_dds.lowering.grant_rules import GrantRule, is_name
 
 
@@ -57,7 +57,7 @@ def _counted(rule: GrantRule[str], counts: Sequence[EndpointCount]) -> tuple[Gra
     """Return a rule with its expressions in order, and how often it is requested."""
     partitions = [glob.parse(text) for text in rule.partitions]
     total = 0
-    topics: dict[Action, tuple[str, ...]] = {}
+    topics: dict[TopicAction, tuple[str, ...]] = {}
     for action, texts in rule.topics.items():
         times: dict[str, int] = {}
         for count in counts:
@@ -79,7 +79,7 @@ def _weight(text: str, times: Mapping[str, int]) -> int:
 def _may_swap(rules: Sequence[GrantRule[str]], n: int) -> bool:
     """Tell whether a rule may move before its predecessor."""
     before, rule = rules[n - 1], rules[n]
-    if (Action.RELAY in before.topics) is not (Action.RELAY in rule.topics):
+    if (TopicAction.RELAY in before.topics) is not (TopicAction.RELAY in rule.topics):
         return False  # relay rules, which some vendors ignore, stay at the end
     if before.effect is not rule.effect and (n == 1 or n == len(rules) - 1 or _is_guard(before)):
         return False

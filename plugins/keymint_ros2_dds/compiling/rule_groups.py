@@ -13,7 +13,7 @@ from comarmor.patterns.relations import all_disjoint, disjoint, sort_key
 from comarmor.rules import Effect
 from keymint.keymake.order import Arrangement, arrange
 from keymint_ros2_dds.compiling.partitions import Step, decision_list, touches, uniform
-from keymint_ros2_dds.lowering.dds_topics import Action
+from keymint_ros2_dds.lowering.dds_topics import TopicAction
 from keymint_ros2_dds.lowering.grant_rules import DEFAULT, EVERY, GrantRule, Partitions
 
 
@@ -41,7 +41,7 @@ class RuleGroup:
 
 
 def rule_groups(
-    action: Action, allow: Sequence[Step], deny: Sequence[Step], *, reduced: bool = True
+    action: TopicAction, allow: Sequence[Step], deny: Sequence[Step], *, reduced: bool = True
 ) -> list[RuleGroup]:
     """Return the rules of an action in groups that share no name.
 
@@ -79,7 +79,7 @@ def _sort_key(step: Step) -> tuple[str, Partitions]:
 
 
 def _simple(
-    action: Action, allow: Iterable[Step], deny: Iterable[Step], shared: Partitions, *, reduced: bool
+    action: TopicAction, allow: Iterable[Step], deny: Iterable[Step], shared: Partitions, *, reduced: bool
 ) -> RuleGroup:
     denied = (pattern for pattern, partitions in deny if touches(shared, partitions))
     order = arrange((pattern for pattern, _ in allow), dict.fromkeys(denied), reduced=reduced)
@@ -123,7 +123,7 @@ def _joined(left: Glob, right: Glob, narrowed: Iterable[Glob]) -> bool:
     return not disjoint(left, right) or any(not disjoint(left, d) and not disjoint(right, d) for d in narrowed)
 
 
-def _rules(action: Action, steps: Iterable[Step]) -> Iterator[GrantRule[Glob]]:
+def _rules(action: TopicAction, steps: Iterable[Step]) -> Iterator[GrantRule[Glob]]:
     for pattern, partitions in steps:
         yield GrantRule(Effect.ALLOW if partitions else Effect.DENY, partitions or EVERY, {action: (pattern,)})
 

@@ -26,12 +26,12 @@ from comarmor.rules import Effect
 from keymint.ir import Rule
 from keymint.keymake.order import EarlyRules, early_rules
 from keymint_ros2_dds.compiling.rule_groups import RuleGroup, denied_partitions, merged, rule_groups
-from keymint_ros2_dds.lowering.dds_topics import Action
+from keymint_ros2_dds.lowering.dds_topics import TopicAction
 from keymint_ros2_dds.lowering.grant_rules import DEFAULT, EVERY, GrantRule
 from keymint_ros2_dds.lowering.lower import Lowered
 
-_Groups = Mapping[Action, Sequence[RuleGroup]]
-_Early = tuple[Action, RuleGroup, EarlyRules]
+_Groups = Mapping[TopicAction, Sequence[RuleGroup]]
+_Early = tuple[TopicAction, RuleGroup, EarlyRules]
 
 
 class OrderError(Exception):
@@ -56,9 +56,9 @@ def portable_rules(lowered: Lowered, *, reduced: bool = True) -> tuple[GrantRule
     """
     groups = {
         action: rule_groups(action, tuple(lowered.allow[action]), tuple(lowered.deny[action]), reduced=reduced)
-        for action in Action
+        for action in TopicAction
     }
-    relay = groups.pop(Action.RELAY)
+    relay = groups.pop(TopicAction.RELAY)
     relay_rules = [*(rule for group in relay for rule in group.free), *(r for group in relay for r in group.ordered)]
     rules = [*_both_directions(groups), *merged(relay_rules)]
     if rules and rules[0].effect is Effect.DENY:
@@ -71,8 +71,8 @@ def _both_directions(groups: _Groups) -> list[GrantRule[Glob]]:
     free = [rule for action in groups for group in groups[action] for rule in group.free]
     if not any(group.ordered for action in groups for group in groups[action]):
         return merged(free)
-    publish, subscribe = Action.PUBLISH, Action.SUBSCRIBE
-    orders: list[tuple[tuple[Action, ...], tuple[Action, ...]]]
+    publish, subscribe = TopicAction.PUBLISH, TopicAction.SUBSCRIBE
+    orders: list[tuple[tuple[TopicAction, ...], tuple[TopicAction, ...]]]
     orders = [((publish, subscribe), (subscribe,)), ((subscribe, publish), (publish,))]
     if all(group.arrangement for group in (*groups[publish], *groups[subscribe])):
         orders.insert(0, ((), (publish, subscribe)))
@@ -99,13 +99,13 @@ def _cost(rules: Iterable[GrantRule[Glob]]) -> int:
     return sum(2 + sum(map(len, rule.topics.values())) for rule in rules)
 
 
-def _early(action: Action, groups: _Groups) -> list[_Early]:
+def _early(action: TopicAction, groups: _Groups) -> list[_Early]:
     """Return the patterns that one direction must allow before the denials of the other direction.
 
     Raises:
         OrderError: there are no such rules.
     """
-    other = Action.SUBSCRIBE if action is Action.PUBLISH else Action.PUBLISH
+    other = TopicAction.SUBSCRIBE if action is TopicAction.PUBLISH else TopicAction.PUBLISH
     denied = [pattern for group in groups[other] for pattern in group.denied]
     free = [
         p for a in groups for g in groups[a] for rule in g.free for patterns in rule.topics.values() for p in patterns
@@ -126,7 +126,7 @@ def _early(action: Action, groups: _Groups) -> list[_Early]:
     return result
 
 
-def _clash(denied: Iterable[Glob], action: Action, group: RuleGroup, earlier: Iterable[Glob]) -> Glob | None:
+def _clash(denied: Iterable[Glob], action: TopicAction, group: RuleGroup, earlier: Iterable[Glob]) -> Glob | None:
     """Return a denied pattern if a detailed list allows some of its names that no earlier rule names; else None."""
     named = list(earlier)
     for rule in group.ordered:
@@ -165,12 +165,12 @@ def rule_per_policy_rule(rules: Iterable[GrantRule[Glob]], lowered: Lowered) -> 
 
     The parts of a rule have the same effect and partitions, so splitting changes no decision.
     """
-    owners: dict[tuple[Effect, Action, Glob], Rule] = {}
+    owners: dict[tuple[Effect, TopicAction, Glob], Rule] = {}
     for effect, action, pattern, policy_rule in lowered.patterns():
         owners.setdefault((effect, action, pattern), policy_rule)
     result: list[GrantRule[Glob]] = []
     for rule in rules:
-        parts: dict[Rule | None, dict[Action, list[Glob]]] = {}
+        parts: dict[Rule | None, dict[TopicAction, list[Glob]]] = {}
         for action, patterns in rule.topics.items():
             for pattern in patterns:
                 owner = owners.get((rule.effect, action, pattern))
@@ -190,7 +190,7 @@ def standard_rules(lowered: Lowered) -> tuple[GrantRule[Glob], ...]:
     for effect, sides in ((Effect.DENY, lowered.deny), (Effect.ALLOW, lowered.allow)):
         rules = [
             GrantRule(effect, partitions or (EVERY if effect is Effect.DENY else DEFAULT), {action: (pattern,)})
-            for action in Action
+            for action in TopicAction
             for pattern, partitions in sides[action]
         ]
         result += merged(sorted(rules, key=lambda rule: rule.partitions))

@@ -21,7 +21,7 @@ from keymint.api import DomainRule, Governance, TopicProtection
 from keymint.errors import KeymintError
 from keymint_ros2_dds.documents import dds_xml
 from keymint_ros2_dds.domains import check_domains
-from keymint_ros2_dds.layout import GOVERNANCE
+from keymint_ros2_dds.enclave_layout import GOVERNANCE
 from keymint_ros2_dds.lowering.dds_topics import DDS_TOPICS
 from keymint_ros2_dds.lowering.mapping import ARDENT, dds_patterns
 from keymint_ros2_dds.lowering.portable import NotPortableError, portable_expressions

@@ -13,7 +13,7 @@ from keymint.errors import KeymintError
 from keymint.pki import names
 from keymint_ros2_dds.documents import dds_xml
 from keymint_ros2_dds.domains import check_domains
-from keymint_ros2_dds.layout import PERMISSIONS
+from keymint_ros2_dds.enclave_layout import PERMISSIONS
 from keymint_ros2_dds.lowering.grant_rules import DEFAULT, GrantRule
 
 _MAX_YEAR = 2261

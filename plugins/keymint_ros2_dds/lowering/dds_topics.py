@@ -8,7 +8,7 @@ from enum import StrEnum
 from types import MappingProxyType
 
 
-class Action(StrEnum):
+class TopicAction(StrEnum):
     """What a rule of a permissions document permits or denies (DDS Security 1.1, 9.4.1.3.2.3)."""
 
     PUBLISH = "publish"
@@ -26,21 +26,21 @@ class DdsTopic:
         suffix: text after the ROS name.
     """
 
-    action: Action
+    action: TopicAction
     prefix: str = ""
     suffix: str = ""
 
 
 DDS_TOPICS: Mapping[str, tuple[DdsTopic, ...]] = MappingProxyType(
     {
-        "publish": (DdsTopic(Action.PUBLISH),),
-        "subscribe": (DdsTopic(Action.SUBSCRIBE),),
-        "relay": (DdsTopic(Action.RELAY),),
-        "ros_publish": (DdsTopic(Action.PUBLISH, "rt"),),
-        "ros_subscribe": (DdsTopic(Action.SUBSCRIBE, "rt"),),
-        "ros_relay": (DdsTopic(Action.RELAY, "rt"),),
-        "ros_call": (DdsTopic(Action.PUBLISH, "rq", "Request"), DdsTopic(Action.SUBSCRIBE, "rr", "Reply")),
-        "ros_execute": (DdsTopic(Action.SUBSCRIBE, "rq", "Request"), DdsTopic(Action.PUBLISH, "rr", "Reply")),
+        "publish": (DdsTopic(TopicAction.PUBLISH),),
+        "subscribe": (DdsTopic(TopicAction.SUBSCRIBE),),
+        "relay": (DdsTopic(TopicAction.RELAY),),
+        "ros_publish": (DdsTopic(TopicAction.PUBLISH, "rt"),),
+        "ros_subscribe": (DdsTopic(TopicAction.SUBSCRIBE, "rt"),),
+        "ros_relay": (DdsTopic(TopicAction.RELAY, "rt"),),
+        "ros_call": (DdsTopic(TopicAction.PUBLISH, "rq", "Request"), DdsTopic(TopicAction.SUBSCRIBE, "rr", "Reply")),
+        "ros_execute": (DdsTopic(TopicAction.SUBSCRIBE, "rq", "Request"), DdsTopic(TopicAction.PUBLISH, "rr", "Reply")),
     }
 )
 """The DDS topics of each permission that is not composite."""

@@ -8,7 +8,7 @@ from typing import Generic, TypeVar
 
 from comarmor.patterns.tokens import SPECIAL
 from comarmor.rules import Effect
-from keymint_ros2_dds.lowering.dds_topics import Action
+from keymint_ros2_dds.lowering.dds_topics import TopicAction
 
 Partitions = tuple[str, ...]
 """Partition expressions, sorted."""
@@ -31,7 +31,7 @@ class GrantRule(Generic[_Pattern]):
 
     effect: Effect
     partitions: Partitions
-    topics: Mapping[Action, tuple[_Pattern, ...]]
+    topics: Mapping[TopicAction, tuple[_Pattern, ...]]
 
 
 def is_name(expression: str) -> bool:

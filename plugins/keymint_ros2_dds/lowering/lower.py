@@ -18,7 +18,7 @@ from comarmor.rules import Effect, parts
 from comarmor.text import did_you_mean
 from keymint.errors import KeymintError
 from keymint.ir import Rule, SubjectRules
-from keymint_ros2_dds.lowering.dds_topics import DDS_TOPICS, Action
+from keymint_ros2_dds.lowering.dds_topics import DDS_TOPICS, TopicAction
 from keymint_ros2_dds.lowering.grant_rules import Partitions
 from keymint_ros2_dds.lowering.mapping import dds_patterns, has_kind
 
@@ -39,14 +39,14 @@ class Lowered:
         diagnostics: warnings about expressions that match no name.
     """
 
-    allow: Mapping[Action, LoweredRules]
-    deny: Mapping[Action, LoweredRules]
+    allow: Mapping[TopicAction, LoweredRules]
+    deny: Mapping[TopicAction, LoweredRules]
     diagnostics: tuple[Diagnostic, ...]
 
-    def patterns(self) -> Iterator[tuple[Effect, Action, Glob, Rule]]:
+    def patterns(self) -> Iterator[tuple[Effect, TopicAction, Glob, Rule]]:
         """Yield every pattern with its rule, those of ALLOW rules first."""
         for effect, sides in ((Effect.ALLOW, self.allow), (Effect.DENY, self.deny)):
-            for action in Action:
+            for action in TopicAction:
                 for (pattern, _), rule in sides[action].items():
                     yield effect, action, pattern, rule
 
@@ -63,8 +63,8 @@ def lower(rules: SubjectRules, distro: str) -> Lowered:
     """
     if unknown := [_unknown(rule, distro, rules.subject) for rule in rules.rules if not has_kind(distro, rule.kind)]:
         raise KeymintError.of(unknown)
-    sides: dict[Effect, dict[Action, dict[tuple[Glob, Partitions], Rule]]] = {
-        effect: {action: {} for action in Action} for effect in Effect
+    sides: dict[Effect, dict[TopicAction, dict[tuple[Glob, Partitions], Rule]]] = {
+        effect: {action: {} for action in TopicAction} for effect in Effect
     }
     diagnostics: list[Diagnostic] = []
     for rule in rules.rules:
@@ -81,10 +81,10 @@ def lower(rules: SubjectRules, distro: str) -> Lowered:
     return Lowered(sides[Effect.ALLOW], sides[Effect.DENY], tuple(diagnostics))
 
 
-def _patterns(expression: str, rule: Rule, distro: str) -> list[tuple[Action, Glob, Partitions]]:
+def _patterns(expression: str, rule: Rule, distro: str) -> list[tuple[TopicAction, Glob, Partitions]]:
     """Return action, topic pattern and mapped partitions of an expression of a rule, for all its permissions."""
     tokens = _parse(expression, rule)
-    result: list[tuple[Action, Glob, Partitions]] = []
+    result: list[tuple[TopicAction, Glob, Partitions]] = []
     for permission in rule.permissions:
         for _, part, suffix in parts(rule.kind, permission):
             if part not in DDS_TOPICS:

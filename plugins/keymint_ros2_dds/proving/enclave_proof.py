@@ -9,7 +9,7 @@ from keymint.api import Claim, ProofTask, TrustAnchors, ValidityTerm
 from keymint.errors import KeymintError
 from keymint.pki import smime
 from keymint_ros2_dds import decision
-from keymint_ros2_dds.layout import CERTIFICATE, GOVERNANCE_P7S, PERMISSIONS_P7S, PERMISSIONS_XML
+from keymint_ros2_dds.enclave_layout import CERTIFICATE, GOVERNANCE_P7S, PERMISSIONS_P7S, PERMISSIONS_XML
 from keymint_ros2_dds.proving import validity_terms
 from keymint_ros2_dds.proving.claims import ProofSpec
 from keymint_ros2_dds.proving.enclave_governance import EnclaveGovernance

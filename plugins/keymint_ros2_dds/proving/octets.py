@@ -20,7 +20,7 @@ from comarmor.patterns.tokens import charset
 from keymint.ir import SubjectRules
 from keymint_ros2_dds.decision import fnmatch
 from keymint_ros2_dds.decision.semantics import Semantics
-from keymint_ros2_dds.lowering.dds_topics import Action
+from keymint_ros2_dds.lowering.dds_topics import TopicAction
 from keymint_ros2_dds.reading.signed_permissions import DocumentGrant, PermissionsDocument
 
 ALPHABET = charset([(0x01, 0xFF)])
@@ -106,6 +106,6 @@ def _expressions(grants: Iterable[DocumentGrant], semantics: Semantics) -> Itera
     for grant in grants:
         for rule in grant.rules:
             for criteria in rule.criteria:
-                if criteria.action != Action.RELAY:
+                if criteria.action != TopicAction.RELAY:
                     for text in (*criteria.topics, *(criteria.partitions or ())):
                         yield semantics.reads_text(text), criteria.line

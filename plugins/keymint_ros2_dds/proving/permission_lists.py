@@ -14,7 +14,7 @@ from comarmor.patterns.glob import EVERYTHING, Glob, normalise, parse
 from comarmor.patterns.matching import matches
 from comarmor.rules import Effect
 from keymint_ros2_dds.decision.semantics import Semantics
-from keymint_ros2_dds.lowering.dds_topics import Action
+from keymint_ros2_dds.lowering.dds_topics import TopicAction
 from keymint_ros2_dds.lowering.grant_rules import Partitions
 from keymint_ros2_dds.lowering.lower import Lowered
 from keymint_ros2_dds.proving import octets
@@ -45,7 +45,7 @@ def of_policy(lowered: Lowered, action: str, *, pairs: bool) -> DecisionList:
     for effect, sides in ((Effect.DENY, lowered.deny), (Effect.ALLOW, lowered.allow)):
         every = (EVERYTHING,) if effect is Effect.DENY else (_DEFAULT,)
         topics: dict[Partitions, list[Glob]] = {}
-        for topic, listed in sides[Action(action)]:
+        for topic, listed in sides[TopicAction(action)]:
             topics.setdefault(listed, []).append(octets.of_glob(topic))
         patterns: dict[Glob, None] = {}
         for listed, own in topics.items():
@@ -105,7 +105,7 @@ def _topics(rules: Iterable[DocumentRule], semantics: Semantics, *, pairs: bool)
     """Yield the blocks of the topic check: the first criteria that match the topic decide, in any direction."""
     for rule in rules:
         for criteria in rule.criteria:
-            if criteria.action != Action.RELAY:
+            if criteria.action != TopicAction.RELAY:
                 topics = _read(criteria.topics, semantics)
                 yield Block(rule.allows, _words((EVERYTHING,), topics, pairs=pairs))
 

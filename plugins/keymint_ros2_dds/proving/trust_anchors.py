@@ -18,7 +18,7 @@ from keymint.api import TrustAnchor, TrustAnchors
 from keymint.errors import KeymintError
 from keymint.pki import certificates, keys, names, smime, verify
 from keymint_ros2_dds import revocation
-from keymint_ros2_dds.layout import (
+from keymint_ros2_dds.enclave_layout import (
     CA,
     CERTIFICATE,
     CRL,

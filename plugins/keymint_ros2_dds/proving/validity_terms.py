@@ -14,7 +14,7 @@ from keymint.pki import certificates, names
 from keymint_ros2_dds import revocation
 from keymint_ros2_dds.decision import VARIATIONS, PermissionsDocument
 from keymint_ros2_dds.decision.semantics import Semantics
-from keymint_ros2_dds.layout import CA, CERTIFICATE, CRL, IDENTITY_CA, PERMISSIONS_CA
+from keymint_ros2_dds.enclave_layout import CA, CERTIFICATE, CRL, IDENTITY_CA, PERMISSIONS_CA
 from keymint_ros2_dds.reading.signed_permissions import DocumentGrant
 
 Period = tuple[datetime, datetime]

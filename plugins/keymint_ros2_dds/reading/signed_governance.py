@@ -16,7 +16,7 @@ from lxml import etree
 from comarmor.errors import ComArmorError, Origin
 from comarmor.xml.reader import line, parse
 from keymint.errors import KeymintError
-from keymint_ros2_dds.layout import GOVERNANCE, GOVERNANCE_XML
+from keymint_ros2_dds.enclave_layout import GOVERNANCE, GOVERNANCE_XML
 from keymint_ros2_dds.reading import quirks
 from keymint_ros2_dds.reading.quirks import PLAIN, REFUSES, UNMODELLED, Quirk
 from keymint_ros2_dds.reading.signed_permissions import DocumentDomains

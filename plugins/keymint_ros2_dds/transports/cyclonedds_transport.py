@@ -14,7 +14,7 @@ from keymint.graph import Edge
 from keymint.pki import smime
 from keymint_ros2_dds import decision
 from keymint_ros2_dds.decision import CYCLONEDDS_0_10
-from keymint_ros2_dds.layout import PERMISSIONS_P7S
+from keymint_ros2_dds.enclave_layout import PERMISSIONS_P7S
 from keymint_ros2_dds.lowering.endpoints import endpoints
 from keymint_ros2_dds.transports import admission, enclave_files
 from keymint_ros2_dds.transports.enclave_model import EnclaveModel, EnclaveModels

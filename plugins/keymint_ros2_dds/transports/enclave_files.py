@@ -13,7 +13,15 @@ from comarmor.errors import Origin
 from keymint.api import Enclave, Environment
 from keymint.errors import KeymintError
 from keymint.pki import certificates, mime, names, smime
-from keymint_ros2_dds.layout import CA, CERTIFICATE, GOVERNANCE_P7S, IDENTITY_CA, KEY, PERMISSIONS_CA, PERMISSIONS_P7S
+from keymint_ros2_dds.enclave_layout import (
+    CA,
+    CERTIFICATE,
+    GOVERNANCE_P7S,
+    IDENTITY_CA,
+    KEY,
+    PERMISSIONS_CA,
+    PERMISSIONS_P7S,
+)
 from keymint_ros2_dds.reading import signed_governance, signed_permissions
 from keymint_ros2_dds.reading.signed_governance import GovernanceDocument
 from keymint_ros2_dds.reading.signed_permissions import PermissionsDocument

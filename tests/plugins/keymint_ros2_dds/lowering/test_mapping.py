@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import pytest
-from keymint_ros2_dds.lowering.dds_topics import DDS_TOPICS, Action, DdsTopic
+from keymint_ros2_dds.lowering.dds_topics import DDS_TOPICS, DdsTopic, TopicAction
 from keymint_ros2_dds.lowering.mapping import DISTROS, check_distro
 from keymint_ros2_dds.lowering.modern_names import dds_patterns
 
@@ -35,7 +35,7 @@ def test_the_image_of_a_topic(expression, images):
 
 def test_a_service_is_two_topics():
     client, server = DDS_TOPICS["ros_call"], DDS_TOPICS["ros_execute"]
-    assert client == (DdsTopic(Action.PUBLISH, "rq", "Request"), DdsTopic(Action.SUBSCRIBE, "rr", "Reply"))
+    assert client == (DdsTopic(TopicAction.PUBLISH, "rq", "Request"), DdsTopic(TopicAction.SUBSCRIBE, "rr", "Reply"))
     assert {(one.prefix, one.suffix) for one in client} == {(one.prefix, one.suffix) for one in server}
     assert {one.action for one in client if one.prefix == "rq"} != {one.action for one in server if one.prefix == "rq"}
     assert dds_patterns(parse("/add"), client[0]) == (("rq/addRequest",),)
