@@ -36,7 +36,7 @@ def cited(file: str, line: int = 0) -> str:
 
     Args:
         file: path.
-        line: line number from 1, or 0 for the file as a whole.
+        line: line number from 1, or 0 for the complete file.
     """
     name = library_name(file)
     place = f"{name or file}:{line}" if line else name or file
@@ -49,7 +49,7 @@ class Origin:
 
     Attributes:
         file: path as the user would type it; never empty.
-        line: line number from 1, or 0 for the file as a whole.
+        line: line number from 1, or 0 for the complete file.
         chain: the places that included the file, innermost first.
         column: column from 1, or 0 if it is not known; distinguishes elements on one line.
     """

@@ -28,7 +28,7 @@ class Placeholder(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class TunableReference:
-    """``@{NAME}``: a reference to a tunable, which stands for each of its values."""
+    """``@{NAME}``: a reference to a tunable; the attachment expands to each of its values."""
 
     name: str
 

@@ -106,12 +106,12 @@ class _PolicyParser:
 
     def profiles(self, item: _PlacedElement, scope: TunableScope) -> tuple[Profile, ...]:
         """Return the profiles in a ``<profiles>`` element."""
-        found: list[Profile] = []
+        nested: list[Profile] = []
         for child in self.children(item):
             if child.element.tag == "tunable":
                 self.tunable(child, scope)
             elif child.element.tag == "profile":
-                found += self.profile(child, scope, audit=False, depth=1)
+                nested += self.profile(child, scope, audit=False, depth=1)
             else:
                 self.refuse(
                     f"<{child.element.tag}> is included outside of a profile, where rules are not allowed",
@@ -119,7 +119,7 @@ class _PolicyParser:
                     "rule-outside",
                     "move the xi:include into a <profile>",
                 )
-        return tuple(found)
+        return tuple(nested)
 
     def profile(self, item: _PlacedElement, around: TunableScope, *, audit: bool, depth: int) -> Iterator[Profile]:
         """Yield the profile of a ``<profile>`` element, unless it is nested too deeply."""
@@ -213,7 +213,7 @@ class _PolicyParser:
 
     def partitions(self, element: etree._Element, item: _PlacedElement) -> tuple[str, ...]:
         """Return the expressions of a ``<partitions>`` element; tunables and placeholders are not allowed."""
-        found: dict[str, None] = {}
+        expressions: dict[str, None] = {}
         for child in element:
             where = _place(item.document, child, item.chain)
             try:
@@ -228,8 +228,8 @@ class _PolicyParser:
                     "brace",
                     "for the character itself write \\{ or \\}",
                 )
-            found["".join(str(piece) for piece in pieces)] = None
-        return tuple(found)
+            expressions["".join(str(piece) for piece in pieces)] = None
+        return tuple(expressions)
 
 
 def parse(sources: PolicyFiles) -> Policy:

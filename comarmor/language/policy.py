@@ -16,7 +16,7 @@ _MOST_CACHED = 4096
 
 
 @dataclass(frozen=True, slots=True)
-class _ProfileIndex:
+class _ProfileLookup:
     """Sibling profiles, indexed by their exact names, so that a subject is not compared with each of them.
 
     Attributes:
@@ -31,10 +31,10 @@ class _ProfileIndex:
     exact: Mapping[str, list[int]]
     patterns: Mapping[str, list[tuple[int, str]]]
     lengths: tuple[int, ...]
-    inner: tuple[_ProfileIndex | None, ...]
+    inner: tuple[_ProfileLookup | None, ...]
 
     @classmethod
-    def of(cls, profiles: tuple[Profile, ...]) -> _ProfileIndex:
+    def of(cls, profiles: tuple[Profile, ...]) -> _ProfileLookup:
         exact: dict[str, list[int]] = {}
         patterns: dict[str, list[tuple[int, str]]] = {}
         for position, profile in enumerate(profiles):
@@ -76,13 +76,13 @@ class Policy:
     files: Mapping[Path, bytes] = field(default_factory=dict)
     seen: Mapping[Path, bytes] = field(default_factory=dict)
     unused_tunables: tuple[Tunable, ...] = ()
-    _level: _ProfileIndex = field(init=False, repr=False)
+    _level: _ProfileLookup = field(init=False, repr=False)
     _cached_rules: dict[str, tuple[Rule, ...]] = field(init=False, repr=False, default_factory=dict)
     _shared_rules: dict[int, Rule] = field(init=False, repr=False, default_factory=dict)
     """By identity of the profile's rule: the rules that are the same for all subjects."""
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "_level", _ProfileIndex.of(self.profiles))
+        object.__setattr__(self, "_level", _ProfileLookup.of(self.profiles))
 
     def applicable(self, subject: str) -> tuple[Profile, ...]:
         """Return the profiles that apply to a subject: an attachment of each, and of every enclosing one, matches it.

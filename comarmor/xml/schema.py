@@ -137,11 +137,11 @@ def _short(match: re.Match[str], _v: SchemaVocabulary, _e: etree._Element | None
 
 
 def _simple(match: re.Match[str], _v: SchemaVocabulary, _e: etree._Element | None) -> tuple[str, str]:
-    return f"<{match[1]}> can only hold text, not elements", ""
+    return f"<{match[1]}> can only contain text, no elements", ""
 
 
 def _text(match: re.Match[str], _v: SchemaVocabulary, _e: etree._Element | None) -> tuple[str, str]:
-    return f"<{match[1]}> cannot hold text", "remove the text, or put it into a comment"
+    return f"<{match[1]}> cannot contain text", "remove the text, or put it into a comment"
 
 
 def _value(match: re.Match[str], _v: SchemaVocabulary, _e: etree._Element | None) -> tuple[str, str]:

@@ -41,8 +41,8 @@ class SchemaVocabulary:
             return {item.get("name", ""): item for schema in schemas for item in schema.iterchildren(f"{XS}{tag}")}
 
         def names(tag: str) -> tuple[str, ...]:
-            found = (item.get("name") for schema in schemas for item in schema.iter(f"{XS}{tag}"))
-            return tuple(sorted({str(name) for name in found if name}))
+            declared = (item.get("name") for schema in schemas for item in schema.iter(f"{XS}{tag}"))
+            return tuple(sorted({str(name) for name in declared if name}))
 
         types, groups = top_level("complexType"), top_level("group")
         return cls(top_level("element"), types, groups, names("element"), names("attribute"))

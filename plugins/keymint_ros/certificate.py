@@ -7,10 +7,11 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 from comarmor.errors import Origin
+from comarmor.xml.reader import line
 from keymint.api import CertificateSpec, Extension, KeySpec, Validity
 from keymint.errors import KeymintError
 from keymint_ros import placeholders, validity
-from keymint_ros.document import incomplete, line, place, text
+from keymint_ros.document import incomplete, place, text
 
 if TYPE_CHECKING:
     from lxml import etree

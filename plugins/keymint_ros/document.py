@@ -19,6 +19,7 @@ from comarmor.data import locate
 from comarmor.errors import Diagnostic, Origin
 from comarmor.text import did_you_mean
 from comarmor.xml import reader, schema
+from comarmor.xml.reader import line
 from keymint.errors import KeymintError
 
 _T = TypeVar("_T")
@@ -82,12 +83,6 @@ def _named(diagnostic: Diagnostic, name: str) -> Diagnostic:
 def place(element: etree._Element) -> Origin:
     """Return the place of an element in the document that is being read."""
     return Origin(_NAMELESS, line(element))
-
-
-def line(element: etree._Element) -> int:
-    """Return the line of an element, from 1."""
-    number: int | None = element.sourceline  # type: ignore[assignment] # lxml-stubs declare an ellipsis
-    return number or 0
 
 
 def text(element: etree._Element | None) -> str | None:

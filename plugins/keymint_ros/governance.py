@@ -7,9 +7,10 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 from comarmor.errors import Origin
+from comarmor.xml.reader import line
 from keymint.api import DomainRange, DomainRule, TopicProtection
 from keymint.errors import KeymintError
-from keymint_ros.document import Reader, line, place, text
+from keymint_ros.document import Reader, place, text
 
 if TYPE_CHECKING:
     from lxml import etree

@@ -5,7 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from keymint_ros.document import Reader, line, text
+from comarmor.xml.reader import line
+from keymint_ros.document import Reader, text
 
 if TYPE_CHECKING:
     from lxml import etree

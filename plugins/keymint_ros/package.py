@@ -8,10 +8,11 @@ from typing import TYPE_CHECKING, TypeVar
 
 from comarmor.errors import Diagnostic, Origin
 from comarmor.text import did_you_mean
+from comarmor.xml.reader import line
 from keymint.api import Authority, CertificateSpec, Governance, Package, Permissions, WorkspaceProfile
 from keymint.errors import KeymintError
 from keymint_ros import certificate, governance, manifest, permissions, placeholders, validity
-from keymint_ros.document import Reader, file_in, incomplete, line, normal_path, text
+from keymint_ros.document import Reader, file_in, incomplete, normal_path, text
 from keymint_ros.manifest import MARKER, PackageManifest, PackagePart
 from keymint_ros.profile import OPEN_GOVERNANCE, base_of
 

@@ -22,10 +22,11 @@ from comarmor.errors import ComArmorError, Origin
 from comarmor.language.attachments import strip
 from comarmor.patterns.expression import parse as parse_expression
 from comarmor.rules import Effect
+from comarmor.xml.reader import line
 from keymint.errors import KeymintError
 from keymint.ir import Rule, SubjectRules
 from keymint_ros import document, placeholders, validity
-from keymint_ros.document import Reader, line, place
+from keymint_ros.document import Reader, place
 from keymint_ros.governance import domains
 
 if TYPE_CHECKING:

@@ -10,11 +10,12 @@ from typing import TYPE_CHECKING
 
 from comarmor.errors import Origin
 from comarmor.text import did_you_mean
+from comarmor.xml.reader import line
 from keymint.api import Authority, PolicySource, WorkspaceProfile
 from keymint.errors import KeymintError
 from keymint_ros import bootstrap, certificate, distros, placeholders
 from keymint_ros.certificate import CertificateElement
-from keymint_ros.document import Reader, file_in, line, place, text
+from keymint_ros.document import Reader, file_in, place, text
 from keymint_ros.manifest import BUILD_TYPE
 
 if TYPE_CHECKING:

@@ -13,7 +13,7 @@ from functools import lru_cache
 
 from lxml import etree
 
-from comarmor.errors import ComArmorError, Origin
+from comarmor.errors import Origin
 from comarmor.xml.reader import line, parse
 from keymint.errors import KeymintError
 from keymint_ros2_dds.enclave_layout import GOVERNANCE, GOVERNANCE_XML
@@ -151,12 +151,7 @@ def read(content: bytes, file: str = GOVERNANCE_XML, offset: int = 0) -> Governa
 # Enclaves usually have the same governance.
 @lru_cache(maxsize=64)
 def _read(content: bytes) -> GovernanceDocument:
-    try:
-        root = parse(content, GOVERNANCE_XML)
-    except ComArmorError as error:
-        first = error.diagnostics[0]
-        place = Origin(GOVERNANCE_XML, first.where.line if first.where else 0)
-        raise KeymintError(first.message, where=place, help=first.help, code=first.code) from None
+    root = parse(content, GOVERNANCE_XML)
     if root.tag != "dds" or root.find("domain_access_rules") is None:
         where = Origin(GOVERNANCE_XML, line(root))
         raise KeymintError("this is not a governance document", where=where, code="document-kind")
