@@ -1,4 +1,4 @@
-"""New profiles: complete, loadable, conservative."""
+"""New profiles are complete, loadable and conservative."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from keymint.api import DomainRange, KeySpec
 from keymint.errors import KeymintError
 from keymint.pki import names
 
-from .workspaces import NOW, REQUEST, ROOT, RULES, Workspace, read_folder, write_folder
+from .workspaces import NOW, REQUEST, ROOT, RULES, Workspace, write_folder
 
 DISTROS = ("bouncy", "crystal", "dashing", "eloquent", "foxy", "galactic", "humble")
 DISTROS += ("iron", "jazzy", "kilted", "lyrical", "rolling")
@@ -50,36 +50,7 @@ def test_the_example_policy_of_every_distro_loads(distro: str, tmp_path: Path) -
     assert allowed("ros_service", "ros_execute", "/talker/get_type_description") == (distro in DISTROS[7:])
 
 
-@pytest.mark.parametrize("distro", ["eloquent", "humble", "rolling"])
-def test_a_lifecycle_node_may_do_what_a_node_may_and_serve_its_states(distro: str, tmp_path: Path) -> None:
-    policy_file = tmp_path / "policy.xml"
-    policy_file.write_text(
-        '<profile name="x" xmlns:xi="http://www.w3.org/2001/XInclude"><attachment>/a/x</attachment>'
-        '<xi:include href="common/lifecycle_node.xml" parse="xml"/></profile>'
-    )
-    policy = comarmor.load(policy_file, library=profile_type.library(distro))
-    assert policy.decide("/a/x", "ros_service", "ros_execute", "/a/x/change_state").allowed
-    assert policy.decide("/a/x", "ros_topic", "ros_publish", "/a/x/transition_event").allowed
-    assert policy.decide("/a/x", "ros_topic", "ros_publish", "/rosout").allowed
-    assert not policy.decide("/a/x", "ros_service", "ros_execute", "/a/y/change_state").allowed
-
-
-def test_the_library_is_what_a_profile_gets() -> None:
-    library = read_folder(profile_type.library("jazzy"))
-    files = profile_type.bootstrap(replace(REQUEST, policy="../fleet.xml"))
-    assert {path: files[f"comarmor.d/{path}"] for path in library} == library
-    assert "common/node.xml" in library
-    assert [path for path in files if path.startswith("comarmor.d/") and path.count("/") == 1] == []
-
-
-def test_families_of_distros_differ_only_where_their_nodes_do() -> None:
-    bouncy, foxy, iron = (read_folder(profile_type.library(distro)) for distro in ("bouncy", "foxy", "iron"))
-    for smaller, larger in ((bouncy, foxy), (foxy, iron)):
-        assert set(smaller) < set(larger)
-        assert {path for path in smaller if smaller[path] != larger[path]} == {"common/node.xml"}
-
-
-def test_two_authorities_one_for_each_job() -> None:
+def test_identities_and_permissions_have_different_authorities() -> None:
     workspace = Workspace.new()
     profile, package = workspace.load_profile(), workspace.load()
     assert [authority.name for authority in profile.authorities] == ["identity_ca", "permissions_ca"]
@@ -89,7 +60,7 @@ def test_two_authorities_one_for_each_job() -> None:
     assert (package.permissions.issuer, package.governance.issuer) == ("permissions_ca", "permissions_ca")
 
 
-def test_the_flat_layout_has_one_authority_for_both_jobs() -> None:
+def test_the_flat_layout_has_one_authority_for_identities_and_permissions() -> None:
     workspace = Workspace.new(replace(REQUEST, layout="flat"))
     profile, package = workspace.load_profile(), workspace.load()
     assert profile.layout == "flat"
@@ -126,7 +97,7 @@ def test_a_long_name_keeps_its_subject_unique() -> None:
     assert names.unique_suffix(f"/{name}") in package.identity.subject_name
 
 
-def test_governance_is_conservative_and_of_the_domain() -> None:
+def test_governance_is_conservative_and_names_the_domain() -> None:
     (rule,) = Workspace.new(replace(REQUEST, domain=42)).load().governance.domain_rules
     assert rule.domains == (DomainRange(42, 42),)
     assert (rule.allow_unauthenticated_participants, rule.enable_join_access_control) == (False, True)
@@ -141,7 +112,7 @@ def test_governance_is_conservative_and_of_the_domain() -> None:
     assert topic.enable_write_access_control
 
 
-def test_the_files_are_a_function_of_the_day() -> None:
+def test_the_files_depend_on_the_day_but_not_on_the_hour() -> None:
     later = replace(REQUEST, now=NOW + timedelta(hours=5))
     assert profile_type.bootstrap(later) == profile_type.bootstrap(REQUEST)
 
@@ -168,10 +139,10 @@ def test_names_are_escaped() -> None:
         ({"name": ""}, "text-invalid", "choose"),
     ],
 )
-def test_refused(changes: dict[str, object], code: str, hint: str) -> None:
+def test_an_invalid_request_is_an_error(changes: dict[str, object], code: str, hint: str) -> None:
     with pytest.raises(KeymintError) as error:
         profile_type.bootstrap(replace(REQUEST, **changes))
-    (found,) = error.value.diagnostics
-    assert found.code == code
-    assert hint in found.help
-    assert "\n" not in str(found)
+    (diagnostic,) = error.value.diagnostics
+    assert diagnostic.code == code
+    assert hint in diagnostic.help
+    assert "\n" not in str(diagnostic)

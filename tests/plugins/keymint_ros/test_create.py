@@ -1,4 +1,4 @@
-"""Creating packages: a document that nobody edited follows the policy, one that somebody edited is theirs."""
+"""New packages, and changes of the policy: an unedited document follows the policy, an edited one is kept."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ import pytest
 from keymint_ros import package_type, profile_type
 
 from keymint.errors import KeymintError
+from keymint.ir import SubjectRules
 
 from .workspaces import RULES, Workspace, rules
 
@@ -26,11 +27,6 @@ OLD = b"""<?xml version="1.0" encoding="utf-8"?>
 
 
 @pytest.fixture
-def workspace() -> Workspace:
-    return Workspace.new()
-
-
-@pytest.fixture
 def edited(workspace: Workspace) -> Workspace:
     return workspace.edit("permissions.xml", "/robot1/chatter", "/robot1/mine")
 
@@ -40,7 +36,7 @@ def test_a_new_package_has_four_documents(workspace: Workspace) -> None:
     assert sorted(files) == ["governance.xml", "identities.xml", "keymint_package.xml", "permissions.xml"]
 
 
-def test_documents_that_exist_are_left_alone(workspace: Workspace) -> None:
+def test_existing_documents_are_kept(workspace: Workspace) -> None:
     profile = workspace.load_profile()
     assert "identities.xml" not in package_type.create(profile, RULES, {"identities.xml": b"mine"}, force=True)
     others = dict.fromkeys(("governance.xml", "identities.xml"), b"broken")
@@ -48,7 +44,7 @@ def test_documents_that_exist_are_left_alone(workspace: Workspace) -> None:
     assert list(package_type.create(profile, RULES, existing, force=True)) == ["permissions.xml"]
 
 
-def test_the_build_type_is_that_of_the_profile(workspace: Workspace) -> None:
+def test_the_build_type_comes_from_the_profile(workspace: Workspace) -> None:
     other = workspace.edit("profile/keymint_profile.xml", "<export>", "<export><build_type>mine</build_type>")
     files = package_type.create(other.load_profile(), RULES, {}, force=False)
     assert replace(other, package=files).load().build_type == "mine"
@@ -59,7 +55,9 @@ def test_nothing_is_written_when_nothing_changed(workspace: Workspace) -> None:
     assert workspace.create(RULES, force=True) == {}
 
 
-def test_a_place_that_moved_is_written_but_not_one_that_is_only_spelled_differently(workspace: Workspace) -> None:
+def test_a_document_is_rewritten_if_a_rule_moved_but_not_if_only_its_path_is_written_differently(
+    workspace: Workspace,
+) -> None:
     moved = replace(RULES.rules[0].origin, line=4)
     assert workspace.create(replace(RULES, rules=(replace(RULES.rules[0], origin=moved), RULES.rules[1])))
     spelled = tuple(
@@ -69,31 +67,31 @@ def test_a_place_that_moved_is_written_but_not_one_that_is_only_spelled_differen
     assert workspace.create(replace(RULES, rules=spelled)) == {}
 
 
-def test_an_edit_is_kept_while_the_policy_stays(edited: Workspace) -> None:
+def test_an_edit_is_kept_while_the_policy_does_not_change(edited: Workspace) -> None:
     assert edited.create(RULES) == {}
 
 
-def test_an_edit_and_a_change_of_the_policy_is_a_conflict(edited: Workspace) -> None:
+def test_an_edit_and_a_change_of_the_policy_conflict(edited: Workspace) -> None:
     with pytest.raises(KeymintError) as error:
         edited.create(rules("/other"))
-    (found,) = error.value.diagnostics
-    assert found.code == "hand-edited"
-    assert "--force" in found.help
-    assert str(found.where) == "robot1/talker/permissions.xml:6"
+    (diagnostic,) = error.value.diagnostics
+    assert diagnostic.code == "hand-edited"
+    assert "--force" in diagnostic.help
+    assert str(diagnostic.where) == "robot1/talker/permissions.xml:6"
 
 
-@pytest.mark.parametrize("said", [RULES, rules("/other")])
-def test_force_replaces_an_edit(edited: Workspace, said: object) -> None:
-    files = edited.create(said, force=True)
+@pytest.mark.parametrize("new_rules", [RULES, rules("/other")])
+def test_force_replaces_an_edit(edited: Workspace, new_rules: SubjectRules) -> None:
+    files = edited.create(new_rules, force=True)
     loaded = replace(edited, package={**edited.package, **files}).load().permissions.rules
-    assert loaded == said
+    assert loaded == new_rules
 
 
-def test_an_edit_that_the_policy_caught_up_with_is_no_edit_any_more(workspace: Workspace) -> None:
+def test_an_edit_that_the_policy_now_contains_is_no_longer_an_edit(workspace: Workspace) -> None:
     edited = workspace.edit("permissions.xml", "/robot1/chatter", "/robot1/mine")
-    said = replace(RULES, rules=(replace(RULES.rules[0], expressions=("/robot1/mine",)), RULES.rules[1]))
-    settled = replace(edited, package={**edited.package, **edited.create(said)})
-    assert settled.load().permissions.rules == said
+    new_rules = replace(RULES, rules=(replace(RULES.rules[0], expressions=("/robot1/mine",)), RULES.rules[1]))
+    settled = replace(edited, package={**edited.package, **edited.create(new_rules)})
+    assert settled.load().permissions.rules == new_rules
     assert replace(settled, package={**settled.package, **settled.create(rules("/x"))}).load()
 
 
@@ -123,7 +121,7 @@ def test_overrides_of_the_grant_survive_a_change_of_the_policy(workspace: Worksp
     assert grant.rules == rules("/other")
 
 
-def test_permissions_of_2018_are_replaced_and_kept(workspace: Workspace) -> None:
+def test_permissions_of_2018_are_replaced_and_backed_up(workspace: Workspace) -> None:
     old = replace(workspace, package={**workspace.package, "permissions.xml": OLD})
     files = old.create(RULES)
     assert files["permissions.xml.2018"] == OLD
@@ -132,13 +130,13 @@ def test_permissions_of_2018_are_replaced_and_kept(workspace: Workspace) -> None
     assert "permissions.xml.2018" not in again.create(RULES)
 
 
-def test_permissions_of_2018_are_not_loaded(workspace: Workspace) -> None:
+def test_permissions_of_2018_are_rejected_when_loaded(workspace: Workspace) -> None:
     old = replace(workspace, package={**workspace.package, "permissions.xml": OLD})
     with pytest.raises(KeymintError) as error:
         old.load()
-    (found,) = error.value.diagnostics
-    assert found.code == "permissions-format"
-    assert "keymint create robot1/talker" in found.help
+    (diagnostic,) = error.value.diagnostics
+    assert diagnostic.code == "permissions-format"
+    assert "keymint create robot1/talker" in diagnostic.help
 
 
 def test_a_broken_document_is_replaced_only_by_force(workspace: Workspace) -> None:
@@ -148,7 +146,7 @@ def test_a_broken_document_is_replaced_only_by_force(workspace: Workspace) -> No
     assert broken.create(RULES, force=True) == {"permissions.xml": workspace.package["permissions.xml"]}
 
 
-def test_the_document_lies_where_the_manifest_says(workspace: Workspace) -> None:
+def test_the_manifest_gives_the_path_of_the_permissions(workspace: Workspace) -> None:
     manifest = (
         "<permissions><permission><permission_path>my/rules.xml</permission_path></permission></permissions><export>"
     )

@@ -1,4 +1,4 @@
-"""The examples mean what their README says."""
+"""The example policies decide as their READMEs describe."""
 
 from __future__ import annotations
 
@@ -28,12 +28,12 @@ def test_an_example_loads_for_every_family_of_distros(name: str, distro: str) ->
 
 
 @pytest.mark.parametrize("name", POLICIES)
-def test_an_example_says_how_it_is_provisioned(name: str) -> None:
+def test_the_readme_of_an_example_shows_how_to_provision_it(name: str) -> None:
     assert f"keymint provision examples/{name} -w {name}_ws" in (EXAMPLES / name / "README.md").read_text()
 
 
 @pytest.mark.parametrize(
-    ("name", "subject", "permission", "thing", "allowed"),
+    ("name", "subject", "permission", "object_name", "allowed"),
     [
         ("talker_listener", "/talker", "ros_publish", "/chatter", True),
         ("talker_listener", "/talker", "ros_subscribe", "/chatter", False),
@@ -59,14 +59,16 @@ def test_an_example_says_how_it_is_provisioned(name: str) -> None:
         ("fleet", "/fleet/dashboard", "ros_publish", "/robot1/odom", False),
     ],
 )
-def test_an_example_decides_as_it_says(name: str, subject: str, permission: str, thing: str, allowed: bool) -> None:
+def test_an_example_decides_as_described(
+    name: str, subject: str, permission: str, object_name: str, allowed: bool
+) -> None:
     kinds = {"ros_execute": "ros_service", "ros_read": "ros_parameter", "ros_write": "ros_parameter"}
     kinds |= {"ros_operate": "ros_action", "ros_request": "ros_action"}
-    decision = _load(name).decide(subject, kinds.get(permission, "ros_topic"), permission, thing)
+    decision = _load(name).decide(subject, kinds.get(permission, "ros_topic"), permission, object_name)
     assert decision.allowed == allowed
 
 
-def test_what_is_to_be_watched_is_marked() -> None:
+def test_audited_rules_of_the_fleet_are_marked() -> None:
     policy = _load("fleet")
     assert policy.decide("/fleet/dispatcher", "ros_topic", "ros_publish", "/fleet/emergency_stop").audit
     assert policy.decide("/fleet/dashboard", "ros_topic", "ros_subscribe", "/robot1/private/log").audit

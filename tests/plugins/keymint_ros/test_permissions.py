@@ -1,4 +1,4 @@
-"""``permissions.xml`` says what the intermediate representation says, and what a person makes of it."""
+"""``permissions.xml``: the same rules as the intermediate representation, or those of an edit."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from keymint.ir import Rule, SubjectRules
 
 from .workspaces import RULES, Workspace, rules
 
-# What an XML document can hold, and no white space around it, which no expression of a policy has.
+# Text that an XML document can contain, without surrounding white space, which no expression of a policy has.
 _CHARACTERS = st.characters(codec="utf-8", exclude_categories=["Cc", "Cs", "Cn"], include_characters="\t\n\r")
 _TEXT = st.text(_CHARACTERS, min_size=1, max_size=12).filter(lambda text: text == text.strip(" \t\r\n"))
 _EXPRESSIONS = _TEXT.filter(lambda text: not text.endswith("\\"))
@@ -44,16 +44,16 @@ def _rules(draw: st.DrawFn) -> Rule:
     )
 
 
-_SUBJECTS = st.lists(_rules(), max_size=4).map(lambda found: SubjectRules("/robot1/talker", tuple(found)))
+_SUBJECTS = st.lists(_rules(), max_size=4).map(lambda drawn: SubjectRules("/robot1/talker", tuple(drawn)))
 _WORKSPACE = Workspace.new()
 
 
 @given(_SUBJECTS)
-def test_what_is_created_is_loaded_unchanged(said: SubjectRules) -> None:
+def test_created_rules_are_loaded_unchanged(rules_: SubjectRules) -> None:
     profile = _WORKSPACE.load_profile()
-    files = package_type.create(profile, said, {}, force=False)
-    assert package_type.load(profile, "robot1/talker", "src", files).permissions.rules == said
-    assert package_type.create(profile, said, files, force=False) == {}
+    files = package_type.create(profile, rules_, {}, force=False)
+    assert package_type.load(profile, "robot1/talker", "src", files).permissions.rules == rules_
+    assert package_type.create(profile, rules_, files, force=False) == {}
 
 
 @given(_SUBJECTS, _SUBJECTS)
@@ -69,11 +69,11 @@ def test_an_unedited_document_follows_the_policy(before: SubjectRules, after: Su
 
 
 def test_the_digest_depends_neither_on_order_nor_on_origins() -> None:
-    def digest(said: SubjectRules) -> str:
-        content = package_type.create(_WORKSPACE.load_profile(), said, {}, force=False)["permissions.xml"]
-        found = re.search(r'digest="(.*?)"', content.decode())
-        assert found
-        return found.group(1)
+    def digest(rules_: SubjectRules) -> str:
+        content = package_type.create(_WORKSPACE.load_profile(), rules_, {}, force=False)["permissions.xml"]
+        match = re.search(r'digest="(.*?)"', content.decode())
+        assert match
+        return match.group(1)
 
     assert digest(SubjectRules(RULES.subject, RULES.rules[::-1])) == digest(RULES)
     assert digest(rules("/a", line=7)) == digest(rules("/a", line=8))
@@ -124,12 +124,12 @@ def test_a_grant_overrides_the_defaults() -> None:
         ("<partitions>", "<partitons>", "partitons"),
     ],
 )
-def test_a_defect_is_named_with_its_line(old: str, new: str, message: str) -> None:
+def test_a_defect_is_reported_with_its_line(old: str, new: str, message: str) -> None:
     with pytest.raises(KeymintError) as error:
         _WORKSPACE.edit("permissions.xml", old, new).load()
-    found = error.value.diagnostics[0]
-    assert found.where
-    assert found.where.file == "src/robot1/talker/permissions.xml"
-    assert found.where.line > 3
-    assert message in f"{found}"
-    assert "\n" not in str(found)
+    diagnostic = error.value.diagnostics[0]
+    assert diagnostic.where
+    assert diagnostic.where.file == "src/robot1/talker/permissions.xml"
+    assert diagnostic.where.line > 3
+    assert message in f"{diagnostic}"
+    assert "\n" not in str(diagnostic)

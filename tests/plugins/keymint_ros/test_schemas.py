@@ -1,4 +1,4 @@
-"""The XSDs, by two validators that share no code; and readers that survive any document."""
+"""Two independent validators accept the XSDs; the readers report an error for any broken document."""
 
 from __future__ import annotations
 
@@ -39,29 +39,29 @@ def _content(path: str) -> bytes:
 
 
 @pytest.mark.parametrize("path", SCHEMAS, ids=lambda path: path.stem)
-def test_a_schema_is_accepted_by_both(path: Path) -> None:
+def test_both_validators_accept_a_schema(path: Path) -> None:
     assert xmlschema.XMLSchema10(str(path)).built
     etree.XMLSchema(file=str(path))
 
 
 @pytest.mark.parametrize(("document", "schema"), _SCHEMA_OF.items())
-def test_what_is_written_is_valid_for_both(document: str, schema: str) -> None:
+def test_written_documents_are_valid_for_both_validators(document: str, schema: str) -> None:
     path = str(locate("keymint_ros", "schemas") / f"{schema}.xsd")
     xmlschema.XMLSchema10(path).validate(_content(document).decode())
     assert etree.XMLSchema(file=path).validate(etree.fromstring(_content(document)))
 
 
-def _mutations(content: bytes, seed: int) -> bytes:
+def _mutated(content: bytes, seed: int) -> bytes:
     """Return a document with a few bytes, words or elements changed."""
     random_ = random.Random(seed)
     if seed % 2:
-        found = bytearray(content)
+        mutated = bytearray(content)
         for _ in range(random_.randint(1, 4)):
-            at = random_.randrange(len(found))
-            found[at : at + random_.randint(0, 3)] = random_.choice(
+            start = random_.randrange(len(mutated))
+            mutated[start : start + random_.randint(0, 3)] = random_.choice(
                 [b"", b"<", b"\0", b"&x;", b"{", b"\xff", b"9" * 40]
             )
-        return bytes(found)
+        return bytes(mutated)
     root = etree.fromstring(content)
     elements = [element for element in root.iter() if isinstance(element.tag, str)]
     for _ in range(random_.randint(1, 3)):
@@ -82,16 +82,16 @@ def _mutations(content: bytes, seed: int) -> bytes:
 
 
 @pytest.mark.parametrize("document", _SCHEMA_OF)
-def test_no_document_raises_anything_but_a_diagnosis(document: str) -> None:
+def test_a_mutated_document_raises_only_diagnostics(document: str) -> None:
     for seed in range(120):
-        mutated = _mutations(_content(document), seed)
+        mutated = _mutated(_content(document), seed)
         space = "profile" if document.startswith("profile/") else "package"
         files = {**getattr(_WORKSPACE, space), document.removeprefix("profile/"): mutated}
         workspace = Workspace(**{"profile": _WORKSPACE.profile, "package": _WORKSPACE.package, space: files})
         for attempt in (workspace.load, lambda workspace=workspace: workspace.create(RULES)):
-            for found in _diagnostics(attempt):
-                assert "\n" not in str(found)
-                assert found.where
+            for diagnostic in _diagnostics(attempt):
+                assert "\n" not in str(diagnostic)
+                assert diagnostic.where
 
 
 def _diagnostics(attempt: Callable[[], object]) -> tuple[Diagnostic, ...]:

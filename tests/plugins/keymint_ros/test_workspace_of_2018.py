@@ -1,4 +1,4 @@
-"""A workspace of 2018 loads unmodified, once its permissions are created anew from its policy."""
+"""A workspace of 2018 loads unmodified, once its permissions are recreated from its policy."""
 
 from __future__ import annotations
 
@@ -56,6 +56,6 @@ def test_its_packages(profile: WorkspaceProfile, name: str) -> None:
 def test_its_old_permissions_name_the_command_that_recreates_them(profile: WorkspaceProfile) -> None:
     with pytest.raises(KeymintError) as error:
         package_type.load(profile, "talker", "src/talker", read_folder(REFERENCE / "src" / "talker"))
-    (found,) = error.value.diagnostics
-    assert found.code == "permissions-format"
-    assert found.help == "'keymint create talker' recreates them from the policy"
+    (diagnostic,) = error.value.diagnostics
+    assert diagnostic.code == "permissions-format"
+    assert diagnostic.help == "'keymint create talker' recreates them from the policy"

@@ -2,16 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from pathlib import Path
 
+import pytest
 from keymint_ros import package_type, profile_type
 
-from comarmor.errors import Origin
+from comarmor.errors import Diagnostic, Origin
 from comarmor.rules import Effect
 from keymint.api import Bootstrap, Package, WorkspaceProfile
+from keymint.errors import KeymintError
 from keymint.ir import Rule, SubjectRules
 
 NOW = datetime(2026, 11, 21, 15, 30, tzinfo=UTC)
@@ -46,7 +48,7 @@ RULES = SubjectRules(
 
 
 def rules(*expressions: str, line: int = 1) -> SubjectRules:
-    """Rules of a policy that says something else: one rule with these expressions."""
+    """Return the rules of another policy: one rule with these expressions."""
     origin = Origin("/ws/profile/comarmor.d/b.xml", line)
     rule = Rule(Effect.ALLOW, "ros_topic", ("ros_publish",), expressions, (), audit=False, origin=origin)
     return SubjectRules("/robot1/talker", (rule,))
@@ -59,7 +61,7 @@ class Workspace:
     Attributes:
         profile: files of the profile space.
         package: files of the package.
-        name: its name.
+        name: the package's name.
     """
 
     profile: Mapping[str, bytes]
@@ -94,8 +96,20 @@ class Workspace:
     def load(self) -> Package:
         return package_type.load(self.load_profile(), self.name, f"src/{self.name}", self.package)
 
-    def create(self, said: SubjectRules, *, force: bool = False) -> Mapping[str, bytes]:
-        return package_type.create(self.load_profile(), said, self.package, force=force)
+    def create(self, new_rules: SubjectRules, *, force: bool = False) -> Mapping[str, bytes]:
+        return package_type.create(self.load_profile(), new_rules, self.package, force=force)
+
+
+def diagnostic_of(attempt: Callable[[], object], file: str) -> Diagnostic:
+    """Return the first diagnostic of a call that fails; it must be one line, with a place in ``file``."""
+    with pytest.raises(KeymintError) as error:
+        attempt()
+    diagnostic = error.value.diagnostics[0]
+    assert diagnostic.where
+    assert diagnostic.where.file == file
+    assert diagnostic.where.line > 0
+    assert "\n" not in str(diagnostic)
+    return diagnostic
 
 
 def read_folder(folder: Path) -> dict[str, bytes]:

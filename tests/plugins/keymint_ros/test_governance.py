@@ -1,0 +1,56 @@
+"""Governance documents, completed by their defaults."""
+
+from __future__ import annotations
+
+import pytest
+
+from keymint.api import DomainRange
+
+from .workspaces import Workspace, diagnostic_of
+
+
+def test_a_governance_overrides_its_defaults_and_keeps_their_last_rule(workspace: Workspace) -> None:
+    package = workspace.edit(
+        "governance.xml",
+        "<domain_rule/>",
+        """<domain_rule>
+             <rtps_protection_kind>NONE</rtps_protection_kind>
+             <topic_access_rules>
+               <ros_service_rule><service_expression>/add</service_expression>
+                 <data_protection_kind>SIGN</data_protection_kind></ros_service_rule>
+               <topic_rule><topic_expression>DCPS*</topic_expression>
+                 <enable_read_access_control>false</enable_read_access_control></topic_rule>
+             </topic_access_rules>
+           </domain_rule>
+           <domain_rule><domains><id_range><min>1</min><max>4</max></id_range></domains></domain_rule>""",
+    ).load()
+    first, second = package.governance.domain_rules
+    assert (first.domains, first.rtps_protection_kind, first.discovery_protection_kind) == (
+        (DomainRange(0, 0),),
+        "NONE",
+        "ENCRYPT",
+    )
+    assert [(rule.kind, rule.expression) for rule in first.topic_rules] == [
+        ("ros_service", "/add"),
+        ("topic", "DCPS*"),
+        ("topic", "*"),
+    ]
+    service, raw, rest = first.topic_rules
+    assert (service.data_protection_kind, service.metadata_protection_kind) == ("SIGN", "ENCRYPT")
+    assert (raw.enable_read_access_control, raw.enable_write_access_control) == (False, True)
+    assert str(rest.origin).startswith("/ws/profile/package.defaults/governance.xml:")
+    assert second.domains == (DomainRange(1, 4),)
+
+
+@pytest.mark.parametrize(
+    ("rule", "code", "hint"),
+    [
+        ("<domains><id_range><min>5</min><max>4</max></id_range></domains>", "domain-range", "exchange"),
+        ("<rtps_protection_kind>SING</rtps_protection_kind>", "schema", "did you mean 'SIGN'?"),
+    ],
+)
+def test_a_defect_is_reported_with_its_place_and_a_hint(workspace: Workspace, rule: str, code: str, hint: str) -> None:
+    edited = workspace.edit("governance.xml", "<domain_rule/>", f"<domain_rule>{rule}</domain_rule>")
+    diagnostic = diagnostic_of(edited.load, "src/robot1/talker/governance.xml")
+    assert diagnostic.code == code
+    assert hint in diagnostic.help

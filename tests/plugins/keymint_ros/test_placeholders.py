@@ -1,0 +1,50 @@
+"""Placeholders in the distinguished names of authorities and packages."""
+
+from __future__ import annotations
+
+import pytest
+
+from .workspaces import Workspace, diagnostic_of
+
+
+@pytest.mark.parametrize(
+    ("name", "hint"),
+    [
+        ("CN={nme}", "did you mean 'name'?"),
+        ("CN={unique}", "{name}"),
+        ("CN={name", "{name}"),
+        ("CN={name.__class__}", "{name}"),
+    ],
+)
+def test_an_unknown_placeholder_of_an_authority_is_reported(workspace: Workspace, name: str, hint: str) -> None:
+    path = "profile/profile.defaults/authorities.xml"
+    edited = workspace.edit(path, "CN={name}", name)
+    diagnostic = diagnostic_of(edited.load_profile, f"/ws/{path}")
+    assert diagnostic.code == "placeholder-unknown"
+    assert hint in diagnostic.help
+
+
+@pytest.mark.parametrize(
+    ("path", "old", "new", "hint"),
+    [
+        (
+            "identities.xml",
+            "<identity/>",
+            "<identity><cert><subject_name>CN={subjct}</subject_name></cert></identity>",
+            "did you mean 'subject'?",
+        ),
+        (
+            "permissions.xml",
+            '<grant name="/robot1/talker">',
+            '<grant name="x"><subject_name>CN={nam}</subject_name>',
+            "did you mean 'name'?",
+        ),
+    ],
+)
+def test_an_unknown_placeholder_of_a_package_is_reported(
+    workspace: Workspace, path: str, old: str, new: str, hint: str
+) -> None:
+    edited = workspace.edit(path, old, new)
+    diagnostic = diagnostic_of(edited.load, f"src/robot1/talker/{path}")
+    assert diagnostic.code == "placeholder-unknown"
+    assert hint in diagnostic.help
