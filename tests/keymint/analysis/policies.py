@@ -1,4 +1,4 @@
-"""Policies to ask about."""
+"""Test policies."""
 
 from __future__ import annotations
 

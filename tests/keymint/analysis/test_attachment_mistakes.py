@@ -1,4 +1,4 @@
-"""Slips in how profiles are attached, and names that no ROS object can have."""
+"""Likely mistakes in attachments, and names that no ROS object can have."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What in a policy is in vain."""
+"""Unreachable, redundant and suspicious rules."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ def test_rules(tmp_path: Path, rules: list[str], expected: list[tuple[str, int]]
     assert found(tmp_path, profile("/s", *rules)) == expected
 
 
-def test_partitions_are_part_of_what_a_rule_is_about(tmp_path: Path) -> None:
+def test_partitions_are_compared(tmp_path: Path) -> None:
     narrowed = rule("topic", "publish", "a").replace(
         "</topic>", "<partitions><partition>p</partition></partitions></topic>"
     )
@@ -58,7 +58,7 @@ def test_partitions_are_part_of_what_a_rule_is_about(tmp_path: Path) -> None:
     assert found(tmp_path, profile("/s", narrowed, narrowed)) == [("rule-redundant", 4)]
 
 
-def test_only_what_is_in_vain_for_every_subject(tmp_path: Path) -> None:
+def test_rules_must_be_redundant_for_every_subject(tmp_path: Path) -> None:
     shared = profile("/*", rule(*PUB, "/a"))
     assert found(tmp_path, shared, profile("/s", deny(*PUB, "/a")), profile("/t")) == []
     # Nobody but an example of those that /* matches could use the rule.
@@ -91,12 +91,12 @@ def test_tunables(tmp_path: Path) -> None:
         ("/chatter", "/chatter", False),
     ],
 )
-def test_names_that_are_nearly_alike(tmp_path: Path, published: str, subscribed: str, near: bool) -> None:
+def test_similar_names(tmp_path: Path, published: str, subscribed: str, near: bool) -> None:
     policy = profile("/a", rule(*PUB, published)), profile("/b", rule("ros_topic", "ros_subscribe", subscribed))
     assert found(tmp_path, *policy) == ([("name-similar", 3)] if near else [])
 
 
-def test_a_third_name_that_somebody_is_at_the_other_end_of_is_no_slip(tmp_path: Path) -> None:
+def test_a_name_with_a_peer_is_not_a_typo_target(tmp_path: Path) -> None:
     both = profile("/c", rule("ros_topic", "ros_publish ros_subscribe", "/chatter"))
     assert found(tmp_path, both, profile("/a", rule(*PUB, "/chater"))) == []
 
@@ -109,7 +109,7 @@ def attached(kind: str, permission: str, *names: str, effect: str = "ALLOW") -> 
     return rule(kind, permission, *names, effect=effect).replace("<attachment>", "\n<attachment>")
 
 
-def test_a_finding_on_some_attachments_of_a_rule_is_at_their_lines(tmp_path: Path) -> None:
+def test_findings_on_some_attachments_have_their_lines(tmp_path: Path) -> None:
     several = attached(*SUB, "/a", "x", "/b", "/c")
     denied = deny(*SUB, "/b")
     assert found(tmp_path, profile("/s", several, denied)) == [("object-never", 5), ("rule-shadowed", 6)]
@@ -125,7 +125,7 @@ def test_values_of_a_tunable_are_one_attachment(tmp_path: Path) -> None:
     assert said.message.startswith("'/r/a', '/q/a' in this")
 
 
-def test_an_attachment_that_says_the_same_as_another_for_one_subject_is_not_taken_for_it(tmp_path: Path) -> None:
+def test_attachments_that_expand_equally_for_one_subject_are_distinguished(tmp_path: Path) -> None:
     # For /s the first two are one expression; /n/s needs the third.
     shared = profile("/*", attached(*SUB, "{namespace}a", "/a", "/b"))
     assert found(tmp_path, shared, profile("/s", rule(*SUB, "/b")), profile("/n/s", rule(*SUB, "/a"))) == [
@@ -134,7 +134,7 @@ def test_an_attachment_that_says_the_same_as_another_for_one_subject_is_not_take
     ]
 
 
-def test_subjects_that_are_nearly_alike(tmp_path: Path) -> None:
+def test_similar_subjects(tmp_path: Path) -> None:
     often = profile("/amr1/nav") + profile("/amr1/nav").replace('"/amr1/nav"', '"more"')
     copied = ("profile-copied", 4)
     assert found(tmp_path, often, profile("/amr1/navi")) == [copied, ("name-similar", 6)]
@@ -142,21 +142,21 @@ def test_subjects_that_are_nearly_alike(tmp_path: Path) -> None:
     assert found(tmp_path, profile("/amr1/nav"), profile("/amr1/navi")) == []
 
 
-def test_a_profile_that_never_applies_for_a_slip_of_the_pen(tmp_path: Path) -> None:
+def test_a_profile_that_never_applies_because_of_a_typo(tmp_path: Path) -> None:
     (said,) = lint(loaded(tmp_path, profile("/amr1/nav", profile("/amr1/navi"))))
     assert (said.code, said.help) == ("profile-never", "did you mean '/amr1/nav'?")
 
 
-def test_a_denial_of_what_is_allowed_is_not_said_to_deny_nothing(tmp_path: Path) -> None:
+def test_a_denial_of_something_allowed_is_not_reported(tmp_path: Path) -> None:
     # The rule is in vain because of the denial: which of them is meant is for the author to say, and only once.
     assert found(tmp_path, profile("/s", deny(*SUB, "/*"), rule(*SUB, "/a"))) == [("rule-shadowed", 4)]
 
 
-def test_rules_that_depend_on_the_namespace_are_looked_at_in_one_below(tmp_path: Path) -> None:
+def test_rules_that_depend_on_the_namespace_are_checked_in_a_deeper_one(tmp_path: Path) -> None:
     assert found(tmp_path, profile("/?b*", rule(*SUB, "{namespace}*"), rule(*SUB, "/c"))) == []
 
 
-def test_a_denial_may_matter_to_one_subject_of_a_pattern(tmp_path: Path) -> None:
+def test_a_denial_may_have_an_effect_for_one_subject_of_a_pattern(tmp_path: Path) -> None:
     # To /a alone, which is no example of /*, the denial matters.
     assert found(tmp_path, profile("/*", deny(*SUB, "/a"), rule(*SUB, "/{name}"))) == []
     assert found(tmp_path, profile("/b*", deny(*SUB, "/a"), rule(*SUB, "{namespace}{name}"))) == [("deny-nothing", 3)]
@@ -171,6 +171,8 @@ def test_a_denial_may_matter_to_one_subject_of_a_pattern(tmp_path: Path) -> None
         ("{namespace}private/*", "{namespace}{name}/get", False),
     ],
 )
-def test_what_depends_on_the_subject_in_the_same_way(tmp_path: Path, denied: str, granted: str, nothing: bool) -> None:
+def test_rules_that_depend_on_the_subject_in_the_same_way(
+    tmp_path: Path, denied: str, granted: str, nothing: bool
+) -> None:
     expected = [("deny-nothing", 3)] if nothing else []
     assert found(tmp_path, profile("/r/*", deny(*SUB, denied), rule(*SUB, granted))) == expected

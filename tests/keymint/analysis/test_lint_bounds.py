@@ -1,4 +1,4 @@
-"""What linting may cost: steps, linear in the policy; what is given up is reported as a note."""
+"""Steps of linting grow linearly with the policy; exceeded limits are reported as notes."""
 
 from __future__ import annotations
 
@@ -47,14 +47,14 @@ def test_calls_grow_with_the_policy(tmp_path: Path) -> None:
     assert many < 5 * few
 
 
-def test_names_that_are_all_alike_end_with_a_note(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_too_many_similar_names_end_with_a_note(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(name_similarity, "STEPS", 200)
     steps, codes = linted(tmp_path, FAMILIES["misspelt"](60))
     assert "lint-unknown" in codes
     assert steps < 2 * 60 * 300
 
 
-def test_questions_that_are_too_hard_end_with_a_note(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_too_complex_checks_end_with_a_note(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     text = FAMILIES["infixes"](40)
     monkeypatch.setattr(redundant_rules, "UNIT", 100)
     assert linted(tmp_path, text)[1] == ["lint-unknown"]
@@ -71,9 +71,7 @@ def test_too_many_pairs_end_with_a_note(tmp_path: Path, monkeypatch: pytest.Monk
     assert "lint-unknown" in linted(tmp_path, FAMILIES["flat"](30))[1]
 
 
-def test_patterns_of_subjects_that_overlap_too_often_end_with_a_note(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_too_many_overlapping_patterns_end_with_a_note(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     text = "".join(
         f'<profile name="{at}"><attachment>/*{at}*</attachment></profile>' for at in ("a", "b", "c", "d", "e", "f")
     )
@@ -90,7 +88,7 @@ def test_the_compiler_ends_with_a_note(keymint, tmp_path: Path, monkeypatch: pyt
     assert outcome.code == 0
 
 
-def test_an_index_finds_what_meets() -> None:
+def test_pattern_index_finds_overlapping_patterns() -> None:
     rng = Random(7)
     pieces = ("a", "b", "ab", "*", "?", "[ab]", "/")
     for _ in range(150):
@@ -102,7 +100,7 @@ def test_an_index_finds_what_meets() -> None:
         ]
 
 
-def test_a_tree_of_names_finds_slips() -> None:
+def test_name_trie_finds_typos() -> None:
     rng = Random(8)
 
     def name() -> str:

@@ -1,4 +1,4 @@
-"""Two policies compared by meaning."""
+"""Semantic comparison of two policies."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Expressions with placeholders, said of symbolic words: never too much where that matters, and never too little."""
+"""Rewriting patterns with placeholders: over-approximation where wide, else under-approximation."""
 
 from __future__ import annotations
 

@@ -134,7 +134,7 @@ class TestForms:
         assert keymint("build", "--hints", "hints.csv", cwd=ws).out.startswith("nothing to do")
         assert keymint("install", cwd=ws).code == 0
 
-    def test_hints_about_nobody_are_said(self, keymint, ws: Path) -> None:
+    def test_hints_for_unknown_subjects_are_reported(self, keymint, ws: Path) -> None:
         (ws / "hints.csv").write_text("subject,permission,object,count\n/talkr,ros_publish,/a,9\n")
         outcome = keymint("build", "--hints", "hints.csv", cwd=ws)
         assert outcome.code == 0

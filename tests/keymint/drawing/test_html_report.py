@@ -1,4 +1,4 @@
-"""The report, as a document; ``test_html_report_in_chromium.py`` reads it as a person does."""
+"""The HTML report as a document; ``test_html_report_in_chromium.py`` uses it in a browser."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from keymint.drawing.palette import KIND_NAMES
 from keymint.graph import ConfusionMatrix
 
 from .graphs import ALLOWED, DENIED, HOSTILE, graphs, hostile, labelled, one_of_each
-from .test_svg import contrast
+from .test_palette import contrast
 
 SOURCES = {"policy.xml": b"<profiles>\n  <!-- <b>&amp;\x01 -->\n  <rule/>\n</profiles>\n"}
 
@@ -96,7 +96,7 @@ def test_the_policy_of_the_page_allows_its_own_parts_only() -> None:
     assert directives == {"default-src": "'none'", "base-uri": "'none'", "form-action": "'none'"}
 
 
-def test_hostile_names_are_text() -> None:
+def test_hostile_names_are_escaped() -> None:
     text = html_report(hostile(), {HOSTILE: HOSTILE.encode()}).decode()
     document = html.document_fromstring(text)
     assert not document.xpath("//img")

@@ -1,4 +1,4 @@
-"""Where everything stands."""
+"""The layout of graphs."""
 
 from __future__ import annotations
 
