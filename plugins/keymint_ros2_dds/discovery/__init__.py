@@ -1,4 +1,4 @@
-"""Graph source ``keymint_ros2_dds``: what ROS 2 nodes do, seen on DDS or in a capture of RTI Admin Console."""
+"""Graph source ``keymint_ros2_dds``: graphs of ROS 2 nodes, observed on DDS or captured by RTI Admin Console."""
 
 from __future__ import annotations
 
@@ -11,12 +11,12 @@ __all__ = ["DdsGraphs", "graph_source"]
 
 
 class DdsGraphs:
-    """Implements :class:`keymint.api.GraphSource` for DDS domains and the names of ROS 2 in them."""
+    """Implements :class:`keymint.api.GraphSource` for ROS 2 on DDS."""
 
     API = API_VERSION
 
     def usable(self) -> Availability:
-        """Tell whether Cyclone DDS, which observes, is installed."""
+        """Return whether Cyclone DDS, the observer, is installed."""
         from keymint_ros2_dds.discovery import cyclonedds_observer  # noqa: PLC0415 - listing plugins must not load a vendor
 
         return cyclonedds_observer.usable()

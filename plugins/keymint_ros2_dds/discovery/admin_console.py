@@ -1,4 +1,4 @@
-"""Captures of RTI Admin Console: the XML of what it discovered, participants with their publications and subscriptions.
+"""Read captures of RTI Admin Console: XML of the participants it discovered, with publications and subscriptions.
 
 The document nests ``system/processes//domain_participants``; each participant holds ``participant_data`` (the sample
 of ``DCPSParticipant``), ``publications`` and ``subscriptions`` (samples of ``DCPSPublication``, ``DCPSSubscription``).
@@ -22,12 +22,12 @@ _ENDPOINTS = {"publication_data": "publish", "subscription_data": "subscribe"}
 
 
 def recognises(content: bytes) -> bool:
-    """Tell whether a file looks like XML, so that :func:`read` is the one to read it."""
+    """Tell whether a file looks like XML, and so may be a capture."""
     return content.removeprefix(b"\xef\xbb\xbf").lstrip()[:1] == b"<"
 
 
 def read(content: bytes, name: str) -> Capture:
-    """Return what a capture holds.
+    """Read a capture.
 
     Args:
         content: the XML document.
@@ -93,7 +93,7 @@ class _AdminConsoleReader:
         )
 
     def _guid(self, data: etree._Element, key: str) -> str:
-        """Return the 32 digits of a key, which is written as four hexadecimal numbers of 32 bits."""
+        """Return a key as 32 digits; it is written as four hexadecimal numbers of 32 bits."""
         words = (data.findtext(f"{key}/value") or "").split(",")
         try:
             numbers = [int(word, 16) for word in words]
@@ -110,7 +110,7 @@ def _partitions(data: etree._Element) -> Iterator[str]:
 
 
 def _octets(text: str | None) -> bytes:
-    """Return user data, which is written as hexadecimal octets, or as it is."""
+    """Return user data, which is written as hexadecimal octets or as text."""
     bare = (text or "").strip()
     if _HEX.match(bare):
         return bytes(int(octet, 16) for octet in bare.split(","))

@@ -45,7 +45,7 @@ class DiscoveredEndpoint:
 
     @property
     def object(self) -> Object:
-        """The topic, as graphs have it."""
+        """The topic as an object of a graph."""
         return Object("topic", self.topic, partitions(set(self.partitions)))
 
 

@@ -1,7 +1,7 @@
-"""Observes a DDS domain with the built-in topics of Cyclone DDS 0.10, by ctypes on its shared library.
+"""Observe a DDS domain through the built-in topics of Cyclone DDS 0.10, by ctypes.
 
-Cyclone reads its network configuration from ``CYCLONEDDS_URI``, as for any application. Every participant and endpoint
-that is seen counts, also one that vanishes again. What a domain hides by discovery protection is not seen.
+Cyclone DDS reads its network configuration from ``CYCLONEDDS_URI``, as for any application. The capture includes
+participants and endpoints that disappear again, but not what discovery protection hides.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ _PARTICIPANTS, _PUBLICATIONS, _SUBSCRIPTIONS = 0x7FFF0001, 0x7FFF0003, 0x7FFF000
 """Pseudo handles of the built-in topics (``DDS_BUILTIN_TOPIC_…``)."""
 _SAMPLES = 64
 _PAUSE = 0.02
-"""Seconds between two questions whether to go on."""
+"""Seconds between two calls of ``go_on``."""
 
 
 class _Guid(Structure):
@@ -73,11 +73,11 @@ _Callback = ctypes.CFUNCTYPE(None, c_int32, c_void_p)
 
 
 @cache
-def _library() -> Any:
-    """Return the library, its functions declared.
+def library() -> Any:
+    """Return the library, with its functions declared.
 
     Raises:
-        OSError: it is not installed, or is not the one that is expected.
+        OSError: it is not installed, or lacks a function.
     """
     for name in (LIBRARY, *_OTHER_NAMES):
         try:
@@ -113,26 +113,26 @@ def _library() -> Any:
 
 
 def usable() -> Availability:
-    """Tell whether the library is installed."""
+    """Return whether the library is installed."""
     try:
-        _library()
+        library()
     except OSError as error:
         return Availability(usable=False, reason=str(error), help=INSTALL)
     return Availability(usable=True, version="0.10")
 
 
 def observe(domain: int, go_on: Callable[[], bool]) -> Capture:
-    """Return all participants and endpoints that are seen in a domain.
+    """Return all participants and endpoints that appear in a domain.
 
     Args:
         domain: DDS domain id.
-        go_on: asked every 20 ms; the observation ends when it returns False.
+        go_on: called every 20 ms; the observation ends when it returns False.
 
     Raises:
         KeymintError: Cyclone DDS is not installed, or cannot join the domain.
     """
     try:
-        dds = _library()
+        dds = library()
     except OSError as error:
         raise KeymintError(str(error), help=INSTALL, code="discovery-unusable") from None
     with _Observer(dds, domain) as observer:
@@ -145,8 +145,8 @@ def observe(domain: int, go_on: Callable[[], bool]) -> Capture:
 class _Observer:
     """A participant that listens to the built-in topics.
 
-    It listens rather than looks now and then: when something vanishes, what was not taken yet is lost. The listeners
-    run in threads of Cyclone; what they add to is a dictionary each.
+    It uses listeners, not polling, because samples of a participant that disappears are lost if not taken before. The
+    listeners run in threads of Cyclone DDS; each adds to its own dictionary.
     """
 
     def __init__(self, dds: Any, domain: int) -> None:
@@ -201,7 +201,7 @@ class _Observer:
             self._endpoints[endpoint] = None
 
     def capture(self) -> Capture:
-        """Return what was seen but for the observer; an endpoint whose participant was missed has a nameless one."""
+        """Return everything observed but the observer itself; a participant that was missed has no name."""
         for reader, take in self._readers:
             take(reader)
         own = _Guid()
@@ -227,7 +227,7 @@ def _checked(dds: Any, code: int, what: str) -> int:
 
 
 def _taken(dds: Any, reader: int, kind: type[Any]) -> Iterator[Any]:
-    """Yield the samples that a reader has; also of what is gone already. Each is valid until the next is asked for."""
+    """Yield the samples of a reader, including disposed ones; each is valid until the next."""
     infos = (_Info * _SAMPLES)()
     while True:
         samples = (c_void_p * _SAMPLES)()

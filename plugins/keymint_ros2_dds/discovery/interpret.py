@@ -1,4 +1,4 @@
-"""DDS endpoints to what they are in ROS 2: topics, services, and the actions and parameters made of these."""
+"""Translate DDS endpoints into ROS 2 entities: topics, services, and the actions and parameters made of these."""
 
 from __future__ import annotations
 
@@ -22,12 +22,11 @@ Types = set[tuple[Object, str]]
 
 
 def interpret(graph: Graph, *, fold: bool) -> Graph:
-    """Return a graph in terms of ROS: nothing is lost, and doing it again changes nothing.
+    """Return a graph in terms of ROS. It loses nothing, and is idempotent.
 
     Args:
         graph: objects of any kind; DDS topics that fit no mapping, and halves of services, stay DDS topics.
-        fold: put services and topics together to actions and parameters where all parts are there; else take these
-            apart.
+        fold: combine services and topics into actions and parameters where all parts exist; otherwise split these.
     """
     edges = set(_unfolded(graph.edges))
     types = {*graph.types, *_ros_types(graph)}
@@ -58,7 +57,7 @@ def _ros_types(graph: Graph) -> Iterator[tuple[Object, str]]:
 
 
 def _ros_edges(edges: set[Edge]) -> Iterator[Edge]:
-    """Yield edges in terms of ROS; a half of a service is kept unless its subject has the whole."""
+    """Yield edges in terms of ROS; one endpoint of a service is kept unless its subject has both."""
     halves: dict[Edge, dict[tuple[str, str], set[Edge]]] = {}
     for edge in edges:
         entity = ros_name(edge.object) if edge.permission in _TOPIC and edge.object.kind == "topic" else None
@@ -80,7 +79,7 @@ def _ros_edges(edges: set[Edge]) -> Iterator[Edge]:
 
 
 def _folded(edges: set[Edge], types: Types) -> tuple[set[Edge], Types]:
-    """Put together what is complete; a subject that lacks a part keeps the parts that it has."""
+    """Combine complete entities; a subject that lacks a part keeps the other parts."""
     kept, named = set(edges), set(types)
     of_object: dict[Object, list[str]] = {}
     for found, name in types:

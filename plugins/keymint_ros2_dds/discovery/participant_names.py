@@ -1,8 +1,8 @@
-"""How participants get the names of subjects.
+"""Name the subjects of participants.
 
-What a participant says of itself differs from release to release. In this order it is taken for its name:
+How a participant announces its name differs between releases. The first of these is used:
 
-1. what the user says of its GUID;
+1. the name that the user gives for its GUID;
 2. the enclave in its user data (``enclave=/x;``, Foxy and later) unless that is ``/``, which every unsecured one has;
 3. node and namespace in its user data (``name=x;namespace=/y;``, Bouncy to Eloquent);
 4. its entity name, when that is a legal name (``talker``, Ardent), completed by the namespace of the parameters that
@@ -10,8 +10,8 @@ What a participant says of itself differs from release to release. In this order
 5. the one node whose parameters it serves (any ROS 2: a node serves its own);
 6. a name made from its GUID, with a warning.
 
-The topic ``ros_discovery_info`` would tell the nodes of a participant, but not what each of them does: since Foxy it
-is the enclave, hence the participant, that permissions are granted to.
+The topic ``ros_discovery_info`` lists the nodes of a participant, but not the endpoints of each. Since Foxy permissions
+are granted to enclaves, hence to participants.
 """
 
 from __future__ import annotations
@@ -30,13 +30,13 @@ _GUID = re.compile(r"[0-9a-f]{8,32}\Z")
 _PARAMETERS = "/get_parameters"
 _ASKED = "--subject GUID=NAME"
 _MOST = 4
-"""GUIDs in a message."""
+"""Number of GUIDs in a message."""
 
 
 def name_participants(
     participants: Sequence[DiscoveredParticipant], endpoints: Iterable[DiscoveredEndpoint], given: Mapping[str, str]
 ) -> tuple[dict[str, str], list[Diagnostic]]:
-    """Return the subject of each participant by GUID, and how each came by its name.
+    """Return the subject of each participant by GUID, and notes about the origin of its name.
 
     Args:
         participants: participants.
@@ -44,7 +44,7 @@ def name_participants(
         given: subjects by GUID or the beginning of one, as the user typed them.
 
     Raises:
-        KeymintError: what the user gave is no GUID, fits several participants, or is no legal name.
+        KeymintError: the user gave an invalid GUID or an illegal name.
     """
     names = _given(participants, given)
     serves: dict[str, set[str]] = {}
@@ -59,14 +59,14 @@ def name_participants(
             serves.setdefault(seen.participant, set()).add(node)
     said: list[Diagnostic] = []
     for one in sorted(participants):
-        found = ("as you said", names[one.guid]) if one.guid in names else _own(one, serves, meets)
+        found = ("the name that you gave", names[one.guid]) if one.guid in names else _own(one, serves, meets)
         if found is None:
             names[one.guid] = f"/participant_{one.guid[:24]}"
             said.append(
                 Diagnostic(
                     "subject-unknown",
                     Severity.WARNING,
-                    f"participant {one.guid} in domain {one.domain} does not say what it is called, and is named "
+                    f"participant {one.guid} in domain {one.domain} does not announce a name; it is named "
                     f"{names[one.guid]}",
                     help=f"name it with {_ASKED}",
                     subject=names[one.guid],
@@ -83,10 +83,10 @@ def name_participants(
 def _shared(
     participants: Iterable[DiscoveredParticipant], names: Mapping[str, str], given: Mapping[str, str]
 ) -> Iterator[Diagnostic]:
-    """Yield a finding for each subject that several participants are: what they do is merged.
+    """Yield a finding for each subject of several participants, whose edges are merged.
 
-    Processes of one enclave share its rights on purpose; of any other name this may be a restart, or two nodes that
-    must not get each other's rights. Names that the user gave are no matter of doubt.
+    Processes of one enclave share its rights on purpose. Otherwise this may be a restart, or two nodes that must not
+    get each other's rights. Names that the user gave are not reported.
     """
     merged: dict[tuple[int, str], list[DiscoveredParticipant]] = {}
     for one in sorted(participants):
@@ -101,7 +101,7 @@ def _shared(
             Severity.NOTE if enclave else Severity.WARNING,
             f"{len(together)} participants in domain {domain} are named {name} ({guids}): the graph has them as one "
             "subject, with the edges of all",
-            help=f"fine for a process that was restarted; tell others apart with {_ASKED}",
+            help=f"fine for a process that was restarted; distinguish others with {_ASKED}",
             subject=name,
         )
 
@@ -109,7 +109,7 @@ def _shared(
 def _own(
     one: DiscoveredParticipant, serves: Mapping[str, set[str]], meets: Mapping[str, set[str]]
 ) -> tuple[str, str] | None:
-    """Return how a participant tells its name, and the name; or None when it does not."""
+    """Return how a participant announces its name, and the name; or None."""
     told = _fields(one.user_data)
     enclave = told.get("enclave", "")
     if legal_subject(enclave):

@@ -1,7 +1,7 @@
-"""Names of DDS topics back to those of ROS 2 (design.ros2.org, "Topic and Service name mapping to DDS").
+"""Translate names of DDS topics back to ROS 2 (design.ros2.org, "Topic and Service name mapping to DDS").
 
 Bouncy and later put the prefix into the topic's name: ``rt/chatter`` in the default partition. Ardent put prefix and
-namespace into the partition: ``chatter`` in ``rt``, ``chatter`` in ``rt/robot1``. No name is both.
+namespace into the partition: ``chatter`` in ``rt``, ``chatter`` in ``rt/robot1``. No name fits both.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ Part = Literal["rt", "rq", "rr"]
 
 @dataclass(frozen=True, slots=True)
 class RosName:
-    """What a DDS topic is to ROS.
+    """The ROS entity of a DDS topic.
 
     Attributes:
         part: ``rt`` a topic, ``rq`` the requests of a service, ``rr`` its replies.
@@ -32,7 +32,7 @@ class RosName:
 
 
 def ros_name(topic: Object) -> RosName | None:
-    """Return what a DDS topic is to ROS, or None where it fits no mapping.
+    """Return the ROS entity of a DDS topic, or None if no mapping produces its name.
 
     Args:
         topic: an object of kind ``topic``.
@@ -52,7 +52,7 @@ def ros_name(topic: Object) -> RosName | None:
 
 
 def ros_type(dds_type: str, part: str) -> str:
-    """Return the ROS type of what a DDS topic carries: ``std_msgs::msg::dds_::String_`` is ``std_msgs/msg/String``.
+    """Return the ROS type of a DDS type: ``std_msgs::msg::dds_::String_`` is ``std_msgs/msg/String``.
 
     Args:
         dds_type: the DDS type's name.

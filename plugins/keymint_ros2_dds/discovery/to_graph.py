@@ -16,8 +16,8 @@ def discovered(capture: Capture, names: Mapping[str, str]) -> DiscoveredGraph:
     """Return a capture as a graph whose objects are DDS topics.
 
     Args:
-        capture: what was seen.
-        names: subjects by GUID or the beginning of one, where the user knows better.
+        capture: the capture.
+        names: subjects that the user gives, by GUID or the beginning of one.
     """
     sound = [seen for seen in capture.endpoints if _sound(seen)]
     subjects, diagnostics = name_participants(capture.participants, sound, names)
@@ -39,5 +39,5 @@ def discovered(capture: Capture, names: Mapping[str, str]) -> DiscoveredGraph:
 
 
 def _sound(seen: DiscoveredEndpoint) -> bool:
-    """Tell whether an endpoint's names can be written down; anyone on the network can announce anything."""
+    """Tell whether an endpoint's names are legal; anyone on the network can announce anything."""
     return bool(seen.topic) and all(map(legal_text, (seen.topic, seen.type, *seen.partitions)))

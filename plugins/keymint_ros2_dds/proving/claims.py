@@ -95,13 +95,13 @@ class ProofQuestion:
 
     Attributes:
         document: the document.
-        held: what it must permit.
+        spec: what it must permit.
         lowered: its rules in terms of DDS, from :func:`keymint_ros2_dds.lowering.lower.lower`.
         governing: the governance beside it; None puts every topic, and joining, under access control.
     """
 
     document: PermissionsDocument
-    held: ProofSpec
+    spec: ProofSpec
     lowered: Lowered
     governing: EnclaveGovernance | None = None
 
@@ -163,7 +163,7 @@ class _Comparator:
         key = (said, permitted)
         found = self._known.get(key)
         if found is None:
-            budget = SearchBudget(self._question.held.states, self._question.held.go_on)
+            budget = SearchBudget(self._question.spec.states, self._question.spec.go_on)
             found = self._known[key] = self._compared(said, permitted, budget)
         return found
 
@@ -195,10 +195,10 @@ class _Model:
         self._eras = (
             ()
             if self._refused
-            else tuple(grant_periods(question.document, question.held.subject_name, self._semantics))
+            else tuple(grant_periods(question.document, question.spec.subject_name, self._semantics))
         )
         grants = [era.grant for era in self._eras]
-        about = (question.document, grants, question.held.rules, self._semantics)
+        about = (question.document, grants, question.spec.rules, self._semantics)
         self._unmodelled = self._unmodelled or octets.ambiguous(*about)
         self._by_locale = octets.by_locale(*about)
 
@@ -212,11 +212,11 @@ class _Model:
                     yield claim
         if self._governing is not None and not self._refused and not self._unmodelled:
             names = Universe(octets.ALPHABET, last_nonempty=True)
-            subject, model = self._question.held.rules.subject, self._variation.name
+            subject, model = self._question.spec.rules.subject, self._variation.name
             yield from protection.claims(subject, model, self._semantics, self._governing, names, self._budget())
 
     def _budget(self) -> SearchBudget:
-        return SearchBudget(self._question.held.states, self._question.held.go_on)
+        return SearchBudget(self._question.spec.states, self._question.spec.go_on)
 
     def _rule(self, domain: int) -> DomainAccess | None:
         """Return the access control in a domain; None if the proof is about permissions only."""
@@ -229,7 +229,7 @@ class _Model:
 
     def _domains(self) -> Iterator[tuple[tuple[DomainRange, ...], bool]]:
         """Yield groups of domains with the same policy and rules, and whether the policy applies there."""
-        wanted = self._question.held.domains
+        wanted = self._question.spec.domains
         grants = [era.grant for era in self._eras]
         rules = [rule for grant in grants for rule in grant.rules]
         edges = {0, *(d.first for d in wanted), *(d.last + 1 for d in wanted)}
@@ -244,16 +244,16 @@ class _Model:
         groups: dict[tuple[object, ...], list[DomainRange]] = {}
         for first, following in pairwise(steps):
             inside = any(d.first <= first <= d.last for d in wanted)
-            held = [permission_lists.holds(rule, first, self._semantics) for rule in rules]
+            applying = [permission_lists.holds(rule, first, self._semantics) for rule in rules]
             governed = self._rule(first)
             rule = None if governed is None else governed.rule
             opens = rule is not None and any(
                 not each.controls(action) for each in rule.topic_rules for action in ACTIONS
             )
             # Without rules in the policy or the document there is nothing to compare.
-            if inside or opens or (self._semantics.domains_count and (permits_more or any(held))):
+            if inside or opens or (self._semantics.domains_count and (permits_more or any(applying))):
                 accepted = None if self._governing is None else self._governing.accepted_rule(first)
-                groups.setdefault((inside, rule, accepted, *held), []).append(DomainRange(first, following - 1))
+                groups.setdefault((inside, rule, accepted, *applying), []).append(DomainRange(first, following - 1))
         for kind, domains in groups.items():
             yield tuple(merged(domains)), bool(kind[0])
 
@@ -339,12 +339,12 @@ class _Model:
     def _counterexample(
         self, action: str, domain: int, era: GrantPeriod | None, word: str, *, inside: bool, permitted: bool
     ) -> Counterexample:
-        asked = self._question.held
+        spec = self._question.spec
         pair = word.split(permission_lists.SEPARATOR) if self._comparison.pairs else ("", word)
         partition, topic = map(octets.in_text, pair)
-        rules = asked.rules if inside else SubjectRules(asked.rules.subject, ())
-        edges = policy_evaluator.endpoint_edges(rules.subject, asked.distro, action, topic, partition)
-        rule = policy_evaluator.decide(rules, asked.distro, action, topic, partition)
+        rules = spec.rules if inside else SubjectRules(spec.rules.subject, ())
+        edges = policy_evaluator.endpoint_edges(rules.subject, spec.distro, action, topic, partition)
+        rule = policy_evaluator.decide(rules, spec.distro, action, topic, partition)
         if rule is not None:
             verb = "allows" if rule.effect is Effect.ALLOW else "denies"
             said = PolicyDecision(
@@ -377,7 +377,7 @@ class _Model:
         now = era.begin
 
         def ask(variation: Variation) -> EndpointDecision:
-            evaluator = DocumentEvaluator(question.document, question.held.subject_name, now, domain, variation)
+            evaluator = DocumentEvaluator(question.document, question.spec.subject_name, now, domain, variation)
             partitions = (partition,) if partition else ()
             if self._governing is None:
                 return evaluator.decide(action, topic, partitions)
@@ -399,7 +399,7 @@ class _Model:
 
     def _never(self) -> Verdict:
         """Return why no grant is ever in force."""
-        document, name = self._question.document, self._question.held.subject_name
+        document, name = self._question.document, self._question.spec.subject_name
         grant = next(iter(self._semantics.grants(document, name)), None)
         if grant is None:
             return Verdict(allowed=False, reason=f"no grant applies to {name!r}")

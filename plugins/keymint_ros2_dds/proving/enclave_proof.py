@@ -35,7 +35,7 @@ def prove(task: ProofTask, *, models: Sequence[str] | None = None) -> tuple[Clai
     if found := differences(files, folder, task.anchors):
         raise KeymintError.of(found)
     content, place = _document(files, folder, task.anchors)
-    held = ProofSpec(
+    spec = ProofSpec(
         _subject_name(files, folder),
         task.rules,
         task.distro,
@@ -43,7 +43,7 @@ def prove(task: ProofTask, *, models: Sequence[str] | None = None) -> tuple[Clai
         task.states,
         task.go_on,
     )
-    return prove_content(content, place, held, models=models, governing=_governing(task))
+    return prove_content(content, place, spec, models=models, governing=_governing(task))
 
 
 def terms(files: Mapping[str, bytes], folder: str, anchors: TrustAnchors) -> tuple[ValidityTerm, ...]:

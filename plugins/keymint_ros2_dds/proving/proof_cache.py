@@ -20,7 +20,7 @@ _proven: dict[bytes, tuple[Claim, ...]] = {}
 def prove_content(
     content: bytes,
     place: tuple[str, int],
-    held: ProofSpec,
+    spec: ProofSpec,
     *,
     models: Sequence[str] | None = None,
     lowered: Lowered | None = None,
@@ -31,7 +31,7 @@ def prove_content(
     Args:
         content: the document, unsigned.
         place: its file as the user would type it, and the number of lines before it there.
-        held: what it must permit.
+        spec: what it must permit.
         models: names of the models, of :data:`ASSUMPTIONS`; None: all.
         lowered: the rules in terms of DDS, if known.
         governing: the governance of the enclave; None puts everything under access control.
@@ -40,17 +40,17 @@ def prove_content(
         KeymintError: the document cannot be read, or a rule cannot be mapped.
     """
     names = tuple(ASSUMPTIONS if models is None else models)
-    if governing is not None and governing.transparent(held.domains):
+    if governing is not None and governing.transparent(spec.domains):
         # A proof without governance holds for one that puts everything under access control.
-        claims = prove_content(content, place, held, models=models, lowered=lowered)
+        claims = prove_content(content, place, spec, models=models, lowered=lowered)
         if all(claim.proof is Proof.PROVEN for claim in claims):
             return claims
-    key = _key(content, held, names, governing)
+    key = _key(content, spec, names, governing)
     known = _proven.get(key)
     if known is not None:
         return known
     document = decision.read(content, *place)
-    question = ProofQuestion(document, held, lower(held.rules, held.distro) if lowered is None else lowered, governing)
+    question = ProofQuestion(document, spec, lower(spec.rules, spec.distro) if lowered is None else lowered, governing)
     claims = prove_document(question, models=names)
     # Proofs do not depend on the place of the document; counterexamples name it.
     if len(_proven) < MOST and all(claim.proof is Proof.PROVEN for claim in claims):
@@ -58,9 +58,9 @@ def prove_content(
     return claims
 
 
-def _key(content: bytes, held: ProofSpec, models: tuple[str, ...], governing: EnclaveGovernance | None) -> bytes:
+def _key(content: bytes, spec: ProofSpec, models: tuple[str, ...], governing: EnclaveGovernance | None) -> bytes:
     """Return a digest of everything that proven claims depend on."""
-    rules = tuple((r.effect, r.kind, r.permissions, r.expressions, r.partitions) for r in held.rules.rules)
-    said = repr((held.subject_name, held.rules.subject, rules, held.distro, held.domains, models))
+    rules = tuple((r.effect, r.kind, r.permissions, r.expressions, r.partitions) for r in spec.rules.rules)
+    said = repr((spec.subject_name, spec.rules.subject, rules, spec.distro, spec.domains, models))
     said += "" if governing is None else governing.key.hex()
     return hashlib.sha256(hashlib.sha256(content).digest() + said.encode()).digest()

@@ -42,16 +42,16 @@ def verdict(
         needed: the endpoints.
         answers: whether each is allowed, and the vendor's reason; consumed up to the first denial.
     """
-    deviation, line, said = "", 0, ""
+    deviation, line, message = "", 0, ""
     allowed = bool(needed)
     for endpoint in needed:
-        allowed, said = next(answers)
+        allowed, message = next(answers)
         deviation = deviation or enclave_model.deviation(model, endpoint, allowed=allowed)
         modelled = enclave_model.decide(model, endpoint)
         line = modelled.line if modelled.allowed == allowed else 0
         if not allowed:
             break
-    return Verdict(allowed, said or ("it is allowed" if allowed else "it is denied"), line, deviation)
+    return Verdict(allowed, message or ("it is allowed" if allowed else "it is denied"), line, deviation)
 
 
 def refused(tier: Tier, usable: Availability, name: str) -> KeymintError:

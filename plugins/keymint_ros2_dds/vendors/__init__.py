@@ -1,4 +1,4 @@
-"""Drivers of real DDS implementations: the one room of this plugin that starts processes and looks at the machine.
+"""Drivers of real DDS implementations: the only package of this plugin that starts processes and inspects the machine.
 
 Only loopback is ever used.
 """

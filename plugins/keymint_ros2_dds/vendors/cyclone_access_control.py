@@ -1,12 +1,12 @@
-"""Drives the access-control plugin of Cyclone DDS 0.10 alone: no participant, no network, no handshake.
+"""Call the access-control plugin of Cyclone DDS 0.10 directly: no participant, no network, no handshake.
 
-The shared object is the one that a participant loads. It exports ``init_access_control``, which fills a table of
+The shared object is the one that participants load. It exports ``init_access_control``, which fills a table of
 functions (``dds_security_access_control`` in ``dds/security/dds_security_api_access_control.h``), and
-``ac_fnmatch``, its matcher of expressions. Of the domain that a plugin belongs to it only reads the queue of timed
-events, which it does not touch before it is enabled, so a zeroed structure stands for the domain. Of the
-authentication plugin it only asks that there is one: the subject is read from the certificate itself.
+``ac_fnmatch``, its matcher of expressions. Of its domain a plugin only uses the queue of timed
+events, and that only after it is enabled, so a zeroed structure is enough. It only requires that an authentication
+plugin is present, and reads the subject from the certificate itself.
 
-A plugin instance keeps one set of local rights for its life, hence one instance for each :class:`AccessControl`.
+A plugin instance keeps one set of local rights while it exists, hence one instance for each :class:`AccessControl`.
 """
 
 from __future__ import annotations
@@ -77,7 +77,7 @@ _CHECK_CREATE_TOPIC = ctypes.CFUNCTYPE(
 
 
 class _Plugin(Structure):
-    """The head of ``struct dds_security_access_control``: as much of the table as is called."""
+    """The head of ``struct dds_security_access_control``: the part of the table that is called."""
 
     _fields_ = (
         ("gv", c_void_p),
@@ -92,7 +92,7 @@ class _Plugin(Structure):
 
 @dataclass(frozen=True, slots=True)
 class Library:
-    """The plugin's shared object and the library that it stands on, loaded, and a domain for its instances."""
+    """The loaded shared objects of the plugin and of Cyclone DDS, and a domain for plugin instances."""
 
     core: ctypes.CDLL
     plugin: ctypes.CDLL
@@ -100,7 +100,7 @@ class Library:
 
     @property
     def folder(self) -> Path:
-        """The folder of the security plugins, which Debian keeps off the loader's path."""
+        """The folder of the security plugins, which on Debian is not on the loader's path."""
         return Path(self.plugin._name).parent  # noqa: SLF001 - where the loader found it
 
 
@@ -116,7 +116,7 @@ def library() -> Library:
     plugin = _load_first([*map(str, found), "libdds_security_ac.so"])
     core.ddsrt_free.argtypes = [c_void_p]
     core.ddsrt_free.restype = None
-    core.dds_set_log_mask(c_uint32(0))  # what it has to say comes as the exception of a call as well
+    core.dds_set_log_mask(c_uint32(0))  # messages are also in the exception of each call
     plugin.init_access_control.argtypes = [c_char_p, POINTER(POINTER(_Plugin)), c_void_p]
     plugin.init_access_control.restype = c_int
     plugin.finalize_access_control.argtypes = [POINTER(_Plugin)]
@@ -137,14 +137,14 @@ def _load_first(names: Iterable[str]) -> ctypes.CDLL:
 
 
 def ac_fnmatch(expression: str, name: str) -> bool:
-    """Tell whether Cyclone DDS holds that the expression matches the name (a topic's or a partition's)."""
+    """Tell whether an expression matches the name of a topic or partition, as Cyclone DDS does."""
     return bool(library().plugin.ac_fnmatch(expression.encode(), name.encode()))
 
 
 class AccessControl:
-    """What Cyclone DDS lets one enclave do in a domain, by the local checks of its access-control plugin.
+    """Decides what one enclave may do in a domain, by the local checks of the access-control plugin.
 
-    Use it as a context manager, or :meth:`close` it: then the plugin instance and all that it read are freed.
+    Use it as a context manager, or :meth:`close` it: that frees the plugin instance.
 
     Args:
         certificate: identity certificate, PEM.
@@ -154,7 +154,7 @@ class AccessControl:
         domain: DDS domain id.
 
     Attributes:
-        reason: why the last question was answered with no, in the words of the plugin.
+        reason: the plugin's message about the last denial.
     """
 
     def __init__(
@@ -199,7 +199,7 @@ class AccessControl:
 
     @classmethod
     def of_enclave(cls, folder: Path, domain: int = 0) -> Self:
-        """Open an enclave as sros2 lays it out, of today or of Ardent (``ca.cert.pem`` for both authorities)."""
+        """Open an enclave in the layout of sros2, current or of Ardent (``ca.cert.pem`` for both authorities)."""
         authority = folder / "permissions_ca.cert.pem"
         return cls(
             certificate=folder / "cert.pem",
@@ -255,7 +255,7 @@ class AccessControl:
         return self.allows_topic(topic) and self.allows_endpoint(direction, topic, partitions)
 
     def close(self) -> None:
-        """Free the plugin instance; every later question is answered with no."""
+        """Free the plugin instance; it denies everything afterwards."""
         self._handle = 0
         self._finalizer()
 
@@ -266,7 +266,7 @@ class AccessControl:
         self.close()
 
     def _noted(self, answer: object) -> bool:
-        """Keep and free the plugin's message, which it allocates anew for every refusal."""
+        """Save and free the plugin's message, which it allocates for every refusal."""
         message = self._exception.message
         if message:
             self.reason = ctypes.string_at(message).decode(errors="replace")
@@ -277,7 +277,7 @@ class AccessControl:
 
 @contextmanager
 def _silent() -> Iterator[None]:
-    """Keep what the plugin's parser prints on standard output out of what this process has to say there."""
+    """Suppress what the plugin's parser prints on standard output."""
     libc = ctypes.CDLL(None)
     libc.fflush(None)
     kept = os.dup(1)
@@ -299,7 +299,7 @@ def _uri(document: Document) -> bytes:
 
 
 def _octets(name: str) -> bytes:
-    """Return a name as the plugin gets it; a surrogate is a byte that is no UTF-8 (PEP 383)."""
+    """Return the bytes of a name; surrogates are bytes that are not UTF-8 (PEP 383)."""
     return name.encode("utf-8", "surrogateescape")
 
 

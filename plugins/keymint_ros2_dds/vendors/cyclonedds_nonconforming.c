@@ -1,6 +1,6 @@
-/* An access-control plugin for Cyclone DDS 0.10 whose participant ignores its own permissions: what it checks of itself
- * is always right, all else is done by the vendor's plugin. So peers learn its true identity and permissions, and only
- * they can refuse it. KEYMINT_VENDOR_PLUGIN is the path of the vendor's plugin. */
+/* An access-control plugin for Cyclone DDS 0.10 whose participant ignores its own permissions: its local checks always
+ * succeed, and the vendor's plugin does everything else. Peers get its true identity and permissions, and only they can
+ * refuse it. KEYMINT_VENDOR_PLUGIN is the path of the vendor's plugin. */
 
 #define _GNU_SOURCE
 #include <dlfcn.h>

@@ -1,5 +1,5 @@
-/* A secure participant of Cyclone DDS 0.10 that is told on stdin what to do, one line for each command, and answers on
- * stdout with one line. The protocol is described in participants.py, which starts it. */
+/* A secure participant of Cyclone DDS 0.10. It reads one command per line from stdin, and answers each with one line on
+ * stdout. participants.py, which starts it, describes the protocol. */
 
 #include <pthread.h>
 #include <stddef.h>
@@ -96,7 +96,7 @@ static void set_authority(dds_qos_t *qos, const char *property, const char *fold
   set_file(qos, property, folder, access(path, F_OK) == 0 ? file : "ca.cert.pem");
 }
 
-/* access_control is the path of an access-control plugin in place of the vendor's. */
+/* access_control is the path of an access-control plugin to use instead of the vendor's. */
 static void open_participant(uint32_t domain, const char *folder, const char *plugins, const char *access_control)
 {
   char library[3][4096];
@@ -123,7 +123,7 @@ static void open_participant(uint32_t domain, const char *folder, const char *pl
     printf("OPENED\n");
 }
 
-/* Create the topic, and a writer or reader of it; return a negative code and leave nothing behind if that is denied. */
+/* Create the topic, and a writer or reader of it; if that is denied, delete both and return a negative code. */
 static dds_entity_t create_edge(bool writes, const char *topic_name, char **partitions, uint32_t partition_count)
 {
   dds_qos_t *qos = dds_create_qos();

@@ -1,6 +1,6 @@
-/* Preloaded into a participant of Fast DDS 2.9, it makes the participant ignore its own permissions: what it checks of
- * its own writers and readers is always right. So peers learn its true identity and permissions, and only they can
- * refuse it. The names are those of the library's functions, whose table of virtual functions is bound by name. */
+/* Preloaded into a participant of Fast DDS 2.9, it makes the participant ignore its own permissions: the local checks of
+ * writers and readers always succeed. Peers get its true identity and permissions, and only they can refuse it. These
+ * names replace the library's functions, because its table of virtual functions is bound by name. */
 
 #include <stdbool.h>
 

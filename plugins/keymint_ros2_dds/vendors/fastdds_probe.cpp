@@ -1,5 +1,5 @@
-// A secure participant of Fast DDS 2.9 that is told on stdin what to do, one line for each command, and answers on
-// stdout with one line. The protocol is described in participants.py, which starts it.
+// A secure participant of Fast DDS 2.9. It reads one command per line from stdin, and answers each with one line on
+// stdout. participants.py, which starts it, describes the protocol.
 
 #include <chrono>
 #include <cstdint>
@@ -42,7 +42,7 @@ constexpr uint32_t MAX_SERIALIZED = 4096;
 constexpr int PARTICIPANTS = 4;  // peers that each participant looks for
 constexpr auto STEP = std::chrono::milliseconds(2);
 
-// What Fast DDS complained of since they were last taken.
+// Messages of Fast DDS since they were last read.
 class Complaints
 {
 public:
@@ -203,7 +203,7 @@ public:
     }
 
 private:
-    // Ports are the harness's choice, so that systems of different tests never meet: two for each participant.
+    // The caller chooses the ports, two for each participant, so that systems of different tests never communicate.
     std::string open(uint32_t domain, const std::string& folder, int first_port, int index)
     {
         fast::DomainParticipantQos qos;
@@ -259,7 +259,7 @@ private:
         qos.properties().properties().emplace_back(name, value);
     }
 
-    // The words end with direction, topic and partitions; first is where they begin.
+    // The words end with direction, topic and partitions, from index first on.
     bool create(Edge& edge, const Words& words, size_t first)
     {
         edge.topic = static_cast<fast::Topic*>(participant_->lookup_topicdescription(words[first + 1]));
@@ -306,7 +306,7 @@ private:
         if (edge.subscriber != nullptr)
             participant_->delete_subscriber(edge.subscriber);
         if (edge.topic != nullptr)
-            participant_->delete_topic(edge.topic);  // stays while another edge uses it
+            participant_->delete_topic(edge.topic);  // fails while another edge uses it; then it stays
     }
 
     std::string keep_edge(const Words& words)

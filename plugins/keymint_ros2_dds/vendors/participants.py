@@ -1,7 +1,7 @@
 """Secure participants of a real vendor on loopback, each in a process of its own.
 
-A participant is a probe (:mod:`probes`) that is told line by line what to do. The words of a line are separated by
-tabs, and every line is answered by one:
+A participant is a probe (:mod:`probes`) that reads one command per line. The words of a line are separated by
+tabs, and each line is answered by one line:
 
 =================================================  ==================================================
 ``OPEN domain enclave …``                          ``OPENED``, or ``REFUSED reason``
@@ -33,7 +33,7 @@ from keymint_ros2_dds.vendors.ports import FIRST_PARTICIPANT, Ports
 Direction = Literal["publish", "subscribe"]
 
 GRACE_SECONDS = 30.0
-"""How much longer than a command allows its answer may take on a busy machine before the probe counts as hung."""
+"""How long an answer may take beyond the time of its command before the probe counts as hung."""
 
 
 class RefusedError(Exception):
@@ -49,33 +49,33 @@ class NotMatchedError(Exception):
 
 
 class MatchedError(Exception):
-    """A peer matches, where none should."""
+    """A peer matches although none should."""
 
 
 class ProbeError(Exception):
-    """The probe hangs, has died, or does not understand: a defect of the test, not a decision of the vendor."""
+    """The probe hangs, has died, or does not know the command: not a decision of the vendor."""
 
 
 class Vendor(Protocol):
-    """What differs between the vendors in how a participant is started."""
+    """How participants of a vendor are started."""
 
     @property
     def program(self) -> Path:
-        """The vendor's probe, built."""
+        """The vendor's built probe program."""
 
     @property
     def nonconforming(self) -> Path | None:
-        """A library, built, with which a participant ignores its own permissions; None where there is none."""
+        """The built library that makes a participant ignore its own permissions, if any."""
 
     def start(
         self, first_port: int, index: int, *, conforming: bool = True
     ) -> tuple[Mapping[str, str], tuple[str, ...]]:
-        """Return the environment variables of the process, and the vendor's own words at the end of ``OPEN``.
+        """Return the environment variables of the process, and the vendor's further words of ``OPEN``.
 
         Args:
             first_port: first of the ports that belong to the system.
             index: the participant's number in the system, from 0.
-            conforming: the participant enforces its own permissions; else only its peers can.
+            conforming: the participant enforces its own permissions; otherwise only its peers do.
         """
 
 
@@ -128,7 +128,7 @@ class FastDDS:
 
 
 class System:
-    """Participants that can see each other, and no others; all are gone when the context ends."""
+    """Participants that discover each other and no others; their processes end with the context."""
 
     def __init__(self, vendor: Vendor) -> None:
         self._vendor = vendor
@@ -144,15 +144,15 @@ class System:
         self._stack.close()
 
     def open(self, enclave: Path, domain: int = 0, *, conforming: bool = True) -> ProbeParticipant:
-        """Start a process with a participant that has its identity and permissions from the enclave's folder.
+        """Start a process with a participant that uses the files of an enclave.
 
         Args:
             enclave: the folder.
             domain: DDS domain id.
-            conforming: the participant enforces its own permissions; else only its peers can.
+            conforming: the participant enforces its own permissions; otherwise only its peers do.
 
         Raises:
-            RefusedError: the vendor refuses; the process is gone.
+            RefusedError: the vendor refuses; the process has ended.
         """
         index, self._opened = self._opened, self._opened + 1
         environment, words = self._vendor.start(self.first_port, index, conforming=conforming)
@@ -185,16 +185,16 @@ class ProbeParticipant:
         return ProbeEndpoint(self._process, name)
 
     def allows(self, direction: Direction, topic: str, partitions: Iterable[str] = ()) -> bool:
-        """Tell whether the vendor lets the participant have a writer or reader; it is not kept."""
+        """Tell whether the vendor allows a writer or reader; it is deleted at once."""
         return self.ask(direction, topic, partitions)[0]
 
     def ask(self, direction: Direction, topic: str, partitions: Iterable[str] = ()) -> tuple[bool, str]:
-        """Tell the same, and what the vendor says if it denies."""
+        """Tell the same, with the vendor's message if it denies."""
         answer, reason = self._process.ask("TRY", direction, topic, *partitions)
         return answer == "ALLOWED", reason.strip()
 
     def close(self) -> None:
-        """Delete the participant and end its process in good order."""
+        """Delete the participant and end its process."""
         self._process.close()
 
 
@@ -206,10 +206,10 @@ class ProbeEndpoint:
         self._name = name
 
     def await_match(self, seconds: float = 20.0) -> None:
-        """Wait until a peer matches; what the vendor complains of meanwhile does not end the wait.
+        """Wait until a peer matches; complaints of the vendor do not end the wait.
 
         Raises:
-            NotMatchedError: none matches in time; says what the vendor complained of.
+            NotMatchedError: none matches in time; with the vendor's complaints.
         """
         deadline, complaints = time.monotonic() + seconds, []
         while (left := deadline - time.monotonic()) > 0:
@@ -246,7 +246,7 @@ class ProbeEndpoint:
 
 
 class _ProbeProcess:
-    """A probe's process; it never outlives :meth:`reap`."""
+    """A probe's process; :meth:`reap` always ends it."""
 
     def __init__(self, program: Path, environment: Mapping[str, str]) -> None:
         self._errors: IO[bytes] = tempfile.TemporaryFile()  # noqa: SIM115 - lives as long as the process
@@ -303,7 +303,7 @@ class _ProbeProcess:
         self.reap()
 
     def reap(self) -> None:
-        """End the process whatever it does, and free what it held; may be called again."""
+        """Kill the process and close its streams; may be called again."""
         self._process.kill()
         self._process.wait()
         for stream in (self._input, self._output, self._errors):

@@ -1,4 +1,4 @@
-"""Blocks of UDP ports on loopback, so that systems of different tests never meet although they share a domain id."""
+"""Blocks of UDP ports on loopback, so that systems of tests with the same domain id never communicate."""
 
 from __future__ import annotations
 
@@ -12,10 +12,10 @@ FIRST_PARTICIPANT = 10
 
 
 class Ports:
-    """A block of UDP ports on loopback that no other system has, also not one of another test process.
+    """A block of UDP ports on loopback that no other system uses, in this process or another.
 
-    The ports are below the range that the kernel gives out by itself. One that no participant uses is held while
-    the system lives; who holds it, owns the block.
+    The ports are below the kernel's ephemeral range. One port that no participant uses stays bound as long as the
+    system exists; whoever binds it owns the block.
 
     Attributes:
         first: the first port.

@@ -1,6 +1,6 @@
-"""The two vendors: whether they are here, and their probes, small programs that hold a secure participant each.
+"""Detect the vendors, and build their probes: small programs with one secure participant each.
 
-A probe is built from its source in this folder, against the vendor's packages, once for each state of source,
+A probe is built from its source in this folder, against the vendor's packages, once for each version of source,
 compiler and library. :mod:`participants` starts it and talks to it.
 """
 
@@ -25,7 +25,7 @@ _INHERITED = ("PATH", "LD_LIBRARY_PATH")
 
 
 def inherited(environment: Mapping[str, str]) -> Mapping[str, str]:
-    """Return what a probe gets of an environment: nothing that could configure a vendor otherwise than we do."""
+    """Return the variables that a probe inherits: none that configures a vendor."""
     return {name: environment[name] for name in _INHERITED if name in environment}
 
 
@@ -33,7 +33,7 @@ _NOTHING: Mapping[str, str] = MappingProxyType({})
 
 
 class MissingVendorError(Exception):
-    """A vendor is not on this machine; says what is missing and how to install it.
+    """A vendor is not installed; with what is missing, and how to install it.
 
     Args:
         vendor: the vendor's name, for people.
@@ -68,7 +68,7 @@ class Probe:
     packages: tuple[str, ...]
 
     def require(self, environment: Mapping[str, str] = _NOTHING) -> tuple[str, bytes]:
-        """Return the compiler, and the header with all that it includes.
+        """Return the compiler, and the preprocessed header.
 
         Raises:
             MissingVendorError: compiler or headers are not installed.
@@ -89,10 +89,10 @@ class Probe:
         return compiler, looked_for.stdout
 
     def build(self, cache: Path, environment: Mapping[str, str] = _NOTHING) -> Path:
-        """Return the program, built unless it is in the cache.
+        """Return the program; build it if it is not in the cache.
 
         Args:
-            cache: a folder for programs; made if it is missing, and not used if others can write to it.
+            cache: a folder for programs; created if missing, and not used if others can write to it.
             environment: environment variables; the compiler is looked for on its ``PATH``.
 
         Raises:
@@ -121,7 +121,7 @@ class Probe:
         return program
 
     def version(self, header: str, macro: str, environment: Mapping[str, str] = _NOTHING) -> str:
-        """Return the text of a macro that says the vendor's version, or an empty text if it is not to be found."""
+        """Return the value of the macro of the vendor's version, or an empty text."""
         path = environment.get("PATH", os.defpath)
         compiler = next(filter(None, (shutil.which(name, path=path) for name in self.compilers)), None)
         if compiler is None:
@@ -163,7 +163,7 @@ FASTDDS = Probe(
 FASTDDS_NONCONFORMING = Probe(
     "Fast DDS", "fastdds_nonconforming.c", ("gcc", "cc"), "stdbool.h", ("-std=gnu11", "-shared", "-fPIC"), FAST_PACKAGES
 )
-"""A library to preload, for the same purpose."""
+"""A library to preload for the same purpose."""
 
 
 def require_cyclone_plugins() -> None:

@@ -1,6 +1,6 @@
-"""Where compiled probes are kept: in this user's cache if nobody else can write there, else in a folder of this run.
+"""Find a folder for compiled probes: this user's cache if nobody else can write there, else a folder of this run.
 
-A program from the cache is run with the rights of whoever runs Keymint, so it is only taken from a place that is ours.
+A program from the cache runs with the rights of the user, so only a safe place is trusted.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from pathlib import Path
 
 
 def place(cache: Path, name: str) -> Path:
-    """Return where a program is, or is to be built: in the cache unless something else lies there in its place.
+    """Return the path of a program: in the cache, unless a file there is not trusted.
 
     Args:
         cache: a folder for programs.
@@ -25,7 +25,7 @@ def place(cache: Path, name: str) -> Path:
 
 
 def folder(cache: Path) -> Path:
-    """Return the cache if it is ours alone, made if it is missing, else a private folder that goes when the run ends.
+    """Return the cache, created if missing, if only this user can write it; else a private folder of this run.
 
     Args:
         cache: a folder for programs.
@@ -38,10 +38,10 @@ def folder(cache: Path) -> Path:
 
 
 def is_ours_alone(path: Path) -> bool:
-    """Tell whether a folder is this user's with mode 0700, no link, and cannot be replaced by another one.
+    """Tell whether a folder is this user's, has mode 0700, is not a link, and cannot be replaced by others.
 
-    Nobody but root and this user may own or write a folder on the way to it; in a folder with the sticky bit, like
-    ``/tmp``, others can write, but cannot rename what is ours.
+    Only root and this user may own or write its parent folders; in one with the sticky bit, like ``/tmp``, others can
+    write, but cannot rename our files.
     """
     try:
         own = path.lstat()
@@ -52,7 +52,7 @@ def is_ours_alone(path: Path) -> bool:
 
 
 def is_ours(program: Path) -> bool:
-    """Tell whether a program is a regular file with one name, of this user, that nobody else can write."""
+    """Tell whether a program is a regular file of this user, without hard links, that nobody else can write."""
     try:
         found = program.lstat()
     except OSError:
@@ -66,7 +66,7 @@ def is_ours(program: Path) -> bool:
 
 
 def _above(path: Path) -> Iterator[os.stat_result]:
-    """Yield the status of every folder and link on the way to a folder, by its name and by where links lead."""
+    """Yield the status of each parent folder and link, of the path as given and as resolved."""
     for way in (Path(os.path.abspath(path)), path.resolve()):  # noqa: PTH100 - links are not to be followed
         for folder_above in way.parents:
             yield folder_above.lstat()
@@ -85,5 +85,5 @@ def _of_this_run() -> Path:
 
 @functools.cache
 def _temporary() -> tempfile.TemporaryDirectory[str]:
-    """Return a folder with mode 0700 that lives as long as the process."""
+    """Return a folder with mode 0700 that exists as long as the process."""
     return tempfile.TemporaryDirectory(prefix="keymint-")

@@ -13,11 +13,11 @@ from keymint.errors import KeymintError
 @pytest.fixture(params=["libno-such-library.so.1", "libc.so.6"])
 def elsewhere(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
     """Look for a library that is not there, or that is another one."""
-    cyclonedds_observer._library.cache_clear()
+    cyclonedds_observer.library.cache_clear()
     monkeypatch.setattr(cyclonedds_observer, "LIBRARY", request.param)
     monkeypatch.setattr(cyclonedds_observer, "_OTHER_NAMES", ())
     yield
-    cyclonedds_observer._library.cache_clear()
+    cyclonedds_observer.library.cache_clear()
 
 
 @pytest.mark.usefixtures("elsewhere")
