@@ -28,7 +28,7 @@ class DdsSecurity:
     meanings = lazy("keymint_ros2_dds.lowering.endpoints:meanings")
     mentioned = lazy("keymint_ros2_dds.document_topics:document_topics")
 
-    differences = lazy("keymint_ros2_dds.proving.trust_anchors:differences")
+    differences = lazy("keymint_ros2_dds.proving.anchor_check:differences")
     terms = lazy("keymint_ros2_dds.proving:terms")
 
     def assumptions(self) -> Mapping[str, Sequence[str]]:

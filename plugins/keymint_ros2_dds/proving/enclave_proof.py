@@ -11,10 +11,10 @@ from keymint.pki import smime
 from keymint_ros2_dds import decision
 from keymint_ros2_dds.enclave_layout import CERTIFICATE, GOVERNANCE_P7S, PERMISSIONS_P7S, PERMISSIONS_XML
 from keymint_ros2_dds.proving import validity_terms
+from keymint_ros2_dds.proving.anchor_check import differences
 from keymint_ros2_dds.proving.claims import ProofSpec
 from keymint_ros2_dds.proving.enclave_governance import EnclaveGovernance
 from keymint_ros2_dds.proving.proof_cache import prove_content
-from keymint_ros2_dds.proving.trust_anchors import differences
 from keymint_ros2_dds.transports.enclave_files import subject_name
 
 
