@@ -111,7 +111,7 @@ class SearchBudget:
     """The cost that a question may have.
 
     Attributes:
-        states: states that the search may visit.
+        states: states that each of the two engines may visit.
         go_on: called repeatedly; the search gives up when it returns False. Callers that may read the clock use it as a
             deadline.
         steps_per_state: steps (:mod:`comarmor.patterns.steps`) that a state may cost on average; the fast path may take

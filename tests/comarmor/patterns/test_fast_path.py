@@ -13,10 +13,10 @@ from comarmor.patterns.counterexample_search import CounterexampleSearch
 from comarmor.patterns.decision_lists import Block, Equal, SearchBudget, Universe, Unknown
 from comarmor.patterns.derivatives import Derivatives
 from comarmor.patterns.evaluate import permits
+from comarmor.patterns.product_search import ProductSearch
 from comarmor.patterns.proofs import difference, implies
 from comarmor.patterns.tokens import charset
 
-from .product_search import ProductSearch
 from .small import PRINTABLE, UNIVERSE, WORDS, allow, deny, first_difference, globs, lists, patterns_of
 
 NARROW = Universe(charset([(97, 97)]))

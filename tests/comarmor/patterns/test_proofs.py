@@ -19,9 +19,9 @@ from comarmor.patterns.decision_lists import (
 from comarmor.patterns.derivatives import Derivatives
 from comarmor.patterns.evaluate import permits
 from comarmor.patterns.glob import parse
+from comarmor.patterns.product_search import ProductSearch
 from comarmor.patterns.proofs import difference, escapes, implies
 
-from .product_search import ProductSearch
 from .small import PRINTABLE, UNIVERSE, WORDS, allow, deny, first_difference, lists, patterns_of
 
 

@@ -1,4 +1,7 @@
-"""A second engine, an oracle: it determinises both sides together, letter by letter, as far as needed."""
+"""The second engine: determinise both sides together, letter by letter, as far as needed.
+
+A state is the rest of every list. If both sides are equal from there on, nothing is left to search.
+"""
 
 from __future__ import annotations
 
