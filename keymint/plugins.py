@@ -1,4 +1,4 @@
-"""Finds plugins by their entry points, checks their version, and fails loudly.
+"""Find plugins by their entry points, check their version, and report every failure.
 
 The only module that touches :mod:`importlib.metadata`.
 """
@@ -45,15 +45,15 @@ GROUPS: Mapping[str, str] = {
 
 @dataclass(frozen=True, slots=True)
 class PluginInfo:
-    """What is known of a plugin without loading it.
+    """Metadata of a plugin, read without loading it.
 
     Attributes:
         group: entry-point group.
         name: name within the group.
         target: ``module:attribute`` that it loads.
         distribution: the installed distribution that registers it.
-        version: that distribution's version.
-        location: where that distribution is installed.
+        version: version of the distribution.
+        location: folder of the distribution.
     """
 
     group: str
@@ -73,9 +73,9 @@ def _info(entry: EntryPoint) -> PluginInfo:
 
 
 def how_to_add(package: str) -> str:
-    """Return the command that installs a package into the environment that Keymint runs in.
+    """Return the command that installs a package into the environment of Keymint.
 
-    It never fetches Keymint's own distribution: an index may have another project of that name.
+    It never installs Keymint itself: an index may have another project of that name.
     """
     environment = Path(sys.prefix)
     if (environment / "pipx_metadata.json").is_file():  # pipx may or may not put pip into its environments
@@ -92,7 +92,7 @@ def _kind(group: str) -> str:
 
 
 def _source(entry: EntryPoint) -> str:
-    """Return what to install again: a distribution, and where its installer took it from (PEP 610)."""
+    """Return the distribution to reinstall, and its source (PEP 610)."""
     name = _info(entry).distribution
     try:
         url = json.loads((entry.dist and entry.dist.read_text("direct_url.json")) or "{}").get("url", "")
@@ -104,13 +104,13 @@ def _source(entry: EntryPoint) -> str:
 
 
 def _brought_by(entry: EntryPoint) -> str:
-    """Return what tells distributions apart: the name, or the place of one that does not say its name."""
+    """Return the identity of a distribution: its name, or its location if it has no name."""
     info = _info(entry)
     return info.distribution or info.location
 
 
 def _header(distribution: Distribution, header: str) -> str:
-    """Return a header of a distribution's metadata, empty where it is missing: damage must not hide a plugin."""
+    """Return a header of a distribution's metadata, or an empty text: damaged metadata must not hide a plugin."""
     try:
         # Looking a missing header up by [] gives None, warns, or raises, depending on the version of Python.
         return str((distribution.metadata.get_all(header) or [""])[0])
@@ -119,9 +119,9 @@ def _header(distribution: Distribution, header: str) -> str:
 
 
 def _installed() -> Iterator[EntryPoint]:
-    """Yield the entry points of our groups; a distribution that is seen twice on ``sys.path`` counts once.
+    """Yield the entry points of our groups; a distribution that is twice on ``sys.path`` counts once.
 
-    A distribution whose entry points cannot be read is left out: it may have nothing to do with Keymint.
+    A distribution with unreadable entry points is ignored: it may be unrelated to Keymint.
     """
     seen: set[str] = set()
     for distribution in distributions():
@@ -137,7 +137,7 @@ def _installed() -> Iterator[EntryPoint]:
 
 
 class Plugins:
-    """The plugins that are installed; each is loaded when it is first asked for.
+    """The installed plugins; each is loaded on first use.
 
     Args:
         entries: the entry points to use; by default those of the environment.
@@ -157,7 +157,7 @@ class Plugins:
 
     @functools.cached_property
     def infos(self) -> tuple[PluginInfo, ...]:
-        """What is installed, sorted by group and name, doubles included."""
+        """Metadata of all plugins, sorted by group and name, including duplicates."""
         return tuple(
             _info(entry)
             for group in GROUPS
@@ -167,7 +167,7 @@ class Plugins:
 
     @functools.cached_property
     def versions(self) -> str:
-        """The versions of all plugins as one text: what they made may have to be made anew when it changes."""
+        """The versions of all plugins as one text; when it changes, builds are stale."""
         return "\n".join(f"{info.group}/{info.name}/{info.distribution}/{info.version}" for info in self.infos)
 
     def profile_type(self, name: str, where: Origin | None = None) -> ProfileType:
@@ -213,11 +213,11 @@ class Plugins:
         Args:
             group: a key of :data:`GROUPS`.
             name: the plugin's name.
-            where: who asks for it, for the message.
+            where: the place that names it, for the message.
 
         Raises:
-            KeymintError: there is none of this name, two distributions bring it, it fails to load, or it was
-                made for another major version of the plugin interface.
+            KeymintError: no plugin has this name, two distributions provide it, it fails to load, or it needs another
+                major version of the plugin interface.
         """
         key = (group, name)
         if key not in self._loaded:
@@ -230,11 +230,11 @@ class Plugins:
         Args:
             group: a key of :data:`GROUPS`.
             name: the plugin's name.
-            where: the file that asks for it, for the message.
-            exit_code: what the command line ends with when there is none; by default, as for a wrong option.
+            where: the place that names it, for the message.
+            exit_code: exit code if it is missing; by default that of a usage error.
 
         Raises:
-            KeymintError: there is none of this name; says which is near.
+            KeymintError: no plugin has this name; the help names a similar one.
         """
         known = self._entries.get(group, {})
         if name not in known:
@@ -253,7 +253,7 @@ class Plugins:
         if len(entries) > 1:
             brought_by = " and ".join(sorted(map(_brought_by, entries)))
             raise KeymintError(
-                f"the {kind} {name!r} is brought by {brought_by}",
+                f"the {kind} {name!r} is provided by {brought_by}",
                 where=where,
                 help="uninstall all but one",
                 code="plugin-doubled",
@@ -271,10 +271,10 @@ class Plugins:
         version = getattr(plugin, "API", None)
         if not isinstance(version, str) or version.split(".")[0] != API_VERSION.split(".")[0]:
             raise KeymintError(
-                f"the {kind} {name!r} ({entry.value}) speaks version {version!r} of the plugin interface, "
-                f"this keymint speaks {API_VERSION!r}",
+                f"the {kind} {name!r} ({entry.value}) implements version {version!r} of the plugin interface, "
+                f"this Keymint needs {API_VERSION!r}",
                 where=where,
-                help=f"install a version of {_info(entry).distribution or 'it'} made for this keymint",
+                help=f"install a version of {_info(entry).distribution or 'it'} for this Keymint",
                 code="plugin-version",
             )
         return plugin

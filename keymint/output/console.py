@@ -1,4 +1,4 @@
-"""Renders reports and progress for people (and reports for machines)."""
+"""Show reports and progress on a terminal, or reports as JSON."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ _PROGRESS_AFTER = 1.0
 
 @dataclass(frozen=True, slots=True)
 class Streams:
-    """Where a run writes to, and how.
+    """The output streams of a run.
 
     Attributes:
         out: results.
@@ -55,10 +55,10 @@ class Streams:
 
 
 class Console:
-    """Says what a run does.
+    """Shows the progress and the results of a run.
 
     Args:
-        streams: where to.
+        streams: output streams.
         verbosity: -1 quiet, 0 usual, 1 and more: every step and file.
         as_json: one JSON document on ``out`` in place of words.
     """
@@ -71,12 +71,12 @@ class Console:
     # -- while it runs -------------------------------------------------------------------------------------------
 
     def waiting(self) -> None:
-        """Say that another run holds the workspace."""
+        """Report that another run holds the workspace lock."""
         self._say_err("Waiting for the workspace lock held by another keymint process")
 
     @contextmanager
     def progress(self, total: int, clock: Any) -> Iterator[Any]:
-        """Yield a function to call with every step that is done; draws a bar when work takes long.
+        """Yield a function to call after each step; draws a progress bar if the work takes long.
 
         Args:
             total: number of steps.
@@ -94,7 +94,7 @@ class Console:
     # -- when it is done -----------------------------------------------------------------------------------------
 
     def show(self, report: Report) -> None:
-        """Show a report: the whole of it as JSON, or its steps and diagnostics in words."""
+        """Show a report as JSON, or its steps and diagnostics as text."""
         if self._json:
             document = json.dumps(encodable(report_json(report)), indent=2, ensure_ascii=True)
             self._streams.out.write(f"{document}\n")
@@ -105,7 +105,7 @@ class Console:
             self._steps(report)
 
     def diagnostic(self, diagnostic: Diagnostic) -> None:
-        """Say one diagnostic: ``place: severity: message (help)``; notes only when asked for more."""
+        """Show one diagnostic: ``place: severity: message (help)``; notes only if verbose."""
         if diagnostic.severity is Severity.NOTE and self._verbosity < 1:
             return
         if diagnostic.severity is Severity.WARNING and self._verbosity < 0:
@@ -117,16 +117,16 @@ class Console:
         self._say_err(f"{printable(place)}{label} {printable(diagnostic.message + hint + about)}")
 
     def line(self, text: str = "") -> None:
-        """Say a line of a result, unless quiet or JSON; what is not printable in it is escaped."""
+        """Show a line of a result unless quiet or JSON, with unprintable characters escaped."""
         self._line(printable(text))
 
     def document(self, content: bytes) -> None:
-        """Write a document of several lines that is itself the result, unless quiet or JSON.
+        """Write a document that is the result, unless quiet or JSON.
 
-        Byte for byte, so that it can go into a file; on a terminal what is not printable is escaped.
+        Written byte for byte into files and pipes; on a terminal unprintable characters are escaped.
 
         Args:
-            content: UTF-8; a newline is added where it does not end in one.
+            content: UTF-8; ends with exactly one newline in the output.
         """
         if self._json or self._verbosity < 0:
             return
@@ -139,12 +139,12 @@ class Console:
             self._streams.out.write(content.decode())
 
     def _line(self, text: str, colour: str = "") -> None:
-        """Say a line that is printable."""
+        """Show a printable line."""
         if not self._json and self._verbosity >= 0:
             self._streams.out.write(_paint(text, colour, colour=bool(colour) and self._streams.colour_out) + "\n")
 
     def table(self, columns: list[str], rows: list[list[str]]) -> None:
-        """Show a table as aligned text: one line a row, so that it can be piped through grep."""
+        """Show a table as aligned text, one line per row."""
         if self._json or self._verbosity < 0:
             return
         columns, rows = [printable(cell) for cell in columns], [[printable(cell) for cell in row] for row in rows]
@@ -189,7 +189,7 @@ def _counted(steps: Any) -> str:
 
 
 def _gain(sizes: Sequence[DocumentSize]) -> str:
-    """Return how much smaller the documents became that were built in this run, or nothing."""
+    """Return the total size of the built documents compared with their plain form, or an empty text."""
     now, plain = sum(size.bytes for size in sizes), sum(size.plain_bytes for size in sizes)
     if now == plain:
         return ""

@@ -15,16 +15,16 @@ from keymint.workspace import Workspace, shown
 
 @dataclass(frozen=True, slots=True)
 class Report:
-    """What a verb did.
+    """The outcome of a verb.
 
     Attributes:
         verb: its name.
-        workspace: the workspace, or None for a verb that needs none or found none.
-        steps: what was done, or would be.
+        workspace: the workspace, or None.
+        steps: the steps that were executed, or would be.
         diagnostics: warnings, findings and errors.
-        result: what else the verb has to say; its shape is the verb's.
-        exit_code: what the process ends with.
-        dry_run: nothing was written.
+        result: further results; each verb has its own keys.
+        exit_code: exit code of the process.
+        dry_run: whether nothing was written.
     """
 
     verb: str
@@ -37,7 +37,7 @@ class Report:
 
 
 def as_typed(diagnostic: Diagnostic, folder: Path) -> Diagnostic:
-    """Return a diagnostic with the paths in it as a user who stands in a folder would type them."""
+    """Return a diagnostic with paths relative to a directory."""
     prefix = f"{folder}/"
 
     def place(origin: Origin) -> Origin:
@@ -53,16 +53,16 @@ def as_typed(diagnostic: Diagnostic, folder: Path) -> Diagnostic:
 
 
 def folded(diagnostics: Sequence[Diagnostic]) -> tuple[Diagnostic, ...]:
-    """Fold diagnostics that differ in their subject only: a defect in shared defaults is one defect.
+    """Merge diagnostics that differ only in their subject: a defect in shared defaults is one defect.
 
-    The message then says for how many packages it stands. Diagnostics without a place stay as they are.
+    The message then ends with the number of packages. Diagnostics without a place are not merged.
     """
     together: dict[Diagnostic, int] = {}
     first: dict[Diagnostic, Diagnostic] = {}
     seen: set[Diagnostic] = set()
     for diagnostic in diagnostics:
         if diagnostic.subject and diagnostic in seen:
-            continue  # two stages say the same of one package
+            continue  # two stages report the same for one package
         seen.add(diagnostic)
         key = replace(diagnostic, subject="") if diagnostic.where else diagnostic
         together[key] = together.get(key, 0) + 1
@@ -74,6 +74,6 @@ def folded(diagnostics: Sequence[Diagnostic]) -> tuple[Diagnostic, ...]:
 
 
 def findings_exit(diagnostics: Sequence[Diagnostic]) -> ExitCode:
-    """Return the exit code of a verb that looks for findings: notes are none."""
+    """Return the exit code of a verb that reports findings; notes do not count."""
     found = any(diagnostic.severity is not Severity.NOTE for diagnostic in diagnostics)
     return ExitCode.FINDINGS if found else ExitCode.DONE

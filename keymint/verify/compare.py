@@ -1,4 +1,4 @@
-"""Holds the labels of a transport against those of the policy, as they come; only counts and findings are kept."""
+"""Compare the labels of a transport with those of the policy, keeping only counts and mismatches."""
 
 from __future__ import annotations
 
@@ -13,10 +13,10 @@ from keymint.graph import ConfusionMatrix, Edge, EdgeOutcome
 from keymint.verify.mismatch import Comparison, Mismatch
 
 ENCLAVE_REFUSED = "enclave-refused"
-"""Code of the error by which a transport says that it refuses an enclave as a whole."""
+"""Code of the error of a transport that refuses a complete enclave."""
 
 Explain = Callable[[str, Enclave, list[tuple[Edge, Verdict]]], list[Mismatch]]
-"""Returns the findings on edges of one enclave that a transport (given by name) labels differently from the policy."""
+"""Returns the mismatches of one enclave, given the name of the transport and the edges with its verdicts."""
 
 
 def compare(
@@ -30,18 +30,18 @@ def compare(
     limit: int,
     on_subject: Callable[[str], None] = lambda _subject: None,
 ) -> Comparison:
-    """Hold one transport against the policy.
+    """Compare one transport with the policy.
 
     Args:
         name: the transport's name.
-        transport: a transport that is usable.
+        transport: a usable transport.
         enclaves: the enclave of each subject of the edges.
         edges: grouped by subject.
-        said: what the policy says about each edge: 1 allowed, 0 not.
-        tier: how deep to ask.
-        explain: says why a label is wrong.
-        limit: findings to keep; all are counted.
-        on_subject: called when all edges of a subject are done.
+        said: the policy's label of each edge: 1 allowed, 0 denied.
+        tier: the tier of the test.
+        explain: returns mismatches with their reasons.
+        limit: mismatches to keep; all are counted.
+        on_subject: called after all edges of a subject.
 
     Raises:
         KeymintError: the transport does not work.
@@ -77,8 +77,8 @@ def label_by_subject(
 ) -> Iterator[tuple[str, Iterator[tuple[Edge, Verdict]]]]:
     """Yield the labelled edges of each subject.
 
-    A transport that needs peers is asked once for all of them; else subject by subject, so that one enclave that is
-    refused says nothing of the others.
+    A transport that needs peers gets all enclaves at once. Others get one subject at a time, so that a refused enclave
+    does not affect the rest.
     """
     if tier is Tier.EXCHANGE:
         labelled = _answers(transport, tuple(enclaves.values()), edges, tier, deque())
@@ -92,7 +92,7 @@ def label_by_subject(
 def label_enclave(
     transport: Transport, enclave: Enclave, edges: Iterable[Edge], tier: Tier
 ) -> Iterator[tuple[Edge, Verdict]]:
-    """Yield what a transport decides about the edges of one enclave; one that is refused may do nothing.
+    """Yield the verdicts of a transport on the edges of one enclave; a refused enclave is denied everything.
 
     Raises:
         KeymintError: the transport does not work.
@@ -113,17 +113,17 @@ def label_enclave(
 def _answers(
     transport: Transport, enclaves: Sequence[Enclave], edges: Iterable[Edge], tier: Tier, unanswered: deque[Edge]
 ) -> Iterator[tuple[Edge, Verdict]]:
-    """Yield what a transport decides, as long as it answers what it is asked: each edge once, in their order.
+    """Yield the verdicts of a transport; it must answer each edge once, in order.
 
     Args:
         transport: the transport.
         enclaves: the enclaves of all subjects of the edges.
         edges: edges to decide.
         tier: how deep to ask.
-        unanswered: holds the edges that it took and did not answer yet.
+        unanswered: receives the edges that it has not answered yet.
 
     Raises:
-        KeymintError: it leaves an edge out, or answers another one; also as :meth:`keymint.api.Transport.label`.
+        KeymintError: it skips an edge, or answers another one; see also :meth:`keymint.api.Transport.label`.
     """
     waiting = iter(edges)
 
@@ -134,7 +134,7 @@ def _answers(
 
     for edge, verdict in transport.label(enclaves, asked(), tier):
         if not unanswered or unanswered.popleft() != edge:
-            raise KeymintError("the transport answers what it was not asked", code="transport-answers")
+            raise KeymintError("the transport answered another edge than the one asked for", code="transport-answers")
         yield edge, verdict
     if unanswered or next(waiting, None) is not None:
-        raise KeymintError("the transport leaves edges unanswered", code="transport-answers")
+        raise KeymintError("the transport left edges unanswered", code="transport-answers")

@@ -1,7 +1,7 @@
-"""Copies of the enclaves of a snapshot, for transports: they read files, and may take long over them.
+"""Copies of enclaves for transports, which read files and may take long.
 
-An install that runs meanwhile neither waits for them nor changes what they read. Messages name the enclaves' own
-folders, not those of the copies.
+A concurrent install neither waits for them nor changes the files that they read. Messages name the original
+directories, not the copies.
 """
 
 from __future__ import annotations
@@ -26,8 +26,8 @@ class Copies:
 
     Attributes:
         enclaves: the copies by subject.
-        root: the folder that they lie in.
-        place: the folder that the enclaves lie in.
+        root: the directory of the copies.
+        place: the directory of the originals.
     """
 
     enclaves: Mapping[str, Enclave]
@@ -35,15 +35,15 @@ class Copies:
     place: Path
 
     def read_by(self, transports: Mapping[str, Transport]) -> dict[str, Transport]:
-        """Return transports that read the copies when they are given the enclaves."""
+        """Return transports that read the copies instead of the originals."""
         return {name: _OnCopies(each, self) for name, each in transports.items()}
 
     def back(self, text: str) -> str:
-        """Return a text with the place of the enclaves for that of the copies."""
+        """Replace the directory of the copies by the directory of the originals."""
         return text.replace(str(self.root), str(self.place))
 
     def named(self, error: KeymintError) -> KeymintError:
-        """Return an error that names the enclaves, not their copies."""
+        """Return an error that names the originals."""
         return KeymintError.of(map(self._diagnostic, error.diagnostics), error.exit_code)
 
     def _diagnostic(self, found: Diagnostic) -> Diagnostic:
@@ -55,13 +55,13 @@ class Copies:
 def copied(
     tree: Tree, place: Path, enclaves: Mapping[str, Enclave], transports: Mapping[str, Transport]
 ) -> Iterator[Copies]:
-    """Copy enclaves into a folder that only this user may enter, and that goes at the end.
+    """Copy enclaves into a private temporary directory, which is removed at the end.
 
     Args:
         tree: the snapshot.
-        place: the folder that all enclaves lie in.
+        place: the directory of the enclaves.
         enclaves: the enclaves by subject.
-        transports: what will read them; private keys are copied only if one of them needs more than documents.
+        transports: their readers; private keys are copied only if one of them needs more than documents.
     """
     keys = not all(names_rules(each.usable()) for each in transports.values())
     with tempfile.TemporaryDirectory(prefix="keymint-") as folder:
@@ -91,7 +91,7 @@ def _copy(tree: Tree, source: Path, target: Path, *, keys: bool) -> None:
 
 
 def _content(tree: Tree, path: Path) -> bytes | None:
-    """Return the bytes of a file; a link is followed, as the vendors do: that it is one is for ``check`` to say."""
+    """Return the content of a file. Links are followed, as vendors do; ``check`` reports them."""
     try:
         return tree.read(path)
     except KeymintError as error:
@@ -111,7 +111,7 @@ class _OnCopies:
         self._copies = copies
 
     def usable(self) -> Availability:
-        """Tell whether the transport is."""
+        """See :meth:`keymint.api.Transport.usable`."""
         return self._transport.usable()
 
     def label(self, enclaves: Sequence[Enclave], edges: Iterable[Edge], tier: Tier) -> Iterator[tuple[Edge, Verdict]]:

@@ -1,7 +1,7 @@
-"""What the policy says about an edge where it is enforced: on the endpoints of a transport.
+"""Decide edges by the policy where it is enforced: on the endpoints of a transport.
 
-There, rules on names of the application and rules on names of the transport meet, and both count: ``ALLOW publish`` of
-the topic ``rt/chatter`` and ``DENY ros_publish`` of ``/chatter`` are about the same endpoint.
+Rules on ROS names and rules on names of the transport both apply there: ``ALLOW publish`` of the topic ``rt/chatter``
+and ``DENY ros_publish`` of ``/chatter`` match the same endpoint.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ RAW = "topic"
 
 @dataclass(frozen=True, slots=True)
 class Naming:
-    """How the names of a subject become those of its transport: a mapping, and the distribution it is for."""
+    """The mapping of a subject's ROS names to names of its transport, for one distribution."""
 
     mapping: NameMapping
     distro: str
@@ -31,16 +31,16 @@ class Naming:
         return self.mapping.endpoints(self.distro, edge)
 
     def meanings(self, endpoint: Edge) -> Sequence[Edge]:
-        """Return what an endpoint can mean; see :meth:`keymint.api.NameMapping.meanings`."""
+        """Return the ROS edges of an endpoint; see :meth:`keymint.api.NameMapping.meanings`."""
         return self.mapping.meanings(self.distro, endpoint)
 
 
 class EndpointPolicy:
-    """Says what a policy means on the endpoints of its subjects.
+    """A policy, applied to the endpoints of its subjects.
 
     Args:
         policy: the policy.
-        namings: the naming of each subject that has one; names of other subjects are taken as they are.
+        namings: the naming of each subject that has one; names of other subjects are not mapped.
     """
 
     def __init__(self, policy: LoadedPolicy, namings: Mapping[str, Naming]) -> None:
@@ -50,7 +50,7 @@ class EndpointPolicy:
         self._is_raw: Callable[[str], bool] = lambda _name: False
 
     def decide(self, edge: Edge) -> PolicyDecision:
-        """Return what the policy says about an edge.
+        """Return the policy's decision on an edge.
 
         Raises:
             KeymintError: the kind or the permission is not known.
@@ -67,11 +67,11 @@ class EndpointPolicy:
         return self._together([self._endpoint(endpoint, naming) for endpoint in endpoints])
 
     def _endpoint(self, endpoint: Edge, naming: Naming) -> PolicyDecision:
-        """Decide an endpoint: in each of its partitions by itself, since the mapping may make another name of each."""
+        """Decide an endpoint in each of its partitions separately; the mapping may give each another name."""
         return self._together([self._in_partition(each, naming) for each in _apart(endpoint)])
 
     def _in_partition(self, endpoint: Edge, naming: Naming) -> PolicyDecision:
-        """Decide by all that the policy can say of an endpoint: deny overrides allow."""
+        """Decide an endpoint by its own name and its ROS names; deny overrides allow."""
         said = [self._policy.decide(edge) for edge in (endpoint, *naming.meanings(endpoint))]
         denying = [decision for decision in said if not decision.allowed and decision.where]
         allowing = [decision for decision in said if decision.allowed]
@@ -79,11 +79,11 @@ class EndpointPolicy:
 
     @staticmethod
     def _together(decisions: Sequence[PolicyDecision]) -> PolicyDecision:
-        """Return the first denial of an endpoint that is needed, or that all are allowed."""
+        """Return the first denial, or the first decision if all allow."""
         return next((decision for decision in decisions if not decision.allowed), decisions[0])
 
     def _turn_to(self, subject: str) -> None:
-        """Make ready for a subject's edges, which come together."""
+        """Prepare for the edges of a subject, which are grouped."""
         if subject == self._subject:
             return
         rules = self._policy.rules(subject)
@@ -105,12 +105,12 @@ def _apart(endpoint: Edge) -> Sequence[Edge]:
 def label(
     judge: EndpointPolicy, edges: Iterable[Edge], on_subject: Callable[[str], None] = lambda _subject: None
 ) -> bytearray:
-    """Return what the policy says about edges, a byte for each: 1 allowed, 0 not.
+    """Return the policy's labels of edges, one byte each: 1 allowed, 0 denied.
 
     Args:
-        judge: what the policy says.
+        judge: the policy on endpoints.
         edges: grouped by subject.
-        on_subject: called when all edges of a subject are done.
+        on_subject: called after all edges of a subject.
 
     Raises:
         KeymintError: the kind or the permission of an edge is not known.

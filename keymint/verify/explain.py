@@ -1,4 +1,4 @@
-"""Says why a transport labels an edge differently from the policy: which rule of which document decided."""
+"""Explain mismatches: find the rule of the document that decided."""
 
 from __future__ import annotations
 
@@ -17,18 +17,18 @@ from keymint.verify.mismatch import Mismatch
 from keymint.verify.usable_transports import names_rules
 
 DOCUMENTS = ("permissions.xml", "permissions.p7s")
-"""Where an enclave has its rules, in plain and signed."""
+"""Documents with the rules of an enclave, unsigned and signed."""
 
 
 class Explainer:
-    """Explains labels of transports; a real one is explained by the model of it.
+    """Explains the labels of transports; a real one is explained by its simulation.
 
     Args:
-        judge: what the policy says.
-        asked: the transports whose labels are explained, by name.
-        find_models: returns, when it is needed, transports whose verdicts have the line of a rule, by name;
-            ``cyclonedds-0.10`` is a model of ``cyclonedds``. The first is asked where there is no model of its own.
-        tree: the files, to tell which documents an enclave has.
+        judge: the policy on endpoints.
+        asked: the transports to explain, by name.
+        find_models: returns, on first use, simulated transports by name, whose verdicts have the line of a rule;
+            ``cyclonedds-0.10`` simulates ``cyclonedds``. The first one explains transports without a simulation.
+        tree: the files of the enclaves.
     """
 
     def __init__(
@@ -48,7 +48,7 @@ class Explainer:
         return self._find_models()
 
     def __call__(self, transport: str, enclave: Enclave, wrong: list[tuple[Edge, Verdict]]) -> list[Mismatch]:
-        """Return the findings on edges of one enclave that a transport labels wrongly."""
+        """Return the mismatches of one enclave with their reasons."""
         modelled = self._modelled(transport, enclave, wrong)
         return [
             Mismatch(
@@ -64,14 +64,14 @@ class Explainer:
         ]
 
     def model_of(self, transport: str) -> str:
-        """Return the name of the model that explains a transport, or nothing."""
+        """Return the name of the simulation that explains a transport, or an empty text."""
         own = [name for name in self._models if name.startswith(f"{transport}-")]
         return next(iter(own or self._models), "")
 
     def _modelled(
         self, transport: str, enclave: Enclave, wrong: Sequence[tuple[Edge, Verdict]]
     ) -> list[tuple[Verdict, str]]:
-        """Return the verdicts of the model, where there is one and it decides alike; else the transport's own."""
+        """Return the verdicts of the simulation where it decides the same, else the transport's own."""
         plain = [(verdict, "") for _, verdict in wrong]
         if transport in self._explains_itself:
             return plain
@@ -95,6 +95,6 @@ def _reason(verdict: Verdict) -> str:
 
 
 def document(tree: Tree, enclave: Enclave, line: int) -> Origin:
-    """Return a place in the document that has an enclave's rules."""
+    """Return a place in the document with the rules of an enclave."""
     found = [path for name in DOCUMENTS if tree.status(path := enclave.folder / name) is not None]
     return Origin(str(found[0] if found else enclave.folder / DOCUMENTS[-1]), line)

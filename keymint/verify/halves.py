@@ -1,7 +1,7 @@
-"""Endpoints that a transport allows against the policy, of a service, action or parameter that it denies as a whole.
+"""Find single endpoints that a transport allows although it denies the service, action or parameter.
 
-A transport allows a ROS service only if it allows both of its topics. A document that permits one of them is
-therefore not seen on the service's edge, though a subject that may publish requests can already make a server act.
+A transport allows a ROS service only if it allows both of its topics. The edge of the service does not show a document
+that permits one of them, although a subject that may publish requests can already make a server act.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from keymint.verify.mismatch import Comparison
 
 @dataclass(frozen=True, slots=True)
 class _Composites:
-    """What a subject is asked for: the endpoints of each edge that has several, and those that are edges themselves."""
+    """The endpoints of each edge of a subject that has several, and the endpoints that are edges themselves."""
 
     endpoints: Sequence[Sequence[Edge]]
     known: frozenset[Edge]
@@ -36,20 +36,20 @@ def with_halves(
     explain: Explain,
     limit: int,
 ) -> Comparison:
-    """Return an outcome with the endpoints that are false positives, each as an edge of its own.
+    """Add the endpoints that are false positives to a comparison, each as an edge of its own.
 
-    An endpoint is left out where the edge that it belongs to is a false positive already.
+    An endpoint is omitted if its edge is a false positive already.
 
     Args:
-        outcome: what came of the edges.
+        outcome: the comparison of the edges.
         transport: the transport.
         enclaves: the enclave of each subject of the edges.
         edges: the edges, grouped by subject.
         allowed: the policy's label of each edge: 1 allowed, 0 denied.
         judge: the policy on endpoints.
         namings: the naming of each subject that has one.
-        explain: says why a label is wrong.
-        limit: findings to keep; all are counted.
+        explain: returns mismatches with their reasons.
+        limit: mismatches to keep; all are counted.
 
     Raises:
         KeymintError: the transport does not work.
@@ -75,12 +75,12 @@ def with_halves(
 def _endpoints(
     edges: Iterable[tuple[Edge, int]], namings: Mapping[str, Naming], waiting: dict[str, _Composites]
 ) -> Iterator[Edge]:
-    """Yield the endpoints of edges that the policy denies and that have several, each once, grouped by subject.
+    """Yield the endpoints of denied edges with several endpoints, each once, grouped by subject.
 
     Args:
         edges: the edges with the policy's labels, grouped by subject.
         namings: the naming of each subject that has one.
-        waiting: gets, by subject, what the endpoints belong to, before the first of them is yielded.
+        waiting: receives the composites of a subject before its first endpoint is yielded.
     """
     for subject, group in groupby(edges, key=lambda labelled: labelled[0].subject):
         naming = namings.get(subject)
@@ -98,7 +98,7 @@ def _endpoints(
 
 
 def _halves(composites: _Composites, verdicts: Mapping[Edge, Verdict]) -> Sequence[Edge]:
-    """Return the endpoints that are allowed and belong to no edge that is allowed as a whole."""
+    """Return the allowed endpoints that belong to no edge with all endpoints allowed."""
     allowed = {endpoint for endpoint, verdict in verdicts.items() if verdict.allowed} - composites.known
     for needed in composites.endpoints:
         if all(verdicts[endpoint].allowed for endpoint in needed):

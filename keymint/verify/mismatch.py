@@ -1,4 +1,4 @@
-"""What a comparison finds, as data."""
+"""Mismatches between policy and transports, and their counts."""
 
 from __future__ import annotations
 
@@ -12,15 +12,15 @@ from keymint.graph import ConfusionMatrix, Edge, EdgeOutcome
 
 @dataclass(frozen=True, slots=True)
 class Mismatch:
-    """An edge that a transport labels differently from the policy, and why.
+    """An edge that a transport labels differently from the policy, with the reason.
 
     Attributes:
         error: false positive or false negative.
         edge: the edge.
-        policy: what the policy says; its ``where`` is the rule that decides, or none.
-        verdict: what the transport decides, and says itself.
-        reason: one line: why it does, in the words of the model of it where there is one.
-        document: the rule in the enclave's document that decides; without a line where no rule does.
+        policy: the policy's decision.
+        verdict: the transport's decision, in its own words.
+        reason: one line, from the simulation of the transport if there is one.
+        document: the rule in the enclave's document that decided; without a line if no rule did.
         model: the simulated transport that explains the verdict of a real one, or empty.
     """
 
@@ -35,15 +35,15 @@ class Mismatch:
 
 @dataclass(frozen=True, slots=True)
 class Comparison:
-    """What came of holding one transport against the policy.
+    """The comparison of one transport with the policy.
 
     Attributes:
         transport: its name.
-        version: its version, as it says itself.
-        tier: how deep it was asked.
+        version: its version.
+        tier: the tier of the test.
         confusion: counts of all edges.
-        findings: the first of the edges that are labelled differently, in the order of the edges.
-        wrong: subjects with such edges, and how many.
+        findings: the first mismatches, in the order of the edges.
+        wrong: number of mismatches by subject.
     """
 
     transport: str
@@ -55,5 +55,5 @@ class Comparison:
 
     @property
     def omitted(self) -> int:
-        """How many findings are counted but not kept."""
+        """Number of mismatches that are counted but not kept."""
         return self.confusion.errors - len(self.findings)

@@ -1,8 +1,8 @@
-"""Names to ask for when no graph says which: those that a policy mentions, and names that probe each of its patterns.
+"""Generate names to test without a graph: names in the policy, and names that probe its patterns.
 
-A pattern is probed inside, where it must match, and just outside, where it must not: nothing, one character, a slash
-and several segments for ``*``; each of a few members of a class and its neighbours; a character more or less at either
-end; the other case. A document whose pattern is wider or narrower than the policy's differs on one of these.
+A pattern is probed inside, where it must match, and just outside, where it must not: an empty text, one character, a
+slash and several segments for ``*``; a few members of a class and their neighbours; one character more or less at
+either end; the other case. A document whose pattern is wider or narrower than the policy's differs on one of them.
 """
 
 from __future__ import annotations
@@ -20,13 +20,13 @@ from keymint.ir import Rule, SubjectRules
 from keymint.verify.endpoint_policy import RAW
 
 MOST_OF_A_PATTERN = 48
-"""Names that one pattern is probed with."""
+"""Limit of probing names per pattern."""
 MOST_OF_OTHERS = 2_000
-"""Objects that only the rules of other subjects are about, by which a subject is probed."""
+"""Limit of objects from rules of other subjects that a subject is tested with."""
 _MOST_OF_A_CLASS = 6
 _FILLINGS = ("", "x", "y/z", "_0", "/n")
 _PLAIN = string.ascii_letters + string.digits + "_/"
-"""Characters that names of topics have on every transport; what is generated has no others."""
+"""Characters of topic names on every transport; generated names have no others."""
 
 
 def edges(
@@ -35,16 +35,16 @@ def edges(
     mentioned: Callable[[str], Iterable[Edge]] = lambda _subject: (),
     needed: Callable[[Edge], Iterable[Edge]] = lambda _edge: (),
 ) -> Iterator[Edge]:
-    """Yield edges to ask for, grouped by subject, without doubles.
+    """Yield edges to test, grouped by subject, without duplicates.
 
-    Every subject is asked for all that its own rules mention, probes included, for what the rules of the others mention
-    by name (evenly chosen where that is more than :data:`MOST_OF_OTHERS`), and for what its documents mention beside.
+    Every subject is tested with the objects of its own rules and their probes, with the named objects of other rules
+    (an even selection if there are more than :data:`MOST_OF_OTHERS`), and with further objects of its documents.
 
     Args:
         rules: the rules of each subject, sorted by subject.
         domains: the DDS domain of each subject.
-        mentioned: returns edges of kind ``topic`` on what the documents of a subject mention.
-        needed: returns the edges of kind ``topic`` that an edge stands for, which need not be asked for again.
+        mentioned: returns edges of kind ``topic`` on the objects in the documents of a subject.
+        needed: returns the endpoints of an edge, which need not be tested again.
     """
     listed = tuple(rules)
     shared = sorted({found for each in listed for rule in each.rules for found in _objects(rule, probe=False)})
@@ -68,7 +68,7 @@ def raw_edges(subject: str, expression: str, partitions: Sequence[str], domain: 
         found = (text,) if text else names(expression)
         lists = tuple(dict.fromkeys(_partitions(partitions, RAW, probe=True))) if partitions else ((),)
     except PatternError:
-        return  # no policy can say this; a transport has its own reading
+        return  # not an expression of any policy; only the transport can read it
     for name in filter(None, found):
         for each in lists:
             for permission in LABELLED[RAW]:
@@ -78,13 +78,13 @@ def raw_edges(subject: str, expression: str, partitions: Sequence[str], domain: 
 def names(expression: str) -> tuple[str, ...]:
     """Return names that probe an expression, the likeliest first, at most :data:`MOST_OF_A_PATTERN`.
 
-    A literal is returned with its neighbours: a character more or less, the other case, something above and below.
+    A literal is returned with its neighbours: one character more or less, the other case, a parent and a child.
     """
     return tuple(islice(dict.fromkeys(_names(expression)), MOST_OF_A_PATTERN))
 
 
 def _objects(rule: Rule, *, probe: bool) -> Iterator[Object]:
-    """Yield the objects that a rule mentions, and those that probe its patterns."""
+    """Yield the objects of a rule, and objects that probe its patterns."""
     for name in _names_of(rule.expressions, probe):
         if not name or (rule.kind != RAW and name[0] != "/"):
             continue  # no topic has such a name

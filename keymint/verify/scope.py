@@ -1,4 +1,4 @@
-"""What there is to verify in a workspace: the enclaves that are installed, how they name things, and the edges."""
+"""The scope of a verification: installed enclaves, their naming, and the edges to test."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from keymint.verify.endpoint_policy import Naming
 
 @dataclass(frozen=True, slots=True)
 class VerificationScope:
-    """What there is to verify.
+    """The scope of a verification.
 
     Attributes:
         enclaves: installed enclaves by subject, sorted.
@@ -32,10 +32,10 @@ class VerificationScope:
 
 
 def verification_scope(session: Session, names: Sequence[str]) -> VerificationScope:
-    """Return what there is to verify of some packages.
+    """Return the scope of a verification of some packages.
 
     Raises:
-        KeymintError: there is none, one is not installed, or has defects.
+        KeymintError: there are no packages, or one is not installed or has defects.
     """
     if not names:
         raise KeymintError("there is no package to verify", help="run 'keymint create --all'", code="packages-none")
@@ -64,7 +64,7 @@ def verification_scope(session: Session, names: Sequence[str]) -> VerificationSc
 
 
 def naming_of(inputs: Inputs, package: Package) -> Naming | None:
-    """Return how the build type of a package maps names, if it tells."""
+    """Return the naming of a package, or None if its build type offers none."""
     build_type = inputs.plugins.build_type(package.build_type, inputs.package_marker(package.name))
     return Naming(build_type, package.distro) if isinstance(build_type, NameMapping) else None
 
@@ -72,19 +72,19 @@ def naming_of(inputs: Inputs, package: Package) -> Naming | None:
 def edges_of_graph(
     graph: Graph, found: VerificationScope, *, only: bool
 ) -> tuple[tuple[str, ...], Callable[[], Iterator[Edge]]]:
-    """Return the subjects of a graph that there is to verify, and a function that yields its completion for them.
+    """Return the subjects of a graph to verify, and a function that yields all possible edges of them.
 
     Args:
         graph: the graph.
-        found: what there is to verify.
-        only: leave subjects out that are not to be verified.
+        found: the scope.
+        only: ignore subjects outside of the scope.
 
     Raises:
         KeymintError: a subject of the graph has no enclave here, or the graph is empty.
     """
     missing = [subject for subject in graph.subjects if subject not in found.enclaves]
     if not graph.edges:
-        raise KeymintError("the graph has no edge, so that there is nothing to verify", code="graph-empty")
+        raise KeymintError("the graph has no edges: nothing to verify", code="graph-empty")
     if missing and not only:
         raise KeymintError(
             f"the graph has a subject {missing[0]}, but no such enclave is verified",
@@ -96,7 +96,7 @@ def edges_of_graph(
 
 
 def edges_of_policy(policy: LoadedPolicy, found: VerificationScope) -> Callable[[], Iterator[Edge]]:
-    """Return a function that yields edges on what a policy and the documents mention, and on names that probe it."""
+    """Return a function that yields edges on the objects of the policy and the documents, and on probing names."""
     rules = [policy.rules(subject) or SubjectRules(subject, ()) for subject in found.enclaves]
 
     def mentioned(subject: str) -> Iterator[Edge]:
@@ -106,7 +106,7 @@ def edges_of_policy(policy: LoadedPolicy, found: VerificationScope) -> Callable[
             yield from probes.raw_edges(subject, name, partitions, found.domains.get(subject, 0))
 
     def needed(edge: Edge) -> Sequence[Edge]:
-        """Return the endpoints of an edge, where they are known."""
+        """Return the endpoints of an edge, if they are known."""
         naming = found.namings.get(edge.subject)
         return naming.endpoints(edge) if naming else ()
 

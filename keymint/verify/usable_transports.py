@@ -1,4 +1,4 @@
-"""Which transports are asked, and which can name the rule that decides."""
+"""Select transports: those to test, and those that name the rule that decides."""
 
 from __future__ import annotations
 
@@ -10,18 +10,18 @@ from keymint.plugins import Plugins
 
 
 def choose(plugins: Plugins, chosen: Sequence[str], tier: Tier) -> dict[str, Transport]:
-    """Return the transports to ask, by name: those that are named, or all that can be asked this way here.
+    """Return the transports to test, by name: the chosen ones, or all that are usable at a tier.
 
     Raises:
-        KeymintError: one that is named is not known or not usable, or none is named and none is usable.
+        KeymintError: a chosen transport is unknown or unusable, or none is chosen and none is usable.
     """
     if not chosen:
         known = plugins.transports().items()
         found = {name: each for name, each in known if usable_by_default(each.usable(), tier)}
         if not found:
             raise KeymintError(
-                f"no transport can be asked at the tier {tier} on this machine",
-                help="'keymint transports' says how to install one",
+                f"no transport supports the tier {tier} on this machine",
+                help="'keymint transports' shows how to install one",
                 code="transport-none",
             )
         return found
@@ -36,8 +36,8 @@ def choose(plugins: Plugins, chosen: Sequence[str], tier: Tier) -> dict[str, Tra
             )
         if tier not in usable.tiers:
             raise KeymintError(
-                f"the transport {name!r} cannot be asked at the tier {tier}",
-                help=f"it has {', '.join(usable.tiers)}",
+                f"the transport {name!r} does not support the tier {tier}",
+                help=f"it supports {', '.join(usable.tiers)}",
                 code="transport-tier",
                 exit_code=ExitCode.USAGE,
             )
@@ -45,17 +45,17 @@ def choose(plugins: Plugins, chosen: Sequence[str], tier: Tier) -> dict[str, Tra
 
 
 def usable_by_default(usable: Availability, tier: Tier) -> bool:
-    """Tell whether a transport is asked where none is named."""
+    """Return whether a transport is tested when none is chosen."""
     return usable.usable and usable.by_default and tier in usable.tiers
 
 
 def names_rules(usable: Availability) -> bool:
-    """Tell whether a transport decides by the text of the documents only, and so can name the rule that decides."""
+    """Return whether a transport decides by the documents alone, so it can name the rule that decides."""
     return usable.tiers == (Tier.DECISION,)
 
 
 def models(plugins: Plugins) -> dict[str, Transport]:
-    """Return the transports that name the rule that decides; a standard, which names no version, comes first."""
+    """Return the transports that name the rule that decides; the standard, which has no version, comes first."""
     found = {name: each for name, each in plugins.transports().items() if names_rules(each.usable())}
     found = {name: each for name, each in found.items() if usable_by_default(each.usable(), Tier.DECISION)}
     return {name: found[name] for name in sorted(found, key=lambda name: ("-" in name, name))}

@@ -1,4 +1,4 @@
-"""One decision through all layers: ``keymint why``."""
+"""Explain one decision, from policy to transport."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ _KIND_OF = {permission: kind for kind, permissions in LABELLED.items() for permi
 
 @dataclass(frozen=True, slots=True)
 class MatchedRule:
-    """A rule, where it stands, and whether it was found on a layer to be about the request."""
+    """A rule that applies to a request, its place, and a note if it only nearly applies."""
 
     rule: Rule
     where: Origin
@@ -36,7 +36,7 @@ class MatchedRule:
 
 @dataclass(frozen=True, slots=True)
 class Explanation:
-    """What every layer says of a request.
+    """The decision of every layer on a request.
 
     Attributes:
         edge: the request.

@@ -163,10 +163,10 @@ BROKEN = {
     "major": (
         "class Type:\n    API = '2.0'\nbuild_type = Type()\n",
         (
-            "the build type 'broken' (broken_plugin:build_type) speaks version '2.0' of the plugin interface, "
-            "this keymint speaks '1.0'"
+            "the build type 'broken' (broken_plugin:build_type) implements version '2.0' of the plugin interface, "
+            "this Keymint needs '1.0'"
         ),
-        "install a version of broken-plugin made for this keymint",
+        "install a version of broken-plugin for this Keymint",
     ),
     "import": (
         "import there_is_no_such_module\n",

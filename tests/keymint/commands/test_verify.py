@@ -374,4 +374,4 @@ class TestUsage:
         monkeypatch.setattr("keymint.plugins.Plugins.transports", lambda _self: {})
         outcome = keymint("verify", cwd=cell)
         assert outcome.code == 1
-        assert "no transport can be asked" in outcome.err
+        assert "no transport supports" in outcome.err

@@ -76,7 +76,7 @@ class TestEditsByHand:
         keymint("create", "--all", cwd=ws)
         outcome = keymint("build", cwd=ws)
         assert outcome.code == 1
-        assert "build/talker/permissions.xml: error: a manual edit changes" in outcome.err
+        assert "build/talker/permissions.xml: error: was edited by hand" in outcome.err
         assert "rt/edited" in path.read_text()
 
     def test_are_discarded_with_force(self, keymint, ws: Path) -> None:
