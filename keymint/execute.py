@@ -1,4 +1,4 @@
-"""Carries a plan out, step by step, and tells what happens as events."""
+"""Carry out a plan step by step, and report each step."""
 
 from __future__ import annotations
 
@@ -28,18 +28,18 @@ def execute(
     """Carry out a plan.
 
     Args:
-        plan: what to do.
-        workspace: where.
+        plan: the plan.
+        workspace: the workspace.
         store: the writer.
-        before: the record as it was; written again only when it changes.
+        before: the previous record; written only if it changes.
         jobs: threads that write at the same time.
-        on_step: called for every step when it is done.
+        on_step: called after every step.
 
     Raises:
         KeymintError: the system refuses a write; no file is incomplete, and a later run goes on from here.
     """
     record = plan.state.dump()
-    guards = gitignore.missing(workspace, plan)
+    guards = gitignore.missing_files(workspace, plan)
     if not guards and not plan.writes() and record == before.dump() and not store.is_marked():
         for step in plan.steps:
             on_step(step)
@@ -52,7 +52,7 @@ def execute(
         if not file.secret
     ]
     with store.marked(dump_mark(before, public, key_record.new_fingerprints(before, plan.state))):
-        for guard in guards:  # before the first secret is there
+        for guard in guards:  # before the first secret is written
             store.write(guard.folder, guard.files, private=guard.private)
         for batch in _batches(plan.steps):
             _carry_out(batch, store, jobs, on_step)
@@ -60,23 +60,23 @@ def execute(
 
 
 def _batches(steps: Sequence[Step]) -> Iterator[Sequence[Step]]:
-    """Yield the steps of one stage after the other: what a stage wrote is there before the next begins."""
+    """Yield the steps stage by stage, so that a stage is written before the next one begins."""
     for _, batch in groupby(steps, key=lambda step: (step.stage, not step.package)):
         yield tuple(batch)
 
 
 def _carry_out(steps: Sequence[Step], store: Store, jobs: int, on_step: Callable[[Step], None]) -> None:
-    # Packages below one namespace stay in one thread: an outer enclave is made before the ones inside it.
+    # Packages below one namespace stay in one thread: an outer enclave is created before the ones inside it.
     ordered = sorted(steps, key=lambda step: step.package)
     groups = [tuple(group) for _, group in groupby(ordered, key=lambda step: step.package.split("/")[0])]
     if jobs <= 1 or len(groups) <= 1:
         for group in groups:
-            _tell(_write(group, store), on_step)
+            _report(_write(group, store), on_step)
         return
     with ThreadPoolExecutor(jobs) as pool:
         try:
             for written in pool.map(lambda group: _write(group, store), groups):
-                _tell(written, on_step)
+                _report(written, on_step)
         except BaseException:
             pool.shutdown(wait=True, cancel_futures=True)
             raise
@@ -87,6 +87,6 @@ def _write(steps: Sequence[Step], store: Store) -> Sequence[Step]:
     return steps
 
 
-def _tell(steps: Sequence[Step], on_step: Callable[[Step], None]) -> None:
+def _report(steps: Sequence[Step], on_step: Callable[[Step], None]) -> None:
     for step in steps:
         on_step(step)

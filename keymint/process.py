@@ -1,6 +1,6 @@
-"""What a process owes the system: streams that are there, writes whose failure is reported, and an orderly end.
+"""Standard streams that exist and report failed writes, and an orderly end on signals.
 
-Only the command line uses it; everything below gets its streams from there.
+Only the command line uses this module; everything else gets its streams from there.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ _received: list[int] = []
 class StoppedError(BaseException):
     """A signal asks the process to end.
 
-    It is no KeyboardInterrupt: libraries handle that one, each in its own way.
+    This is not a KeyboardInterrupt, because libraries handle that one in their own ways.
 
     Args:
         number: of the signal.
@@ -35,10 +35,10 @@ class StoppedError(BaseException):
 
 
 class OutputError(Exception):
-    """A standard stream takes no more.
+    """A standard stream cannot be written to.
 
     Args:
-        error: what the system said.
+        error: the system's error.
     """
 
     def __init__(self, error: OSError | ValueError) -> None:
@@ -47,11 +47,11 @@ class OutputError(Exception):
 
 
 class Output(io.TextIOBase):
-    """A standard stream that tells when it fails, and whether anything was written to it.
+    """A standard stream that reports failed writes, and whether anything was written to it.
 
     Args:
-        stream: the stream; None when the process was started without it.
-        required: a failure to write is an :class:`OutputError`; otherwise what is written is lost.
+        stream: the stream; None if the process was started without it.
+        required: raise :class:`OutputError` if a write fails; otherwise the output is lost.
     """
 
     def __init__(self, stream: IO[str] | None, *, required: bool = True) -> None:
@@ -68,7 +68,7 @@ class Output(io.TextIOBase):
 
     @property
     def buffer(self) -> _Bytes:
-        """What takes bytes in place of text."""
+        """The stream for bytes."""
         return _Bytes(self)
 
     def isatty(self) -> bool:
@@ -83,9 +83,9 @@ class Output(io.TextIOBase):
         """Write text.
 
         Raises:
-            OutputError: the stream is not there, or takes no more.
+            OutputError: the stream does not exist, or cannot be written to.
         """
-        with self._told():
+        with self._reported():
             if self._stream is None:
                 raise ValueError("it is closed")
             self.began = self.began or bool(text)
@@ -93,42 +93,42 @@ class Output(io.TextIOBase):
         return len(text)
 
     def put(self, content: bytes) -> None:
-        """Write a document byte for byte, whatever the encoding of the stream.
+        """Write bytes unchanged, whatever the encoding of the stream.
 
         Raises:
-            OutputError: the stream is not there, or takes no more.
+            OutputError: the stream does not exist, or cannot be written to.
         """
         below = getattr(self._stream, "buffer", None)
         if below is None:
             self.write(content.decode("utf-8", "backslashreplace"))
             return
         self.flush()
-        with self._told():
+        with self._reported():
             self.began = self.began or bool(content)
             below.write(content)
 
     def flush(self) -> None:
-        """Hand on what was written.
+        """Flush the stream.
 
         Raises:
-            OutputError: the stream takes no more.
+            OutputError: the stream cannot be written to.
         """
-        with self._told():
+        with self._reported():
             if self._stream is not None:
                 self._stream.flush()
 
     def close(self) -> None:
-        """Leave the stream as it is: it is the process's, and may be closed already when this wrapper goes."""
+        """Do nothing: the stream belongs to the process, and may already be closed."""
 
     def give_up(self) -> None:
-        """Let what could not be written go, so that nothing tries again when the process ends."""
+        """Discard unwritten output, so that it is not retried when the process ends."""
         with contextlib.suppress(AttributeError, OSError, ValueError):
             nowhere = os.open(os.devnull, os.O_WRONLY | os.O_CLOEXEC)
             os.dup2(nowhere, self._stream.fileno())  # type: ignore[union-attr]
             os.close(nowhere)
 
     @contextlib.contextmanager
-    def _told(self) -> Iterator[None]:
+    def _reported(self) -> Iterator[None]:
         try:
             yield
         except (OSError, ValueError) as error:
@@ -138,7 +138,7 @@ class Output(io.TextIOBase):
 
 
 class _Bytes(io.RawIOBase):
-    """The same stream, for bytes: libraries look for one."""
+    """The byte stream of an output, which libraries expect."""
 
     def __init__(self, output: Output) -> None:
         self._output = output
@@ -155,11 +155,11 @@ class _Bytes(io.RawIOBase):
         self._output.flush()
 
     def close(self) -> None:
-        """Leave the stream as it is."""
+        """Do nothing."""
 
 
 def open_missing_streams() -> None:
-    """Open what the process was started without, so that no file of ours becomes its standard output."""
+    """Open missing standard streams, so that no other file becomes standard output."""
     for number in range(3):
         try:
             os.fstat(number)
@@ -168,9 +168,9 @@ def open_missing_streams() -> None:
 
 
 def stop_on_signals() -> None:
-    """End on SIGINT and on SIGTERM by a :class:`StoppedError`, wherever the main thread is then.
+    """Raise :class:`StoppedError` in the main thread on SIGINT and SIGTERM.
 
-    A second signal ends the process at once: whoever sends it has waited long enough for the first.
+    A second signal ends the process at once.
     """
     sys.unraisablehook = _say_unraisable
     for number in _SIGNALS:
@@ -179,24 +179,24 @@ def stop_on_signals() -> None:
 
 
 def hold_signals() -> None:
-    """Let signals wait: an import that is interrupted leaves modules half made, and fails in odd ways."""
+    """Block signals: an interrupted import leaves modules incomplete, and fails in odd ways."""
     signal.pthread_sigmask(signal.SIG_BLOCK, _SIGNALS)
 
 
 def release_signals() -> None:
-    """Take signals again, those that wait included."""
+    """Unblock signals, including pending ones."""
     signal.pthread_sigmask(signal.SIG_UNBLOCK, _SIGNALS)
 
 
 def settle() -> None:
-    """Let signals wait for good, if they were ours to handle: the work is done and said, and what remains is quick."""
+    """Block signals for good, if this module handles them: the work is done and reported, and the rest is quick."""
     if signal.getsignal(signal.SIGTERM) is _stop or _received:
         hold_signals()
 
 
 @contextlib.contextmanager
 def held_signals() -> Iterator[None]:
-    """Let signals wait for a short while; see :func:`hold_signals`."""
+    """Block signals for a short time; see :func:`hold_signals`."""
     hold_signals()
     try:
         yield

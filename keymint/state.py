@@ -1,7 +1,7 @@
 """Stamps: which inputs led to which outputs, so that a stage knows what it has done.
 
-The record only saves work and recognises edits by hand: when it is lost, every stage computes its result anew and
-compares it with what is there.
+The record saves work and recognises manual edits. If it is lost, every stage recomputes its result and compares it with
+the existing files.
 """
 
 from __future__ import annotations
@@ -12,14 +12,14 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 
 MAX_RECORD = 1 << 30
-"""Bytes of a record: there are about 1,500 an enclave."""
+"""Largest record in bytes; an enclave needs about 1,500."""
 VERSION = 2
 _SEAL, _END = b',"sha256":"', b'"}\n'
-"""Around the digest at the end of a record, which tells a damaged one."""
+"""Text around the digest at the end of a record, which detects damage."""
 
 
 def digest(*parts: bytes | str) -> str:
-    """Return the SHA-256, in hex, of several parts, each with its length so that none runs into the next."""
+    """Return the SHA-256, in hex, of several parts, each prefixed with its length to keep them distinct."""
     sha = hashlib.sha256()
     for part in parts:
         data = part.encode("utf-8", "surrogatepass") if isinstance(part, str) else part  # any name on disk
@@ -41,9 +41,8 @@ class Stamp:
         inputs: digest over everything the stage read.
         outputs: digest of each file it wrote, by path relative to the package's folder in the stage's space.
         secret: which of them are secret.
-        context: digest of what else the result was made with, where a stage keeps that apart: the options of a build,
-            the policy of a proof.
-        lifetimes: when the result is in force, where a stage can tell; see :mod:`keymint.plan.lifetimes`.
+        context: digest of other inputs that a stage compares separately: the options of a build, the policy of a proof.
+        lifetimes: when the result is in force, if the stage knows; see :mod:`keymint.plan.lifetimes`.
     """
 
     inputs: str
@@ -58,16 +57,16 @@ class State:
     """All stamps of a workspace, by ``stage`` and package name.
 
     Attributes:
-        stamps: the record of the last run that ended.
+        stamps: the record of the last run that finished.
         interrupted: digests of the public files, and fingerprints of the keys, that a killed run was about to write:
-            they are ours, not edits by hand.
+            they are not manual edits.
     """
 
     stamps: Mapping[str, Mapping[str, Stamp]] = field(default_factory=dict)
     interrupted: frozenset[str] = frozenset()
 
     def wrote(self, stage: str, package: str, file: str, content: bytes) -> bool:
-        """Tell whether a file has the content that Keymint gave it."""
+        """Tell whether a file has the content that Keymint wrote."""
         stamp = self.stamp(stage, package)
         value = digest(content)
         return value in self.interrupted or (stamp is not None and stamp.outputs.get(file) == value)
@@ -105,16 +104,16 @@ class State:
 
 
 def dump_mark(state: State, contents: Iterable[bytes], fingerprints: Iterable[str] = ()) -> bytes:
-    """Return the mark of a run that is about to write these public files, and keys with these fingerprints."""
+    """Return the mark of a run that will write these public files, and keys with these fingerprints."""
     return "\n".join(sorted(state.interrupted.union(map(digest, contents), fingerprints))).encode()
 
 
 def load(content: bytes | None, mark: bytes | None = None) -> State:
-    """Return a record from bytes; one that is missing, damaged or of another version is empty.
+    """Load a record; a record that is missing, damaged or of another version counts as empty.
 
     Args:
-        content: what :meth:`State.dump` gave.
-        mark: what :func:`dump_mark` gave, if the run that wrote it was killed.
+        content: result of :meth:`State.dump`.
+        mark: result of :func:`dump_mark`, if the run that wrote it was killed.
     """
     interrupted = frozenset((mark or b"").decode(errors="replace").split())
     return State(_stamps(content), interrupted)

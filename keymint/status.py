@@ -1,4 +1,4 @@
-"""Where every package stands: ``keymint status``."""
+"""The stage and validity of every package: ``keymint status``."""
 
 from __future__ import annotations
 
@@ -16,8 +16,8 @@ from keymint.workspace import packages
 
 
 @dataclass(frozen=True, slots=True)
-class Row:
-    """One package.
+class PackageRow:
+    """The status of one package.
 
     Attributes:
         package: its name.
@@ -37,12 +37,12 @@ class Row:
     problem: str = ""
 
 
-def overview(session: Session, policy: LoadedPolicy | None) -> tuple[Row, ...]:
+def package_rows(session: Session, policy: LoadedPolicy | None) -> tuple[PackageRow, ...]:
     """Return a row for every source package and every installed enclave, sorted by name.
 
     Args:
         session: the workspace and its profile.
-        policy: its policy, or None when it cannot be loaded: then nothing is held against it.
+        policy: its policy, or None if it cannot be loaded; then packages are not compared with it.
     """
     names = packages(session.tree, session.workspace.src)
     enclaves = set(installed(session))
@@ -50,9 +50,10 @@ def overview(session: Session, policy: LoadedPolicy | None) -> tuple[Row, ...]:
     stale = _differing(session, policy, names)
     rows = [_row(session, stale, name, chains, installed=name in enclaves) for name in names]
     rows += [
-        Row(name, "orphaned", "install --prune", _certificate_end(session, name), None) for name in orphans(session)
+        PackageRow(name, "orphaned", "install --prune", _certificate_end(session, name), None)
+        for name in orphans(session)
     ]
-    rows += [Row(name, "ignored", "", _certificate_end(session, name), None) for name in hidden(session)]
+    rows += [PackageRow(name, "ignored", "", _certificate_end(session, name), None) for name in hidden(session)]
     return tuple(sorted(rows, key=lambda row: row.package))
 
 
@@ -68,14 +69,14 @@ def _row(
     chains: Mapping[str, bytes],
     *,
     installed: bool,
-) -> Row:
+) -> PackageRow:
     end = _certificate_end(session, name)
     stale, problem, permissions_end = "", "", None
     try:
         documents = build.built_documents(session, name)
         session.package_files(name)
     except KeymintError as error:  # a file that is no file, or too large
-        return Row(name, "installed" if installed else "source", "", end, None, str(error.diagnostics[0]))
+        return PackageRow(name, "installed" if installed else "source", "", end, None, str(error.diagnostics[0]))
     stage = "installed" if installed else "built" if documents else "source"
     try:
         package = session.package(name)
@@ -89,11 +90,11 @@ def _row(
             stale = "build"
         elif not installed or not install.is_current(session, name, chains):
             stale = "install"
-    return Row(name, stage, stale, end, permissions_end, problem)
+    return PackageRow(name, stage, stale, end, permissions_end, problem)
 
 
 def _differing(session: Session, policy: LoadedPolicy | None, names: Sequence[str]) -> Mapping[str, str]:
-    """Return the packages that differ from what the policy says, each with a problem or an empty text."""
+    """Return the packages that differ from the policy, each with a problem or an empty text."""
     if policy is None:
         return {}
     try:

@@ -1,4 +1,4 @@
-"""A read-only view of the workspace's files: what lies on the disk, overlaid by what is planned.
+"""A read-only view of the workspace's files: the disk, overlaid with planned changes.
 
 Stages plan against this view, so that one run can plan all of them before its first byte is written.
 """
@@ -16,15 +16,15 @@ from comarmor.errors import Origin
 from keymint.errors import KeymintError
 
 MAX_FILE = 16 * 1024 * 1024
-"""Bytes of a file that is read; no document, certificate or key comes near."""
+"""Largest file that is read, in bytes; far more than any document, certificate or key."""
 
 
 def read_file(path: Path, most: int | None = None) -> bytes | None:
-    """Return the bytes of a regular file, or None when there is none.
+    """Return the bytes of a regular file, or None if there is none.
 
     Args:
         path: the file.
-        most: bytes that it may have; :data:`MAX_FILE` by default.
+        most: largest size in bytes; :data:`MAX_FILE` by default.
 
     Raises:
         KeymintError: the path is a symbolic link or no regular file, is too large, or cannot be read.
@@ -64,7 +64,7 @@ def read_file(path: Path, most: int | None = None) -> bytes | None:
 
 
 def unreadable(path: Path, error: OSError) -> KeymintError:
-    """Return the error for a file that the system does not let us read."""
+    """Return the error for a file that cannot be read."""
     return KeymintError(
         f"cannot be read: {os.strerror(error.errno or 0)}",
         where=Origin(str(path)),
@@ -77,14 +77,14 @@ _Read = TypeVar("_Read", bytes | None, dict[str, bool])
 
 
 class _Disk:
-    """What lies on the disk; every file and folder is read at most once."""
+    """The files on the disk; every file and folder is read at most once."""
 
     def __init__(self) -> None:
         self._contents: dict[Path, bytes | KeymintError | None] = {}
         self._entries: dict[Path, dict[str, bool] | KeymintError] = {}
         self._statuses: dict[Path, os.stat_result | None] = {}
         self._held: set[Path] = set()
-        """Folders of which all is known that is below them."""
+        """Folders that were read completely."""
 
     def read(self, path: Path) -> bytes | None:
         if path not in self._contents:
@@ -102,7 +102,7 @@ class _Disk:
         return self._statuses[path]
 
     def hold(self, folder: Path, suffix: str) -> None:
-        """Read all that lies below a folder, so that the disk is not asked about it any more."""
+        """Read everything below a folder, so that the disk is not accessed again."""
         self._statuses[folder] = _lstat(folder)
         waiting = [folder]
         while waiting:
@@ -125,7 +125,7 @@ class _Disk:
         self._held.add(folder)
 
     def _is_absent(self, path: Path) -> bool:
-        """Tell whether a path is known not to be there, because all that lies around it was read."""
+        """Tell whether a path is known not to exist, because its folder was read completely."""
         if not self._held or not any(folder in self._held for folder in path.parents):
             return False
         around = self._entries.get(path.parent)
@@ -151,18 +151,18 @@ def _lstat(path: Path) -> os.stat_result | None:
         return None
 
 
-def _or_raise(found: _Read | KeymintError) -> _Read:
-    """Return what was read, or raise what reading it raised."""
-    if isinstance(found, KeymintError):
-        raise KeymintError.of(found.diagnostics, found.exit_code)
-    return found
+def _or_raise(result: _Read | KeymintError) -> _Read:
+    """Return the result of reading, or raise its error."""
+    if isinstance(result, KeymintError):
+        raise KeymintError.of(result.diagnostics, result.exit_code)
+    return result
 
 
 class Tree:
-    """Files by absolute path, as they are when they are first asked for.
+    """Files by absolute path, as they are at the first access.
 
     Args:
-        overlay: planned content by absolute path, which hides the disk; None for a file that will be gone.
+        overlay: planned content by absolute path, which hides the disk; None for a file that will be removed.
     """
 
     def __init__(self, overlay: Mapping[Path, bytes | None] | None = None) -> None:
@@ -202,7 +202,7 @@ class Tree:
         return tree
 
     def read(self, path: Path) -> bytes | None:
-        """Return a file's bytes, or None when there is none; errors as :func:`read_file`."""
+        """Return a file's bytes, or None if there is none; errors as :func:`read_file`."""
         if path in self._overlay:
             return self._overlay[path]
         return self._disk.read(path)
@@ -215,29 +215,29 @@ class Tree:
             return None
 
     def status(self, path: Path) -> os.stat_result | None:
-        """Return the status of what lies at a path on the disk (of a link: of the link), or None when nothing does."""
+        """Return the status of a path on the disk (without following a link), or None if it does not exist."""
         return self._disk.status(path)
 
     def hold(self, folder: Path, *, suffix: str = "") -> None:
-        """Read all that lies below a folder into memory; later the disk is not asked about it any more.
+        """Read everything below a folder into memory, so that the disk is not accessed again.
 
-        What cannot be read is reported when it is asked for.
+        Errors are raised at the access to the file that cannot be read.
 
         Args:
             folder: absolute path; need not exist.
-            suffix: only files whose names end so are read; of the others it is known that they are there.
+            suffix: only files with this suffix are read; of the others only their existence is known.
         """
         self._disk.hold(folder, suffix)
 
     def has_file(self, path: Path) -> bool:
-        """Tell whether there is a regular file, on the disk or planned; a link or a folder is none."""
+        """Tell whether there is a regular file (no link, no folder), on the disk or planned."""
         if path in self._overlay:
             return self._overlay[path] is not None
         status = self.status(path)
         return status is not None and stat.S_ISREG(status.st_mode)
 
     def names(self, folder: Path) -> Sequence[tuple[str, bool]]:
-        """Return the entries of a folder, sorted, each with whether it is a folder (a link is none).
+        """Return the entries of a folder, sorted, each with whether it is a folder (links are not).
 
         Raises:
             KeymintError: the folder cannot be read.
@@ -250,24 +250,24 @@ class Tree:
 
     def files(self, folder: Path, *, suffix: str = "") -> dict[str, bytes]:
         """Return the files directly in a folder whose names end with ``suffix``, by name."""
-        found = {}
+        contents = {}
         for name, is_folder in self.names(folder):
             if not is_folder and name.endswith(suffix):
                 content = self.read(folder / name)
                 if content is not None:
-                    found[name] = content
-        return found
+                    contents[name] = content
+        return contents
 
     def files_below(self, folder: Path, *, suffix: str = "", depth: int = 8) -> dict[str, bytes]:
         """Return the files in a folder and its sub-folders by relative path, ``depth`` levels deep."""
-        found: dict[str, bytes] = {}
+        contents: dict[str, bytes] = {}
         for name, is_folder in self.names(folder):
             if is_folder:
                 if depth > 1 and not name.startswith("."):
                     below = self.files_below(folder / name, suffix=suffix, depth=depth - 1)
-                    found |= {f"{name}/{inner}": content for inner, content in below.items()}
+                    contents |= {f"{name}/{inner}": content for inner, content in below.items()}
             elif name.endswith(suffix):
                 content = self.read(folder / name)
                 if content is not None:
-                    found[name] = content
-        return found
+                    contents[name] = content
+        return contents

@@ -24,13 +24,13 @@ class Workspace:
     """Absolute paths of a workspace and its spaces.
 
     Attributes:
-        root: the folder that the spaces lie in, unless an option puts one elsewhere.
+        root: the folder that contains the spaces, unless an option puts one elsewhere.
         profile: authorities, defaults and policy, written by people.
         private: private keys; mode 0700.
         public: certificates of the authorities.
         src: source packages, one per subject.
         build: unsigned documents.
-        install: what is deployed.
+        install: the enclaves to deploy.
         shown_from: folder that paths in messages are relative to.
     """
 
@@ -49,11 +49,11 @@ class Workspace:
 
         Args:
             root: the root; need not exist.
-            spaces: paths of spaces that are not at their usual place, absolute or relative to the root.
+            spaces: paths of spaces that are not in their default place, absolute or relative to the root.
             shown_from: folder that paths in messages are relative to.
 
         Raises:
-            KeymintError: two spaces are one folder, or one lies in another.
+            KeymintError: two spaces are the same folder, or one contains another.
         """
         root = root.resolve()
         paths = {space: (root / spaces[space]).resolve() if space in spaces else root / space for space in SPACES}
@@ -61,7 +61,7 @@ class Workspace:
             for other, outer in paths.items():
                 if one != other and path.is_relative_to(outer):
                     raise KeymintError(
-                        f"the {one} space {path} lies in the {other} space {outer}",
+                        f"the {one} space {path} is inside the {other} space {outer}",
                         help="give each space a folder of its own",
                         code="space-overlap",
                         exit_code=ExitCode.USAGE,
@@ -86,24 +86,24 @@ class Workspace:
         return shown(path, self.shown_from)
 
     def authority_key(self, name: str) -> Path:
-        """Return where the private key of an authority lies."""
+        """Return the path of an authority's private key."""
         return self.private / f"{name}.key.pem"
 
     def authority_certificate(self, name: str) -> Path:
-        """Return where the certificate of an authority lies."""
+        """Return the path of an authority's certificate."""
         return self.public / f"{name}.cert.pem"
 
     def identity_key(self, package: str) -> Path:
-        """Return where the private key of a package's subject lies."""
+        """Return the path of the private key of a package's subject."""
         return self.private / "identities" / package / "key.pem"
 
     def enclaves(self, layout: str) -> Path:
-        """Return the folder below which a layout keeps its enclaves."""
+        """Return the folder that contains the enclaves of a layout."""
         return self.install / "enclaves" if layout == "sros2" else self.install
 
 
 def shown(path: Path, start: Path) -> str:
-    """Return a path relative to a folder if it lies below it or near, else as it is."""
+    """Return a path relative to a folder if it is below or near it, else unchanged."""
     text, root = str(path), str(start)
     below = root if root.endswith("/") else f"{root}/"
     if text.startswith(below):
@@ -126,12 +126,12 @@ def placed(diagnostic: Diagnostic, space: Path) -> Diagnostic:
 
 @lru_cache(maxsize=1 << 14)
 def _beside(folder: str, root: str) -> str:
-    """Return a folder relative to another one: asked for every file that messages may be about."""
+    """Return a folder relative to another one; cached, because every file that messages may name asks for it."""
     return os.path.relpath(folder, root)
 
 
 def find(start: Path, spaces: Mapping[str, Path], shown_from: Path) -> Workspace:
-    """Return the workspace that a folder lies in, looking upward as git does.
+    """Return the workspace that contains a folder, searching upward as git does.
 
     Raises:
         KeymintError: there is none.
@@ -141,8 +141,8 @@ def find(start: Path, spaces: Mapping[str, Path], shown_from: Path) -> Workspace
         if workspace.exists():
             return workspace
     raise KeymintError(
-        f"{shown(start.resolve(), shown_from)} is in no workspace: there is no profile/{PROFILE_MARKER} here or above",
-        help="run 'keymint init', or name the workspace with -w",
+        f"Not inside a Keymint workspace (no profile/{PROFILE_MARKER} in this or any parent directory)",
+        help="run 'keymint init', or set the workspace with -w",
         code="workspace-missing",
     )
 

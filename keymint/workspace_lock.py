@@ -13,7 +13,7 @@ LOCK = "lock"
 
 
 @contextlib.contextmanager
-def shared(records: Path, on_wait: Callable[[], None]) -> Iterator[bool]:
+def read_lock(records: Path, on_wait: Callable[[], None]) -> Iterator[bool]:
     """Hold the workspace lock for reading, which keeps writers out but admits other readers.
 
     If the lock does not exist, or cannot be opened or locked (e.g. in a copy or on a read-only file system), the

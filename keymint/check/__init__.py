@@ -1,7 +1,7 @@
-"""Holds what is installed against what it should be: ``keymint check``.
+"""Compare the installed keystore with its expected state: ``keymint check``.
 
-What concerns the content of an enclave is judged by its build type. Here is what concerns the workspace: modes,
-the record of what was installed, files that nobody accounts for, authorities, and what all enclaves share.
+The build type checks the content of an enclave. This package checks the workspace: modes, the record of installed
+files, unexpected files, authorities, and the files that all enclaves share.
 """
 
 from __future__ import annotations
@@ -15,9 +15,9 @@ from comarmor.errors import Diagnostic, Origin, Severity
 from keymint.api import Inspection
 from keymint.check.authorities import authorities, authority_keys, in_defect
 from keymint.check.enclaves import identity_key, inspection, on_disk
-from keymint.check.file_status import places
-from keymint.check.git_exposure import exposed
-from keymint.check.install_space import shared
+from keymint.check.file_status import file_status
+from keymint.check.git_exposure import git_exposure
+from keymint.check.install_space import shared_files
 from keymint.errors import KeymintError
 from keymint.plan import identity_keys
 from keymint.plan.enclaves import unaccounted
@@ -26,7 +26,7 @@ from keymint.session import Session
 
 
 def check(session: Session, names: Sequence[str], within: timedelta) -> tuple[Diagnostic, ...]:
-    """Return all findings on some packages' enclaves, and on the workspace that they come from.
+    """Return all findings on the enclaves of some packages, and on their workspace.
 
     Args:
         session: the workspace and its profile.
@@ -71,16 +71,16 @@ def check(session: Session, names: Sequence[str], within: timedelta) -> tuple[Di
         findings += session.plugins.build_type(build_type).check_all(together)
     findings += unaccounted(session)
     findings += identity_keys.shared_keys(session, fingerprints)
-    findings += shared(session)
-    later = _to_be_mended_later(findings, in_defect(of_authorities))
-    return (*of_authorities, *places(session), *exposed(session), *later)
+    findings += shared_files(session)
+    later = _without_install_hints(findings, in_defect(of_authorities))
+    return (*of_authorities, *file_status(session), *git_exposure(session), *later)
 
 
-def _to_be_mended_later(findings: Iterable[Diagnostic], defect: Diagnostic | None) -> Iterator[Diagnostic]:
-    """Yield findings without the advice to install, where a defect of an authority has to be mended first."""
+def _without_install_hints(findings: Iterable[Diagnostic], defect: Diagnostic | None) -> Iterator[Diagnostic]:
+    """Yield findings without the hint to install, if a defect of an authority must be fixed first."""
     for found in findings:
         installs = defect is not None and _INSTALLS.search(found.help)
-        yield replace(found, help=f"mend {defect.where} first") if installs and defect else found
+        yield replace(found, help=f"fix {defect.where} first") if installs and defect else found
 
 
 _INSTALLS = re.compile(r"'keymint (install|provision)")

@@ -1,4 +1,4 @@
-"""What is found on the authorities: keys and certificates that do not fit, were replaced, or are about to expire."""
+"""Check the authorities: keys and certificates that do not match, were replaced, or expire soon."""
 
 from __future__ import annotations
 
@@ -21,12 +21,12 @@ from keymint.session import Inputs, Session
 
 
 def authorities(session: Session, within: timedelta) -> Iterator[Diagnostic]:
-    """Yield what is found on the keys and certificates of all authorities."""
+    """Yield the findings on the keys and certificates of all authorities."""
     deployed = functools.cache(functools.partial(deployed_authorities, session))
     issuers: dict[str, x509.Certificate] = {}
     fingerprints: dict[str, str] = {}
     for authority in in_order(session.profile.authorities):
-        files = authority_files.look(session, authority, deployed)
+        files = authority_files.read_files(session, authority, deployed)
         key, found = _key(session, files)
         yield from found
         if key is not None:
@@ -39,7 +39,7 @@ def authorities(session: Session, within: timedelta) -> Iterator[Diagnostic]:
                 Origin(files.certificate_file),
                 "'keymint install' restores it"
                 if files.key
-                else f"restore it; {authority_files.choice(authority.name)}",
+                else f"restore it; {authority_files.new_authority_help(authority.name)}",
             )
         elif files.certificate is None:
             yield from _unreadable(files)
@@ -53,7 +53,7 @@ def authorities(session: Session, within: timedelta) -> Iterator[Diagnostic]:
 
 def authority_keys(session: Session) -> Mapping[str, str]:
     """Return the names of the authorities by the fingerprints of the keys that their certificates certify."""
-    places = (authority_files.look(session, authority, tuple) for authority in session.profile.authorities)
+    places = (authority_files.read_files(session, authority, tuple) for authority in session.profile.authorities)
     return {
         keys.fingerprint(certificates.public_key(files.certificate)): files.authority.name
         for files in places
@@ -62,7 +62,7 @@ def authority_keys(session: Session) -> Mapping[str, str]:
 
 
 def in_defect(findings: tuple[Diagnostic, ...]) -> Diagnostic | None:
-    """Return a finding for which installing is refused until a person decided, or None."""
+    """Return a finding that makes installing fail until a person decides, or None."""
     return next((found for found in findings if found.code in _DECIDED_BY_A_PERSON), None)
 
 
@@ -79,14 +79,14 @@ _DECIDED_BY_A_PERSON = frozenset(
 
 
 def _key(inputs: Inputs, files: AuthorityFiles) -> tuple[keys.PublicKey | None, Iterator[Diagnostic]]:
-    """Return the public key of a private key that can be read here, and what is found on it."""
+    """Return the public key of a readable private key, and the findings on it."""
     spec, name = files.authority.certificate, files.authority.name
     if files.key is None:
         message = f"the private key of {name!r} is not here"
         where, help_ = Origin(files.certificate_file), "restore it to sign anything"
         note = Diagnostic("authority-key-missing", Severity.NOTE, message, where, help_)
         return None, iter((note,) if files.content is not None else ())
-    remedy = f"restore it from a backup; {authority_files.choice(name)}"
+    remedy = f"restore it from a backup; {authority_files.new_authority_help(name)}"
     try:
         key = load_key(files.key, spec.key, inputs.environment, Origin(files.key_file), spec.origin, remedy)
     except KeymintError as error:
@@ -95,7 +95,7 @@ def _key(inputs: Inputs, files: AuthorityFiles) -> tuple[keys.PublicKey | None, 
 
 
 def _about_key(found: Diagnostic) -> Diagnostic:
-    """Return what is wrong with an authority's key as a finding; that its password is not here is no defect of it."""
+    """Return a defect of an authority's key as a finding; a missing password is only a note."""
     return replace(found, severity=Severity.NOTE) if found.code == "password-missing" else found
 
 
@@ -109,7 +109,7 @@ def _unreadable(files: AuthorityFiles) -> Iterator[Diagnostic]:
 
 
 def _refused(require: Callable[[], None]) -> Iterator[Diagnostic]:
-    """Yield as findings what an installation would be refused for."""
+    """Yield the errors that would make an installation fail."""
     try:
         require()
     except KeymintError as error:
@@ -122,7 +122,7 @@ def _certificate(
     key: keys.PublicKey | None,
     issuers: Mapping[str, x509.Certificate],
 ) -> Iterator[Diagnostic]:
-    """Judge a certificate: against the key beside it, against what is in use, against the profile."""
+    """Check a certificate against its key, the certificates in use, and the profile."""
     spec, public = files.authority.certificate, certificates.public_key(certificate)
     found = [
         *(_refused(lambda: authority_files.require_fit(files, key)) if key is not None else ()),
@@ -134,9 +134,9 @@ def _certificate(
         yield Diagnostic(
             "authority-drift",
             Severity.ERROR,
-            f"the certificate of {files.authority.name!r} is not what the profile asks for",
+            f"the certificate of {files.authority.name!r} is not the one that the profile specifies",
             Origin(files.certificate_file),
-            "run 'keymint install', which issues it again for the same key, and redeploy all enclaves",
+            "run 'keymint install', which reissues it for the same key, and redeploy all enclaves",
         )
 
 

@@ -1,4 +1,4 @@
-"""What is found on one installed enclave: by its build type, on the disk, and against the record."""
+"""Check one installed enclave: its key, its files on the disk, and the record."""
 
 from __future__ import annotations
 
@@ -19,11 +19,11 @@ from keymint.state import digest
 
 
 def inspection(session: Session, package: Package, within: timedelta) -> tuple[Inspection, tuple[Diagnostic, ...]]:
-    """Return what a build type needs to judge the enclave of a package, and a finding for each unreadable file."""
+    """Return what a build type needs to check the enclave of a package, and a finding for each unreadable file."""
     workspace = session.workspace
     folder = workspace.enclaves(session.profile.layout) / package.name
     chains = trusted_chains(session)
-    # What the policy says that vendors read differently was said, and accepted, when it was built.
+    # Differences between vendors were reported and accepted when the package was built.
     built = session.plugins.build_type(package.build_type, session.package_marker(package.name)).build(
         package, BuildOptions(allow_vendor_specific=True)
     )
@@ -39,18 +39,18 @@ def inspection(session: Session, package: Package, within: timedelta) -> tuple[I
         now=session.now,
         within_days=within / timedelta(days=1),
     )
-    return seen, tuple(found for found in unread if found.code != "symlink-refused")  # said with the modes
+    return seen, tuple(found for found in unread if found.code != "symlink-refused")  # reported with the modes
 
 
 def identity_key(
     inputs: Inputs, package: Package, keyring: identity_keys.Keyring
 ) -> tuple[str, tuple[Diagnostic, ...]]:
-    """Return the fingerprint of a package's private key (empty if it cannot be read), and what is found on it.
+    """Return the fingerprint of a package's private key (empty if it cannot be read), and the findings on it.
 
     Args:
         inputs: the workspace.
         package: the package.
-        keyring: the keys that all subjects and authorities have.
+        keyring: the known keys of all subjects and authorities.
     """
     path, subject = inputs.workspace.identity_key(package.name), f"/{package.name}"
     fingerprint = ""
@@ -69,13 +69,13 @@ def identity_key(
 
 
 def _about_key(found: Diagnostic, subject: str) -> Diagnostic:
-    """Return what is wrong with a subject's key as a finding; that its password is not here is no defect of it."""
+    """Return a defect of a subject's key as a finding; a missing password is only a note."""
     severity = Severity.NOTE if found.code == "password-missing" else found.severity
     return replace(found, severity=severity, subject=subject)
 
 
 def on_disk(session: Session, name: str, files: Mapping[str, bytes]) -> Iterator[Diagnostic]:
-    """Judge modes, links and recorded digests of one enclave."""
+    """Check modes, links and recorded digests of one enclave."""
     workspace = session.workspace
     folder = workspace.enclaves(session.profile.layout) / name
     stamp = session.state.stamp(install.STAGE, name)

@@ -1,7 +1,7 @@
-"""What is found on files and folders as such: modes, owners, links, and kinds.
+"""Check modes, owners, links and kinds of the files and folders of a workspace.
 
-Whoever can write a folder can replace what lies in it, whatever the modes of the files. Whoever can write the profile
-or the sources decides what every robot may do.
+Whoever can write to a folder can replace its files, whatever their modes. Whoever can write to the profile or the
+sources decides what every robot may do.
 """
 
 from __future__ import annotations
@@ -23,20 +23,20 @@ _GROUP, _OTHERS = stat.S_IWGRP, stat.S_IWOTH
 
 
 @dataclass(frozen=True, slots=True)
-class _Found:
+class _Entry:
     """A file or folder of a space, and its status (of a link: of the link itself)."""
 
     path: Path
     status: os.stat_result
 
 
-def places(inputs: Inputs) -> Iterator[Diagnostic]:
-    """Yield what is found on the files and folders of a workspace as such, wherever its spaces lie."""
+def file_status(inputs: Inputs) -> Iterator[Diagnostic]:
+    """Yield the findings on modes, owners, links and kinds of files in all spaces."""
     workspace = inputs.workspace
     owners = _owners(inputs)
     root = inputs.tree.status(workspace.root)
     if root is not None:
-        yield from _open_to_others(inputs, [_Found(workspace.root, root)])
+        yield from _open_to_others(inputs, [_Entry(workspace.root, root)])
     for space in (workspace.private, workspace.install):
         found = list(_walk(inputs, space))
         yield from _kinds(inputs, found)
@@ -50,7 +50,7 @@ def places(inputs: Inputs) -> Iterator[Diagnostic]:
 
 
 def modes(inputs: Inputs, path: Path, mode: int, subject: str) -> Iterator[Diagnostic]:
-    """Yield a finding for a symbolic link, or for another mode than expected; none if nothing is there."""
+    """Yield a finding for a symbolic link or an unexpected mode; none if the file does not exist."""
     status, shown = inputs.tree.status(path), inputs.workspace.shown(path)
     if status is None:
         return
@@ -59,7 +59,7 @@ def modes(inputs: Inputs, path: Path, mode: int, subject: str) -> Iterator[Diagn
         yield Diagnostic(
             "file-link",
             Severity.ERROR,
-            "is a symbolic link, and breaks when the enclave is copied",
+            "is a symbolic link, which breaks when the enclave is copied",
             Origin(shown),
             "remove it and run 'keymint install'",
             subject,
@@ -90,7 +90,7 @@ def linked_twice(inputs: Inputs, path: Path, subject: str) -> Iterator[Diagnosti
 
 
 def _private(inputs: Inputs) -> Iterator[Diagnostic]:
-    """Judge modes and links of all private keys, and of the folders that they lie in."""
+    """Check modes and links of all private keys and their folders."""
     workspace = inputs.workspace
     for each in _walk(inputs, workspace.private):
         if stat.S_ISDIR(each.status.st_mode) or stat.S_ISLNK(each.status.st_mode):
@@ -100,8 +100,8 @@ def _private(inputs: Inputs) -> Iterator[Diagnostic]:
             yield from linked_twice(inputs, each.path, "")
 
 
-def _kinds(inputs: Inputs, found: list[_Found]) -> Iterator[Diagnostic]:
-    """Judge what is neither a file nor a folder; links are judged with the modes."""
+def _kinds(inputs: Inputs, found: list[_Entry]) -> Iterator[Diagnostic]:
+    """Report entries that are neither files nor folders; links are reported with the modes."""
     for each in found:
         mode = each.status.st_mode
         if not (stat.S_ISREG(mode) or stat.S_ISDIR(mode) or stat.S_ISLNK(mode)):
@@ -119,8 +119,8 @@ def _kind(mode: int) -> str:
     return next((name for is_kind, name in kinds if is_kind(mode)), "a device")
 
 
-def _each_folder(inputs: Inputs, found: list[_Found]) -> Iterator[Diagnostic]:
-    """Judge each folder of a space that Keymint made: nobody else may write it."""
+def _each_folder(inputs: Inputs, found: list[_Entry]) -> Iterator[Diagnostic]:
+    """Report folders of a space created by Keymint that others can write to."""
     for each in found:
         mode, shown = each.status.st_mode, inputs.workspace.shown(each.path)
         if stat.S_ISDIR(mode) and mode & (_GROUP | _OTHERS):
@@ -133,8 +133,8 @@ def _each_folder(inputs: Inputs, found: list[_Found]) -> Iterator[Diagnostic]:
             )
 
 
-def _open_to_others(inputs: Inputs, found: list[_Found]) -> Iterator[Diagnostic]:
-    """Yield one finding for all files and folders of a space that others can write."""
+def _open_to_others(inputs: Inputs, found: list[_Entry]) -> Iterator[Diagnostic]:
+    """Yield one finding for all files and folders of a space that others can write to."""
     listed = [each for each in found if _writable_by_others(each.status)]
     if listed:
         first = inputs.workspace.shown(listed[0].path)
@@ -148,8 +148,8 @@ def _open_to_others(inputs: Inputs, found: list[_Found]) -> Iterator[Diagnostic]
         )
 
 
-def _owned_by_others(inputs: Inputs, found: list[_Found], owners: frozenset[int]) -> Iterator[Diagnostic]:
-    """Yield one finding for all files and folders of a space that belong to someone else; keys one by one."""
+def _owned_by_others(inputs: Inputs, found: list[_Entry], owners: frozenset[int]) -> Iterator[Diagnostic]:
+    """Yield one finding for all files and folders of a space that belong to others, and one for each such key."""
     listed = [each for each in found if each.status.st_uid not in owners]
     keys = [each for each in listed if each.path.suffix == ".pem"]
     for each in keys or listed[:1]:
@@ -163,28 +163,28 @@ def _owned_by_others(inputs: Inputs, found: list[_Found], owners: frozenset[int]
         )
 
 
-def _walk(inputs: Inputs, folder: Path) -> Iterator[_Found]:
-    """Yield a folder and all that lies below it, without following links; what cannot be read is passed over."""
+def _walk(inputs: Inputs, folder: Path) -> Iterator[_Entry]:
+    """Yield a folder and everything below it, without following links; unreadable entries are skipped."""
     status = inputs.tree.status(folder)
     if status is None:
         return
-    yield _Found(folder, status)
+    yield _Entry(folder, status)
     if not stat.S_ISDIR(status.st_mode):
         return
     try:
         entries = inputs.tree.names(folder)
     except KeymintError:
-        return  # said where its content is judged
+        return  # reported where its content is checked
     for name, is_folder in entries:
         if is_folder:
             if name != ".git":
                 yield from _walk(inputs, folder / name)
         elif (found := inputs.tree.status(folder / name)) is not None:
-            yield _Found(folder / name, found)
+            yield _Entry(folder / name, found)
 
 
 def _owners(inputs: Inputs) -> frozenset[int]:
-    """Return who may own the files of a workspace: its owner, whoever runs this, and root, who may do everything."""
+    """Return the users who may own files of a workspace: its owner, the current user, and root."""
     status = inputs.tree.status(inputs.workspace.root)
     return frozenset({0, os.geteuid()} | ({status.st_uid} if status else set()))
 
@@ -196,7 +196,7 @@ def _writable_by_others(status: os.stat_result) -> bool:
 
 @lru_cache(maxsize=256)
 def _is_own_group(user: int, group: int) -> bool:
-    """Tell whether a group is the one that a distribution makes for a single user (login.defs: USERGROUPS_ENAB)."""
+    """Tell whether a group is a user's private group (login.defs: USERGROUPS_ENAB)."""
     try:
         name, entry = pwd.getpwuid(user).pw_name, grp.getgrgid(group)
     except KeyError:

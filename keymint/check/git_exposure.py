@@ -1,4 +1,4 @@
-"""What is found on private keys that git tracks, or that ``git add`` would take."""
+"""Find private keys that git tracks, or that ``git add`` would add."""
 
 from __future__ import annotations
 
@@ -13,13 +13,13 @@ from keymint.plan import gitignore
 from keymint.session import Inputs
 
 _MOST = 64 * 1024
-"""Bytes of a file with a private key; larger ones are not read."""
+"""Bytes up to which a file is searched for a private key."""
 _LIST = ("-c", "core.fsmonitor=false", "-c", "core.hooksPath=/dev/null", "ls-files", "-z")
-"""Lists files, and starts no program that the repository's configuration names."""
+"""Lists files without starting programs that the repository's configuration names."""
 
 
-def exposed(inputs: Inputs) -> Iterator[Diagnostic]:
-    """Yield what is found on the private keys in all spaces; nothing where there is no repository or no git."""
+def git_exposure(inputs: Inputs) -> Iterator[Diagnostic]:
+    """Yield the findings on the private keys in all spaces; none without a repository or without git."""
     workspace = inputs.workspace
     spaces = (workspace.private, workspace.install, workspace.build, workspace.public, workspace.src, workspace.profile)
     for space in spaces:
@@ -70,7 +70,7 @@ def _listed(space: Path, which: str, environment: Mapping[str, str]) -> frozense
 
 
 def _plain(environment: Mapping[str, str]) -> Mapping[str, str]:
-    """Return an environment in which git looks at the repository that a space lies in, and changes nothing of it."""
+    """Return an environment in which git only reads the repository of a space."""
     kept = {name: value for name, value in environment.items() if not name.startswith("GIT_") or "CONFIG" in name}
     return {**kept, "LC_ALL": "C", "GIT_OPTIONAL_LOCKS": "0", "GIT_TERMINAL_PROMPT": "0"}
 
@@ -79,7 +79,7 @@ def _files(inputs: Inputs, folder: Path) -> Iterator[Path]:
     try:
         entries = inputs.tree.names(folder)
     except KeymintError:
-        return  # said where its content is judged
+        return  # reported where its content is checked
     for name, is_folder in entries:
         if not is_folder:
             yield folder / name
@@ -88,7 +88,7 @@ def _files(inputs: Inputs, folder: Path) -> Iterator[Path]:
 
 
 def _is_secret(inputs: Inputs, path: Path) -> bool:
-    """Tell whether a file holds a private key; in the private space all do."""
+    """Tell whether a file contains a private key; in the private space all files do."""
     if path.is_relative_to(inputs.workspace.private):
         return path.name != gitignore.NAME
     status = inputs.tree.status(path)

@@ -1,4 +1,4 @@
-"""What is found in the install space outside of the enclaves."""
+"""Check the files of the install space outside the enclaves."""
 
 from __future__ import annotations
 
@@ -14,8 +14,8 @@ from keymint.session import Inputs, Session
 from keymint.workspace import packages
 
 
-def shared(session: Session) -> Iterator[Diagnostic]:
-    """Judge what lies in the install space outside of the enclaves."""
+def shared_files(session: Session) -> Iterator[Diagnostic]:
+    """Yield the findings on the install space outside the enclaves."""
     workspace, layout = session.workspace, session.profile.layout
     enclaves = {workspace.enclaves(layout) / name for name in installed(session)}
     expected: dict[str, bytes] = {}
@@ -24,12 +24,12 @@ def shared(session: Session) -> Iterator[Diagnostic]:
     artifacts = {
         f"/{name}": {file: Artifact(content) for file, content in enclave_files(session, folder, "")[0].items()}
         for name, folder in names.items()
-        if name in known or known.isdisjoint(names)  # where all are hidden or orphaned, they still need what they share
+        if name in known or known.isdisjoint(names)  # if all are hidden or orphaned, they still need the shared files
     }
     for info in session.plugins.infos:
         if info.group == "keymint.build_types" and artifacts:
-            shared = session.plugins.build_type(info.name).shared(artifacts, layout)
-            expected |= {path: artifact.content for path, artifact in shared.items()}
+            shared_files = session.plugins.build_type(info.name).shared(artifacts, layout)
+            expected |= {path: artifact.content for path, artifact in shared_files.items()}
     for path in _files_below(session, workspace.install):
         relative = str(path.relative_to(workspace.install))
         if path.parent in enclaves or path == workspace.install / gitignore.NAME:
@@ -48,12 +48,12 @@ def shared(session: Session) -> Iterator[Diagnostic]:
                 yield Diagnostic(
                     "file-changed",
                     Severity.ERROR,
-                    "differs from what the enclaves hold",
+                    "differs from the enclaves' content",
                     Origin(workspace.shown(path)),
                     "'keymint install' restores it",
                 )
     for folder in _empty_folders(session, workspace.install):
-        message = "is an empty folder in the install space, that Keymint did not put there"
+        message = "is an empty folder in the install space that Keymint did not create"
         yield Diagnostic("folder-unexpected", Severity.WARNING, message, Origin(workspace.shown(folder)), "remove it")
     for relative in expected:
         if session.tree.status(workspace.install / relative) is None:
@@ -75,7 +75,7 @@ def _files_below(inputs: Inputs, folder: Path) -> Iterator[Path]:
 
 
 def _empty_folders(inputs: Inputs, folder: Path) -> Iterator[Path]:
-    """Yield the folders below a folder that hold nothing."""
+    """Yield the empty folders below a folder."""
     for name, is_folder in inputs.tree.names(folder):
         if is_folder:
             if not inputs.tree.names(folder / name):

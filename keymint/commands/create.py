@@ -10,7 +10,7 @@ from keymint.commands.verb import verb
 from keymint.errors import ExitCode, KeymintError
 from keymint.names import package_name
 from keymint.output.report import Report
-from keymint.plan.create import everything, plan_create
+from keymint.plan.create import packages_to_create, plan_create
 from keymint.plan.policy import lazy_policy
 from keymint.session import Inputs
 
@@ -35,7 +35,7 @@ def create(run: Run, names: tuple[str, ...], all_subjects: bool, force: bool) ->
     def make_plan(inputs: Inputs) -> Plan:
         session = inputs.session()
         policy = lazy_policy(session)
-        subjects = dict.fromkeys([*wanted, *(everything(inputs, policy) if all_subjects else ())])
+        subjects = dict.fromkeys([*wanted, *(packages_to_create(inputs, policy) if all_subjects else ())])
         if not subjects:
             raise KeymintError(
                 "the policy names no subject exactly",

@@ -11,7 +11,7 @@ from keymint.api import Claim, Counterexample, Proof
 from keymint.commands.run import Run
 from keymint.graph import Edge
 from keymint.plan import terms
-from keymint.plan.prove import Effort, Findings, Proven
+from keymint.plan.prove import EnclaveProof, ProofEffort, ProofResults
 from keymint.session import Session
 
 SECONDS = 10.0
@@ -68,9 +68,9 @@ def alike(refused: Iterable[Diagnostic], shown: Callable[[str], str]) -> Iterato
         yield group[0] if count == 1 else replace(group[0], message=f"{group[0].message} [{count} packages]")
 
 
-def effort_of(run: Run, states: int = STATES, seconds: float = SECONDS) -> Effort:
+def effort_of(run: Run, states: int = STATES, seconds: float = SECONDS) -> ProofEffort:
     """Return the limits of a proof: states per question, seconds per enclave."""
-    return Effort(states, lambda: _deadline(run.setting.monotonic, seconds))
+    return ProofEffort(states, lambda: _deadline(run.setting.monotonic, seconds))
 
 
 def _deadline(clock: Callable[[], float], seconds: float) -> Callable[[], bool]:
@@ -78,13 +78,13 @@ def _deadline(clock: Callable[[], float], seconds: float) -> Callable[[], bool]:
     return lambda: clock() < end
 
 
-def dated_of(found: Findings) -> Iterator[Diagnostic]:
+def dated_of(found: ProofResults) -> Iterator[Diagnostic]:
     """Yield certificates and grants that are not valid at the time of the claims."""
     for enclave in found.enclaves:
         yield from terms.findings(enclave.terms, found.now, enclave.subject)
 
 
-def diagnostics_of(enclave: Proven) -> Iterator[Diagnostic]:
+def diagnostics_of(enclave: EnclaveProof) -> Iterator[Diagnostic]:
     """Yield the diagnostics of an enclave, merging the same result of several models."""
     yield from enclave.diagnostics
     together: dict[tuple[object, ...], list[Claim]] = {}

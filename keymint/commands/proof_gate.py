@@ -13,8 +13,8 @@ from keymint.commands.proof_diagnostics import dated_of, diagnostics_of, effort_
 from keymint.commands.run import Run
 from keymint.errors import ExitCode, KeymintError
 from keymint.plan.install import HAND_EDITED
-from keymint.plan.prove import NO_PROVER, Proven, prove
-from keymint.plan.terms import together
+from keymint.plan.prove import NO_PROVER, EnclaveProof, prove
+from keymint.plan.terms import merged
 from keymint.session import Session
 
 
@@ -65,7 +65,7 @@ def proven(
     known = {(each.code, each.subject) for each in plan.diagnostics}
     known |= {(each.code, "") for each in plan.diagnostics}
     dated = [each for each in dated_of(found) if (each.code, _subject_of(each)) not in known]
-    warned = [replace(each, severity=Severity.WARNING) for each in (*said, *together(dated))]
+    warned = [replace(each, severity=Severity.WARNING) for each in (*said, *merged(dated))]
     return replace(plan, state=found.state, diagnostics=(*plan.diagnostics, *warned))
 
 
@@ -91,7 +91,7 @@ def _refused_edits(session: Session, plan: Plan, subjects: Collection[str]) -> l
     return list(found.values())
 
 
-def _holds(enclave: Proven, standard: str) -> bool:
+def _holds(enclave: EnclaveProof, standard: str) -> bool:
     """Return whether an enclave is proven by the standard, which a prover names first."""
     own = [claim for claim in enclave.claims if claim.model == standard]
     return bool(own) and all(claim.proof is Proof.PROVEN for claim in own)

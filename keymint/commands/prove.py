@@ -23,7 +23,7 @@ from keymint.plan import terms
 from keymint.plan.enclaves import unaccounted
 from keymint.plan.policy import lazy_policy
 from keymint.plan.policy_drift import uncreated
-from keymint.plan.prove import NO_PROVER, STAGE, Findings, Proven
+from keymint.plan.prove import NO_PROVER, STAGE, EnclaveProof, ProofResults
 from keymint.plan.prove import prove as find
 
 SHOWN = 5
@@ -79,7 +79,7 @@ def prove(run: Run, names: tuple[str, ...], seconds: float, states: int, allow_v
     _summary(run, found)
     proven = all(claim.proof is Proof.PROVEN for claim in claims)
     unread = any(enclave.diagnostics for enclave in found.enclaves)
-    dated = tuple(terms.together(dated_of(found)))
+    dated = tuple(terms.merged(dated_of(found)))
     return Report(
         run.verb,
         workspace,
@@ -102,7 +102,7 @@ def prove(run: Run, names: tuple[str, ...], seconds: float, states: int, allow_v
     )
 
 
-def _summary(run: Run, found: Findings) -> None:
+def _summary(run: Run, found: ProofResults) -> None:
     count, say = len(found.enclaves), run.console.line
     total = sum(len(enclave.claims) for enclave in found.enclaves)
     open_ = [claim for enclave in found.enclaves for claim in enclave.claims if claim.proof is not Proof.PROVEN]
@@ -121,12 +121,12 @@ def _summary(run: Run, found: Findings) -> None:
         say(f"not part of the proof, left open by governance: {'; '.join(excepted[:SHOWN])}{_more(excepted)}")
 
 
-def _until(found: Findings) -> datetime | None:
+def _until(found: ProofResults) -> datetime | None:
     """Return the end of the validity of all claims, or None if something is not valid now."""
     return terms.end([term for enclave in found.enclaves for term in enclave.terms], found.now)
 
 
-def _when(found: Findings) -> str:
+def _when(found: ProofResults) -> str:
     """Return the validity of the claims, in words."""
     if not any(enclave.terms for enclave in found.enclaves):
         return ""
@@ -141,7 +141,7 @@ def _shown(moment: datetime | None) -> str | None:
     return None if moment is None else terms.shown(moment)
 
 
-def _excepted(found: Findings) -> Iterator[str]:
+def _excepted(found: ProofResults) -> Iterator[str]:
     """Yield the exceptions of the proven claims: topics that the governance leaves unprotected on purpose."""
     for enclave in found.enclaves:
         for claim in enclave.claims:
@@ -153,13 +153,13 @@ def _more(excepted: Sequence[str]) -> str:
     return f"; and {left} more (--json names them)" if left > 0 else ""
 
 
-def _taken(found: Findings) -> Mapping[str, Sequence[str]]:
+def _taken(found: ProofResults) -> Mapping[str, Sequence[str]]:
     """Return the assumptions of each model with a claim."""
     claimed = {claim.model for enclave in found.enclaves for claim in enclave.claims}
     return {model: lines for model, lines in found.assumptions.items() if model in claimed or not claimed}
 
 
-def _assumptions(found: Findings) -> Iterator[Diagnostic]:
+def _assumptions(found: ProofResults) -> Iterator[Diagnostic]:
     """Yield each assumption once, with the models that make it."""
     lines: dict[str, list[str]] = {}
     for model, assumed in _taken(found).items():
@@ -174,7 +174,7 @@ def legible(name: str) -> str:
     return name.encode("utf-8", "surrogateescape").decode("utf-8", "backslashreplace")
 
 
-def _enclave(enclave: Proven, now: datetime, run: Run) -> dict[str, Any]:
+def _enclave(enclave: EnclaveProof, now: datetime, run: Run) -> dict[str, Any]:
     return {
         "subject": enclave.subject,
         "proof": str(_whole(enclave)),
@@ -184,7 +184,7 @@ def _enclave(enclave: Proven, now: datetime, run: Run) -> dict[str, Any]:
     }
 
 
-def _whole(enclave: Proven) -> Proof:
+def _whole(enclave: EnclaveProof) -> Proof:
     proofs = {claim.proof for claim in enclave.claims}
     if Proof.COUNTEREXAMPLE in proofs:
         return Proof.COUNTEREXAMPLE

@@ -32,7 +32,7 @@ from keymint.output.report import Report
 from keymint.plan.authorities import plan_authorities
 from keymint.plan.bootstrap import plan_init, plan_policy, policy_path
 from keymint.plan.build import plan_build
-from keymint.plan.create import everything, plan_create
+from keymint.plan.create import packages_to_create, plan_create
 from keymint.plan.install import plan_install
 from keymint.plan.policy import lazy_policy
 from keymint.session import Inputs
@@ -74,7 +74,7 @@ def provision(
         plan = _profile_plan(inputs)
         session = inputs.after(plan).session()
         acquired = lazy_policy(session)
-        names = everything(session, acquired)
+        names = packages_to_create(session, acquired)
         if not names:
             raise KeymintError(
                 "the policy names no subject exactly",

@@ -23,7 +23,7 @@ from keymint.state import MAX_RECORD, State
 from keymint.state import load as load_state
 from keymint.tree import Tree, read_file
 from keymint.workspace import SPACES, Workspace, find, packages
-from keymint.workspace_lock import LOCK, shared
+from keymint.workspace_lock import LOCK, read_lock
 
 
 @dataclass(frozen=True, slots=True)
@@ -112,7 +112,7 @@ class Run:
         The workspace lock is held only while reading.
         """
         for _ in range(2):  # another run may create the lock meanwhile
-            with shared(workspace.state, self.console.waiting) as locked:
+            with read_lock(workspace.state, self.console.waiting) as locked:
                 inputs = self.inputs(workspace)
                 for space in workspace.spaces():
                     # Other files beside the XML may be large, and are never read.

@@ -10,9 +10,9 @@ from keymint.commands.run import Run
 from keymint.commands.verb import verb
 from keymint.errors import KeymintError
 from keymint.output.report import Report
-from keymint.plan.create import everything
+from keymint.plan.create import packages_to_create
 from keymint.plan.policy import load_policy
-from keymint.status import Row, overview
+from keymint.status import PackageRow, package_rows
 
 
 @verb()
@@ -27,10 +27,10 @@ def status(run: Run) -> Report:
         policy = load_policy(session)
     except KeymintError as error:
         policy, said = None, list(error.diagnostics)
-    rows = overview(session, policy)
+    rows = package_rows(session, policy)
     if policy:
         known = {row.package for row in rows}
-        missing = [name for name in everything(inputs, policy) if name not in known]
+        missing = [name for name in packages_to_create(inputs, policy) if name not in known]
     now = inputs.now
     cells = [
         [
@@ -60,7 +60,7 @@ def _when(end: datetime | None, now: datetime) -> str:
     return f"{end:%Y-%m-%d} ({f'expired {-days} d ago' if end < now else f'{days} d'})"
 
 
-def _document(row: Row) -> dict[str, Any]:
+def _document(row: PackageRow) -> dict[str, Any]:
     return {
         "package": row.package,
         "subject": f"/{row.package}",

@@ -26,11 +26,11 @@ STAGE = "authorities"
 
 @dataclass(frozen=True, slots=True)
 class MintedAuthority:
-    """An authority with its certificate; where its private key is here as well, able to issue and to sign.
+    """An authority with its certificate; if its private key is here too, it can issue and sign.
 
     Attributes:
         certificate: its certificate.
-        chain: PEM of its certificate, followed by those of the authorities above it up to the root.
+        chain: PEM of its certificate and of the certificates above it, up to the root.
     """
 
     certificate: x509.Certificate
@@ -39,7 +39,7 @@ class MintedAuthority:
 
     @property
     def issuer(self) -> certificates.Issuer:
-        """What issues certificates.
+        """The issuer of certificates.
 
         Raises:
             KeymintError: its private key is kept elsewhere, or its password is not set.
@@ -48,7 +48,7 @@ class MintedAuthority:
 
     @property
     def signer(self) -> SigningAuthority:
-        """What signs documents.
+        """The signer of documents.
 
         Raises:
             KeymintError: its private key is kept elsewhere, or its password is not set.
@@ -64,38 +64,38 @@ class MintedAuthority:
 def plan_authorities(session: Session, new: Sequence[str] = ()) -> tuple[Plan, Mapping[str, MintedAuthority]]:
     """Plan the keys and certificates of all authorities that the profile names.
 
-    A key that is there is kept, and one whose certificate is there without it is kept elsewhere: it is not replaced. A
-    certificate is issued again, for the same key, when the profile asks for another validity, issuer or extension.
+    Existing keys are kept. A certificate without its key means that the key is kept elsewhere; it is not replaced. A
+    certificate is reissued for the same key if the profile specifies another validity, issuer or extension.
 
     Args:
         session: the workspace and its profile.
-        new: authorities that get a new key and certificate, whatever lies in their place.
+        new: authorities that get a new key and certificate, whatever exists.
 
     Returns:
-        the plan, and the authorities by name as they are when it is carried out.
+        The plan, and the authorities by name as they will be.
 
     Raises:
-        KeymintError: a key cannot be read, does not fit its certificate, was replaced, is not of the kind that the
-            profile asks for, is that of another authority, or is needed and elsewhere; the defects of all authorities
+        KeymintError: a key cannot be read, does not match its certificate, was replaced, is not of the specified
+            kind, belongs to another authority, or is needed but kept elsewhere; the defects of all authorities
             together.
     """
     _require_named(session, new)
     deployed = functools.cache(functools.partial(deployed_authorities, session))
     minted: dict[str, MintedAuthority] = {}
     steps: list[Step] = []
-    said: list[Diagnostic] = []
+    warnings: list[Diagnostic] = []
     errors: list[Diagnostic] = []
     for authority in in_order(session.profile.authorities):
         if authority.certificate.issuer and authority.certificate.issuer not in minted:
             continue  # its issuer has a defect
-        files = authority_files.look(session, authority, deployed)
+        files = authority_files.read_files(session, authority, deployed)
         try:
             result, changes, diagnostics = _plan_authority(session, files, minted, renew=authority.name in new)
         except KeymintError as error:
             errors += error.diagnostics
             continue
         minted[authority.name] = result
-        said += diagnostics
+        warnings += diagnostics
         action = Action.CREATED if changes else Action.UNCHANGED
         steps.append(Step(STAGE, authority.name, action, changes, "certificate authority"))
     if errors:
@@ -103,7 +103,7 @@ def plan_authorities(session: Session, new: Sequence[str] = ()) -> tuple[Plan, M
     fingerprints = {name: keys.fingerprint(certificates.public_key(each.certificate)) for name, each in minted.items()}
     authority_files.require_own_keys(session, fingerprints)
     state = key_record.record(session.state, key_record.AUTHORITIES, fingerprints)
-    return Plan(tuple(steps), state, tuple(said)), minted
+    return Plan(tuple(steps), state, tuple(warnings)), minted
 
 
 def _require_named(session: Session, new: Sequence[str]) -> None:
@@ -119,7 +119,7 @@ def _require_named(session: Session, new: Sequence[str]) -> None:
 
 
 def in_order(authorities: Sequence[Authority]) -> tuple[Authority, ...]:
-    """Return authorities so that each stands behind its issuer; names and cycles were checked on loading."""
+    """Return authorities in an order in which each follows its issuer."""
     ordered: dict[str, Authority] = {}
     waiting = list(authorities)
     while waiting:
@@ -138,7 +138,7 @@ def in_order(authorities: Sequence[Authority]) -> tuple[Authority, ...]:
 
 
 def trusted_chains(session: Session) -> Mapping[str, bytes]:
-    """Return the certificate of each authority as it is on the disk, with the chain above it (PEM)."""
+    """Return the certificate chain (PEM) of each authority from the disk."""
     chains: dict[str, bytes] = {}
     for authority in in_order(session.profile.authorities):
         own = session.tree.read(session.workspace.authority_certificate(authority.name)) or b""
@@ -147,7 +147,7 @@ def trusted_chains(session: Session) -> Mapping[str, bytes]:
 
 
 def satisfies(pem: bytes, spec: CertificateSpec, key: keys.PublicKey, issuer: x509.Certificate | None) -> bool:
-    """Tell whether an authority's certificate is what the profile asks for."""
+    """Tell whether an authority's certificate is the one that the profile specifies."""
     return certificates.certificate_satisfies(pem, spec, key, issuer, authority=True)
 
 
@@ -156,16 +156,16 @@ def _plan_authority(
 ) -> tuple[MintedAuthority, tuple[FolderChange, ...], Sequence[Diagnostic]]:
     spec = files.authority.certificate
     above = minted[spec.issuer] if spec.issuer else None
-    lacking = _lacking(inputs, files)
-    if lacking is not None and files.content is not None and not renew:
-        return _without_key(files, above, lacking), (), ()
+    signing_error = _signing_error(inputs, files)
+    if signing_error is not None and files.content is not None and not renew:
+        return _without_key(files, above, signing_error), (), ()
     secret = password(spec.key, inputs.environment, spec.origin)
     if files.key is None and not renew:
         authority_files.require_unused(files)
     if files.key is None or renew:
         return _mint(inputs, files, above, secret)
     pem = files.key
-    remedy = f"restore it from a backup; {authority_files.choice(files.authority.name)}"
+    remedy = f"restore it from a backup; {authority_files.new_authority_help(files.authority.name)}"
     key = load_key(pem, spec.key, inputs.environment, Origin(files.key_file), spec.origin, remedy)
     public = key.public_key()
     if key_record.was_under_way(inputs.state, keys.fingerprint(public)):
@@ -174,8 +174,8 @@ def _plan_authority(
         authority_files.require_fit(files, public)
         authority_files.require_name(files)
         authority_files.require_known(files, public)
-    certificate, said = _certificate(files, key, above)
-    return _minted(inputs, files, certificate, (key, pem, secret), above, (), said)
+    certificate, warnings = _certificate(files, key, above)
+    return _minted(inputs, files, certificate, (key, pem, secret), above, (), warnings)
 
 
 def _mint(
@@ -188,11 +188,11 @@ def _mint(
     path = inputs.workspace.authority_key(name)
     changes = (FolderChange(path.parent, {path.name: File(pem, secret=True)}, private=True),)
     issued = certificates.issue_authority(spec, key, above.issuer if above else None)
-    said = list(issued.diagnostics)
+    warnings = list(issued.diagnostics)
     if files.known():
         message = f"{name!r} is a new authority: {authority_files.COST}"
-        said.append(Diagnostic("authority-new", Severity.WARNING, message, Origin(files.certificate_file)))
-    return _minted(inputs, files, issued.pem, (key, pem, secret), above, changes, said)
+        warnings.append(Diagnostic("authority-new", Severity.WARNING, message, Origin(files.certificate_file)))
+    return _minted(inputs, files, issued.pem, (key, pem, secret), above, changes, warnings)
 
 
 def _minted(
@@ -202,21 +202,21 @@ def _minted(
     key: tuple[keys.PrivateKey, bytes, bytes | None],
     above: MintedAuthority | None,
     changes: tuple[FolderChange, ...],
-    said: Sequence[Diagnostic],
+    warnings: Sequence[Diagnostic],
 ) -> tuple[MintedAuthority, tuple[FolderChange, ...], Sequence[Diagnostic]]:
-    """Return an authority with its key (as an object, PEM, and password), and all that changes for it."""
+    """Return an authority with its key (object, PEM and password), and all its changes."""
     path = inputs.workspace.authority_certificate(files.authority.name)
     changes += changed(inputs.tree, path.parent, {path.name: File(certificate)})
     loaded = certificates.load(certificate)
     private, pem, secret = key
     keyed = certificates.Issuer(loaded, private), SigningAuthority(files.authority.name, certificate, pem, secret)
-    return MintedAuthority(loaded, certificate + (above.chain if above else b""), keyed), changes, said
+    return MintedAuthority(loaded, certificate + (above.chain if above else b""), keyed), changes, warnings
 
 
 def _certificate(
     files: AuthorityFiles, key: keys.PrivateKey, above: MintedAuthority | None
 ) -> tuple[bytes, Sequence[Diagnostic]]:
-    """Return the certificate of a key: one that is there if the profile asks for no other, else a new one."""
+    """Return the certificate of a key: an existing one if the profile still specifies it, else a new one."""
     spec, public = files.authority.certificate, key.public_key()
     issuer = above.certificate if above else None
     candidates = chain(() if files.certificate is None else (files.certificate,), _lazily(files.in_use))
@@ -230,7 +230,7 @@ def _certificate(
     again = Diagnostic(
         "authority-reissued",
         Severity.WARNING,
-        f"the certificate of the authority {files.authority.name!r} is issued again, for the same key",
+        f"the certificate of the authority {files.authority.name!r} is reissued for the same key",
         Origin(files.certificate_file),
         "deploy all enclaves together: if it signs permissions, some vendors let participants that hold different "
         "certificates of it not communicate",
@@ -242,14 +242,14 @@ def _lazily(make: Callable[[], Iterable[x509.Certificate]]) -> Iterator[x509.Cer
     yield from make()
 
 
-def _lacking(inputs: Inputs, files: AuthorityFiles) -> KeymintError | None:
-    """Return what keeps an authority's private key from being used here, or None: an offline root is no defect."""
+def _signing_error(inputs: Inputs, files: AuthorityFiles) -> KeymintError | None:
+    """Return the error to raise if this CA must sign, or None; an offline root is no defect."""
     spec, name = files.authority.certificate, files.authority.name
     if files.key is None:
         return KeymintError(
             f"the private key of the authority {name!r} is not here, and is needed to sign",
             where=Origin(files.key_file),
-            help=f"restore it; {authority_files.choice(name)}",
+            help=f"restore it; {authority_files.new_authority_help(name)}",
             code="authority-key-missing",
         )
     try:
@@ -259,12 +259,12 @@ def _lacking(inputs: Inputs, files: AuthorityFiles) -> KeymintError | None:
     return None
 
 
-def _without_key(files: AuthorityFiles, above: MintedAuthority | None, lacking: KeymintError) -> MintedAuthority:
+def _without_key(files: AuthorityFiles, above: MintedAuthority | None, signing_error: KeymintError) -> MintedAuthority:
     """Return an authority whose private key cannot be used here.
 
     Raises:
-        KeymintError: the certificate is damaged or was replaced, or the profile asks for another one, which takes the
-            key.
+        KeymintError: the certificate is damaged or was replaced, or the profile specifies another one, which needs
+            the key.
     """
     spec, content = files.authority.certificate, files.content or b""
     certificate = certificates.load(content, Origin(files.certificate_file))
@@ -274,5 +274,5 @@ def _without_key(files: AuthorityFiles, above: MintedAuthority | None, lacking: 
     if not keys.fits(public_key, spec.key) or not satisfies(
         content, spec, public_key, above.certificate if above else None
     ):
-        raise lacking
-    return MintedAuthority(certificate, content + (above.chain if above else b""), lacking)
+        raise signing_error
+    return MintedAuthority(certificate, content + (above.chain if above else b""), signing_error)

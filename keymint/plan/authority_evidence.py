@@ -1,8 +1,8 @@
-"""What speaks against an authority's certificate in the workspace being the one that enclaves may rest on.
+"""Evidence in the workspace that contradicts the certificate of an authority.
 
 Proofs rest on the certificates in ``public/``. The workspace has other evidence of what these should be: the private
-key beside each, the record of the keys that were in use, and the profile. Where that contradicts the certificate, or
-the file holds more than the one certificate, nothing that rests on it is claimed. Enclaves are no evidence.
+key beside each, the record of keys in use, and the profile. If that contradicts the certificate, or the file contains
+more than one certificate, nothing that rests on it is claimed. Enclaves are no evidence.
 """
 
 from __future__ import annotations
@@ -21,28 +21,28 @@ from keymint.plan.authority_files import AuthorityFiles
 from keymint.plan.private_keys import password
 from keymint.session import Inputs, Session
 
-Doubts = Mapping[str, tuple[Diagnostic, ...]]
-"""What speaks against authorities, by name; those above an authority count for it as well."""
+Contradictions = Mapping[str, tuple[Diagnostic, ...]]
+"""Contradicting evidence by authority; contradictions of an issuer count for the authorities below it."""
 
 
-def doubts(session: Session) -> Doubts:
-    """Return what speaks against the authorities of a workspace; those without a defect are left out.
+def contradictions(session: Session) -> Contradictions:
+    """Return the contradictions of all authorities of a workspace that have any.
 
-    That a certificate is missing is no part of this: then there is nothing to rest on.
+    A missing certificate is no contradiction.
     """
-    found: dict[str, tuple[Diagnostic, ...]] = {}
+    by_authority: dict[str, tuple[Diagnostic, ...]] = {}
     for authority in in_order(session.profile.authorities):
-        files = authority_files.look(session, authority, tuple)
+        files = authority_files.read_files(session, authority, tuple)
         own = () if files.content is None else tuple(_against(session, files, files.content))
-        if all_ := (*own, *found.get(authority.certificate.issuer, ())):
-            found[authority.name] = all_
-    return found
+        if all_ := (*own, *by_authority.get(authority.certificate.issuer, ())):
+            by_authority[authority.name] = all_
+    return by_authority
 
 
-def about(found: Doubts, package: Package) -> tuple[Diagnostic, ...]:
-    """Return what speaks against the authorities that the enclave of a package rests on, each once."""
+def contradictions_for(contradictions: Contradictions, package: Package) -> tuple[Diagnostic, ...]:
+    """Return the contradictions of the authorities that the enclave of a package rests on, each once."""
     issuers = (package.identity.issuer, package.permissions.issuer)
-    return tuple(dict.fromkeys(each for issuer in issuers for each in found.get(issuer, ())))
+    return tuple(dict.fromkeys(each for issuer in issuers for each in contradictions.get(issuer, ())))
 
 
 def _against(inputs: Inputs, files: AuthorityFiles, content: bytes) -> Iterator[Diagnostic]:
@@ -60,10 +60,10 @@ def _against(inputs: Inputs, files: AuthorityFiles, content: bytes) -> Iterator[
 
 
 def _require_key(inputs: Inputs, files: AuthorityFiles, certificate: x509.Certificate) -> None:
-    """Require that the private key beside a certificate is its own; one that cannot be read here is no evidence.
+    """Require that the private key matches the certificate; a key that cannot be read is no evidence.
 
     Raises:
-        KeymintError: it is another one.
+        KeymintError: it does not match.
     """
     spec = files.authority.certificate
     if files.key is None:

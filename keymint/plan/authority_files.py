@@ -1,6 +1,6 @@
-"""What lies in the place of an authority: its key and certificate, and whether they are the ones that are in use.
+"""The key and certificate files of an authority, and checks that they are the ones in use.
 
-A key or certificate that was replaced is an error here. Only a person can know which of the files is the right one.
+A replaced key or certificate is an error here: only a person can know which of the files is right.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from keymint.plan.enclaves import INSTALLED
 from keymint.session import Inputs
 
 COST = "no deployed enclave trusts it until all are redeployed"
-"""What a new authority costs."""
+"""The consequence of a new authority, for messages."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -27,13 +27,13 @@ class AuthorityFiles:
     """The files of an authority.
 
     Attributes:
-        authority: the authority, as the profile asks for it.
+        authority: the authority as the profile specifies it.
         key_file: path of its private key, as the user would type it.
         certificate_file: path of its certificate, as the user would type it.
-        key: content of the former, or None.
-        content: content of the latter, or None.
-        certificate: the certificate in it, or None when it is missing or damaged.
-        recorded: fingerprint of its key by the record, or empty.
+        key: content of the key file, or None.
+        content: content of the certificate file, or None.
+        certificate: its certificate, or None if it is missing or damaged.
+        recorded: fingerprint of the recorded key, or empty.
         deployed: returns the authorities' certificates in installed enclaves.
     """
 
@@ -48,7 +48,7 @@ class AuthorityFiles:
 
     @property
     def subject(self) -> x509.Name:
-        """The subject name that the profile asks for."""
+        """The subject name that the profile specifies."""
         spec = self.authority.certificate
         return names.parse(spec.subject_name, spec.origin)
 
@@ -58,20 +58,22 @@ class AuthorityFiles:
         return [certificate for certificate in self.deployed() if certificate.subject == subject]
 
     def known(self) -> frozenset[str]:
-        """Return the fingerprints of the keys that the authority has by the record, else by installed enclaves."""
+        """Return the fingerprint of the recorded key, or else those of the keys that installed enclaves trust."""
         if self.recorded:
             return frozenset({self.recorded})
         return frozenset(keys.fingerprint(certificates.public_key(each)) for each in self.in_use())
 
     def without_other_certificate(self, key: keys.PublicKey) -> AuthorityFiles:
-        """Return the place without a certificate of another key: what a killed run had not replaced yet."""
+        """Return the files without a certificate of another key, which a killed run had not replaced yet."""
         if self.certificate is None or certificates.public_key(self.certificate) == key:
             return self
         return replace(self, certificate=None)
 
 
-def look(inputs: Inputs, authority: Authority, deployed: Callable[[], Sequence[x509.Certificate]]) -> AuthorityFiles:
-    """Return what lies in the place of an authority."""
+def read_files(
+    inputs: Inputs, authority: Authority, deployed: Callable[[], Sequence[x509.Certificate]]
+) -> AuthorityFiles:
+    """Read the files of an authority."""
     workspace = inputs.workspace
     key_path, path = workspace.authority_key(authority.name), workspace.authority_certificate(authority.name)
     content = inputs.tree.read(path)
@@ -82,7 +84,7 @@ def look(inputs: Inputs, authority: Authority, deployed: Callable[[], Sequence[x
         key=inputs.tree.read(key_path),
         content=content,
         certificate=_readable(content),
-        # Before anything was installed nobody trusts the authority: one of the user's own may take its place.
+        # Before anything is installed nobody trusts the authority, so the user may replace it with their own.
         recorded=key_record.recorded(inputs.state, key_record.AUTHORITIES, authority.name)
         if inputs.state.stamps.get(INSTALLED)
         else "",
@@ -91,7 +93,7 @@ def look(inputs: Inputs, authority: Authority, deployed: Callable[[], Sequence[x
 
 
 def _readable(content: bytes | None) -> x509.Certificate | None:
-    """Return the certificate of a file, or None when there is none that can be used."""
+    """Return the certificate of a file, or None if there is no usable one."""
     try:
         certificate = certificates.load(content) if content else None
         if certificate:
@@ -101,8 +103,8 @@ def _readable(content: bytes | None) -> x509.Certificate | None:
     return certificate
 
 
-def choice(name: str) -> str:
-    """Return the option that makes a new authority, and what that costs."""
+def new_authority_help(name: str) -> str:
+    """Return the hint that names the option for a new authority, and its consequence."""
     return f"'keymint install --new-authority {name}' makes a new authority ({COST})"
 
 
@@ -110,23 +112,23 @@ def require_unused(files: AuthorityFiles) -> None:
     """Require that no enclave trusts an authority that has neither key nor certificate here.
 
     Raises:
-        KeymintError: one does, so that what is here was lost.
+        KeymintError: one does, so the files were lost.
     """
     if files.in_use():
         name = files.authority.name
         raise KeymintError(
             f"the authority {name!r} has neither key nor certificate here, but enclaves that are installed trust it",
             where=Origin(files.certificate_file),
-            help=f"restore them, or the certificate alone from an enclave; {choice(name)}",
+            help=f"restore them, or the certificate alone from an enclave; {new_authority_help(name)}",
             code="authority-lost",
         )
 
 
 def require_fit(files: AuthorityFiles, key: keys.PublicKey) -> None:
-    """Require that a private key is the one that the certificate in place certifies.
+    """Require that the private key is the one of the certificate.
 
     Raises:
-        KeymintError: it is not; says which of the two files is the wrong one, if that is known.
+        KeymintError: it is not; names the wrong file, if that is known.
     """
     if files.certificate is None or certificates.public_key(files.certificate) == key:
         return
@@ -135,22 +137,22 @@ def require_fit(files: AuthorityFiles, key: keys.PublicKey) -> None:
         raise KeymintError(
             f"is the certificate of another key than {files.key_file}, which is the key of {name!r}",
             where=Origin(files.certificate_file),
-            help=f"restore it, or remove it and run 'keymint install'; {choice(name)}",
+            help=f"restore it, or remove it and run 'keymint install'; {new_authority_help(name)}",
             code="authority-key-mismatch",
         )
     raise KeymintError(
         f"is not the private key of {files.certificate_file}",
         where=Origin(files.key_file),
-        help=f"restore the file that is wrong; {choice(name)}",
+        help=f"restore the file that is wrong; {new_authority_help(name)}",
         code="authority-key-mismatch",
     )
 
 
 def require_name(files: AuthorityFiles) -> None:
-    """Require that the certificate in place has the name that the profile asks for.
+    """Require that the certificate has the subject name of the profile.
 
     Raises:
-        KeymintError: it has another name: under the one that is asked for there would be a new authority.
+        KeymintError: it has another name; with the profile's name it would be a new authority.
     """
     if files.certificate is None or files.certificate.subject == files.subject:
         return
@@ -159,16 +161,16 @@ def require_name(files: AuthorityFiles) -> None:
         f"is for {names.to_text(files.certificate.subject)!r}, but {spec.origin} asks for "
         f"{names.to_text(files.subject)!r}",
         where=Origin(files.certificate_file),
-        help=f"restore the file or the subject_name; {choice(name)}",
+        help=f"restore the file or the subject_name; {new_authority_help(name)}",
         code="authority-renamed",
     )
 
 
 def require_known(files: AuthorityFiles, key: keys.PublicKey) -> None:
-    """Require that a key is the one that the authority had before.
+    """Require that the authority's key was not replaced.
 
     Raises:
-        KeymintError: the record, or where it was lost every installed enclave, has another key of this authority.
+        KeymintError: the record, or if it was lost every installed enclave, has another key of this authority.
     """
     known = files.known()
     if not known or keys.fingerprint(key) in known:
@@ -177,20 +179,20 @@ def require_known(files: AuthorityFiles, key: keys.PublicKey) -> None:
     raise KeymintError(
         f"the key of the authority {name!r} was replaced: it is not the one that signed what is deployed",
         where=Origin(files.certificate_file if files.key is None else files.key_file),
-        help=f"restore {files.key_file} and {files.certificate_file}; {choice(name)}",
+        help=f"restore {files.key_file} and {files.certificate_file}; {new_authority_help(name)}",
         code="authority-replaced",
     )
 
 
 def require_own_keys(inputs: Inputs, fingerprints: Mapping[str, str]) -> None:
-    """Require that no two authorities have one key: who holds the one could act as the other.
+    """Require that no two authorities have the same key, with which each could act as the other.
 
     Args:
         inputs: the workspace.
-        fingerprints: that of each authority's key, by the authority's name.
+        fingerprints: fingerprint of each authority's key, by name.
 
     Raises:
-        KeymintError: two authorities have one key.
+        KeymintError: two authorities have the same key.
     """
     owners: dict[str, str] = {}
     for name, fingerprint in fingerprints.items():
@@ -201,6 +203,6 @@ def require_own_keys(inputs: Inputs, fingerprints: Mapping[str, str]) -> None:
             raise KeymintError(
                 f"the authorities {other!r} and {name!r} have one and the same key",
                 where=Origin(inputs.workspace.shown(inputs.workspace.authority_certificate(wrong))),
-                help=f"restore the key and certificate of {wrong!r}; {choice(wrong)}",
+                help=f"restore the key and certificate of {wrong!r}; {new_authority_help(wrong)}",
                 code="authority-key-shared",
             )

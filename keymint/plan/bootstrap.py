@@ -1,4 +1,4 @@
-"""The stage ``init``: a new workspace's profile and authorities, and the policy that it is bound to."""
+"""The stage ``init``: the profile of a new workspace, and the policy that it names."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ _IGNORED = b"# Secrets, and what Keymint can make anew.\n/private/\n/build/\n/in
 
 
 def plan_init(inputs: Inputs, profile_type: str, request: Bootstrap) -> Plan:
-    """Plan the files of a new workspace; a file that is there already is kept.
+    """Plan the files of a new workspace; existing files are kept.
 
     Raises:
         KeymintError: no such profile type, distro or layout.
@@ -38,7 +38,7 @@ def plan_init(inputs: Inputs, profile_type: str, request: Bootstrap) -> Plan:
 
 
 def plan_policy(session: Session, policy: str) -> Plan:
-    """Plan to bind a workspace to another policy, if it is not bound to it already.
+    """Plan to change the policy that a workspace's profile names, if it names another one.
 
     Args:
         session: the workspace and its profile.
@@ -63,5 +63,5 @@ def _folders(root: Path, files: Mapping[str, bytes]) -> tuple[FolderChange, ...]
 
 
 def policy_path(policy: Path, profile: Path) -> str:
-    """Return a policy's path as a profile names it: relative, so that a checkout may lie anywhere."""
+    """Return a policy's path as a profile names it: relative, so that a checkout works anywhere."""
     return os.path.relpath(policy.resolve(), profile.resolve())

@@ -20,11 +20,11 @@ from keymint.workspace import packages, placed
 STAGE = "create"
 
 
-def everything(inputs: Inputs, policy: LoadedPolicy) -> tuple[str, ...]:
-    """Return the packages of every subject that the policy names exactly, and those that are there already.
+def packages_to_create(inputs: Inputs, policy: LoadedPolicy) -> tuple[str, ...]:
+    """Return the packages of every subject that the policy names exactly, and all existing packages.
 
-    A package that is there follows the policy whatever the policy says of it now: permissions that were
-    withdrawn must not live on in its sources.
+    Existing packages follow the policy even if it no longer names them: withdrawn permissions must not remain in their
+    sources.
     """
     exact = [package_of(policy, subject) for subject in policy.subjects()]
     return tuple(sorted({*exact, *packages(inputs.tree, inputs.workspace.src)}))
@@ -46,50 +46,50 @@ def plan_create(
         force: replace documents of rules that were edited by hand.
 
     Raises:
-        KeymintError: no profile of the policy applies to a name, names collide, or an edit by hand is in the way;
+        KeymintError: no profile of the policy applies to a name, names collide, or a manual edit is in the way;
             all of them together.
     """
-    one_by_one = _Packages(session, policy)
-    refuse_case_collisions([*one_by_one.existing, *names])
+    packages_plan = _Packages(session, policy)
+    refuse_case_collisions([*packages_plan.existing, *names])
     for name in names:
         refuse_reserved(name, session.profile.layout)
-    planned = {name: one_by_one.planned(name, force=force) for name in names}
+    planned = {name: packages_plan.planned(name, force=force) for name in names}
     if errors := [error for each in planned.values() for error in each.errors]:
         raise KeymintError.of(errors)
     steps = tuple(each.step for each in planned.values() if each.step)
     stamps = {name: each.stamp for name, each in planned.items() if each.stamp}
-    diagnostics = tuple(said for each in planned.values() for said in each.diagnostics)
+    diagnostics = tuple(diagnostic for each in planned.values() for diagnostic in each.diagnostics)
     return Plan(steps, record_policy(session, policy).updated(STAGE, stamps), diagnostics)
 
 
 def stale(session: Session, policy: LoadedPolicy, names: Sequence[str]) -> Mapping[str, tuple[Diagnostic, ...]]:
-    """Return the packages that differ from what the policy says, each with what is in the way of their update.
+    """Return the packages that differ from the policy, each with the errors that prevent its update.
 
     Args:
         session: the workspace and its profile.
         policy: its policy.
-        names: names of packages that are there.
+        names: names of existing packages.
 
     Raises:
         KeymintError: names collide.
     """
-    one_by_one = _Packages(session, policy)
-    refuse_case_collisions([*one_by_one.existing, *names])
-    found: dict[str, tuple[Diagnostic, ...]] = {}
+    packages_plan = _Packages(session, policy)
+    refuse_case_collisions([*packages_plan.existing, *names])
+    differing: dict[str, tuple[Diagnostic, ...]] = {}
     for name in names:
         try:
-            each = one_by_one.planned(name, force=False)
+            each = packages_plan.planned(name, force=False)
         except KeymintError as error:  # a file that is no file, or too large
-            found[name] = error.diagnostics
+            differing[name] = error.diagnostics
             continue
         if each.step is None or each.step.action is not Action.UNCHANGED:
-            found[name] = tuple(each.errors)
-    return found
+            differing[name] = tuple(each.errors)
+    return differing
 
 
 @dataclass(frozen=True, slots=True)
-class _Planned:
-    """What is planned for one package: a step, or the errors that are in the way of one."""
+class _PackageSources:
+    """The plan for the sources of one package, or the errors that prevent it."""
 
     step: Step | None = None
     stamp: Stamp | None = None
@@ -98,7 +98,7 @@ class _Planned:
 
 
 class _Packages:
-    """Plans packages one by one; what they share is found out once."""
+    """Plans packages one by one, and computes what they share once."""
 
     def __init__(self, session: Session, policy: LoadedPolicy) -> None:
         self._session = session
@@ -109,33 +109,33 @@ class _Packages:
         )
         self._package_type = session.plugins.package_type(session.profile.package_type, session.profile_marker())
 
-    def planned(self, name: str, *, force: bool) -> _Planned:
-        """Return what is planned for a package."""
+    def planned(self, name: str, *, force: bool) -> _PackageSources:
+        """Return the plan for a package."""
         session = self._session
         folder = session.workspace.src / name
         files = session.package_files(name)
         stamp = session.state.stamp(STAGE, name)
         wanted = digest(self._policy_digest, session.profile_digest)
         if stamp and stamp.inputs == wanted and _outputs(files) == stamp.outputs and not force:
-            return _Planned(Step(STAGE, name, Action.UNCHANGED))
+            return _PackageSources(Step(STAGE, name, Action.UNCHANGED))
         known = name in self.existing
         rules = self._policy.rules(f"/{name}")
-        said: tuple[Diagnostic, ...] = ()
+        unnamed: tuple[Diagnostic, ...] = ()
         if rules is None:
-            said = (_nothing_applies(name, self._policy, known=known),)
+            unnamed = (_nothing_applies(name, self._policy, known=known),)
             rules = SubjectRules(f"/{name}", ())
-        errors = () if known else said
+        errors = () if known else unnamed
         try:
             new = self._package_type.create(session.profile, rules, files, force=force)
         except KeymintError as error:
             in_the_way = (placed(diagnostic, session.workspace.src) for diagnostic in error.diagnostics)
-            return _Planned(None, None, said if known else (), (*errors, *in_the_way))
-        # The marker goes last: until then a later run sees no package, and makes what is missing of one.
+            return _PackageSources(None, None, unnamed if known else (), (*errors, *in_the_way))
+        # The marker goes last: until then a later run sees no package, and creates the missing files.
         ordered = sorted(new.items(), key=lambda item: item[0] == self._package_type.MARKER)
         changes = changed(session.tree, folder, {file: File(content) for file, content in ordered})
         action = (Action.UPDATED if known else Action.CREATED) if changes else Action.UNCHANGED
         step = Step(STAGE, name, action, changes)
-        return _Planned(step, Stamp(wanted, _outputs(files | dict(new))), said if known else (), errors)
+        return _PackageSources(step, Stamp(wanted, _outputs(files | dict(new))), unnamed if known else (), errors)
 
 
 def _outputs(files: dict[str, bytes]) -> dict[str, str]:

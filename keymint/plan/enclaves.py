@@ -1,4 +1,4 @@
-"""The enclaves in the install space, as they are."""
+"""The installed enclaves: their names, files and certificates."""
 
 from __future__ import annotations
 
@@ -16,27 +16,27 @@ from keymint.workspace import hidden_by, packages
 
 CERTIFICATE, KEY = "cert.pem", "key.pem"
 INSTALLED = "install"
-"""Where the record has what was installed."""
+"""Key of the record of installed enclaves."""
 
 
 def installed(session: Session) -> tuple[str, ...]:
     """Return the names of the installed enclaves, sorted."""
-    found: list[str] = []
+    names: list[str] = []
 
     def search(folder: Path, name: str) -> None:
         entries = session.tree.names(folder)
         if name and any(entry in {KEY, CERTIFICATE} for entry, is_folder in entries if not is_folder):
-            found.append(name)
+            names.append(name)
         for entry, is_folder in entries:
             if is_folder and not entry.startswith("."):
                 search(folder / entry, f"{name}/{entry}" if name else entry)
 
     search(session.workspace.enclaves(session.profile.layout), "")
-    return tuple(sorted(found))
+    return tuple(sorted(names))
 
 
 def orphans(session: Session) -> tuple[str, ...]:
-    """Return the installed enclaves that have no source package, sorted; none of those that KEYMINT_IGNORE hides."""
+    """Return the installed enclaves without a source package, sorted, except those that KEYMINT_IGNORE hides."""
     return tuple(name for name, marker in _unknown(session) if marker is None)
 
 
@@ -46,7 +46,7 @@ def hidden(session: Session) -> tuple[str, ...]:
 
 
 def unaccounted(session: Session) -> Iterator[Diagnostic]:
-    """Yield a finding for each installed enclave that no source package is found for."""
+    """Yield a finding for each installed enclave without a visible source package."""
     for name, marker in _unknown(session):
         if marker is None:
             message, help_ = "has no source package", "'keymint install --prune' removes it"
@@ -62,7 +62,7 @@ def unaccounted(session: Session) -> Iterator[Diagnostic]:
         yield Diagnostic(
             "enclave-ignored",
             Severity.WARNING,
-            f"hides the source package of /{name}, which is installed: nothing is checked or updated of it",
+            f"hides the source package of the installed enclave /{name}, which is not checked or updated",
             Origin(session.workspace.shown(marker)),
             "remove this file, or the enclave",
             f"/{name}",
@@ -70,7 +70,7 @@ def unaccounted(session: Session) -> Iterator[Diagnostic]:
 
 
 def _unknown(session: Session) -> Iterator[tuple[str, Path | None]]:
-    """Yield the installed enclaves that are no packages, each with the marker that hides it."""
+    """Yield the installed enclaves without a visible source package, each with the marker that hides the package."""
     src = session.workspace.src
     known = set(packages(session.tree, src))
     for name in installed(session):
@@ -79,7 +79,7 @@ def _unknown(session: Session) -> Iterator[tuple[str, Path | None]]:
 
 
 def require_sources(inputs: Inputs) -> None:
-    """Require that there is a source space: without one every enclave would be taken for an orphan.
+    """Require a source space; without one every enclave would count as orphaned.
 
     Raises:
         KeymintError: there is none.
@@ -87,17 +87,17 @@ def require_sources(inputs: Inputs) -> None:
     src = inputs.workspace.src
     if inputs.tree.status(src) is None and not inputs.tree.names(src):
         raise KeymintError(
-            "there is no source space, so that nothing tells which enclaves are orphans",
+            "there is no source space, so it is unknown which enclaves are orphaned",
             where=Origin(inputs.workspace.shown(src)),
-            help="name it with --src-space, or make it if all enclaves are to go",
+            help="set it with --src-space, or create it to remove all enclaves",
             code="sources-missing",
         )
 
 
 TAKEN = (".pem", ".p7s", ".p11")
-"""How the names of files end that ROS 2 takes from an enclave, through links as well (rmw_dds_common, security.cpp).
+"""Suffixes of the files that ROS 2 reads from an enclave, also through links (rmw_dds_common, security.cpp).
 
-One that is not read here may be read there, in place of another one, so nothing is claimed of an enclave that has it.
+ROS 2 may read such a file although it cannot be read here, so nothing is claimed about an enclave that has one.
 """
 
 
@@ -109,8 +109,8 @@ def enclave_files(inputs: Inputs, folder: Path, subject: str) -> tuple[dict[str,
         folder: the enclave's.
         subject: the enclave's, for the findings.
     """
-    found: dict[str, bytes] = {}
-    said: list[Diagnostic] = []
+    files: dict[str, bytes] = {}
+    unreadable: list[Diagnostic] = []
     try:
         entries = inputs.tree.names(folder)
     except KeymintError as error:
@@ -120,11 +120,11 @@ def enclave_files(inputs: Inputs, folder: Path, subject: str) -> tuple[dict[str,
             try:
                 content = inputs.tree.read(folder / name)
             except KeymintError as error:
-                said += (_placed(inputs, each, folder / name, subject) for each in error.diagnostics)
+                unreadable += (_placed(inputs, each, folder / name, subject) for each in error.diagnostics)
                 continue
             if content is not None:
-                found[name] = content
-    return found, tuple(said)
+                files[name] = content
+    return files, tuple(unreadable)
 
 
 def _placed(inputs: Inputs, found: Diagnostic, path: Path, subject: str) -> Diagnostic:
@@ -135,7 +135,7 @@ def _placed(inputs: Inputs, found: Diagnostic, path: Path, subject: str) -> Diag
 def deployed_authorities(session: Session) -> tuple[x509.Certificate, ...]:
     """Return the certificates of authorities that the installed enclaves trust, each once.
 
-    A file that cannot be read, or that holds no certificates, says nothing about any authority.
+    Files that cannot be read or contain no certificates are skipped.
     """
     found: dict[bytes, None] = {}
     root = session.workspace.enclaves(session.profile.layout)
@@ -147,7 +147,7 @@ def deployed_authorities(session: Session) -> tuple[x509.Certificate, ...]:
 
 
 def installed_certificate(session: Session, name: str) -> x509.Certificate | None:
-    """Return the identity certificate of an installed enclave, or None when there is none that can be read."""
+    """Return the identity certificate of an installed enclave, or None if there is no readable one."""
     path = session.workspace.enclaves(session.profile.layout) / name / CERTIFICATE
     return next(_certificates(session.tree.try_read(path) or b""), None)
 

@@ -1,7 +1,7 @@
-"""Which spaces git is kept out of: those with secrets, and those that Keymint can make again.
+"""The ``.gitignore`` files that keep git out of spaces with secrets or generated files.
 
-A ``.gitignore`` at the top of each such space goes with it wherever an option puts it. None lies inside an enclave, so
-none is copied to a robot.
+Each such space has one at its top, wherever an option puts the space. No enclave contains one, so none is copied to a
+robot.
 """
 
 from __future__ import annotations
@@ -17,11 +17,11 @@ NAME = ".gitignore"
 _EVERYTHING = b"# Secrets, or files that Keymint can make again: none of them belongs into git.\n*\n"
 
 
-def missing(workspace: Workspace, plan: Plan) -> Sequence[FolderChange]:
-    """Return the files that keep git out of the spaces that a plan writes to, or that are there.
+def missing_files(workspace: Workspace, plan: Plan) -> Sequence[FolderChange]:
+    """Return the missing ``.gitignore`` files of the spaces that a plan writes to, or that exist.
 
-    One that is there is the user's, whatever it says. A space that is a link or read-only is left as it is, unless the
-    plan writes to it anyway.
+    An existing file belongs to the user and is kept. A space that is a link or read-only is skipped, unless the plan
+    writes to it anyway.
     """
     written = {change.folder for step in plan.steps for change in step.changes if change.files}
     if written:

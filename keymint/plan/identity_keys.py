@@ -1,6 +1,6 @@
-"""The private key of each subject: minted once, restored from its enclave, and never replaced without being asked.
+"""The private key of each subject: minted once, restored from its enclave, and never replaced without a request.
 
-A key that was replaced in its place would give the subject's rights to whoever put it there.
+A replaced key would give the subject's permissions to whoever replaced it.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from keymint.session import Inputs, Session
 
 
 def remedy(name: str) -> str:
-    """Return how to mend a key that cannot be used."""
+    """Return how to fix a key that cannot be used."""
     restored = f"remove it and run 'keymint build {name}' to restore it from the enclave"
     return f"{restored}, or mint a new one with {_new(name)}"
 
@@ -49,7 +49,7 @@ def restore_or_mint(session: Session, package: Package, path: Path) -> tuple[Fol
     """Plan the key of a package that has none: the one in its enclave, or a new one if it never had any.
 
     Raises:
-        KeymintError: it had a key, and that is in its enclave no more.
+        KeymintError: it had a key, which is no longer in its enclave.
     """
     known = known_fingerprint(session, package.name)
     if not known:
@@ -73,8 +73,8 @@ def restore_or_mint(session: Session, package: Package, path: Path) -> tuple[Fol
 def known_fingerprint(session: Session, name: str) -> str:
     """Return the fingerprint of the key that a package's subject has, or an empty text.
 
-    That is the key on record, or if the record was lost that of the installed certificate. Before anything was
-    installed the subject has none: a key of the user's own may take the place of the one that was minted.
+    That is the recorded key, or if the record was lost the key of the installed certificate. Before anything is
+    installed the subject has none: the user may replace the minted key with one of their own.
     """
     recorded = key_record.recorded(session.state, key_record.IDENTITIES, name)
     if recorded and session.state.stamp(INSTALLED, name):
@@ -84,7 +84,7 @@ def known_fingerprint(session: Session, name: str) -> str:
 
 
 class Keyring:
-    """The keys that subjects and authorities have, to compare the one that lies in a subject's place with.
+    """The known keys of subjects and authorities, to compare the stored key of a subject with.
 
     Args:
         session: the workspace and its profile.
@@ -96,15 +96,15 @@ class Keyring:
         self._authorities = authorities
 
     def require_own(self, name: str, path: Path, key: keys.PublicKey) -> None:
-        """Require that a key is the one that a package's subject has, and nobody else's.
+        """Require that a stored key is its subject's, and nobody else's.
 
         Args:
             name: the package.
-            path: where its key lies.
-            key: the public key of what lies there.
+            path: path of the stored key.
+            key: its public key.
 
         Raises:
-            KeymintError: it is an authority's key, was replaced, or is that of another subject.
+            KeymintError: it is an authority's key, was replaced, or belongs to another subject.
         """
         state = self._session.state
         fingerprint, shown = keys.fingerprint(key), Origin(self._session.workspace.shown(path))
@@ -126,22 +126,22 @@ class Keyring:
                 help=remedy(name),
                 code="key-replaced",
             )
-        if key_record.recorded(state, key_record.IDENTITIES, name) != fingerprint:  # so it may not be ours
+        if key_record.recorded(state, key_record.IDENTITIES, name) != fingerprint:  # so it may not be its own
             for other in self._owners.get(fingerprint, ()):
                 if other != name:
                     raise _shared(name, other, shown)
 
     @functools.cached_property
     def _owners(self) -> Mapping[str, Sequence[str]]:
-        """The names of the packages by the fingerprints of the keys that they have."""
+        """Packages by the fingerprints of their keys."""
         recorded = self._session.state.stamps.get(key_record.IDENTITIES, {})
-        found: dict[str, list[str]] = {}
+        owners: dict[str, list[str]] = {}
         for name in sorted({*recorded, *installed(self._session)}):
             if name in recorded:
-                found.setdefault(recorded[name].inputs, []).append(name)
+                owners.setdefault(recorded[name].inputs, []).append(name)
             elif certificate := installed_certificate(self._session, name):
-                found.setdefault(keys.fingerprint(certificates.public_key(certificate)), []).append(name)
-        return found
+                owners.setdefault(keys.fingerprint(certificates.public_key(certificate)), []).append(name)
+        return owners
 
 
 def shared_keys(inputs: Inputs, fingerprints: Mapping[str, str]) -> Iterator[Diagnostic]:

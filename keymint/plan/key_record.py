@@ -1,6 +1,6 @@
-"""The record of key pairs: it tells a private key that was replaced in its place from one that Keymint minted.
+"""The record of key pairs, which distinguishes a private key that was replaced from one that Keymint minted.
 
-The record has fingerprints of public keys only. Where it was lost, what is installed takes its place.
+The record has fingerprints of public keys only. If it is lost, the installed enclaves serve in its place.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ def recorded(state: State, stage: str, name: str) -> str:
 
 
 def record(state: State, stage: str, fingerprints: Mapping[str, str]) -> State:
-    """Return the state with these keys on record; the state itself when they are."""
+    """Return the state with these keys on record; unchanged if they already are."""
     new = {name: value for name, value in fingerprints.items() if recorded(state, stage, name) != value}
     return state.updated(stage, {name: Stamp(value, {}) for name, value in new.items()}) if new else state
 
@@ -41,5 +41,5 @@ def _all(state: State) -> frozenset[str]:
 
 
 def was_under_way(state: State, fingerprint: str) -> bool:
-    """Tell whether a run that was killed was about to store the key with this fingerprint."""
+    """Tell whether a killed run was about to store the key with this fingerprint."""
     return fingerprint in state.interrupted

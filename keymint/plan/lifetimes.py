@@ -1,7 +1,7 @@
-"""Lifetimes as the sources have them: warnings on what is built and signed though it is not in force.
+"""Lifetimes of grants and certificates in the sources, and warnings where they are not in force.
 
-A grant is permitted nothing outside of its time, nor when its authority's certificate has expired; a certificate is cut
-to its issuer's time. Build and install do what they are asked, and warn at each run, not only at the first.
+A grant permits nothing outside its validity, or after its authority's certificate expired; a certificate ends at the
+latest with its issuer's. Build and install work anyway, and warn at each run, not only at the first.
 """
 
 from __future__ import annotations
@@ -24,13 +24,13 @@ _EXTEND = "extend its validity, then run 'keymint build' and 'keymint install'"
 
 @dataclass(frozen=True, slots=True)
 class Lifetime:
-    """When something of a package is in force.
+    """When a package's grant or certificate is in force.
 
     Attributes:
         what: ``grant`` or ``certificate``.
         first: the first moment.
         last: the last one.
-        where: where a person wrote that, as the user would type it.
+        where: where the validity is written, as the user would type it.
         issuer: name of the authority that signs it.
     """
 
@@ -42,7 +42,7 @@ class Lifetime:
 
 
 def lifetimes(package: Package) -> tuple[Lifetime, ...]:
-    """Return the lifetimes of a package: of its grant, and of its certificate."""
+    """Return the lifetimes of a package's grant and certificate."""
     grant, identity = package.permissions, package.identity
     return (
         _lifetime("grant", grant.validity, grant.issuer, grant.origin),
@@ -55,36 +55,38 @@ def _lifetime(what: str, validity: Validity, issuer: str, origin: Origin) -> Lif
 
 
 def recalled(session: Session, name: str, stamp: Stamp | None) -> tuple[Lifetime, ...]:
-    """Return the lifetimes of a package whose sources did not change: from the record, else from the package.
+    """Return the lifetimes of a package whose sources did not change, from the record or else from the package.
 
     Raises:
         KeymintError: the package has defects.
     """
-    found = _load(stamp.lifetimes, session.workspace) if stamp is not None else None
-    return lifetimes(session.package(name)) if found is None else found
+    recorded = _load(stamp.lifetimes, session.workspace) if stamp is not None else None
+    return lifetimes(session.package(name)) if recorded is None else recorded
 
 
 def findings(by_package: Mapping[str, Iterable[Lifetime]], session: Session) -> tuple[Diagnostic, ...]:
-    """Return a warning for each lifetime that does not hold now, or outlasts its authority's.
+    """Return a warning for each lifetime that is not in force now, or that outlasts its authority.
 
     Args:
         by_package: lifetimes by package.
         session: its profile has the authorities.
     """
     authorities = {authority.name: authority for authority in session.profile.authorities}
-    found: dict[Diagnostic, None] = {}
+    warnings: dict[Diagnostic, None] = {}
     used: dict[str, None] = {}
     for name, own in by_package.items():
         for each in own:
             used.update(dict.fromkeys(_above(each.issuer, authorities)))
-            found.update(
-                dict.fromkeys(replace(said, subject=f"/{name}") for said in _of(each, authorities, session.now))
+            warnings.update(
+                dict.fromkeys(replace(warning, subject=f"/{name}") for warning in _of(each, authorities, session.now))
             )
     for name in used:
         spec = authorities[name].certificate
         own_time = _lifetime("authority", spec.validity, spec.issuer, spec.origin)
-        found.update(dict.fromkeys(_of(own_time, authorities, session.now, f"certificate of the authority {name!r}")))
-    return tuple(found)
+        warnings.update(
+            dict.fromkeys(_of(own_time, authorities, session.now, f"certificate of the authority {name!r}"))
+        )
+    return tuple(warnings)
 
 
 def _above(name: str, authorities: Mapping[str, Authority]) -> Iterator[str]:
@@ -135,7 +137,7 @@ def dump(found: Iterable[Lifetime], workspace: Workspace) -> str:
 
 
 def _load(text: str, workspace: Workspace) -> tuple[Lifetime, ...] | None:
-    """Return the lifetimes of :func:`dump`, or None if the text is none of its own."""
+    """Return the lifetimes of :func:`dump`, or None if the text was not written by it."""
     try:
         return tuple(
             Lifetime(

@@ -1,4 +1,4 @@
-"""Private keys as they are stored: their passwords, and whether they are of the kind that is asked for."""
+"""Load stored private keys: read their passwords, and check that their kind is the specified one."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ def password(spec: KeySpec, environment: Mapping[str, str], origin: Origin) -> b
             f"the environment variable {spec.password_env} holds a password of {len(secret):,} bytes, "
             f"expected at most {MAX_PASSWORD:,}",
             where=origin,
-            help="take a shorter one; OpenSSL reads no longer ones",
+            help="choose a shorter one, which OpenSSL can read",
             code="password-long",
         )
     return secret
@@ -50,33 +50,33 @@ def load_key(
 
     Args:
         pem: the file's bytes.
-        spec: what is asked for.
+        spec: the kind of key that the sources specify.
         environment: environment variables, for the password.
         shown: the file, for messages.
-        asked: the place that asks for the key.
-        remedy: how to mend a key that cannot be used, for messages.
+        asked: where the sources specify the key.
+        remedy: how to fix a key that cannot be used, for messages.
 
     Raises:
-        KeymintError: the file is damaged, the password is wrong or missing, or the key is of another kind than is
-            asked for: keys are only replaced on request.
+        KeymintError: the file is damaged, the password is wrong or missing, or the key is not of the specified kind;
+            keys are replaced only on request.
     """
     try:
         key = keys.from_pem(pem, password(spec, environment, asked), shown)
     except KeymintError as error:
-        said = [replace(found, help=_help(found, spec, asked, remedy)) for found in error.diagnostics]
-        raise KeymintError.of(said) from None
+        diagnostics = [replace(each, help=_help(each, spec, asked, remedy)) for each in error.diagnostics]
+        raise KeymintError.of(diagnostics) from None
     if not keys.fits(key, spec):
         kind = f"an EC key on {spec.curve}" if spec.algorithm == "ec" else f"an RSA key of {spec.size} bits"
         raise KeymintError(f"is not {kind}, which {asked} asks for", where=shown, help=remedy, code="key-kind")
     return key
 
 
-def _help(found: Diagnostic, spec: KeySpec, asked: Origin, remedy: str) -> str:
-    """Return how to mend a key that cannot be read."""
-    if found.code == "key-invalid":
+def _help(diagnostic: Diagnostic, spec: KeySpec, asked: Origin, remedy: str) -> str:
+    """Return how to fix a key that cannot be read."""
+    if diagnostic.code == "key-invalid":
         return remedy
-    if found.code == "key-password" and not spec.password_env:
+    if diagnostic.code == "key-password" and not spec.password_env:
         return f"name the environment variable of its password in password_env at {asked}"
-    if found.code == "key-password":
+    if diagnostic.code == "key-password":
         return f"set {spec.password_env} to the password that the file was encrypted with, or {remedy}"
-    return found.help
+    return diagnostic.help

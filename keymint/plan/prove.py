@@ -1,6 +1,6 @@
-"""The stage ``prove``: claims about installed enclaves. It writes nothing but the record of what was proven.
+"""The stage ``prove``: prove claims about installed enclaves. It writes nothing but the record of proofs.
 
-An enclave whose every claim was proven is not looked at again until its files, the policy on it, or the tool change.
+The proof of an enclave whose claims were all proven is cached until its files, its policy or the tool change.
 """
 
 from __future__ import annotations
@@ -28,12 +28,12 @@ NO_PROVER = "proof-unsupported"
 
 
 @dataclass(frozen=True, slots=True)
-class Effort:
-    """How much may be spent.
+class ProofEffort:
+    """The limits of the search.
 
     Attributes:
-        states: states that a question may visit.
-        deadline: called for each enclave; returns what tells whether to go on.
+        states: states that one search may visit.
+        deadline: called for each enclave; returns a function that tells whether to continue.
     """
 
     states: int
@@ -41,15 +41,15 @@ class Effort:
 
 
 @dataclass(frozen=True, slots=True)
-class Proven:
-    """What is known of one enclave.
+class EnclaveProof:
+    """The result for one enclave.
 
     Attributes:
         subject: its subject.
         claims: by model, action and domains; none if the enclave could not be read.
-        remembered: every claim was proven before, and nothing changed.
-        diagnostics: what could not be read, or does not rest on the workspace's authorities.
-        terms: when what was claimed is in force.
+        remembered: the proof is cached: every claim was proven before, and nothing changed.
+        diagnostics: files that could not be read, or that do not rest on the workspace's authorities.
+        terms: when the documents are in force.
     """
 
     subject: str
@@ -60,21 +60,21 @@ class Proven:
 
     def of_claim(self, claim: Claim) -> tuple[ValidityTerm, ...]:
         """Return the terms that a claim needs."""
-        return terms.read_by(self.terms, {claim.model})
+        return terms.terms_of(self.terms, {claim.model})
 
 
 @dataclass(frozen=True, slots=True)
-class Findings:
-    """What is known of all enclaves.
+class ProofResults:
+    """The results for all enclaves.
 
     Attributes:
-        enclaves: what is known of each.
+        enclaves: the result for each.
         state: the record to keep.
-        assumptions: what the claims take for granted, by model.
+        assumptions: assumptions of the claims, by model.
         now: the time at which the claims are judged, UTC.
     """
 
-    enclaves: tuple[Proven, ...]
+    enclaves: tuple[EnclaveProof, ...]
     state: State
     assumptions: Mapping[str, Sequence[str]]
     now: datetime
@@ -84,41 +84,41 @@ def prove(
     session: Session,
     names: Sequence[str],
     policy: LoadedPolicy,
-    effort: Effort,
+    effort: ProofEffort,
     on_enclave: Callable[[str], None] = lambda _name: None,
     *,
     standard_only: bool = False,
     folder: Callable[[str], Path] | None = None,
-) -> Findings:
-    """Prove, or refute, the claims about the enclaves of some packages.
+) -> ProofResults:
+    """Prove or refute the claims about the enclaves of some packages.
 
     Args:
         session: the workspace and its profile.
         names: names of packages.
-        policy: what the enclaves are held against.
-        effort: how much may be spent.
-        on_enclave: called with each name when it is done.
-        standard_only: claim nothing of vendors, as their differences are accepted; nothing is recorded then.
-        folder: where messages say that the documents of a package lie, if not in its enclave.
+        policy: the policy that the enclaves are compared with.
+        effort: limits of the search.
+        on_enclave: called with each name after its proof.
+        standard_only: accept differences between vendors and claim only what the standard says; nothing is recorded.
+        folder: the folder of a package's documents in messages, if not its enclave.
 
     Raises:
         KeymintError: a package has defects.
     """
-    stage = _Stage(session, policy, effort, standard_only, folder)
+    stage = _ProofRun(session, policy, effort, standard_only, folder)
     for name in names:
         stage.prove(name)
         on_enclave(name)
-    return stage.findings()
+    return stage.results()
 
 
-class _Stage:
-    """What is found out so far."""
+class _ProofRun:
+    """Proves enclaves one by one, and collects the results."""
 
     def __init__(
         self,
         session: Session,
         policy: LoadedPolicy,
-        effort: Effort,
+        effort: ProofEffort,
         standard_only: bool,
         folder: Callable[[str], Path] | None,
     ) -> None:
@@ -128,58 +128,60 @@ class _Stage:
         self._standard_only = standard_only
         self._folder = folder
         self._chains = trusted_chains(session)
-        self._doubts = authority_evidence.doubts(session)
+        self._contradictions = authority_evidence.contradictions(session)
         self._seen = digest(*(f"{path} {value.hex()}" for path, value in sorted(policy.seen.items())))
-        self._found: list[Proven] = []
+        self._proofs: list[EnclaveProof] = []
         self._stamps: dict[str, Stamp] = {}
         self._refuted: set[str] = set()
         self._provers: set[str] = set()
         self._assumptions: dict[str, Sequence[str]] = {}
 
-    def findings(self) -> Findings:
-        """Return what was found, and the record of it."""
+    def results(self) -> ProofResults:
+        """Return the results so far, and the record of them."""
         state = self._session.state
         if self._stamps or any(state.stamp(STAGE, name) for name in self._refuted):
             state = state.updated(STAGE, self._stamps, self._refuted)
-        return Findings(tuple(self._found), state, self._assumptions, self._session.now)
+        return ProofResults(tuple(self._proofs), state, self._assumptions, self._session.now)
 
     def prove(self, name: str) -> None:
-        """Prove the claims about one enclave, unless they are known."""
+        """Prove the claims about one enclave, unless the proof is cached."""
         inputs = self._session
         folder = inputs.workspace.enclaves(self._session.profile.layout) / name
         source = self._session.package_files(name)
         files, unread = enclave_files(inputs, folder, f"/{name}")
         if defects := self._of_enclave(name, unread):
-            self._found.append(Proven(f"/{name}", (), diagnostics=defects))
+            self._proofs.append(EnclaveProof(f"/{name}", (), diagnostics=defects))
             self._refuted.add(name)
             return
-        if self._doubts and (doubts := authority_evidence.about(self._doubts, self._session.package(name))):
-            self._found.append(Proven(f"/{name}", (), diagnostics=doubts))
+        if self._contradictions and (
+            contradictions := authority_evidence.contradictions_for(self._contradictions, self._session.package(name))
+        ):
+            self._proofs.append(EnclaveProof(f"/{name}", (), diagnostics=contradictions))
             return
         wanted = self._wanted(source, files)
         stamp = inputs.state.stamp(STAGE, name)
         known = terms.load(stamp.outputs.get(_TERMS, ""), self._shown(name)) if stamp is not None else None
         if stamp is not None and known is not None and stamp.inputs == wanted and self._same_rules(name, stamp):
-            # Only what does not depend on the clock is remembered. Whether it is in force is judged at each run.
-            self._found.append(Proven(f"/{name}", _recalled(stamp), remembered=True, terms=known))
+            # The cache does not depend on the clock: whether documents are in force is checked at each run.
+            self._proofs.append(EnclaveProof(f"/{name}", _cached_claims(stamp), remembered=True, terms=known))
             self._assume(stamp.outputs[_BUILD_TYPE], name)
             return
         package = self._session.package(name)
         rules = _rules(self._policy, package.subject)
-        self._found.append(self._claimed(package, rules, files))
+        self._proofs.append(self._claimed(package, rules, files))
         if self._standard_only:
             return
-        if self._found[-1].diagnostics or any(claim.proof is not Proof.PROVEN for claim in self._found[-1].claims):
+        if self._proofs[-1].diagnostics or any(claim.proof is not Proof.PROVEN for claim in self._proofs[-1].claims):
             self._refuted.add(name)
         else:
-            outputs = {_key(claim): "\n".join((claim.universe, *claim.excepted)) for claim in self._found[-1].claims}
+            outputs = {_key(claim): "\n".join((claim.universe, *claim.excepted)) for claim in self._proofs[-1].claims}
             outputs[_RULES] = _meaning(rules)
-            outputs[_TERMS] = terms.dump(self._found[-1].terms, self._shown(name))
+            outputs[_TERMS] = terms.dump(self._proofs[-1].terms, self._shown(name))
             outputs[_BUILD_TYPE] = package.build_type
             self._stamps[name] = Stamp(wanted, outputs, context=self._seen)
 
     def _of_enclave(self, name: str, unread: Sequence[Diagnostic]) -> tuple[Diagnostic, ...]:
-        """Return the files that cannot be read and belong to the enclave: by the record, or by their names."""
+        """Return the diagnostics of unreadable files that belong to the enclave, by the record or by their names."""
         stamp = self._session.state.stamp(INSTALLED, name)
         names = [found.where.file.rpartition("/")[2] if found.where else "" for found in unread]
         return tuple(
@@ -189,7 +191,7 @@ class _Stage:
         )
 
     def _same_rules(self, name: str, stamp: Stamp) -> bool:
-        """Tell whether the policy says the same of a subject as when the stamp was made."""
+        """Tell whether the policy has the same rules for a subject as when the stamp was made."""
         if stamp.context == self._seen:
             return True
         if stamp.outputs.get(_RULES) != _meaning(_rules(self._policy, f"/{name}")):
@@ -198,18 +200,18 @@ class _Stage:
         return True
 
     def _shown(self, name: str) -> str:
-        """Return where messages say that the files of an enclave lie, as the user would type it."""
+        """Return the path of an enclave's files in messages, as the user would type it."""
         folder = self._session.workspace.enclaves(self._session.profile.layout) / name
         return self._session.workspace.shown(self._folder(name) if self._folder else folder)
 
-    def _claimed(self, package: Package, rules: SubjectRules, files: Mapping[str, bytes]) -> Proven:
+    def _claimed(self, package: Package, rules: SubjectRules, files: Mapping[str, bytes]) -> EnclaveProof:
         inputs = self._session
         prover = self._assume(package.build_type, package.name)
         if prover is None:
             message = f"the build type {package.build_type} proves nothing"
             marker = inputs.package_marker(package.name)
             said = Diagnostic(NO_PROVER, Severity.ERROR, message, marker, "", package.subject)
-            return Proven(package.subject, (), diagnostics=(said,))
+            return EnclaveProof(package.subject, (), diagnostics=(said,))
         task = ProofTask(
             rules,
             package.distro,
@@ -225,7 +227,7 @@ class _Stage:
         return _prove(prover, task, package.name)
 
     def _assume(self, name: str, package: str) -> Prover | None:
-        """Return what proves, and keep what its claims take for granted; None for a build type that proves nothing."""
+        """Return the prover of a build type and keep its assumptions; None if the build type has no prover."""
         build_type = self._session.plugins.build_type(name, self._session.package_marker(package))
         if not isinstance(build_type, Prover):
             return None
@@ -235,7 +237,7 @@ class _Stage:
         return build_type
 
     def _wanted(self, source: Mapping[str, bytes], files: Mapping[str, bytes]) -> str:
-        """Return the digest of all that a proof depends on beside the policy."""
+        """Return the digest of everything that a proof depends on, except the policy."""
         return digest(
             digest_files(files),
             digest_files(source),
@@ -247,7 +249,7 @@ class _Stage:
 
 
 _RULES, _BUILD_TYPE, _TERMS = "rules", "build type", "terms"
-"""What a stamp has beside claims."""
+"""Keys of a stamp that are not claims."""
 
 
 def _rules(policy: LoadedPolicy, subject: str) -> SubjectRules:
@@ -255,22 +257,24 @@ def _rules(policy: LoadedPolicy, subject: str) -> SubjectRules:
 
 
 def _meaning(rules: SubjectRules) -> str:
-    """Return a digest of rules, wherever they are written."""
+    """Return a digest of rules, independent of where they are written."""
     return digest(*(repr((r.effect, r.kind, r.permissions, r.expressions, r.partitions)) for r in rules.rules))
 
 
-def _prove(prover: Prover, task: ProofTask, name: str) -> Proven:
+def _prove(prover: Prover, task: ProofTask, name: str) -> EnclaveProof:
     subject = task.rules.subject
     if not task.files:
         message, help_ = f"the enclave {subject} is not installed", f"run 'keymint install {name}'"
         said = Diagnostic("enclave-missing", Severity.ERROR, message, Origin(task.folder), help_, subject)
-        return Proven(subject, (), diagnostics=(said,))
+        return EnclaveProof(subject, (), diagnostics=(said,))
     try:
         claims = tuple(prover.prove(task))
-        found = prover.terms(task.files, task.folder, task.anchors)
+        documents_terms = prover.terms(task.files, task.folder, task.anchors)
     except KeymintError as error:
-        return Proven(subject, (), diagnostics=tuple(replace(each, subject=subject) for each in error.diagnostics))
-    return Proven(subject, claims, terms=terms.read_by(found, {claim.model for claim in claims}))
+        return EnclaveProof(
+            subject, (), diagnostics=tuple(replace(each, subject=subject) for each in error.diagnostics)
+        )
+    return EnclaveProof(subject, claims, terms=terms.terms_of(documents_terms, {claim.model for claim in claims}))
 
 
 def _key(claim: Claim) -> str:
@@ -278,14 +282,14 @@ def _key(claim: Claim) -> str:
     return f"{claim.model} {claim.action} {domains}"
 
 
-def _recalled(stamp: Stamp) -> tuple[Claim, ...]:
-    """Return the claims that a stamp says were proven."""
-    found: list[Claim] = []
+def _cached_claims(stamp: Stamp) -> tuple[Claim, ...]:
+    """Return the proven claims that a stamp has."""
+    claims: list[Claim] = []
     for key, value in stamp.outputs.items():
         if key not in {_RULES, _BUILD_TYPE, _TERMS}:
             universe, *excepted = value.split("\n")
-            model, action, listed = key.rsplit(" ", 2)
-            ends = (each.split("-") for each in listed.split(","))
+            model, action, ranges = key.rsplit(" ", 2)
+            ends = (each.split("-") for each in ranges.split(","))
             domains = tuple(DomainRange(int(first), int(last)) for first, last in ends)
-            found.append(Claim(model, action, domains, universe, Proof.PROVEN, excepted=tuple(excepted)))
-    return tuple(found)
+            claims.append(Claim(model, action, domains, universe, Proof.PROVEN, excepted=tuple(excepted)))
+    return tuple(claims)

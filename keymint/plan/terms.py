@@ -1,4 +1,4 @@
-"""Time: whether what a claim needs is in force now, until when, and the findings on what is not."""
+"""Validity periods of the documents that a proof rests on: whether and until when they are in force."""
 
 from __future__ import annotations
 
@@ -19,25 +19,25 @@ def shown(moment: datetime) -> str:
     return moment.astimezone(UTC).replace(microsecond=0, tzinfo=None).isoformat() + "Z"
 
 
-def read_by(terms: Sequence[ValidityTerm], models: Collection[str]) -> tuple[ValidityTerm, ...]:
-    """Return the terms of some models: a term that others read differently is not theirs."""
-    found: list[ValidityTerm] = []
+def terms_of(terms: Sequence[ValidityTerm], models: Collection[str]) -> tuple[ValidityTerm, ...]:
+    """Return the terms that apply to some models; vendors may read one date differently."""
+    selected: list[ValidityTerm] = []
     for term in terms:
-        theirs = tuple(model for model in term.models if model in models)
-        if theirs or not term.models:
-            found.append(replace(term, models=theirs))
-    return tuple(found)
+        applicable = tuple(model for model in term.models if model in models)
+        if applicable or not term.models:
+            selected.append(replace(term, models=applicable))
+    return tuple(selected)
 
 
 def end(terms: Sequence[ValidityTerm], now: datetime) -> datetime | None:
-    """Return the last moment at which all terms still hold, or None if one does not hold now."""
+    """Return the last moment at which all terms are in force, or None if one is not in force now."""
     ends = [next((last for first, last in term.periods if first <= now <= last), None) for term in terms]
     known = [each for each in ends if each is not None]
     return min(known) if known and len(known) == len(ends) else None
 
 
 def findings(terms: Sequence[ValidityTerm], now: datetime, subject: str) -> Iterator[Diagnostic]:
-    """Yield an error for each term that does not hold now."""
+    """Yield an error for each term that is not in force now."""
     for term in terms:
         if any(first <= now <= last for first, last in term.periods):
             continue
@@ -55,12 +55,12 @@ def findings(terms: Sequence[ValidityTerm], now: datetime, subject: str) -> Iter
         )
 
 
-def together(found: Iterable[Diagnostic]) -> Iterator[Diagnostic]:
-    """Yield findings, with those that many enclaves have in common once: with the first, and how many have it."""
-    alike: dict[tuple[str, str], list[Diagnostic]] = {}
-    for each in found:
-        alike.setdefault((each.code, each.message), []).append(each)
-    for group in alike.values():
+def merged(diagnostics: Iterable[Diagnostic]) -> Iterator[Diagnostic]:
+    """Yield diagnostics, merging those that several enclaves have in common into one with their number."""
+    groups: dict[tuple[str, str], list[Diagnostic]] = {}
+    for each in diagnostics:
+        groups.setdefault((each.code, each.message), []).append(each)
+    for group in groups.values():
         first, others = group[0], len({each.subject for each in group}) - 1
         also = f", so in {first.subject} and {others:,} more enclave{'s' * (others > 1)}" if others else ""
         yield replace(first, message=first.message + also)
@@ -85,7 +85,7 @@ def dump(terms: Sequence[ValidityTerm], folder: str) -> str:
 
 
 def load(text: str, folder: str) -> tuple[ValidityTerm, ...] | None:
-    """Return the terms of :func:`dump`, or None if the text is none of its own."""
+    """Return the terms of :func:`dump`, or None if the text was not written by it."""
     try:
         return tuple(
             ValidityTerm(

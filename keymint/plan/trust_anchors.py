@@ -1,4 +1,4 @@
-"""Trust anchors: the authorities of the workspace that an enclave must rest on, and what in it does not."""
+"""Trust anchors: the workspace's authorities that an enclave must rest on, and where it does not."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from keymint.session import Session
 
 
 def anchors_of(session: Session, package: Package, chains: Mapping[str, bytes]) -> TrustAnchors:
-    """Return what the enclave of a package must rest on.
+    """Return the trust anchors that the enclave of a package must rest on.
 
     Args:
         session: the workspace and its profile.
@@ -35,15 +35,15 @@ def anchors_of(session: Session, package: Package, chains: Mapping[str, bytes]) 
 
 
 def differences(session: Session, names: Sequence[str]) -> tuple[Diagnostic, ...]:
-    """Return what in the enclaves of some packages does not rest on the workspace's authorities.
+    """Return the findings on enclaves that do not rest on the workspace's authorities.
 
-    An enclave that is not installed, and one whose build type cannot tell, has none.
+    Enclaves that are not installed, or whose build type cannot tell, have none.
 
     Raises:
         KeymintError: a package has defects.
     """
     found: list[Diagnostic] = []
-    chains, doubts = trusted_chains(session), authority_evidence.doubts(session)
+    chains, doubts = trusted_chains(session), authority_evidence.contradictions(session)
     for name in names:
         folder = session.workspace.enclaves(session.profile.layout) / name
         files, unread = enclave_files(session, folder, f"/{name}")
@@ -51,7 +51,7 @@ def differences(session: Session, names: Sequence[str]) -> tuple[Diagnostic, ...
         if not files:
             continue
         package = session.package(name)
-        found += authority_evidence.about(doubts, package)
+        found += authority_evidence.contradictions_for(doubts, package)
         build_type = session.plugins.build_type(package.build_type, session.package_marker(name))
         if isinstance(build_type, Prover):
             anchors = anchors_of(session, package, chains)

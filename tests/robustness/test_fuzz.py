@@ -24,7 +24,7 @@ from keymint.api import BuildOptions
 from keymint.errors import KeymintError
 from keymint.plan.authorities import plan_authorities
 from keymint.plan.build import plan_build
-from keymint.plan.create import everything, plan_create
+from keymint.plan.create import packages_to_create, plan_create
 from keymint.plan.install import plan_install
 from keymint.plan.policy import load_policy
 from keymint.plugins import Plugins
@@ -220,7 +220,7 @@ def _planned(inputs: Inputs, *, in_build: bool) -> str:
     try:
         session = inputs.session()
         policy = load_policy(session)
-        names = everything(session, policy)
+        names = packages_to_create(session, policy)
         plan = plan_create(session, policy, names, force=False)
         after = session.after(plan)
         options = BuildOptions(allow_vendor_specific=True)

@@ -165,4 +165,4 @@ def test_spaces_can_lie_elsewhere(keymint, tmp_path: Path) -> None:
 def test_spaces_must_not_lie_in_each_other(keymint) -> None:
     outcome = keymint("init", "ws", "--build-space", "src/out")
     assert outcome.code == 2
-    assert "lies in the src space" in outcome.err
+    assert "is inside the src space" in outcome.err

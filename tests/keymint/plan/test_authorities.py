@@ -84,7 +84,7 @@ def test_longer_validity_keeps_key_and_name(keymint, ws: Path) -> None:
     keymint("build", cwd=ws)
     outcome = keymint("install", cwd=ws)
     assert outcome.code == 0, outcome.err
-    assert outcome.err.count("is issued again, for the same key") == 2
+    assert outcome.err.count("is reissued for the same key") == 2
     assert trusted(ws) == before
     assert all(each not in old for each in [(ws / each).read_bytes() for each in CERTIFICATES])
     assert keymint("check", cwd=ws).code == 0
