@@ -41,7 +41,7 @@ FORMATS = ("text", "markdown", "json")
 @click.argument("new", metavar="B")
 @click.option("-f", "--format", "kind", type=click.Choice(FORMATS), default="text", show_default=True)
 @click.option(
-    "--budget", default=STATES, show_default=True, metavar="STATES", type=click.IntRange(1), help="Search limit."
+    "--budget", default=STATES, show_default=True, metavar="STATES", type=click.IntRange(1), help="States to search."
 )
 @policy_options
 def diff(run: Run, old: str, new: str, kind: str, budget: int, policy_options: PolicyOptions) -> Report:

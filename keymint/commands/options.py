@@ -118,7 +118,8 @@ def common_options(*, workspace: bool, jobs: bool, dry_run: bool) -> Sequence[De
                 "--workspace",
                 type=PATH,
                 metavar="DIR",
-                help="Workspace directory [the one that contains the current directory].",
+                help="Workspace directory [the one that contains the current directory]. 'keymint --help' lists "
+                "the options that move its spaces.",
             ),
         )
         options += [
