@@ -62,8 +62,8 @@ def _subject_prefix(clause: WrittenRule, at: int) -> str | None:
     """Return the subject-dependent prefix of an expression whose rest is fixed; None for other expressions."""
     one, other = (clause.expand(namespace, name)[at] for namespace, name in (("/a/", "a"), ("/b/", "b")))
     for prefix in ("", "/{}/", "/{}/{}"):
-        mine, theirs = prefix.format("a", "a"), prefix.format("b", "b")
-        if one.startswith(mine) and other.startswith(theirs) and one[len(mine) :] == other[len(theirs) :]:
+        prefix1, prefix2 = prefix.format("a", "a"), prefix.format("b", "b")
+        if one.startswith(prefix1) and other.startswith(prefix2) and one[len(prefix1) :] == other[len(prefix2) :]:
             return prefix
     return None
 
