@@ -282,7 +282,7 @@ def wrong_claims(case: Case, claims: Sequence[Claim], counts: Counter[str]) -> I
         allowed = by_policy(case, claim.action, name, partitions, domain)
         permitted = by_documents(case, claim.model, claim.action, name, partitions, domain)
         alone = by_permissions(case, claim.model, claim.action, name, partitions, domain)
-        peers = "peers go by their own" in example.document.reason
+        peers = "peers evaluate their own" in example.document.reason
         decided = alone if peers else permitted
         if not allowed == example.policy.allowed != example.document.allowed == decided:
             yield f"no counterexample: {claim}"
