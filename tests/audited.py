@@ -1,4 +1,4 @@
-"""Runs the command line with a hook on what the interpreter does: which of our modules opens, writes, lists, starts.
+"""Runs the command line with an audit hook, to see which of our modules open, write or list files, or start processes.
 
     python -m tests.audited FOLDER < steps.json
 
@@ -31,7 +31,7 @@ WRITING = os.O_WRONLY | os.O_RDWR | os.O_CREAT | os.O_TRUNC | os.O_APPEND
 
 
 class Recorder:
-    """Keeps the events that a module of ours causes."""
+    """Collects the events that our modules cause."""
 
     def __init__(self) -> None:
         self.step = 0

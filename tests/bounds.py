@@ -1,4 +1,4 @@
-"""Policies through all stages, with the steps that each takes. In full: ``python benchmarks/bounds.py``."""
+"""Runs policies through all stages and counts the steps. ``python benchmarks/bounds.py`` runs the full sweep."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from keymint.errors import KeymintError
 from keymint.plugins import Plugins
 
 COMPILE = 17_000_000
-"""Most steps of compiling a subject: two orders of its rules, and the proofs of its document, and a little."""
+"""Most steps of compiling a subject: two orders of its rules, the proofs of its document, and a small margin."""
 REFUSED = ("portability-effort",)
 TOO_MANY = ("in too many ways", "too complex to compute")
 NOW = datetime(2026, 1, 1, tzinfo=UTC)
@@ -26,7 +26,7 @@ NOW = datetime(2026, 1, 1, tzinfo=UTC)
 
 @dataclass
 class Tally:
-    """What was counted."""
+    """The counts of a sweep."""
 
     policies: int = 0
     subjects: int = 0
@@ -37,7 +37,7 @@ class Tally:
     unportable: int = 0
 
     def count(self, stage: str, steps: int, name: str) -> None:
-        """Note the steps of a stage."""
+        """Record the steps of a stage."""
         self.most[stage] = max(self.most.get(stage, (0, "")), (steps, name))
 
 
@@ -56,7 +56,7 @@ class Sweep:
         self.tally = Tally()
 
     def load(self, text: str) -> LoadedPolicy:
-        """Return the policy of a text."""
+        """Load a policy from its text."""
         path = self._folder / "policy.xml"
         path.write_text(text)
         return self._policies.load([PolicySource("policy", path, Origin("policy.xml"))], None)
@@ -102,5 +102,5 @@ class Sweep:
 
 
 def changed(text: str) -> str:
-    """Return a policy with one edit: the first rule that allows denies."""
+    """Return a policy whose first ALLOW rule became a DENY rule."""
     return text.replace('qualifier="ALLOW"', 'qualifier="DENY"', 1)

@@ -1,4 +1,4 @@
-"""What all tests share: the command line, run in this process."""
+"""Fixtures for all tests: the command line, run in this process."""
 
 from __future__ import annotations
 
@@ -18,14 +18,14 @@ import pytest
 
 from keymint import cli
 
-# These machines are noisy: how long an example takes says nothing. Where CI is set, hypothesis' own profile for it
-# (no deadline, the same examples each time) is in force.
+# Machines are noisy, so an example has no deadline. Where CI is set, hypothesis uses its own profile for it (no
+# deadline, the same examples each time).
 if not os.environ.get("CI"):
     hypothesis.settings.register_profile("keymint", deadline=None)
     hypothesis.settings.load_profile("keymint")
 
-# A shell that starts the suite in the background has SIGINT ignored, and every process that a test starts would inherit
-# that: then nothing could be interrupted.
+# A shell that starts the suite in the background ignores SIGINT. Every process that a test starts would inherit this,
+# and could not be interrupted.
 if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
     signal.signal(signal.SIGINT, signal.default_int_handler)
 
@@ -36,7 +36,7 @@ NOW = 1_800_000_000
 
 @dataclass(frozen=True)
 class Outcome:
-    """How a run of the command line ended."""
+    """The result of a run of the command line."""
 
     code: int
     out: str
@@ -44,7 +44,7 @@ class Outcome:
 
     @property
     def document(self) -> dict[str, Any]:
-        """What ``--json`` printed."""
+        """The document that ``--json`` printed."""
         return json.loads(self.out)
 
     def codes(self) -> list[str]:
@@ -54,7 +54,7 @@ class Outcome:
 
 @pytest.fixture(autouse=True)
 def plain_environment(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Fix the clock, and keep the machine's ROS out."""
+    """Fix the clock, and hide the machine's ROS."""
     monkeypatch.setenv("SOURCE_DATE_EPOCH", str(NOW))
     for name in ("ROS_DISTRO", "KEYMINT_TRACEBACK"):
         monkeypatch.delenv(name, raising=False)
@@ -85,7 +85,7 @@ def keymint(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[..., Ou
 
 @pytest.fixture
 def reference() -> Path:
-    """Data from the field, which lies beside the checkout on some machines only."""
+    """Real-world data, beside the checkout on some machines only."""
     folder = CHECKOUT.parent / "shared" / "reference"
     if not folder.is_dir():
         pytest.skip("no ../shared/reference beside this checkout")
@@ -93,7 +93,7 @@ def reference() -> Path:
 
 
 def snapshot(folder: Path) -> dict[str, tuple[int, int, bytes]]:
-    """Return mode, time of change and content of every file and folder below a folder."""
+    """Return the mode, modification time and content of every file and folder below a folder."""
     return {
         str(path.relative_to(folder)): (
             path.lstat().st_mode,

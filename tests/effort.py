@@ -1,4 +1,4 @@
-"""What a call costs, without a clock, since machines are noisy and counting is not; and how much the suite tries."""
+"""The cost of a call, counted instead of timed since machines are noisy; and how many cases the suite tries."""
 
 from __future__ import annotations
 
@@ -10,16 +10,16 @@ from typing import Any, TypeVar
 _T = TypeVar("_T")
 
 FULL = os.environ.get("KEYMINT_FULL") == "1"
-"""Tests try all that they can, and not a sample: ``make test-full``."""
+"""Tests try all cases instead of a sample: ``make test-full``."""
 
 
 def tries(sample: int, full: int) -> int:
-    """Return how many cases a test tries."""
+    """Return the number of cases that a test tries."""
     return full if FULL else sample
 
 
 def calls_of(function: Callable[[], _T]) -> tuple[_T, int]:
-    """Return what a function returns, and how many functions it called in all, those written in C included."""
+    """Return the result of a function, and the number of all functions that it called, including those written in C."""
     count = 0
 
     def on_event(_frame: Any, event: str, _argument: Any) -> None:

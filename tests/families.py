@@ -1,4 +1,4 @@
-"""Policies that grow: each shape by its size, to see how the cost of a stage grows with it."""
+"""Policies of any size in several shapes, to measure how the cost of a stage grows with the size."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ def _policy(*inside: str) -> str:
 
 
 def flat(size: int) -> str:
-    """Return so many profiles, each for one subject, with three rules; what one publishes the next subscribes to."""
+    """Return ``size`` profiles of one subject and three rules each; each subscribes to the topic of the next."""
     return _policy(
         *(
             _profile(
@@ -37,7 +37,7 @@ def flat(size: int) -> str:
 
 
 def misspelt(size: int) -> str:
-    """Return so many profiles whose topics have nobody at the other end, and all nearly the same names."""
+    """Return ``size`` profiles whose topics have no other end, and nearly the same names."""
     words = ["".join(letters) for letters in islice(product("abcdefgh", repeat=5), size)]
     return _policy(
         *(
@@ -51,12 +51,12 @@ def misspelt(size: int) -> str:
 
 
 def wild(size: int) -> str:
-    """Return so many profiles whose attachments have wildcards and overlap."""
+    """Return ``size`` profiles whose attachments have wildcards and overlap."""
     return _policy(*(_profile(f"n{at}", f"/cell{at}/*", _rule("ALLOW", f"/cell{at}/x*")) for at in range(size)))
 
 
 def nested(size: int, depth: int = 50) -> str:
-    """Return so many profiles, in chains of a depth; each attaches to one subject all the way down."""
+    """Return ``size`` profiles, nested in chains; all profiles of a chain attach to the same subjects."""
     chains = []
     for chain in range(max(1, size // depth)):
         inner = ""
@@ -67,32 +67,32 @@ def nested(size: int, depth: int = 50) -> str:
 
 
 def infixes(size: int) -> str:
-    """Return one profile with so many rules ``*a*b*``, alternately to allow and to deny."""
+    """Return one profile with ``size`` rules ``*a*b*``, alternately ALLOW and DENY."""
     words = [f"{one}{two}" for one, two in product("abcdefghijklmnopqrst", repeat=2)]
     rules = [_rule("DENY" if at % 2 else "ALLOW", f"/*{words[at]}*{words[-at - 1]}*") for at in range(size)]
     return _policy(_profile("p", "/s", *rules))
 
 
 def bracketed(size: int) -> str:
-    """Return one profile with so many rules of names with brackets and wildcards."""
+    """Return one profile with ``size`` rules of names with brackets and wildcards."""
     rules = [_rule("ALLOW", f"/n{at}[0-9a-f]?x[!z]*") for at in range(size)]
     return _policy(_profile("p", "/s", *rules))
 
 
 def tunables(rules: int, values: int = 20) -> str:
-    """Return one profile with so many rules, each of which stands for so many expressions with wildcards."""
+    """Return one profile with a tunable of ``values`` expressions with wildcards in every rule."""
     listed = "".join(f"<value>/v{at}*</value>" for at in range(values))
     tunable = f'<tunable name="T">{listed}</tunable>\n'
     return _policy(tunable, _profile("p", "/s", *(_rule("ALLOW", f"@{{T}}/t{at}") for at in range(rules))))
 
 
 def exact(size: int) -> str:
-    """Return one profile with so many exact rules."""
+    """Return one profile with ``size`` exact rules."""
     return _policy(_profile("p", "/s", *(_rule("ALLOW", f"/cell{at // 40}/sensor{at}") for at in range(size))))
 
 
 def partitioned(size: int) -> str:
-    """Return one profile with so many topics with wildcards in partitions of their own."""
+    """Return one profile with ``size`` topics with wildcards, each in one of seven partitions."""
     rules = []
     for at in range(size):
         partition = f"<partitions><partition>p{at % 7}</partition></partitions>"

@@ -1,4 +1,4 @@
-"""Policies of all features, drawn with a seed: nesting, tunables, placeholders, partitions, denials, both dialects.
+"""Random policies with all features, from a seed: nesting, tunables, placeholders, partitions, denials, both dialects.
 
 A policy is a list of tokens, so that it can be written with an element on each line, or all on one line.
 """
@@ -113,7 +113,7 @@ class _Writer:
 
 
 def tokens(seed: int, *, include: str = "") -> Tokens:
-    """Return the tokens of a policy; the same seed gives the same policy.
+    """Return the tokens of a policy, the same for the same seed.
 
     Args:
         seed: any number.
@@ -133,7 +133,7 @@ def minified(policy: Sequence[str]) -> str:
 
 
 def line_in_pretty(policy: Sequence[str], column: int) -> int:
-    """Return the line that what stands in a column of the minified policy has in the other one, both from 1."""
+    """Map a column of the minified policy to a line of the policy with one token per line, both from 1."""
     at = 1
     for number, token in enumerate(policy, 1):
         if at == column:

@@ -60,4 +60,4 @@ SIGNERS: Mapping[str, Sign] = {
     "sros2-sha512": lambda content, certificate, key: by_sros2(content, certificate, key, hashes.SHA512),
     "sros2-bare": lambda *signed: by_sros2(*signed, hashes.SHA256, pkcs7.PKCS7Options.NoCapabilities),
 }
-"""What every vendor accepts, by name."""
+"""Signers whose output every vendor accepts, by name."""

@@ -1,4 +1,4 @@
-"""The distribution, built once, and environments to install it into; nothing here needs the network."""
+"""The distribution, built once, and environments to install it into, all without network."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ NOW = 1_800_000_000
 
 
 def run(command: list[str | Path], cwd: Path, env: dict[str, str] | None = None) -> subprocess.CompletedProcess[str]:
-    """Run a command in an environment that shows no checkout to Python, and the same clock to all."""
+    """Run a command in an environment that hides the checkout from Python, and fixes the clock."""
     plain = {name: value for name, value in os.environ.items() if not name.startswith(("PYTHON", "PIP_", "ROS_"))}
     plain |= {"SOURCE_DATE_EPOCH": str(NOW), "PIP_DISABLE_PIP_VERSION_CHECK": "1", "PIP_NO_CACHE_DIR": "1"}
     return subprocess.run(command, cwd=cwd, env=plain | (env or {}), capture_output=True, text=True, check=False)
@@ -41,7 +41,7 @@ def build(project: Path, folder: Path, *options: str) -> None:
 
 @dataclass(frozen=True)
 class Environment:
-    """A virtual environment that holds what the distribution says it depends on, and nothing else."""
+    """A virtual environment that contains only the declared dependencies of the distribution."""
 
     folder: Path
     cwd: Path
@@ -62,24 +62,24 @@ class Environment:
         return done.stdout
 
     def install(self, *arguments: str | Path) -> None:
-        """Install distributions; what they depend on must be there."""
+        """Install distributions; their dependencies must be installed already."""
         self.pip("install", "--quiet", "--no-index", "--no-build-isolation", *arguments)
 
     def keymint(self, *arguments: str | Path, code: int = 0, cwd: Path | None = None) -> str:
-        """Run the installed command and return what it printed; its exit code must be the one expected."""
+        """Run the installed command, check its exit code, and return its output."""
         done = run([self.folder / "bin" / "keymint", *arguments], cwd or self.cwd, self.variables)
         assert done.returncode == code, done.stdout + done.stderr
         assert "Traceback" not in done.stderr
         return done.stdout + done.stderr
 
     def report(self, *arguments: str | Path, code: int = 0) -> dict[str, Any]:
-        """Run the installed command and return what ``--json`` printed."""
+        """Run the installed command and return the document that ``--json`` printed."""
         document: dict[str, Any] = json.loads(self.keymint(*arguments, "--json", code=code))
         return document
 
 
 def _needed(names: set[str]) -> Iterator[Distribution]:
-    """Yield distributions of this environment and what they depend on, extras left out."""
+    """Yield distributions of this environment and their dependencies, without extras."""
     seen: set[str] = set()
     todo = set(names)
     while todo:
@@ -95,7 +95,7 @@ def _needed(names: set[str]) -> Iterator[Distribution]:
 
 @pytest.fixture(scope="session")
 def project(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Return a copy of what the checkout distributes, so that neither building nor editing it disturbs the other."""
+    """Return a copy of the distributed files of the checkout, so that building and editing do not affect each other."""
     folder = tmp_path_factory.mktemp("project")
     settings = tomllib.loads((CHECKOUT / "pyproject.toml").read_text())
     listed: list[str] = settings["tool"]["hatch"]["build"]["targets"]["sdist"]["include"]
@@ -109,7 +109,7 @@ def project(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="session")
 def dist(project: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Return a folder with the source distribution, the wheel made from it, and in ``direct/`` that of the project."""
+    """Return a folder with the source distribution, its wheel, and in ``direct/`` the wheel of the project."""
     folder = tmp_path_factory.mktemp("dist")
     (folder / "direct").mkdir()
     build(project, folder)
@@ -119,14 +119,14 @@ def dist(project: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="session")
 def wheel(dist: Path) -> Path:
-    """Return the wheel, as ``pip install`` makes it of the source distribution."""
+    """Return the wheel that ``pip install`` builds from the source distribution."""
     (found,) = dist.glob("*.whl")
     return found
 
 
 @pytest.fixture(scope="session")
 def new_environment(wheel: Path, tmp_path_factory: pytest.TempPathFactory) -> Callable[..., Environment]:
-    """Return a function that makes a fresh environment, with the named distributions beside the dependencies."""
+    """Return a function that creates an environment with the given distributions and the dependencies."""
 
     def make(*names: str) -> Environment:
         home = tmp_path_factory.mktemp("environment")
@@ -145,7 +145,7 @@ def new_environment(wheel: Path, tmp_path_factory: pytest.TempPathFactory) -> Ca
 
 
 def dependencies(wheel: Path) -> set[str]:
-    """Return the names of the distributions that a wheel says it depends on, extras left out."""
+    """Return the names of the declared dependencies of a wheel, without extras."""
     with zipfile.ZipFile(wheel) as archive:
         (metadata,) = (name for name in archive.namelist() if name.endswith(".dist-info/METADATA"))
         requires = message_from_bytes(archive.read(metadata)).get_all("Requires-Dist", [])

@@ -1,4 +1,4 @@
-"""What Keymint tells people to install: a thing that exists, into the environment that Keymint runs in."""
+"""Hints of Keymint to install a package: the package exists, and goes into Keymint's environment."""
 
 from __future__ import annotations
 
@@ -22,8 +22,8 @@ TOLD = [
 ]
 
 
-def test_nobody_is_told_to_fetch_keymint_from_an_index() -> None:
-    """An index may have another project of our distribution's name: it is installed from a checkout or a wheel."""
+def test_no_text_suggests_installing_keymint_from_an_index() -> None:
+    """An index may have another project with our distribution's name: install from a checkout or a wheel."""
     texts = {path: path.read_text() for path in TOLD if path.suffix in {".py", ".md", ".xml", ".j2"}}
     assert any("pipx install" in text for text in texts.values())
     fetched = re.compile(r"install[^\n]{0,40}keymint-tools|keymint-tools\[")

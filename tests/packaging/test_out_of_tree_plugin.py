@@ -42,7 +42,7 @@ def workspace(environment: Environment) -> Path:
 
 
 def make_workspace(environment: Environment, workspace: Path) -> Path:
-    """Run the stages, and give ``/talker`` to the plugin on the way."""
+    """Run the stages, and select the plugin for ``/talker``."""
     environment.keymint("init", workspace)
     environment.keymint("create", "--all", "-w", workspace)
     choose(workspace, "talker", THEIRS)
@@ -60,7 +60,7 @@ def choose(workspace: Path, package: str, build_type: str) -> None:
 
 
 def state(folder: Path) -> dict[str, tuple[int, int, bytes]]:
-    """Return mode, time of change and content of every file and folder."""
+    """Return the mode, modification time and content of every file and folder."""
     return {
         path.relative_to(folder).as_posix(): (
             path.lstat().st_mode,
@@ -71,7 +71,7 @@ def state(folder: Path) -> dict[str, tuple[int, int, bytes]]:
     }
 
 
-def test_it_is_listed_with_its_version_and_place(environment: Environment) -> None:
+def test_the_plugin_is_listed_with_its_version_and_location(environment: Environment) -> None:
     listed = environment.report("plugins")["result"]["plugins"]
     (mine,) = (plugin for plugin in listed if plugin["distribution"] == "keymint-json")
     assert mine["group"] == "keymint.build_types"
@@ -84,7 +84,7 @@ def test_it_is_listed_with_its_version_and_place(environment: Environment) -> No
     assert {"keymint.build_types", "0.1.0", "keymint-json", "yes"} <= set(line.split())
 
 
-def test_it_builds_and_installs(workspace: Path) -> None:
+def test_the_plugin_builds_and_installs(workspace: Path) -> None:
     enclave = workspace / ENCLAVE
     assert {path.name for path in enclave.iterdir()} == FILES
     assert (enclave / "key.pem").stat().st_mode & 0o777 == 0o600
@@ -118,7 +118,7 @@ def test_a_second_run_writes_nothing(environment: Environment, workspace: Path) 
 
 
 @pytest.mark.parametrize("recorded", [True, False], ids=["recorded", "unrecorded"])
-def test_a_flipped_byte_is_found(environment: Environment, workspace: Path, recorded: bool, tmp_path: Path) -> None:
+def test_a_flipped_byte_is_reported(environment: Environment, workspace: Path, recorded: bool, tmp_path: Path) -> None:
     copy = shutil.copytree(workspace, tmp_path / "ws", symlinks=True)
     if not recorded:  # a keystore whose record was lost is judged by what its files say
         (copy / ".keymint/state.json").unlink()
@@ -134,7 +134,7 @@ def test_a_flipped_byte_is_found(environment: Environment, workspace: Path, reco
     environment.keymint("check", "-w", copy)
 
 
-def test_a_changed_policy_is_signed_anew(environment: Environment, tmp_path: Path) -> None:
+def test_a_changed_policy_is_signed_again(environment: Environment, tmp_path: Path) -> None:
     workspace = make_workspace(environment, tmp_path / "ws")
     enclave = workspace / ENCLAVE
     before = {path.name: path.read_bytes() for path in enclave.iterdir()}
@@ -180,7 +180,7 @@ BROKEN = {
 
 
 @pytest.mark.parametrize(("source", "message", "mend"), BROKEN.values(), ids=BROKEN)
-def test_a_plugin_that_cannot_be_used_is_named(
+def test_the_error_of_an_unusable_plugin_names_it(
     environment: Environment, workspace: Path, source: str, message: str, mend: str, tmp_path: Path
 ) -> None:
     broken = install_broken(environment, source, tmp_path)
@@ -200,7 +200,7 @@ def test_a_plugin_that_cannot_be_used_is_named(
 
 
 def install_broken(environment: Environment, source: str, folder: Path) -> Environment:
-    """Return the environment with one more distribution, unpacked into a folder of its own."""
+    """Return the environment with another distribution, unpacked into its own folder."""
     (folder / "broken_plugin.py").write_text(source)
     metadata = folder / "broken_plugin-3.4.dist-info"
     metadata.mkdir()

@@ -1,4 +1,4 @@
-"""The wheel, the source distribution and an editable install: all are complete, and find their data."""
+"""The wheel, the source distribution and an editable install are complete, and find their data."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ def tree(folder: Path) -> dict[str, bytes]:
     return {path.relative_to(folder).as_posix(): path.read_bytes() for path in files}
 
 
-def test_the_wheel_holds_the_packages_and_nothing_else(project: Path, wheel: Path) -> None:
+def test_the_wheel_contains_only_the_packages(project: Path, wheel: Path) -> None:
     names = set(contents(wheel))
     assert {name.partition("/")[0] for name in names} == {*PACKAGES, DIST_INFO}
     assert {name for name in names if "/_data/" in name} == {
@@ -56,7 +56,7 @@ def test_the_wheel_holds_the_packages_and_nothing_else(project: Path, wheel: Pat
     assert {f"{package}/py.typed" for package in PACKAGES} <= names
 
 
-def test_the_wheel_of_the_source_distribution_is_that_of_the_checkout(dist: Path, wheel: Path) -> None:
+def test_the_wheels_of_the_source_distribution_and_the_checkout_are_identical(dist: Path, wheel: Path) -> None:
     (direct,) = (dist / "direct").glob("*.whl")
     assert contents(wheel) == contents(direct)
 
@@ -89,7 +89,7 @@ def test_every_folder_of_plugins_is_packaged(project: Path, wheel: Path) -> None
         )
 
 
-def test_the_source_distribution_holds_what_make_test_needs(project: Path, dist: Path) -> None:
+def test_the_source_distribution_contains_everything_that_make_test_needs(project: Path, dist: Path) -> None:
     (source,) = dist.glob("*.tar.gz")
     with tarfile.open(source) as archive:
         names = {member.name.partition("/")[2] for member in archive.getmembers() if member.isfile()}
@@ -139,7 +139,7 @@ def test_an_installation_works_elsewhere(
     assert {Path(place).parent.parent for place in places} == installed
 
 
-def test_an_incomplete_installation_says_so(wheel: Path, new_environment: Callable[..., Environment]) -> None:
+def test_an_incomplete_installation_is_reported(wheel: Path, new_environment: Callable[..., Environment]) -> None:
     environment = new_environment()
     environment.install(wheel)
     (environment.site_packages / "keymint_ros/_data/schemas").rename(environment.cwd / "gone")

@@ -1,4 +1,4 @@
-"""Holds what a policy says against what the vendors' code decides on the documents that are compiled from it.
+"""Compares the decisions of a policy with those of the vendors' code on the documents compiled from it.
 
 The names of ROS 2 on DDS are said here once more, in the simplest way, and not taken from the compiler.
 """
@@ -92,7 +92,7 @@ def operations(permission: str, name: str) -> tuple[Operation, ...]:
 
 
 def meanings(operation: Operation) -> tuple[tuple[str, str, str], ...]:
-    """Return the ways in which a policy can speak of an endpoint: kind, permission and name of each."""
+    """Return the rules of a policy that can apply to an endpoint: kind, permission and name of each."""
     direction, topic = operation.direction, operation.topic
     found = [("topic", str(direction), topic)]
     if topic.startswith("rt/"):
@@ -105,14 +105,14 @@ def meanings(operation: Operation) -> tuple[tuple[str, str, str], ...]:
 
 
 def said_of(policy: comarmor.Policy, subject: str, operation: Operation, partitions: Sequence[str] = ()) -> bool:
-    """Tell what the policy says of an endpoint: raw and ROS rules both count there, deny first."""
+    """Return the decision of the policy on an endpoint: raw and ROS rules both apply, DENY first."""
     decisions = [policy.decide(subject, *each, partitions) for each in meanings(operation)]
     denied = any(not decision.allowed and decision.rules for decision in decisions)
     return not denied and any(decision.allowed for decision in decisions)
 
 
 def compiled(policy: Path, subject: str) -> tuple[str, str]:
-    """Compile what a policy says of a subject; return its unsigned permissions and governance.
+    """Compile the rules of a subject; return its unsigned permissions and governance.
 
     Raises:
         KeymintError: the policy says what not all vendors would understand alike.
@@ -134,7 +134,7 @@ def compiled(policy: Path, subject: str) -> tuple[str, str]:
 
 @contextmanager
 def access(authorities: Authorities, subject: str, documents: tuple[str, str]) -> Iterator[AccessControl]:
-    """Sign the documents and give them to the access-control plugin of Cyclone DDS."""
+    """Sign the documents and open them with the access-control plugin of Cyclone DDS."""
     permissions, governance = documents
     with AccessControl(
         certificate=authorities.certificate_of(subject),
@@ -150,7 +150,7 @@ def access(authorities: Authorities, subject: str, documents: tuple[str, str]) -
 def participant(
     vendor: Vendor, authorities: Authorities, folder: Path, subject: str, documents: tuple[str, str]
 ) -> Iterator[ProbeParticipant | None]:
-    """Sign the documents and give them to a participant of a vendor; yield None if it is refused."""
+    """Sign the documents and create a participant of a vendor with them; yield None if the vendor refuses it."""
     permissions, governance = documents
     enclave = authorities.enclave(folder, name=subject, permissions=permissions, governance=governance)
     with System(vendor) as system:

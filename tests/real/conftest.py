@@ -1,4 +1,4 @@
-"""Fixtures for tests on real DDS software; where a vendor is missing they skip, and say what to install.
+"""Fixtures for tests on real DDS software. If a vendor is missing, they skip and report what to install.
 
 With ``KEYMINT_REQUIRE_VENDORS=1`` in the environment (as in CI) a missing vendor is a failure.
 """
@@ -23,25 +23,25 @@ if TYPE_CHECKING:
 
 
 def missing(error: probe_builds.MissingVendorError) -> NoReturn:
-    """Skip the test or, where vendors are required, fail it."""
+    """Skip the test, or fail it if vendors are required."""
     if os.environ.get("KEYMINT_REQUIRE_VENDORS") == "1":
         pytest.fail(f"KEYMINT_REQUIRE_VENDORS=1, but {error}", pytrace=False)
     pytest.skip(str(error))
 
 
 def missing_transport(usable: Availability) -> NoReturn:
-    """Skip or fail in the same way where a transport cannot be used."""
+    """Skip or fail in the same way if a transport is unusable."""
     missing(probe_builds.MissingVendorError("transport", usable.reason, (usable.help,)))
 
 
 @pytest.fixture(scope="session")
 def probe_cache(pytestconfig: pytest.Config, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Return the folder that keeps the built probes from run to run."""
+    """Return the folder that caches the built probes between runs."""
     cache = getattr(pytestconfig, "cache", None)
     if cache is None:
         return tmp_path_factory.mktemp("probes")
     folder: Path = cache.mkdir("probes")
-    folder.chmod(0o700)  # programs are run from a folder that is ours alone
+    folder.chmod(0o700)  # programs run from this folder, so nobody else may write to it
     return folder
 
 
@@ -86,18 +86,18 @@ def vendor(request: pytest.FixtureRequest) -> Vendor:
 
 @pytest.fixture
 def system(vendor: Vendor) -> Iterator[System]:
-    """Return an empty system of a vendor, whose participants end with the test."""
+    """Return a system of a vendor without participants; its participants end with the test."""
     with System(vendor) as opened:
         yield opened
 
 
 @pytest.fixture(scope="session")
 def authorities() -> Authorities:
-    """Return two authorities for enclaves made by hand."""
+    """Return two authorities for handmade enclaves."""
     return Authorities.new()
 
 
 @pytest.fixture(scope="session")
 def provisioned(tmp_path_factory: pytest.TempPathFactory) -> Callable[[str | Path], Path]:
-    """Return a function that provisions a policy, and returns the install space; every call is a new system."""
+    """Return a function that provisions a policy as a new system, and returns its install space."""
     return lambda policy: provision(policy, tmp_path_factory.mktemp("system"))

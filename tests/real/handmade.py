@@ -1,4 +1,4 @@
-"""Enclaves made by hand with ``cryptography``: to hold vendors against documents that keymint does not write."""
+"""Enclaves written with ``cryptography`` alone, to test vendors on documents that Keymint does not write."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ class Authority:
 
     @classmethod
     def new(cls, name: str) -> Authority:
-        """Mint an authority of that common name."""
+        """Create an authority with a common name."""
         key = ec.generate_private_key(ec.SECP256R1())
         subject = x509.Name.from_rfc4514_string(f"CN={name}")
         usage = _key_usage(digital_signature=True, key_cert_sign=True, crl_sign=True)
@@ -38,7 +38,7 @@ class Authority:
         return cls(builder.sign(key, hashes.SHA256()), key)
 
     def issue(self, rdns: Sequence[tuple[x509.ObjectIdentifier, str]]) -> tuple[x509.Certificate, bytes]:
-        """Issue an identity whose subject has these names in that order; return it and its key as PEM."""
+        """Issue an identity with these RDNs in this order; return its certificate and its key as PEM."""
         key = ec.generate_private_key(ec.SECP256R1())
         subject = x509.Name([x509.NameAttribute(oid, value) for oid, value in rdns])
         builder = _builder(subject, self.certificate.subject, key.public_key())
@@ -52,7 +52,7 @@ class Authority:
         return builder.sign(self.key, hashes.SHA256()), pem
 
     def sign(self, document: str) -> bytes:
-        """Sign a document as DDS Security wants it: S/MIME multipart, with the text header (1.1, 9.4.1.1)."""
+        """Sign a document as DDS Security requires: S/MIME multipart, with the text header (1.1, 9.4.1.1)."""
         builder = pkcs7.PKCS7SignatureBuilder().set_data(document.encode())
         builder = builder.add_signer(self.certificate, self.key, hashes.SHA256())
         options = [pkcs7.PKCS7Options.Text, pkcs7.PKCS7Options.DetachedSignature]
@@ -74,11 +74,11 @@ class Authorities:
 
     @classmethod
     def new(cls) -> Authorities:
-        """Mint two separate authorities."""
+        """Create two separate authorities."""
         return cls(Authority.new("identity authority"), Authority.new("permissions authority"))
 
     def certificate_of(self, name: str) -> bytes:
-        """Return an identity certificate of that common name, as PEM; always the same one for a name."""
+        """Return the identity certificate for a common name as PEM, always the same one for a name."""
         if name not in self.issued:
             certificate, _ = self.identity.issue([(x509.NameOID.COMMON_NAME, name)])
             self.issued[name] = certificate.public_bytes(serialization.Encoding.PEM)
@@ -124,12 +124,12 @@ class Authorities:
 
 
 def rule(effect: str, body: str, *, domain: int = 0) -> str:
-    """Return an ``allow_rule`` or ``deny_rule`` with that body, e.g. of :func:`criteria`."""
+    """Return an ``allow_rule`` or ``deny_rule`` with a body, e.g. from :func:`criteria`."""
     return f"<{effect}_rule><domains><id>{domain}</id></domains>{body}</{effect}_rule>"
 
 
 def criteria(kind: str, topics: Sequence[str], partitions: Sequence[str] | None = None) -> str:
-    """Return a ``publish``, ``subscribe`` or ``relay`` element; no partitions at all when they are None."""
+    """Return a ``publish``, ``subscribe`` or ``relay`` element; without ``<partitions>`` if they are None."""
     listed = "".join(f"<topic>{escape(topic)}</topic>" for topic in topics)
     narrowed = ""
     if partitions is not None:
@@ -151,7 +151,7 @@ def permissions_document(subject: str, rules: str, *, default: str = "DENY") -> 
 
 
 def governance_document(*, domains: str = "<id>0</id>", protection: str = "ENCRYPT") -> str:
-    """Return an unsigned governance document that checks everything on every topic."""
+    """Return an unsigned governance document that protects every topic completely."""
     topic = (
         "<topic_rule><topic_expression>*</topic_expression>"
         "<enable_discovery_protection>true</enable_discovery_protection>"

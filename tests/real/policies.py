@@ -1,4 +1,4 @@
-"""Hypothesis strategies for ComArmor policies of one subject, over few names, so that rules meet often."""
+"""Hypothesis strategies for ComArmor policies of one subject, with few names, so that rules often overlap."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ _PERMISSIONS = {kind: [permission for of_kind, permission in REQUESTS if of_kind
 
 
 def policy(subject: str, rules: Sequence[str]) -> str:
-    """Return a policy with one profile, for that subject."""
+    """Return a policy with one profile for a subject."""
     attachment = f"<attachment>{subject}</attachment>"
     return f'<profiles><profile name="test">{attachment}{"".join(rules)}</profile></profiles>'
 
@@ -79,10 +79,10 @@ def _rules(
 _ros = st.sampled_from(sorted({kind for kind, _ in REQUESTS})).flatmap(lambda kind: _rules(kind, _EXPRESSIONS))
 
 separate_rules = st.lists(st.one_of(_ros, _ros, _rules("topic", _RAW_EXPRESSIONS)), max_size=5)
-"""Rules on ROS names, and on raw topics that are no image of one."""
+"""Rules on ROS names, and on raw topics that no ROS name maps to."""
 
 meeting_rules = st.lists(st.one_of(_ros, _rules("topic", _MEETING_EXPRESSIONS)), max_size=4)
-"""Rules on ROS names, and on the DDS topics that those are mapped to."""
+"""Rules on ROS names, and on the DDS topics that they map to."""
 
 partitioned_rules = st.lists(_rules("topic", (*RAW_NAMES, "raw/*"), [(), ("p",), ("",), ("p", "q")]), max_size=4)
 """Rules on raw topics in partitions."""

@@ -1,4 +1,4 @@
-"""Provisions keystores as a user does: with the command."""
+"""Provisions keystores with the command, as a user does."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ def provision(policy: str | Path, folder: Path, *arguments: str) -> Path:
     command = [sys.executable, "-m", "keymint", "provision", str(source), "-w", str(workspace), *arguments]
     searched = os.pathsep.join(str(Path(entry).resolve()) for entry in sys.path if entry)
     environment = {**os.environ, "PYTHONPATH": searched}
-    environment.pop("SOURCE_DATE_EPOCH", None)  # vendors go by the clock of the machine
+    environment.pop("SOURCE_DATE_EPOCH", None)  # vendors use the clock of the machine
     done = subprocess.run(command, env=environment, capture_output=True, text=True, check=False)
     assert done.returncode == 0, f"{command} ended with {done.returncode}:\n{done.stdout}{done.stderr}"
     return workspace / "install"

@@ -1,4 +1,4 @@
-"""Other readers of signed files, to hold Keymint's against: OpenSSL as vendors call it, its command, a vendor, Python.
+"""Other readers of signed files, to compare Keymint with: OpenSSL as vendors call it, its command, a vendor, Python.
 
 Each returns the content with LF line ends, or None where it refuses the file.
 """
@@ -61,7 +61,7 @@ class Libcrypto:
         return c_void_p(function(*arguments))
 
     def read(self, signed: bytes) -> bytes | None:
-        """Return the content, with CRLF as vendors get it; or None."""
+        """Return the content with CRLF, as vendors receive it, or None."""
         call, content = self._call, c_void_p()
         source = call("BIO_new_mem_buf", c_char_p(signed), c_int(len(signed)))
         found = call("SMIME_read_PKCS7", source, ctypes.byref(content))
@@ -97,7 +97,7 @@ class Command:
         (self.folder / "ca").write_bytes(self.authority)
 
     def read(self, signed: bytes) -> bytes | None:
-        """Return the content, with CRLF; or None."""
+        """Return the content with CRLF, or None."""
         (self.folder / "signed").write_bytes(signed)
         (self.folder / "content").write_bytes(b"")
         asked = ("-text", "-in", "signed", "-CAfile", "ca", "-nointern", "-certfile", "ca", "-out", "content")
@@ -108,7 +108,7 @@ class Command:
 
 
 def by_email(signed: bytes) -> bytes | None:
-    """Return the content as Python's ``email`` reads it, the signature not verified; or None."""
+    """Return the content as Python's ``email`` reads it, without verifying the signature, or None."""
     message = email.message_from_bytes(signed)
     parts = message.get_payload()
     if not message.is_multipart() or not isinstance(parts, list):
@@ -119,7 +119,7 @@ def by_email(signed: bytes) -> bytes | None:
 
 @dataclass(frozen=True, slots=True)
 class Cyclone:
-    """Cyclone DDS's access-control plugin, which tells documents apart by what they permit.
+    """Cyclone DDS's access-control plugin. The topics that it permits show which document it read.
 
     Attributes:
         folder: of an enclave.
@@ -130,7 +130,7 @@ class Cyclone:
     topics: Mapping[bytes, str]
 
     def read(self, signed: bytes) -> bytes | None:
-        """Return which of the documents it goes by; or None."""
+        """Return the document that the plugin read, or None."""
         (self.folder / "permissions.p7s").write_bytes(signed)
         with AccessControl.of_enclave(self.folder) as access:
             if not access.valid:
@@ -141,7 +141,7 @@ class Cyclone:
 
 
 def documents(count: int = 8) -> dict[bytes, str]:
-    """Return permissions documents, each of which permits one topic, with what makes S/MIME differ in them."""
+    """Return permissions documents that permit one topic each, with content that S/MIME readers treat differently."""
     found: dict[bytes, str] = {}
     for number in range(count):
         topic = f"rt/document{number}"
@@ -162,7 +162,7 @@ def documents(count: int = 8) -> dict[bytes, str]:
 
 @dataclass(slots=True)
 class Counts:
-    """What came of a comparison.
+    """The result of a comparison.
 
     Attributes:
         counts: files by what happened.
@@ -174,7 +174,7 @@ class Counts:
 
 
 class Bench:
-    """All readers, with an authority, documents, and these documents signed by every tool.
+    """All readers, an authority, documents, and these documents signed by every tool.
 
     Args:
         scratch: an empty folder.
@@ -202,7 +202,7 @@ class Bench:
             self.readers["Cyclone DDS"] = Cyclone(folder, topics).read
 
     def ours(self, signed: bytes) -> bytes | None:
-        """Return the content as Keymint reads it, verified."""
+        """Return the content as Keymint reads and verifies it."""
         try:
             return smime.read(signed, self.authority, where=Origin("permissions.p7s")).content
         except KeymintError:
@@ -216,7 +216,7 @@ class Bench:
             yield mutated(chance.choice(source), self._pool, chance)
 
     def compare(self, count: int, seed: int, *, asked_of: int = 1) -> Counts:
-        """Hold our reader against the others.
+        """Compare our reader with the others.
 
         Args:
             count: how many mutated files.

@@ -1,4 +1,4 @@
-"""Random policies with the names of ROS 2 Ardent: real access control decides each topic and partition as they say."""
+"""Random policies with names of ROS 2 Ardent: real access control decides topics and partitions as the policy does."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ REAL_TOPICS = [topic for topic in TOPICS if "]" not in topic]
 
 
 def documents(rules) -> tuple[str, str] | None:
-    """Compile rules for the subject ``/talker``; None when they are refused, or allow nothing."""
+    """Compile rules for the subject ``/talker``; return None if they are rejected or allow nothing."""
     now = datetime.now(UTC).replace(microsecond=0)
     validity = Validity(now - timedelta(days=2), now + timedelta(days=10))
     loaded = package(*rules, distro="ardent", name="CN=/talker", validity=validity)
@@ -50,7 +50,7 @@ def expect(rules, allows, topics) -> None:
 @pytest.mark.usefixtures("cyclone_plugins")
 @settings(max_examples=60, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(drawn=st.lists(drawn_rules(), min_size=1, max_size=5))
-def test_the_access_control_of_cyclone_dds(authorities: Authorities, drawn) -> None:
+def test_the_access_control_of_cyclone_dds_agrees(authorities: Authorities, drawn) -> None:
     found = documents(drawn)
     if found is not None:
         with access(authorities, "/talker", found) as opened:
@@ -60,7 +60,7 @@ def test_the_access_control_of_cyclone_dds(authorities: Authorities, drawn) -> N
 @pytest.mark.fastdds
 @settings(max_examples=6, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(drawn=st.lists(drawn_rules(), min_size=1, max_size=5))
-def test_participants_of_fast_dds(fastdds: Vendor, authorities: Authorities, tmp_path: Path, drawn) -> None:
+def test_participants_of_fast_dds_agree(fastdds: Vendor, authorities: Authorities, tmp_path: Path, drawn) -> None:
     found = documents(drawn)
     if found is not None:
         with participant(

@@ -1,4 +1,4 @@
-"""Documents with names beyond printable ASCII: the vendors permit what the claims are about, byte for byte."""
+"""Documents with names beyond printable ASCII: the claims are right about what the vendors permit, byte for byte."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ SUBJECT = "CN=/t"
 
 
 def usual(seed: int) -> Iterator[Case]:
-    """Yield cases that the models know, and whose text a vendor reads as it stands."""
+    """Yield cases that the models cover, and whose text a vendor reads unchanged."""
     for case in cases(seed):
         texts = [text for _, listed in case.document for text in listed]
         if not any("\n" in text or text != text.strip() for text in texts):
@@ -49,7 +49,7 @@ def usual(seed: int) -> Iterator[Case]:
 
 
 def enclave(authorities: Authorities, folder: Path, case: Case) -> Path:
-    """Make an enclave with the document of a case."""
+    """Write an enclave with the document of a case."""
     plain = permissions_document(SUBJECT, rule("allow", criteria("publish", ["x"])))
     made = authorities.enclave(folder, governance=WIDE, permissions=plain, name="/t")
     (made / "permissions.p7s").write_bytes(signed(authorities, case.content()))
@@ -57,7 +57,7 @@ def enclave(authorities: Authorities, folder: Path, case: Case) -> Path:
 
 
 def hold(case: Case, by: Callable[[str], int], model: str, answers: Callable[[str], bool], names: list[bytes]) -> None:
-    """Hold a vendor's answers against the matcher, and against the claims."""
+    """Compare a vendor's decisions with the matcher, and with the claims."""
     mask = permitted(case, by)
     for name in names:
         text = name.decode("utf-8", "surrogateescape")
@@ -77,7 +77,7 @@ def hold(case: Case, by: Callable[[str], int], model: str, answers: Callable[[st
 
 
 @pytest.mark.cyclonedds
-def test_cyclone_dds_permits_what_the_claims_are_about(
+def test_the_claims_are_right_about_cyclone_dds(
     cyclone_plugins: None, authorities: Authorities, tmp_path: Path
 ) -> None:
     names = list(islice(NAMES, 0, None, 7))
@@ -88,8 +88,8 @@ def test_cyclone_dds_permits_what_the_claims_are_about(
 
 
 @pytest.mark.fastdds
-def test_fast_dds_permits_what_the_claims_are_about(fastdds: Vendor, authorities: Authorities, tmp_path: Path) -> None:
-    # The probe takes names of UTF-8, in lines.
+def test_the_claims_are_right_about_fast_dds(fastdds: Vendor, authorities: Authorities, tmp_path: Path) -> None:
+    # The probe reads names in UTF-8, one per line.
     names = [name for name in islice(NAMES, 0, None, 11) if _is_text(name)]
     with System(fastdds) as system:
         for number, case in enumerate((*EXAMPLES, *islice(usual(5), 8))):

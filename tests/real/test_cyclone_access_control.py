@@ -1,4 +1,4 @@
-"""What Cyclone DDS's access control decides on documents made by hand: the facts that the compiler builds on."""
+"""Decisions of Cyclone DDS's access control on handmade documents: the facts that the compiler relies on."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ def test_decides_on_direction_topic_and_partitions(authorities: Authorities, tmp
         assert access.reason == "rt/s denied by default rule"
 
 
-def test_takes_contents_as_well_as_files(authorities: Authorities, tmp_path: Path) -> None:
+def test_accepts_contents_as_well_as_files(authorities: Authorities, tmp_path: Path) -> None:
     folder = authorities.enclave(tmp_path, rule("allow", PUBLISH_X))
     with AccessControl(
         certificate=(folder / "cert.pem").read_bytes(),
@@ -80,7 +80,7 @@ def test_frees_what_it_allocates(authorities: Authorities, tmp_path: Path) -> No
         return int(Path("/proc/self/statm").read_text().split()[1])
 
     before = run(50)
-    assert run(300) - before < 500  # pages; the messages of refusals alone would be about 1,000
+    assert run(300) - before < 500  # pages; leaking only the messages of refusals would take about 1,000
 
 
 @pytest.mark.parametrize("file", ["permissions.p7s", "governance.p7s", "permissions_ca.cert.pem"])
@@ -95,7 +95,7 @@ def test_documents_of_another_authority_are_refused(authorities: Authorities, tm
 
 
 @pytest.mark.parametrize(("domain", "joins"), [(0, True), (1, False)])
-def test_rules_of_another_domain_do_not_count(
+def test_rules_of_another_domain_do_not_apply(
     authorities: Authorities, tmp_path: Path, domain: int, joins: bool
 ) -> None:
     wide = governance_document(domains="<id_range><min>0</min><max>230</max></id_range>")
@@ -110,7 +110,7 @@ def test_rules_of_another_domain_do_not_count(
     [("", False), (rule("deny", PUBLISH_X), False), (rule("allow", ""), True), (rule("allow", RELAY_X), True)],
     ids=["no rule", "deny only", "rule without criteria", "relay only"],
 )
-def test_any_allow_rule_lets_join_and_no_more(
+def test_any_allow_rule_permits_joining_and_nothing_else(
     authorities: Authorities, tmp_path: Path, rules: str, joins: bool
 ) -> None:
     with AccessControl.of_enclave(authorities.enclave(tmp_path, rules)) as access:
@@ -135,7 +135,7 @@ def test_relay_is_ignored_even_by_the_topic_check(
     assert asked(authorities, tmp_path, rules, ("publish", "rt/x", ()), ("subscribe", "rt/x", ())) == [True, False]
 
 
-def test_a_denied_direction_denies_the_topic_unless_an_allow_rule_stands_before(
+def test_a_denied_direction_denies_the_topic_unless_an_allow_rule_precedes_it(
     authorities: Authorities, tmp_path: Path
 ) -> None:
     deny, allow = rule("deny", SUBSCRIBE_X), rule("allow", PUBLISH_X)
@@ -174,7 +174,7 @@ def test_partitions(
         ("CN=/robot/camera,OU=99", False),
     ],
 )
-def test_a_second_rdn_ties_the_grant_to_its_identity(
+def test_a_second_rdn_binds_the_grant_to_its_identity(
     authorities: Authorities, tmp_path: Path, subject: str, valid: bool
 ) -> None:
     rdns = [(NameOID.ORGANIZATIONAL_UNIT_NAME, "4f3a"), (NameOID.COMMON_NAME, "/robot")]
@@ -183,7 +183,9 @@ def test_a_second_rdn_ties_the_grant_to_its_identity(
         assert access.valid is valid
 
 
-def test_without_it_an_identity_selects_the_grant_of_a_longer_path(authorities: Authorities, tmp_path: Path) -> None:
+def test_without_a_second_rdn_an_identity_selects_the_grant_of_a_longer_path(
+    authorities: Authorities, tmp_path: Path
+) -> None:
     folder = authorities.enclave(tmp_path, rule("allow", PUBLISH_X), name="/robot", subject="CN=/robot/camera")
     with AccessControl.of_enclave(folder) as access:
         assert access.allows("publish", "rt/x")

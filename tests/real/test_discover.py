@@ -1,4 +1,4 @@
-"""A running system is discovered, its policy learned, and the system run secured by it."""
+"""Discover a running system, learn its policy, and run the system secured by it."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ Edges = list[tuple[str, str, list[str]]]
 
 
 class Unsecured:
-    """Participants without security that see each other and the observer, on loopback and ports of their own."""
+    """Participants without security that see each other and the observer, on loopback and separate ports."""
 
     def __init__(self, stack: ExitStack, first_port: int) -> None:
         self._stack = stack
@@ -45,7 +45,7 @@ class Unsecured:
         self._environment["PYTHONPATH"] = searched
 
     def begin(self, *, name: str = "", user_data: str = "", edges: Edges) -> subprocess.Popen[str]:
-        """Start a participant; return when it is there."""
+        """Start a participant, and wait until it is running."""
         command = [sys.executable, str(Path(__file__).with_name("unsecured.py")), str(DOMAIN)]
         process = subprocess.Popen(
             command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True, env=self._environment
@@ -84,7 +84,7 @@ def graph(process: subprocess.Popen[str], output: Path) -> dict[str, list[dict[s
 
 
 def end(process: subprocess.Popen[str]) -> None:
-    """End a process in good order, or at all."""
+    """Terminate a process, or kill it."""
     try:
         process.communicate(timeout=10)
     except (subprocess.TimeoutExpired, ValueError):
@@ -96,7 +96,7 @@ def end(process: subprocess.Popen[str]) -> None:
 
 
 def configuration(first_port: int) -> str:
-    """Return what keeps Cyclone DDS on loopback and on ports of this test."""
+    """Return the configuration that limits Cyclone DDS to loopback and the ports of this test."""
     return (
         "<CycloneDDS><Domain Id='any'><General><Interfaces>"
         "<NetworkInterface address='127.0.0.1' multicast='false'/></Interfaces>"
@@ -119,7 +119,7 @@ def running() -> Iterator[Unsecured]:
 
 
 def node(name: str, edges: Edges) -> Edges:
-    """Return what a ROS 2 node does beside its own edges."""
+    """Return the edges of a node, including those that every ROS 2 node has."""
     served = [
         edge
         for service in NODE_SERVICES
@@ -139,7 +139,9 @@ def short(document: dict[str, list[dict[str, object]]]) -> set[tuple[object, ...
     return {(edge["subject"], edge["permission"], edge["object"]) for edge in document["edges"]}
 
 
-def test_names_partitions_types_and_the_user_knows_better(running: Unsecured, tmp_path: Path) -> None:
+def test_names_partitions_and_types_are_recorded_and_the_user_can_override_names(
+    running: Unsecured, tmp_path: Path
+) -> None:
     running.begin(name="talker", edges=[("publish", "chatter", ["rt/robot1"])])
     running.begin(user_data="enclave=/robot1/arm;", edges=[("subscribe", "rt/joints", [])])
     running.begin(user_data="enclave=/;", edges=node("/robot2/leg", [("publish", "odd", ["b", "a"])]))
@@ -157,8 +159,10 @@ def test_names_partitions_types_and_the_user_knows_better(running: Unsecured, tm
     assert {"kind": "ros_topic", "object": "/joints", "type": "std_msgs/msg/String"} in found["types"]
 
 
-def test_who_comes_late_and_who_goes_early(running: Unsecured, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Observed in this process, so that the observer is known to look when others come and go."""
+def test_participants_that_come_late_or_leave_early_are_recorded(
+    running: Unsecured, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The observer runs in this process, so that it surely listens when others come and go."""
     monkeypatch.setenv("CYCLONEDDS_URI", running.configuration)
     early = running.begin(name="early", edges=[("publish", "rt/early", [])])
 
@@ -168,7 +172,7 @@ def test_who_comes_late_and_who_goes_early(running: Unsecured, monkeypatch: pyte
             yield
         end(early)
         brief = running.begin(name="brief", edges=[("subscribe", "rt/brief", [])])
-        time.sleep(0.4)  # time to be announced, while nobody asks the observer
+        time.sleep(0.4)  # time for the announcement, while the observer is not polled
         end(brief)
         running.begin(name="late", edges=[("publish", "rt/late", [])])
         started = time.monotonic()
@@ -185,7 +189,7 @@ def test_who_comes_late_and_who_goes_early(running: Unsecured, monkeypatch: pyte
     }
 
 
-def test_nobody(running: Unsecured, tmp_path: Path) -> None:
+def test_a_system_without_participants(running: Unsecured, tmp_path: Path) -> None:
     process = running.discovering(tmp_path / "g.json", seconds=0.2)
     _, err = process.communicate(timeout=60)
     assert process.returncode == 0
@@ -228,7 +232,7 @@ def test_from_a_running_system_to_the_same_one_secured(
 
 
 @pytest.mark.parametrize(("number", "code"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
-def test_what_was_seen_is_kept_when_a_signal_ends_the_look(
+def test_the_recorded_graph_is_written_when_a_signal_ends_the_recording(
     running: Unsecured, tmp_path: Path, number: signal.Signals, code: int
 ) -> None:
     running.begin(name="talker", edges=[("publish", "rt/chatter", [])])
@@ -242,7 +246,7 @@ def test_what_was_seen_is_kept_when_a_signal_ends_the_look(
     assert json.loads(output.read_text())["subjects"] == ["/talker"]
 
 
-def test_a_signal_that_is_ignored_on_purpose_stays_ignored(running: Unsecured, tmp_path: Path) -> None:
+def test_an_ignored_signal_stays_ignored(running: Unsecured, tmp_path: Path) -> None:
     before = signal.signal(signal.SIGINT, signal.SIG_IGN)  # inherited by the child, as from nohup
     try:
         process = running.discovering(tmp_path / "g.json", seconds=5)

@@ -1,4 +1,4 @@
-"""Gathered permissions on real vendors: they decide as the policy does, and a handshake carries them."""
+"""Gathered permissions on real vendors: they decide as the policy does, and fit into a handshake."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from pathlib import Path
 
 COUNT = 2000
-"""Exact names of each of two subjects: more than a handshake carries when they are written out."""
+"""Number of exact names of each of two subjects: too many for a handshake if written in full."""
 ASKED = (
     "rt/cell0/axle0000", "rt/cell3/axle1999", "rt/cell1/axle0717", "rt/cell0/axle2000", "rt/cell0/axle000]",
     "rt/cell0/axle]000", "rt/cell4/axle0000", "rt/cell0/axle00001", "rt/cell/axle0000", "rt/other", "rt/free/x",
@@ -39,7 +39,7 @@ def test_the_documents_are_gathered_and_small(install: Path) -> None:
         assert len(signed) < 10_000
 
 
-def test_every_name_is_decided_as_the_policy_says(install: Path, vendor: Vendor) -> None:
+def test_every_name_is_decided_as_by_the_policy(install: Path, vendor: Vendor) -> None:
     allowed = {*ASKED[:3], "rt/free/x"}
     with System(vendor) as system:
         talker = system.open(enclave(install, "/talker"))

@@ -1,4 +1,4 @@
-"""Policies that people wrote: provisioned as they are, the real access control decides as they say."""
+"""Policies written by people: provisioned unchanged, real access control decides as the policies do."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ POLICIES = [
 
 
 def names_near(expression: str) -> Iterator[str]:
-    """Yield names that the expression matches, or narrowly does not; a class is read as its second character."""
+    """Yield names that the expression matches or almost matches; a class becomes its second character."""
     for text in ("", "w/w") if "*" in expression else ("",):
         name, inside = "", 0
         for letter in expression:

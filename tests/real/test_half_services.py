@@ -1,6 +1,6 @@
-"""``keymint verify`` sees every endpoint of a service, action or parameter that a document permits against the policy.
+"""``keymint verify`` reports each endpoint of a service, action or parameter permitted against the policy.
 
-Documents get endpoints of random composites, and are signed properly. What must be found is worked out from the ROS
+Documents get endpoints of random composites, and are signed properly. The expected findings are derived from the ROS
 names alone. In full, with what was counted::
 
     KEYMINT_FULL=1 .venv/bin/python -m pytest -s tests/real/test_half_services.py
@@ -90,7 +90,7 @@ def permitting(keymint: Callable[..., Outcome], tmp_path: Path) -> Callable[...,
 
 
 def expected(policy: comarmor.Policy, subject: str, added: set[Endpoint]) -> set[Endpoint]:
-    """Return the endpoints that the policy does not permit: those of a side of a service that it does not allow."""
+    """Return the endpoints of the sides of a service that the policy does not allow."""
     return {each for each in added if not policy.decide(subject, "ros_service", each.permission, each.service).allowed}
 
 
@@ -130,14 +130,14 @@ def test_a_request_topic_alone_lets_a_subject_write_parameters(
     assert result["confusion"]["false_positive"] == 1
 
 
-def test_what_is_allowed_as_a_whole_is_reported_as_a_whole(permitting: Callable[..., Outcome], transport: str) -> None:
+def test_a_fully_permitted_service_is_reported_once(permitting: Callable[..., Outcome], transport: str) -> None:
     both = {Endpoint("/listener/set_parameters", "ros_call", action) for action in ("publish", "subscribe")}
     outcome = permitting({"/talker": both}, transport)
     (result,) = outcome.document["result"]["transports"]
     assert [each["request"] for each in result["findings"]] == ["/talker ros_call /listener/set_parameters"]
 
 
-def test_no_endpoint_goes_unseen(
+def test_every_endpoint_is_reported(
     permitting: Callable[..., Outcome], policy: comarmor.Policy, transport: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
     chance = random.Random(f"half services on {transport}")

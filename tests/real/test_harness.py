@@ -19,14 +19,14 @@ if TYPE_CHECKING:
 
 @pytest.fixture
 def absent(tmp_path: Path) -> probe_builds.MissingVendorError:
-    """What is raised where a vendor's headers are not installed."""
+    """Raised if a vendor's headers are not installed."""
     probe = dataclasses.replace(probe_builds.CYCLONEDDS, compilers=("cc", "gcc", "c++", "g++"), header="dds/absent.h")
     with pytest.raises(probe_builds.MissingVendorError) as raised:
         probe.build(tmp_path)
     return raised.value
 
 
-def test_a_missing_vendor_skips_with_a_line_that_says_what_to_do(
+def test_a_missing_vendor_skips_the_test_with_a_line_that_explains_how_to_install_it(
     absent: probe_builds.MissingVendorError, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.delenv("KEYMINT_REQUIRE_VENDORS", raising=False)
@@ -34,7 +34,7 @@ def test_a_missing_vendor_skips_with_a_line_that_says_what_to_do(
         missing(absent)
 
 
-def test_a_missing_vendor_fails_where_vendors_are_required(
+def test_a_missing_vendor_fails_the_test_if_vendors_are_required(
     absent: probe_builds.MissingVendorError, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv("KEYMINT_REQUIRE_VENDORS", "1")
@@ -50,7 +50,7 @@ def test_a_missing_compiler_is_a_missing_vendor(tmp_path: Path) -> None:
 
 @pytest.fixture
 def impostor(tmp_path: Path) -> FastDDS:
-    """A program in place of a probe, which notes its process id, opens, and never answers again."""
+    """A program that replaces a probe: it records its process id, opens, and then never answers."""
     program = tmp_path / "probe"
     program.write_text(f"#!/bin/sh\necho $$ >>{tmp_path}/pids\nread line\necho OPENED\nexec sleep 600\n")
     program.chmod(program.stat().st_mode | stat.S_IXUSR)
@@ -81,6 +81,6 @@ def test_a_probe_that_hangs_is_an_error(impostor: FastDDS, tmp_path: Path, monke
             participant.edge("publish", "rt/x")
 
 
-def test_systems_at_the_same_time_have_ports_of_their_own(impostor: FastDDS) -> None:
+def test_simultaneous_systems_have_different_ports(impostor: FastDDS) -> None:
     with System(impostor) as one, System(impostor) as other:
         assert one.first_port != other.first_port

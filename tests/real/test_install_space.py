@@ -1,4 +1,4 @@
-"""An install space, as keymint writes it, in real participants: what the policy says is what happens."""
+"""An install space written by Keymint, in real participants: they behave as the policy decides."""
 
 from __future__ import annotations
 
@@ -61,13 +61,13 @@ def install(provisioned: Callable[[str], Path]) -> Path:
 
 @pytest.fixture(scope="module")
 def foreign(provisioned: Callable[[str], Path]) -> Path:
-    """The same policy in a system with authorities of its own."""
+    """The same policy in a system with its own authorities."""
     return provisioned(POLICY)
 
 
 @pytest.fixture
 def copied(install: Path, tmp_path: Path) -> Callable[[str], Path]:
-    """Copy an enclave, alone, to where a test may change it."""
+    """Copy a single enclave to a folder that a test may change."""
     return lambda subject: shutil.copytree(enclave(install, subject), tmp_path / "enclave")
 
 
@@ -94,9 +94,7 @@ def test_client_and_server_exchange_request_and_reply(install: Path, system: Sys
         assert edges["subscribe"].read() == topic
 
 
-def test_an_enclave_works_where_it_is_copied_alone(
-    install: Path, system: System, copied: Callable[[str], Path]
-) -> None:
+def test_an_enclave_works_as_a_single_copy(install: Path, system: System, copied: Callable[[str], Path]) -> None:
     reader = system.open(copied("/listener")).edge("subscribe", "rt/chatter")
     system.open(enclave(install, "/talker")).edge("publish", "rt/chatter").write("hello")
     assert reader.read() == "hello"
@@ -134,7 +132,7 @@ def test_a_partition_that_the_policy_does_not_name_is_refused(install: Path, sys
         system.open(enclave(install, "/talker")).edge("publish", "rt/chatter", ["elsewhere"])
 
 
-def test_another_authoritys_certificate_cannot_join(
+def test_a_certificate_of_another_authority_cannot_join(
     foreign: Path, system: System, copied: Callable[[str], Path]
 ) -> None:
     folder = copied("/talker")
@@ -154,7 +152,7 @@ def test_documents_signed_by_another_authority_are_refused(
         system.open(folder)
 
 
-def test_a_whole_foreign_enclave_never_matches(install: Path, foreign: Path, system: System) -> None:
+def test_a_complete_foreign_enclave_never_matches(install: Path, foreign: Path, system: System) -> None:
     reader = system.open(enclave(install, "/listener")).edge("subscribe", "rt/chatter")
     writer = system.open(enclave(foreign, "/talker")).edge("publish", "rt/chatter")
     assert rejected(reader, writer)
@@ -183,7 +181,7 @@ def test_edited_permissions_are_refused(system: System, copied: Callable[[str], 
 
 
 def rejected(*edges: ProbeEndpoint) -> bool:
-    """Wait until the vendor says at either end that it rejects the other; no end may match meanwhile."""
+    """Wait until one end reports that it rejects the other; no end may match meanwhile."""
     deadline = time.monotonic() + 30
     while time.monotonic() < deadline:
         if any(edge.await_rejection(seconds=0.05) for edge in edges):

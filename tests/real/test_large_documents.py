@@ -1,4 +1,4 @@
-"""The policy of a navigation stack, one enclave for a dozen nodes, on real vendors: their handshakes carry it."""
+"""The policy of a navigation stack, one enclave for a dozen nodes, fits into the handshakes of real vendors."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
 @pytest.fixture(scope="module")
 def install(provisioned: Callable[[str | Path], Path]) -> Path:
-    """Return the keystore of two enclaves that may both do all that the navigation stack does."""
+    """Return the keystore of two enclaves, each with all permissions of the navigation stack."""
     policy = navigation.policy()
     peer = policy.replace('name="navigation"', 'name="peer"').replace(">/navigation<", ">/peer<")
     end = policy.rindex("</profiles>")

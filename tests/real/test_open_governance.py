@@ -1,4 +1,4 @@
-"""A small share of what ``benchmarks/open_governance.py`` compares."""
+"""A sample of the comparisons of ``benchmarks/open_governance.py``."""
 
 from __future__ import annotations
 

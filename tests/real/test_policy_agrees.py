@@ -1,4 +1,4 @@
-"""The real access control decides as the policy says, whatever the policy."""
+"""Real access control decides as the policy does, for any policy."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ def written(folder: Path, subject: str, rules: list[str]) -> Path:
 
 
 def portable(path: Path, subject: str) -> tuple[str, str]:
-    """Compile a policy; one that not all vendors would understand alike is not an example."""
+    """Compile a policy; skip one that is not portable across vendors."""
     try:
         return compiled(path, subject)
     except KeymintError as error:
@@ -78,7 +78,7 @@ def test_any_policy(authorities: Authorities, tmp_path: Path, rules: list[str], 
 @pytest.mark.usefixtures("cyclone_plugins")
 @thorough
 @given(rules=meeting_rules)
-def test_any_policy_whose_raw_and_ros_rules_meet(authorities: Authorities, tmp_path: Path, rules: list[str]) -> None:
+def test_any_policy_whose_raw_and_ros_rules_overlap(authorities: Authorities, tmp_path: Path, rules: list[str]) -> None:
     path = written(tmp_path, "/b", rules)
     loaded = comarmor.load(path)
     with access(authorities, "/b", portable(path, "/b")) as opened:
@@ -127,7 +127,7 @@ def test_any_policy_on_fast_dds(authorities: Authorities, fastdds: Vendor, tmp_p
 
 
 def test_a_provisioned_keystore(provisioned: Callable[[str | Path], Path], vendor: Vendor, tmp_path: Path) -> None:
-    """The whole way: policy, command, install space, and a real participant for every subject."""
+    """End to end: policy, command, install space, and a real participant for every subject."""
     install = provisioned(POLICY)
     path = tmp_path / "policy.xml"
     path.write_text(POLICY)

@@ -1,4 +1,4 @@
-"""The published figures of White et al. 2018 on real Cyclone DDS, and by the script of the example."""
+"""The published figures of White et al. 2018, on real Cyclone DDS and from the script of the example."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ ROW = re.compile(r"^(\S+) +\S+ +(\d+) +(\d+) +(\d+) +(\d+)$", re.MULTILINE)
 
 @pytest.fixture
 def now(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Issue certificates by the machine's clock, by which vendors go."""
+    """Issue certificates by the machine's clock, which vendors use."""
     monkeypatch.setenv("SOURCE_DATE_EPOCH", str(int(time.time())))
 
 
@@ -34,7 +34,7 @@ def test_ardent_and_the_papers_amendment(keymint) -> None:
 @pytest.mark.cyclonedds
 @pytest.mark.usefixtures("cyclone_plugins", "now")
 @pytest.mark.parametrize("distro", ["ardent", "bouncy"])
-def test_endpoints_that_are_created_where_they_belong_are_decided_as_the_policy_says(keymint, distro: str) -> None:
+def test_endpoints_created_in_their_own_partition_are_decided_as_by_the_policy(keymint, distro: str) -> None:
     figures, _, code = verified(keymint, "policy.xml", distro, ("cyclonedds",))
     assert (figures, code) == ({"cyclonedds": WITHOUT_ERROR}, 0)
 
@@ -67,7 +67,7 @@ def test_one_command_prints_the_figures_and_draws_the_pictures(probe_cache: Path
     assert all(b"</svg>" in (tmp_path / "out" / picture).read_bytes() for picture in pictures)
 
 
-def test_a_folder_that_is_not_its_own_is_left_alone(tmp_path: Path) -> None:
+def test_the_script_does_not_touch_a_folder_that_it_did_not_create(tmp_path: Path) -> None:
     (tmp_path / "mine").mkdir()
     done = subprocess.run(
         [EXAMPLE / "run", "mine"],

@@ -1,4 +1,4 @@
-"""Signed files as OpenSSL, Cyclone DDS and Fast DDS read them: what we accept has the same content there."""
+"""Signed files as OpenSSL, Cyclone DDS and Fast DDS read them: a file that we accept has the same content for all."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ def bench(tmp_path_factory: pytest.TempPathFactory, cyclone_plugins: None) -> Be
 
 
 @pytest.mark.cyclonedds
-def test_what_tools_sign_is_read_by_all_alike(bench: Bench) -> None:
+def test_all_readers_see_the_same_content_in_files_of_common_tools(bench: Bench) -> None:
     for name, signed, text in bench.genuine:
         assert bench.ours(signed) == text, name
         for reader, read in bench.readers.items():
@@ -43,7 +43,7 @@ def test_what_tools_sign_is_read_by_all_alike(bench: Bench) -> None:
 
 @pytest.mark.cyclonedds
 def test_mutated_files_that_we_accept_have_the_same_content_for_all(bench: Bench) -> None:
-    """A small share of what ``benchmarks/signed_files.py`` compares."""
+    """A sample of the comparisons of ``benchmarks/signed_files.py``."""
     found = bench.compare(FILES, SEED, asked_of=ASKED_OF)
     assert found.wrong == []
     assert found.counts["files"] == FILES
@@ -57,7 +57,7 @@ def permissions(topic: str) -> bytes:
 
 
 def permitted(vendor: Vendor, folder: Path, *topics: str) -> list[bool]:
-    """Return whether a real participant may publish; none of it where it is refused."""
+    """Return for each topic whether a real participant may publish it; False if the participant is refused."""
     with System(vendor) as system:
         try:
             participant = system.open(folder)
@@ -69,7 +69,7 @@ def permitted(vendor: Vendor, folder: Path, *topics: str) -> list[bool]:
 @pytest.mark.parametrize(
     "signer", ["openssl-smime", "openssl-smime-crlf", "openssl-smime-sha512", "openssl-cms", "sros2"]
 )
-def test_vendors_take_what_other_tools_sign(
+def test_vendors_accept_files_signed_by_other_tools(
     authorities: Authorities, vendor: Vendor, tmp_path: Path, signer: str
 ) -> None:
     folder, own = authorities.enclave(tmp_path), authorities.permissions

@@ -1,4 +1,4 @@
-"""Documents that are not plain: what the models say that vendors make of them, and what they do.
+"""Unusual documents: the models read them as the vendors do.
 
 Where a model says that it does not know, nothing is compared; ``docs/vendors.md`` has the kinds.
 """
@@ -55,7 +55,7 @@ COMMON = [
     ("<id>0</id>", "<id>230</id>"), ("<id>0</id>", "<id>231</id>"), ("<id>0</id>", "<id_range><min>0</min></id_range>"),
     (DATE, "<not_before>2020-01-01T00:00:00+02:00</not_before>"),
 ]  # fmt: skip
-"""Edits that people make by hand: the models know all of them."""
+"""Common edits by hand; the models cover all of them."""
 CHANGES = [
     *COMMON,
     *((old, f"{comment}{old}") for comment in ("<!-- c -->", "<?a b?>")
@@ -106,7 +106,7 @@ def changed(old: str, new: str) -> str:
 
 
 def answers(system: System, folder: Path) -> list[bool]:
-    """Return what a participant may, by the vendor; nothing where it is refused, or its process ends."""
+    """Return what the vendor permits a participant; nothing if it is refused or its process ends."""
     try:
         participant = system.open(folder)
         return [participant.allows(*question) for question in QUESTIONS]
@@ -115,7 +115,7 @@ def answers(system: System, folder: Path) -> list[bool]:
 
 
 def expected(content: bytes, variation: Variation) -> list[bool] | None:
-    """Return the same by the model; None where it does not know."""
+    """Return what the model permits; None if it does not know."""
     try:
         document = decision.read(content)
     except KeymintError:
@@ -147,7 +147,7 @@ def test_the_models_know_common_edits(variation: Variation, old: str, new: str) 
 
 
 def signed(authorities: Authorities, content: bytes) -> bytes:
-    """Sign bytes, be they text or not."""
+    """Sign bytes, even if they are not text."""
     own = authorities.permissions
     builder = pkcs7.PKCS7SignatureBuilder().set_data(content).add_signer(own.certificate, own.key, hashes.SHA256())
     options = [pkcs7.PKCS7Options.Text, pkcs7.PKCS7Options.DetachedSignature]

@@ -1,4 +1,4 @@
-"""The real transports, as ``keymint verify`` uses them, and their models held against them."""
+"""The real transports, as ``keymint verify`` uses them, compared with their models."""
 
 from __future__ import annotations
 
@@ -71,7 +71,7 @@ def enclave(authorities: Authorities, folder: Path, rules: str = "", **more: str
 
 @pytest.fixture
 def pair(authorities: Authorities, tmp_path: Path) -> list[Enclave]:
-    """A talker that may publish x and z, and a listener that may have all."""
+    """A talker that may publish x and z, and a listener that may do everything."""
     publish, everything = (criteria("publish", ["rt/x", "rt/z"]), criteria("publish", ["*"]))
     folders = {
         "/talker": enclave(authorities, tmp_path / "talker", rule("allow", publish), name="/talker"),
@@ -99,20 +99,20 @@ EDGES = (talker("publish", X), talker("subscribe", X), talker("publish", Y), tal
 
 
 @pytest.mark.parametrize("tier", list(Tier))
-def test_every_tier_decides_alike(transport: Transport, pair: list[Enclave], tier: Tier) -> None:
+def test_all_tiers_make_the_same_decisions(transport: Transport, pair: list[Enclave], tier: Tier) -> None:
     found = labelled(transport, pair, tier, *EDGES, Edge("/listener", "publish", Y))
     assert [verdict.allowed for verdict in found] == [True, False, False, True, True]
     assert all(verdict.reason for verdict in found)
     assert found[0].line
 
 
-def test_what_is_allowed_is_delivered_and_an_intruder_is_refused(transport: Transport, pair: list[Enclave]) -> None:
+def test_allowed_samples_are_delivered_and_an_intruder_is_refused(transport: Transport, pair: list[Enclave]) -> None:
     found = labelled(transport, pair, Tier.EXCHANGE, *EDGES)
     assert found[0].reason == "a sample was delivered with /listener"
     assert all(found[index].reason.endswith("; /listener refuses it as well") for index in (1, 2))
 
 
-def test_a_partition_is_part_of_what_is_exchanged(
+def test_samples_are_exchanged_within_a_partition(
     authorities: Authorities, transport: Transport, tmp_path: Path
 ) -> None:
     both = criteria("publish", ["rt/x"], ["a"]) + criteria("subscribe", ["rt/x"], ["a"])
@@ -128,7 +128,7 @@ def test_a_partition_is_part_of_what_is_exchanged(
 
 
 @pytest.mark.parametrize("tier", list(Tier))
-def test_a_refused_enclave_denies_every_edge_and_says_why(
+def test_a_refused_enclave_denies_every_edge_and_reports_the_reason(
     authorities: Authorities, transport: Transport, tmp_path: Path, tier: Tier
 ) -> None:
     content = permissions_document("CN=/somebody", rule("allow", criteria("publish", ["rt/x"])))
@@ -138,7 +138,7 @@ def test_a_refused_enclave_denies_every_edge_and_says_why(
     assert "refuse" in found.reason
 
 
-def test_domains_are_asked_apart(authorities: Authorities, transport: Transport, tmp_path: Path) -> None:
+def test_domains_are_decided_separately(authorities: Authorities, transport: Transport, tmp_path: Path) -> None:
     wide = governance_document(domains="<id_range><min>0</min><max>9</max></id_range>")
     folder = enclave(authorities, tmp_path, rule("allow", criteria("publish", ["rt/x"])), governance=wide)
     edges = [talker("publish", X, domain) for domain in (0, 1)]
@@ -166,7 +166,7 @@ def test_cyclone_dds_prints_nothing_on_our_standard_output(
     tmp_path: Path,
     capfd: pytest.CaptureFixture,
 ) -> None:
-    """Its parser does, for each document that it refuses; that would end up in the middle of ``--json``."""
+    """Its parser prints for each document that it refuses, which would corrupt the output of ``--json``."""
     folder = enclave(authorities, tmp_path, rule("allow", criteria("publish", ["rt/x"]), domain=231))
     opened = real_cyclonedds.open(environment)
     [found] = labelled(opened, [Enclave("/talker", folder, "humble")], Tier.DECISION, talker("publish", X))
@@ -175,13 +175,13 @@ def test_cyclone_dds_prints_nothing_on_our_standard_output(
     assert capfd.readouterr().out == ""
 
 
-def test_names_that_no_topic_has_are_denied(transport: Transport, pair: list[Enclave]) -> None:
+def test_names_that_no_topic_can_have_are_denied(transport: Transport, pair: list[Enclave]) -> None:
     edges = [talker("publish", Object("topic", name)) for name in ("", "a\tb", "a\nb")]
     assert not any(verdict.allowed for verdict in labelled(transport, pair, Tier.ADMISSION, *edges))
 
 
 @pytest.mark.parametrize("vendor_name", ["cyclonedds", "fastdds"])
-def test_without_compiler_and_library_a_transport_says_how_to_install_it(
+def test_without_compiler_and_library_a_transport_reports_how_to_install_it(
     vendor_name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     from keymint_ros2_dds.vendors import cyclone_access_control
@@ -200,7 +200,7 @@ def test_without_compiler_and_library_a_transport_says_how_to_install_it(
 
 
 def test_models_agree_on_random_documents(transport: Transport, vendor_name: str, environment: Environment) -> None:
-    """A small share of what ``benchmarks/agreement.py`` compares."""
+    """A sample of the comparisons of ``benchmarks/agreement.py``."""
     from keymint.plugins import Plugins
 
     benchmark = _benchmark("agreement.py")

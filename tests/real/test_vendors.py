@@ -1,4 +1,4 @@
-"""What both vendors decide on documents made by hand, in real participants: the facts that portability rests on."""
+"""Decisions of both vendors on handmade documents, in real participants: the facts that portability relies on."""
 
 from __future__ import annotations
 
@@ -92,7 +92,7 @@ def test_fast_dds_compares_names_as_text_in_the_order_of_rfc_4514(
         system.open(folder)
 
 
-def test_a_denial_has_no_effect_on_what_is_allowed(authorities: Authorities, system: System, tmp_path: Path) -> None:
+def test_a_deny_rule_does_not_affect_allowed_topics(authorities: Authorities, system: System, tmp_path: Path) -> None:
     participant = system.open(authorities.enclave(tmp_path, rule("allow", PUBLISH_X)))
     with pytest.raises(DeniedError):
         participant.edge("publish", "rt/y")

@@ -1,4 +1,4 @@
-"""``keymint verify`` on real vendors: the examples have no error, and an edit by hand is found."""
+"""``keymint verify`` on real vendors: the examples have no mismatches, and an edit by hand is reported."""
 
 from __future__ import annotations
 
@@ -22,12 +22,12 @@ def transport(request: pytest.FixtureRequest) -> str:
 
 @pytest.fixture(autouse=True)
 def real_clock(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Real vendors go by the clock of the machine."""
+    """Use the clock of the machine, as real vendors do."""
     monkeypatch.delenv("SOURCE_DATE_EPOCH")
 
 
 @pytest.mark.parametrize("example", EXAMPLES)
-def test_examples_have_no_error(keymint, tmp_path: Path, example: str, transport: str) -> None:
+def test_examples_have_no_mismatches(keymint, tmp_path: Path, example: str, transport: str) -> None:
     assert keymint("provision", CHECKOUT / "examples" / example, "-w", "ws").code == 0
     outcome = keymint("verify", "-w", "ws", "-t", transport, "--json")
     assert outcome.code == 0, outcome.out
@@ -37,7 +37,7 @@ def test_examples_have_no_error(keymint, tmp_path: Path, example: str, transport
     assert counts["true_positive"] > 20
 
 
-def test_an_edit_by_hand_is_found_and_explained_by_the_model(keymint, tmp_path: Path, transport: str) -> None:
+def test_an_edit_by_hand_is_reported_and_explained_by_the_model(keymint, tmp_path: Path, transport: str) -> None:
     assert keymint("provision", CHECKOUT / "examples/talker_listener", "-w", "ws").code == 0
     path = tmp_path / "ws/build/talker/permissions.xml"
     path.write_text(path.read_text().replace("<topic>rt/chatter<", "<topic>rt/chatter*<"))
@@ -52,7 +52,7 @@ def test_an_edit_by_hand_is_found_and_explained_by_the_model(keymint, tmp_path: 
     assert first["transport"]["rule"]["line"] > 0
 
 
-def test_an_expired_grant_refuses_the_whole_enclave(keymint, tmp_path: Path, transport: str) -> None:
+def test_an_expired_grant_makes_vendors_refuse_the_enclave(keymint, tmp_path: Path, transport: str) -> None:
     assert keymint("provision", CHECKOUT / "examples/talker_listener", "-w", "ws").code == 0
     path = tmp_path / "ws/build/talker/permissions.xml"
     text = re.sub("<not_before>[^<]*", "<not_before>2020-01-01T00:00:00", path.read_text())
@@ -66,8 +66,8 @@ def test_an_expired_grant_refuses_the_whole_enclave(keymint, tmp_path: Path, tra
     assert all("expired" in each["transport"]["reason"] for each in found["findings"])
 
 
-def test_participants_without_the_password_are_not_asked(keymint, tmp_path: Path, fastdds: object) -> None:
-    """Fast DDS refuses the participant, which is no denial of the enclave."""
+def test_participants_without_the_password_are_not_verified(keymint, tmp_path: Path, fastdds: object) -> None:
+    """Fast DDS refuses the participant, which is not a decision about the enclave."""
     keymint("init", "ws", "--policy", CHECKOUT / "examples/talker_listener")
     defaults = tmp_path / "ws/profile/package.defaults/identities.xml"
     text = defaults.read_text().replace("NoEncryption", "BestAvailableEncryption")

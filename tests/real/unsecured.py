@@ -80,7 +80,7 @@ class Participant:
 
 
 def main() -> None:
-    """Be the participant that standard input describes, until it ends."""
+    """Run the participant that standard input describes, until standard input ends."""
     participant = Participant(int(sys.argv[1]), json.loads(sys.stdin.readline()))
     sys.stdout.write("READY\n")
     sys.stdout.flush()

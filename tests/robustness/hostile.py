@@ -1,4 +1,4 @@
-"""Hostile surroundings: what a run may find in its environment, its streams, its clock and in the names on disk."""
+"""Hostile conditions of a run: its environment, streams and clock, and the names of files."""
 
 from __future__ import annotations
 
@@ -12,9 +12,9 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 EXIT_CODES = frozenset({0, 1, 2, 3})
-"""Those of runs that no signal ends."""
+"""The exit codes of runs that no signal ends."""
 NASTY = "a\x1b]0;owned\x07\n\x9b31m\u202e\udcff b"
-"""A name that takes over a terminal: escape sequence, bell, line end, C1 control, bidi override, and no UTF-8."""
+"""A name that attacks a terminal: escape sequence, bell, line end, C1 control, bidi override, and invalid UTF-8."""
 VERBS: Mapping[str, Sequence[str]] = {
     "init": ("new_ws",),
     "create": ("--all", "-w", "ws"),
@@ -52,7 +52,7 @@ GRAPH = {
 
 @dataclass(frozen=True)
 class Surroundings:
-    """What is unusual about a run.
+    """The unusual conditions of a run.
 
     Attributes:
         set: environment variables that are set; None takes one away.
@@ -125,11 +125,11 @@ EPOCHS = (
     ),
     *("-62135596800", "2147483648", "4294967296", "222000000000"),
 )
-"""Values of ``SOURCE_DATE_EPOCH``: the ends of what computers and formats can say, and what is no number."""
+"""Values of ``SOURCE_DATE_EPOCH``: the limits of computers and formats, and values that are not numbers."""
 
 
 def files(folder: Path) -> Path:
-    """Make what the verbs of :data:`VERBS` read, in a folder, and return it."""
+    """Create the input of the verbs of :data:`VERBS` in a folder, and return the folder."""
     (folder / "policy.xml").write_text(POLICY)
     (folder / "other.xml").write_text(POLICY.replace("ros_publish", "ros_subscribe"))
     (folder / "graph.json").write_text(json.dumps(GRAPH))
@@ -141,7 +141,7 @@ def files(folder: Path) -> Path:
 
 @dataclass(frozen=True)
 class Ended:
-    """How a run ended."""
+    """The result of a run."""
 
     code: int
     out: bytes
@@ -149,7 +149,7 @@ class Ended:
 
 
 def run(arguments: Sequence[str], cwd: Path, around: Surroundings) -> Ended:
-    """Run the command line in a process of its own; its exit code is that of Keymint, also in a pipe."""
+    """Run the command line in its own process; the exit code is Keymint's, even in a pipe."""
     variables: dict[str, str] = {**os.environ, "KEYMINT_TRACEBACK": ""}
     for name, value in around.set.items():
         variables.pop(name, None)
@@ -171,7 +171,7 @@ def run(arguments: Sequence[str], cwd: Path, around: Surroundings) -> Ended:
 def require_orderly(
     arguments: Sequence[str], code: int, out: str, err: str, codes: frozenset[int] = EXIT_CODES
 ) -> None:
-    """Require what holds of every run: a documented end, plain words, and one valid document where one is asked for."""
+    """Check any run: a documented exit code, printable text, and one valid JSON document if requested."""
     assert code in codes, (arguments, code, out, err)
     for text in (out, err):
         assert "Traceback" not in text, text

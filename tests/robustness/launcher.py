@@ -1,4 +1,4 @@
-"""Runs the command line again and again, each time in a process of its own, for a tracer to strike at.
+"""Runs the command line repeatedly, each time in its own process, so that a tracer can disturb it.
 
     strace -f -e inject=renameat:signal=SIGKILL:when=400 … python launcher.py JOBS RESULTS
 
@@ -50,11 +50,11 @@ HARMLESS: Mapping[str, Callable[[], object]] = {
     "rmdir": Path(_NOWHERE).rmdir,
     "flock": lambda: fcntl.flock(_FOLDER, fcntl.LOCK_UN),
 }
-"""The calls that change a file system, each with a way to make it that changes nothing."""
+"""The calls that change a file system, each with a harmless way to make it."""
 
 
 def _job(arguments: list[str], call: str, padding: int, output: Path) -> None:
-    """Be the process of one job, which makes a number of harmless calls before it begins."""
+    """Run one job in this process, after a number of harmless calls."""
     from keymint import cli
 
     shown = os.open(output, os.O_WRONLY | os.O_CREAT | os.O_TRUNC, 0o600)
@@ -71,7 +71,7 @@ def _job(arguments: list[str], call: str, padding: int, output: Path) -> None:
 
 
 def _warm_up() -> None:
-    """Run the command line in this process, so that no job imports anything, nor fills a cache."""
+    """Run the command line in this process first, so that jobs import nothing and fill no cache."""
     from keymint import cli
 
     policy = (
@@ -91,7 +91,7 @@ def _warm_up() -> None:
 
 
 def main(jobs: Path, results: Path) -> None:
-    """Run all jobs, and write what became of each: the status of :func:`os.waitstatus_to_exitcode` and its output."""
+    """Run all jobs, and write the result of each: its :func:`os.waitstatus_to_exitcode` and its output."""
     _warm_up()
     ended = []
     output = results.with_suffix(".output")

@@ -1,4 +1,4 @@
-"""Mutates files: their bytes, and the trees that they hold. Deterministic for a seed."""
+"""Mutates files: their bytes, or their trees. Deterministic for a seed."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Runs to disturb, and what must hold of the workspace whenever one was."""
+"""Runs to disturb, and checks of the workspace after a disturbance."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ _RULES = """<ros_topic qualifier="ALLOW">
 
 
 def policy(*subjects: str, version: str = "") -> str:
-    """Return a policy that names these subjects; another version gives another rule to ``/robot/talker``."""
+    """Return a policy of these subjects; the version changes a rule of ``/robot/talker``."""
     profiles = (
         f'<profile name="{subject}"><attachment>{subject}</attachment>'
         f"{_RULES.format(version if subject == '/robot/talker' else '')}</profile>"
@@ -31,7 +31,7 @@ def policy(*subjects: str, version: str = "") -> str:
 
 
 def _nothing(_folder: Path) -> None:
-    """Begin without a workspace."""
+    """Start without a workspace."""
 
 
 def _change_policy(folder: Path) -> None:
@@ -79,7 +79,7 @@ class Scenario:
 
 PROVISION = ("provision", "{}/policy.xml", "-w", "{}/ws", "-j", "1")
 PRUNE = ("install", "--prune", "--no-prove", "-w", "{}/ws", "-j", "1")
-"""The policy is not the one that the packages were made from."""
+"""The packages were created from another policy."""
 SCENARIOS: Mapping[str, Scenario] = {
     "fresh": Scenario((), _nothing, PROVISION),
     "update": Scenario((_nothing,), _change_policy, PROVISION),
@@ -90,7 +90,7 @@ SCENARIOS: Mapping[str, Scenario] = {
 
 
 def tree(workspace: Path) -> dict[str, str]:
-    """Return every path of a workspace with its kind and mode."""
+    """Return every path of a workspace with its type and mode."""
     found = {}
     for folder, folders, files in os.walk(workspace):
         for name in (*folders, *files):
@@ -101,7 +101,7 @@ def tree(workspace: Path) -> dict[str, str]:
 
 
 def keys(workspace: Path) -> dict[str, bytes]:
-    """Return the private keys that are in their place."""
+    """Return the private keys at their final paths."""
     found = {}
     for path in (workspace / "private").rglob("*.pem"):
         if not _hidden(path.relative_to(workspace)):
@@ -114,7 +114,7 @@ def _hidden(path: Path) -> bool:
 
 
 def enclaves(workspace: Path) -> dict[str, dict[str, bytes]]:
-    """Return the files of every folder that is visible among the enclaves, that around all of them (``.``) included."""
+    """Return the files of every visible folder of enclaves, including the folder of all (``.``)."""
     found: dict[str, dict[str, bytes]] = {}
     root = workspace / "install" / "enclaves"
     for folder, _, files in os.walk(root):
@@ -126,7 +126,7 @@ def enclaves(workspace: Path) -> dict[str, dict[str, bytes]]:
 
 
 def require_whole_files(workspace: Path) -> int:
-    """Require that every file that is visible in the install space is whole; returns how many there are."""
+    """Check that every visible file of the install space is complete; return their number."""
     count = 0
     for path in sorted((workspace / "install").rglob("*")):
         if _hidden(path.relative_to(workspace)) or path.is_dir():
@@ -156,7 +156,7 @@ def require_whole_files(workspace: Path) -> int:
 def require_whole_enclaves(
     workspace: Path, before: Mapping[str, Mapping[str, bytes]], after: Mapping[str, Mapping[str, bytes]]
 ) -> None:
-    """Require that every enclave is wholly what it was before, or wholly new; also one around others.
+    """Check that every enclave is completely old or completely new, even if it contains others.
 
     Args:
         workspace: after the run was disturbed.
@@ -175,7 +175,7 @@ def require_whole_enclaves(
 
 
 def require_fitting(files: Mapping[str, bytes]) -> None:
-    """Require that the files of an enclave belong together."""
+    """Check that the files of an enclave belong together."""
     if "key.pem" in files:
         key = load_pem_private_key(files["key.pem"], None).public_key()
         assert key == x509.load_pem_x509_certificate(files["cert.pem"]).public_key()

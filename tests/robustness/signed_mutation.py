@@ -32,7 +32,7 @@ _BOUNDARY = re.compile(rb'boundary="([^"\r\n]*)"')
 
 
 def mutated(signed: bytes, pool: Pool, chance: Random) -> bytes:
-    """Return a signed file with up to four changes, and at times with one before that should change no reading.
+    """Return a signed file with up to four changes, sometimes preceded by one that should not affect readers.
 
     Args:
         signed: the file.
@@ -76,7 +76,7 @@ def _lines(signed: bytes) -> list[bytes]:
 
 
 def _special(signed: bytes, chance: Random) -> int:
-    """Return the number of a line of the frame, or of any line."""
+    """Return the index of a line of the MIME frame, or of any line."""
     lines, mark = _lines(signed), separator(signed)
     frame = [n for n, line in enumerate(lines) if mark in line or line.startswith((b"Content-", b"MIME", b"This"))]
     beside = [n + step for n in frame for step in (0, 0, 0, -1, 1) if 0 <= n + step < len(lines)]
@@ -98,7 +98,7 @@ def _edit(signed: bytes, chance: Random, change: Callable[[bytes], bytes | None]
 
 
 def _behind_separator(signed: bytes, pool: Pool, chance: Random) -> bytes:
-    """Put something behind, before or into one of the separators."""
+    """Insert text after, before or into one of the separators."""
     mark = separator(signed)
     places = [found.start() for found in re.finditer(re.escape(mark), signed)]
     if not places:
@@ -119,7 +119,7 @@ def _more_separators(signed: bytes, pool: Pool, chance: Random) -> bytes:
 
 
 def _another_boundary(signed: bytes, pool: Pool, chance: Random) -> bytes:
-    """Replace the boundary everywhere, or in its header only."""
+    """Replace the boundary everywhere, or only in the header."""
     old = separator(signed)[2:]
     pieces = [line[2:].rstrip(b"\r") for line in _lines(signed) if line.startswith(b"--") and old not in line]
     new = chance.choice(
@@ -148,7 +148,7 @@ def _pieces(signed: bytes) -> list[bytes]:
 
 
 def _spliced(signed: bytes, pool: Pool, chance: Random) -> bytes:
-    """Put the parts of another file in front of the own ones or behind, between lines that look like separators."""
+    """Insert the parts of another file before or after the file's own, between lines that look like separators."""
     other = chance.choice(pool)
     mark, end = separator(signed), _end(signed)
     parts, own = _pieces(other), _pieces(signed)
@@ -164,7 +164,7 @@ def _spliced(signed: bytes, pool: Pool, chance: Random) -> bytes:
 
 
 def _other_file(signed: bytes, pool: Pool, chance: Random) -> bytes:
-    """Put another whole file in front, behind, or at a line."""
+    """Insert another complete file before, after, or at a line."""
     other = chance.choice(pool)
     if chance.random() < 0.3:
         other = other.replace(separator(other), separator(signed)).replace(separator(other)[2:], separator(signed)[2:])
@@ -273,7 +273,7 @@ def _cut(signed: bytes, pool: Pool, chance: Random) -> bytes:
 
 
 def _ends(signed: bytes, pool: Pool, chance: Random) -> bytes:
-    """Change all line ends, those of one part, some, or one."""
+    """Change all line ends, those of one part, several, or one."""
     kind = chance.randrange(7)
     if kind <= 1:
         return signed.replace(b"\r\n", b"\n").replace(b"\n", ENDS[kind])
@@ -322,7 +322,7 @@ def _encoded(signed: bytes, pool: Pool, chance: Random) -> bytes:
 
 
 def _base64(signed: bytes, pool: Pool, chance: Random) -> bytes:
-    """Write the same signature in another way, or nearly the same."""
+    """Encode the same, or almost the same, signature differently."""
     found = re.search(rb"(?s)(filename=\"smime.p7s\"\r?\n\r?\n)(.*?)(\r?\n\r?\n--)", signed)
     if found is None:
         return signed

@@ -1,4 +1,4 @@
-"""Whatever is in a file: it is accepted, or refused in one line with a place, at once, and nothing is written."""
+"""Any file is either accepted, or rejected quickly with one line and a place; then nothing is written."""
 
 from __future__ import annotations
 
@@ -36,13 +36,13 @@ from keymint.workspace import Workspace
 from . import mutation
 
 POLICIES = 4000
-"""Mutated policies that are loaded, and asked."""
+"""Number of mutated policies to load and evaluate."""
 DOCUMENTS = 5400
-"""Mutated documents of a workspace that all stages plan with."""
+"""Number of mutated workspace documents that all stages plan with."""
 COMMANDS = 600
-"""Mutated files of any kind that the command line is run on."""
+"""Number of mutated files of any kind to run the command line on."""
 SECONDS = 10
-"""No case may take longer, on however busy a machine."""
+"""Seconds that no case may exceed, even on a busy machine."""
 
 Keymint = Callable[..., Any]
 
@@ -75,7 +75,7 @@ PART = """<profile name="node"><attachment>*</attachment>
 
 @contextlib.contextmanager
 def in_time() -> Iterator[None]:
-    """End a case that takes too long."""
+    """Stop a case that takes too long."""
 
     def end(_signal: int, _frame: FrameType | None) -> None:
         raise AssertionError(f"takes more than {SECONDS} s")
@@ -91,7 +91,7 @@ def in_time() -> Iterator[None]:
 
 @contextlib.contextmanager
 def told(case: str, content: bytes) -> Iterator[None]:
-    """Name the case of a failure, and show what was fed."""
+    """Name the failed case, and show its input."""
     try:
         yield
     except Exception as error:
@@ -100,7 +100,7 @@ def told(case: str, content: bytes) -> Iterator[None]:
 
 
 def require_one_line(diagnostics: Sequence[Diagnostic | comarmor.Diagnostic]) -> None:
-    """Require that each message is one printable line of reasonable length, with a place."""
+    """Check that each message is one printable line of reasonable length, with a place."""
     assert diagnostics
     for found in diagnostics:
         line = str(found)
@@ -136,7 +136,7 @@ def workspace(memory: Path, policy: Path, keymint: Keymint) -> Path:
 
 
 def require_errors(said: str) -> None:
-    """Require that a command says, on lines of their own, errors with a place."""
+    """Check that a command reports errors with a place, each on its own line."""
     errors = [line for line in said.splitlines() if " warning: " not in f" {line}"]
     assert errors
     for line in errors:
@@ -147,7 +147,7 @@ def require_errors(said: str) -> None:
 # -- policies ----------------------------------------------------------------------------------------------------
 
 
-def test_policies_load_or_are_refused(policy: Path) -> None:
+def test_mutated_policies_load_or_are_rejected(policy: Path) -> None:
     files = {path: path.read_bytes() for path in sorted(policy.rglob("*.xml"))}
     outcomes: Counter[str] = Counter()
     for seed in range(POLICIES):
@@ -182,7 +182,7 @@ def _loaded(policy: Path) -> str:
 # -- the documents of a workspace --------------------------------------------------------------------------------
 
 
-def test_all_stages_plan_with_a_document_or_refuse_it(workspace: Path) -> None:
+def test_all_stages_plan_with_a_mutated_document_or_reject_it(workspace: Path) -> None:
     at = Workspace.at(workspace, {}, workspace.parent)
     plugins = Plugins()
     documents = {
@@ -256,7 +256,7 @@ VERBS = (
 )
 
 
-def test_the_command_line_ends_in_order_and_a_failure_writes_nothing(
+def test_the_command_line_exits_cleanly_and_a_failure_writes_nothing(
     memory: Path, workspace: Path, policy: Path, keymint: Keymint
 ) -> None:
     pristine = memory / "pristine"
@@ -294,7 +294,7 @@ def test_the_command_line_ends_in_order_and_a_failure_writes_nothing(
     assert codes[1] > COMMANDS // 10, codes
 
 
-def test_ten_thousand_cases_are_run() -> None:
+def test_there_are_ten_thousand_cases() -> None:
     assert POLICIES + DOCUMENTS + COMMANDS >= 10_000
 
 
@@ -374,7 +374,7 @@ BOMBS: Mapping[str, Mapping[str, str]] = {
 
 
 @pytest.mark.parametrize("bomb", BOMBS)
-def test_a_bomb_is_refused_at_once(bomb: str, tmp_path: Path, keymint: Keymint) -> None:
+def test_an_xml_bomb_is_rejected_quickly(bomb: str, tmp_path: Path, keymint: Keymint) -> None:
     for name, content in BOMBS[bomb].items():
         (tmp_path / "policy" / name).parent.mkdir(parents=True, exist_ok=True)
         (tmp_path / "policy" / name).write_text(content)
@@ -402,7 +402,7 @@ def test_a_bomb_is_refused_at_once(bomb: str, tmp_path: Path, keymint: Keymint) 
         "build/r1/arm/governance.xml",
     ],
 )
-def test_a_bomb_in_a_workspace_is_refused_at_once(
+def test_an_xml_bomb_in_a_workspace_is_rejected_quickly(
     bomb: str, path: str, memory: Path, workspace: Path, keymint: Keymint
 ) -> None:
     file = workspace / path

@@ -1,4 +1,4 @@
-"""No run ends in a traceback, an internal error or an escape sequence, whatever it finds around it.
+"""No run ends in a traceback, an internal error or an escape sequence, whatever its conditions.
 
 Every verb meets some of the surroundings; with ``KEYMINT_FULL=1`` each meets all of them.
 """
@@ -31,7 +31,7 @@ PROCESSES = {**STREAMS, **LOCALES, **VARIABLES}
 
 
 def processes() -> Iterator[tuple[str, str, bool]]:
-    """Yield verb, surroundings, and whether the result is JSON: all of them, or each verb and surroundings once."""
+    """Yield verb, conditions, and whether to print JSON: all combinations, or each verb and condition once."""
     if FULL:
         yield from itertools.product(VERBS, PROCESSES, (False, True))
         return
@@ -51,7 +51,7 @@ def prepared(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture
 def place(tmp_path: Path, prepared: Path) -> Path:
-    """Return a copy of it; what a workspace recorded holds of its copies as well."""
+    """Return a copy of the folder; a workspace may be copied."""
     shutil.copytree(prepared, tmp_path, dirs_exist_ok=True)
     return tmp_path
 
@@ -89,7 +89,7 @@ def test_clocks(keymint: Callable, place: Path, verb: str) -> None:
 
 @pytest.mark.parametrize("seconds", [-1.0, -62135596801.0, 222_000_000_000.0, 253402300799.0, 1e15, float("inf")])
 @pytest.mark.parametrize("verb", ["init", "check", "status", "provision"])
-def test_a_clock_of_the_system_that_is_far_off(
+def test_a_system_clock_that_is_far_off(
     keymint: Callable, place: Path, monkeypatch: pytest.MonkeyPatch, verb: str, seconds: float
 ) -> None:
     monkeypatch.setattr(time, "time", lambda: seconds)
@@ -130,7 +130,7 @@ def test_names_on_disk(keymint: Callable, place: Path, verb: str, as_json: bool)
         require_orderly(words, outcome.code, outcome.out, outcome.err)
 
 
-def test_what_is_pruned_is_shown_escaped(keymint: Callable, place: Path) -> None:
+def test_pruned_names_are_printed_escaped(keymint: Callable, place: Path) -> None:
     enclaves = place / "ws" / "install" / "enclaves"
     shutil.copytree(enclaves / "a", enclaves / "\x1b[31mred\u202e")
     for words in (["status"], ["install", "--prune", "-v"], ["check"]):
@@ -139,7 +139,7 @@ def test_what_is_pruned_is_shown_escaped(keymint: Callable, place: Path) -> None
 
 
 WRITTEN = ("\x1b[31m", "\u009b2J", "\u202e", "\u2028", "\ud800", "&#10;", "&#27;", "\x7f", "\ufffe", "a\tb")
-"""What a policy or a graph may have in its names; some of it no XML file can hold."""
+"""Characters in names of a policy or graph; XML cannot contain some of them."""
 
 
 PLACES = {
@@ -151,7 +151,7 @@ PLACES = {
     "ws/src/a/permissions.xml": ("/x",),
     "ws/install/enclaves/a/permissions.xml": ("rt/x", "CN="),
 }
-"""By file that a run reads: where something else is put."""
+"""For each file that a run reads, the text to replace."""
 
 
 @pytest.mark.parametrize("verb", [verb for verb in VERBS if verb not in READ_NO_FILE])
@@ -170,14 +170,14 @@ def test_names_in_files(keymint: Callable, place: Path, verb: str) -> None:
 
 
 class Terminal(io.StringIO):
-    """A stream that says that it is a terminal."""
+    """A stream that claims to be a terminal."""
 
     def isatty(self) -> bool:
         return True
 
 
 @pytest.mark.parametrize("written", ["\u009b31m", "\u202e", "\ud800"])
-def test_a_document_that_goes_to_a_terminal_is_escaped(written: str) -> None:
+def test_a_document_printed_to_a_terminal_is_escaped(written: str) -> None:
     content = f"<!-- a{written}b -->\n".encode("utf-8", "surrogatepass")
     for stream in (Terminal(), Output(Terminal())):
         Console(Streams(stream, stream)).document(content)
@@ -186,7 +186,7 @@ def test_a_document_that_goes_to_a_terminal_is_escaped(written: str) -> None:
         assert shown.removesuffix("\n").isprintable()
 
 
-def test_a_document_that_goes_to_a_file_stays_what_it_is(tmp_path: Path) -> None:
+def test_a_document_written_to_a_file_is_not_escaped(tmp_path: Path) -> None:
     content = "<topic>\u009bé</topic>\n".encode()
     with (tmp_path / "file").open("w", encoding="latin-1") as file:
         output = Output(file)
@@ -243,7 +243,7 @@ finally:
     if not at:
         print(seen, file=sys.stderr)
 """
-"""Runs the command line, and has it meet a signal at the event of the interpreter that has this number."""
+"""Runs the command line, and sends it a signal at the interpreter event with this number."""
 
 
 def struck(folder: Path, number: int, at: int, *arguments: str) -> subprocess.CompletedProcess[str]:
@@ -258,7 +258,7 @@ def struck(folder: Path, number: int, at: int, *arguments: str) -> subprocess.Co
 
 @pytest.mark.parametrize("part", range(4))
 def test_a_signal_at_any_time(keymint: Callable, tmp_path: Path, part: int) -> None:
-    """One line, or one document; the exit code that shells give; and a workspace that the next run completes."""
+    """The run prints one line or one document, exits as shells do, and the next run completes the workspace."""
     words = ("provision", "policy.xml", "-w", "ws")
     (tmp_path / "policy.xml").write_text(POLICY)
     whole = struck(tmp_path, 0, 0, *words)
@@ -288,7 +288,7 @@ STOPPED = frozenset({0, 130, 143})
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
-def test_a_signal_that_is_ignored_stays_so(tmp_path: Path, number: int) -> None:
+def test_an_ignored_signal_stays_ignored(tmp_path: Path, number: int) -> None:
     """As under nohup, or in the background of a script."""
     (tmp_path / "policy.xml").write_text(POLICY)
     signal_was = signal.signal(number, signal.SIG_IGN)

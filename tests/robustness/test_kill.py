@@ -1,6 +1,6 @@
-"""A run that is struck at any system call: what it leaves is whole, and a later run ends what it began.
+"""A run disturbed at any system call leaves complete files, and a later run completes its work.
 
-Every call that may change the workspace is struck in turn when ``KEYMINT_FULL=1``, else a part of them.
+With ``KEYMINT_FULL=1`` every call that may change the workspace is disturbed in turn, otherwise a sample of them.
 """
 
 from __future__ import annotations
@@ -28,9 +28,9 @@ pytestmark = pytest.mark.strace
 
 Keymint = Callable[..., Any]
 CRITICAL = frozenset({"renameat", "renameat2", "rmdir", "unlink"})
-"""The calls around which what is visible changes."""
+"""The calls that change the visible files."""
 IN_ORDER = 14
-"""How many of the calls of one kind are struck, evenly spread over the run."""
+"""Number of calls of one kind to disturb, evenly spread over the run."""
 
 
 @pytest.fixture(scope="module", autouse=True)
@@ -40,7 +40,7 @@ def strace() -> None:
 
 @pytest.fixture
 def memory(tmp_path: Path) -> Iterator[Path]:
-    """Return a folder that is in memory where the machine has such: hundreds of runs synchronise their files."""
+    """Return a folder in memory if the machine has one, since hundreds of runs synchronise their files."""
     shared = Path("/dev/shm")
     if not os.access(shared, os.W_OK):
         yield tmp_path
@@ -51,7 +51,7 @@ def memory(tmp_path: Path) -> Iterator[Path]:
 
 @dataclass(frozen=True)
 class Prepared:
-    """A scenario that was run without a disturbance, and the state that the disturbed ones begin with."""
+    """A scenario that ran undisturbed, and the state in which the disturbed runs start."""
 
     scenario: Scenario
     start: Path
@@ -61,7 +61,7 @@ class Prepared:
     after: Mapping[str, Mapping[str, bytes]]
 
     def copy(self, to: Path) -> Path:
-        """Make a copy of the state that the run begins with; a workspace knows its own name, but not its place."""
+        """Copy the start state of the run; a workspace knows its own name, but not its path."""
         shutil.copytree(self.start, to)
         return to
 
@@ -91,7 +91,7 @@ def prepare(name: str, folder: Path, keymint: Keymint) -> Prepared:
 
 
 def chosen(points: Sequence[Point], most: int = IN_ORDER) -> list[Point]:
-    """Return the points to strike at: of each kind of call, some from the whole course of the run."""
+    """Return the calls to disturb: for each kind of call, some spread over the run."""
     if FULL:
         return list(points)
     kept: list[Point] = []
@@ -104,7 +104,7 @@ def chosen(points: Sequence[Point], most: int = IN_ORDER) -> list[Point]:
 
 
 def require_convergence(prepared: Prepared, folder: Path, keymint: Keymint) -> None:
-    """Require that the run, made once more, ends what the disturbed one began."""
+    """Check that running again completes the work of the disturbed run."""
     workspace = folder / "ws"
     minted = scenarios.keys(workspace)
     again = keymint(*prepared.scenario.arguments(folder))
@@ -126,7 +126,7 @@ def disturb(
     keymint: Keymint,
     require: Callable[[Ended, Point], None],
 ) -> None:
-    """Strike copies of a run, each at a point of its own, and look at each as it was left and after another run."""
+    """Disturb copies of a run, each at its own call; check each afterwards, and again after another run."""
     assert points
     copies = [prepared.copy(folder / f"{how}-{at}") for at in range(len(points))]
     struck = [(point, prepared.scenario.arguments(copy)) for point, copy in zip(points, copies, strict=True)]
@@ -145,13 +145,13 @@ def disturb(
 
 
 def one_line(ended: Ended) -> str:
-    """Return the only line that a run said that did not end well."""
+    """Return the only line that a failed run printed."""
     [line] = ended.output.strip().splitlines()
     return line
 
 
 @pytest.mark.parametrize("name", SCENARIOS)
-def test_killed_at_any_call_a_run_converges(name: str, memory: Path, keymint: Keymint) -> None:
+def test_a_run_killed_at_any_call_converges(name: str, memory: Path, keymint: Keymint) -> None:
     prepared = prepare(name, memory, keymint)
 
     def killed(ended: Ended, _point: Point) -> None:
@@ -161,7 +161,7 @@ def test_killed_at_any_call_a_run_converges(name: str, memory: Path, keymint: Ke
 
 
 @pytest.mark.parametrize("name", ["fresh", "update"])
-def test_interrupted_at_any_call_a_run_says_so_and_converges(name: str, memory: Path, keymint: Keymint) -> None:
+def test_a_run_interrupted_at_any_call_reports_it_and_converges(name: str, memory: Path, keymint: Keymint) -> None:
     prepared = prepare(name, memory, keymint)
 
     def interrupted(ended: Ended, point: Point) -> None:
@@ -175,7 +175,7 @@ def test_interrupted_at_any_call_a_run_says_so_and_converges(name: str, memory: 
 
 
 @pytest.mark.parametrize(("error", "message"), [("ENOSPC", "No space left on device"), ("EACCES", "Permission denied")])
-def test_whichever_call_fails_it_is_said_in_one_line_and_a_later_run_converges(
+def test_a_failing_call_is_reported_in_one_line_and_a_later_run_converges(
     error: str, message: str, memory: Path, keymint: Keymint
 ) -> None:
     prepared = prepare("update", memory, keymint)
@@ -191,7 +191,7 @@ def test_whichever_call_fails_it_is_said_in_one_line_and_a_later_run_converges(
     disturb(prepared, f"error={error}", chosen(points, IN_ORDER // 2), memory, keymint, refused)
 
 
-def test_a_failing_prune_is_said_in_one_line_and_a_later_one_converges(memory: Path, keymint: Keymint) -> None:
+def test_a_failing_prune_is_reported_in_one_line_and_a_later_one_converges(memory: Path, keymint: Keymint) -> None:
     prepared = prepare("prune", memory, keymint)
 
     def refused(ended: Ended, _point: Point) -> None:
@@ -243,7 +243,7 @@ def test_a_command_that_is_killed_while_several_threads_write_converges(
     assert len(now) == 8 + 2
 
 
-def test_a_command_that_is_interrupted_while_it_is_imported_says_so(memory: Path) -> None:
+def test_a_command_interrupted_during_its_imports_reports_it(memory: Path) -> None:
     (memory / "policy.xml").write_text(scenarios.policy("/a"))
     module = re.compile("keymint/commands/.*provision")
     log = memory / "log"

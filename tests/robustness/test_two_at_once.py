@@ -1,4 +1,4 @@
-"""Two runs in one workspace at once: one waits, and says so."""
+"""Two runs in one workspace at once: one waits, and reports it."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ def require_clean(folder: Path, keymint: Keymint) -> None:
     assert "nothing to do" in again.out
 
 
-def test_who_finds_the_workspace_taken_says_that_it_waits_and_then_does_its_work(
+def test_a_run_that_waits_for_the_workspace_lock_reports_it_and_then_does_its_work(
     folder: Path, keymint: Keymint
 ) -> None:
     assert keymint("init", folder / "ws", "--policy", folder / "policy.xml").code == 0
@@ -59,7 +59,7 @@ def test_who_finds_the_workspace_taken_says_that_it_waits_and_then_does_its_work
     require_clean(folder, keymint)
 
 
-def test_two_runs_that_make_the_workspace_both_end_well(folder: Path, keymint: Keymint) -> None:
+def test_two_runs_that_create_the_workspace_both_succeed(folder: Path, keymint: Keymint) -> None:
     runs = [start(folder, "provision", folder / "policy.xml") for _ in range(3)]
     said = [run.communicate(timeout=60) for run in runs]
     assert [run.returncode for run in runs] == [0, 0, 0], said
@@ -71,7 +71,7 @@ READERS = (["check"], ["status"], ["prove"], ["verify", "-t", "omg"], ["install"
 
 
 @pytest.mark.parametrize("verb", READERS, ids=lambda verb: verb[0])
-def test_who_only_looks_waits_for_a_run_that_writes_and_not_for_another_that_looks(
+def test_a_reader_waits_for_a_writer_but_not_for_another_reader(
     folder: Path, keymint: Keymint, verb: list[str]
 ) -> None:
     assert keymint("provision", folder / "policy.xml", "-w", folder / "ws").code == 0
@@ -88,7 +88,7 @@ def test_who_only_looks_waits_for_a_run_that_writes_and_not_for_another_that_loo
     assert (run.returncode, err) == (0, ""), out
 
 
-def test_nobody_sees_what_a_running_install_is_about_to_finish(folder: Path, keymint: Keymint) -> None:
+def test_no_reader_sees_the_unfinished_work_of_a_running_install(folder: Path, keymint: Keymint) -> None:
     names = ("/robot", "/robot/talker", "/robot/arm", "/listener")
     (folder / "policy.xml").write_text(scenarios.policy(*names))
     assert keymint("provision", folder / "policy.xml", "-w", folder / "ws").code == 0

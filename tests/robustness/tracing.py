@@ -1,4 +1,4 @@
-"""Strikes a run at a chosen system call: kills it, interrupts it, or has the call fail."""
+"""Disturbs a run at a chosen system call: kills it, interrupts it, or makes the call fail."""
 
 from __future__ import annotations
 
@@ -19,13 +19,13 @@ from .launcher import HARMLESS
 HERE = Path(__file__).parent
 CALLS = ",".join(HARMLESS)
 _MARGIN = 100
-"""Calls of a kind that the start of Python may make more than when it was counted."""
+"""Number of additional calls of a kind that starting Python may make."""
 _LINE = re.compile(r"(?P<process>\d+) +(?P<call>\w+)\((?P<rest>.*)")
 
 
 @dataclass(frozen=True)
 class Point:
-    """A call that changes the workspace: its name, and its number among those of that name in its process."""
+    """A call that changes the workspace: its name, and its number among the calls of that name in its process."""
 
     call: str
     number: int
@@ -52,14 +52,14 @@ class Trace:
 
 @dataclass(frozen=True)
 class Ended:
-    """How a run ended: its exit code, or the negative number of the signal that killed it."""
+    """The result of a run: its exit code, or the negative number of the signal that killed it."""
 
     code: int
     output: str
 
 
 def require_strace() -> None:
-    """Skip, visibly, where nothing can be traced; fail where CI demands that it can."""
+    """Skip the test if tracing is impossible; fail if CI requires it."""
     try:
         ran = subprocess.run(["strace", "-o", os.devnull, "true"], capture_output=True, text=True, check=False)
         problem = ran.stderr.strip() if ran.returncode else ""
@@ -115,7 +115,7 @@ def trace(arguments: list[str], workspace: Path, folder: Path) -> Trace:
 
 
 def strike(how: str, struck: Sequence[tuple[Point, list[str]]], traced: Trace, folder: Path) -> list[Ended]:
-    """Run command lines, each struck at a point of its own.
+    """Run command lines, each disturbed at its own call.
 
     Args:
         how: ``signal=SIGKILL``, ``signal=SIGINT``, ``error=ENOSPC``, …; see strace(1), "Tampering".
