@@ -30,7 +30,8 @@ def compared(task: tuple[int, int]) -> Counts:
         counts = bench.compare(count, seed)
         for name, signed, text in bench.genuine:
             counts.counts["files as tools sign them"] += 1
-            readings = {"we": bench.ours(signed)} | {reader: read(signed) for reader, read in bench.readers.items()}
+            readings = {reader: read(signed) for reader, read in bench.readers.items()}
+            readings["Keymint"] = bench.ours(signed)
             for reader, content in readings.items():
                 if content is None or content.replace(b"\r\n", b"\n") != text:
                     counts.wrong.append(f"{name}, seed {seed}: {reader} reads other content than was signed")

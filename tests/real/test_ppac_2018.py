@@ -78,4 +78,4 @@ def test_the_script_does_not_touch_a_folder_that_it_did_not_create(tmp_path: Pat
         check=False,
     )
     assert (done.returncode, (tmp_path / "mine").is_dir()) == (2, True)
-    assert "name another folder" in done.stderr
+    assert "choose another folder" in done.stderr
