@@ -31,7 +31,7 @@ def compared(task: tuple[int, int]) -> Counts:
         for name, signed, text in bench.genuine:
             counts.counts["files as tools sign them"] += 1
             readings = {reader: read(signed) for reader, read in bench.readers.items()}
-            readings["Keymint"] = bench.ours(signed)
+            readings["Keymint"] = bench.by_keymint(signed)
             for reader, content in readings.items():
                 if content is None or content.replace(b"\r\n", b"\n") != text:
                     counts.wrong.append(f"{name}, seed {seed}: {reader} reads other content than was signed")

@@ -115,7 +115,7 @@ def compiled(policy: Path, subject: str) -> tuple[str, str]:
     """Compile the rules of a subject; return its unsigned permissions and governance.
 
     Raises:
-        KeymintError: the policy says what not all vendors would understand alike.
+        KeymintError: the policy is not portable across vendors.
     """
     rules = policy_type.load([PolicySource("policy", policy, _HERE)], None).rules(subject)
     assert rules is not None

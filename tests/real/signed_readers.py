@@ -165,7 +165,7 @@ class Counts:
     """The result of a comparison.
 
     Attributes:
-        counts: files by what happened.
+        counts: number of files by result.
         wrong: a line for each file that we accept, and another reader refuses or reads as something else.
     """
 
@@ -178,7 +178,7 @@ class Bench:
 
     Args:
         scratch: an empty folder.
-        cyclone: Cyclone DDS is asked as well.
+        cyclone: whether to use Cyclone DDS as well.
     """
 
     def __init__(self, scratch: Path, *, cyclone: bool) -> None:
@@ -201,7 +201,7 @@ class Bench:
         if cyclone:
             self.readers["Cyclone DDS"] = Cyclone(folder, topics).read
 
-    def ours(self, signed: bytes) -> bytes | None:
+    def by_keymint(self, signed: bytes) -> bytes | None:
         """Return the content as Keymint reads and verifies it."""
         try:
             return smime.read(signed, self.authority, where=Origin("permissions.p7s")).content
@@ -215,39 +215,39 @@ class Bench:
             source: Sequence[bytes] = self._odd if number % 20 == 19 else self._pool
             yield mutated(chance.choice(source), self._pool, chance)
 
-    def compare(self, count: int, seed: int, *, asked_of: int = 1) -> Counts:
+    def compare(self, count: int, seed: int, *, every: int = 1) -> Counts:
         """Compare our reader with the others.
 
         Args:
-            count: how many mutated files.
-            seed: of the random generator.
-            asked_of: the command, and Cyclone DDS, are asked about every so many of the files that we refuse; about
-                all that we accept.
+            count: number of mutated files.
+            seed: seed of the random generator.
+            every: of the files that Keymint refuses, the command and Cyclone DDS read one in ``every``; they read all
+                files that Keymint accepts.
         """
-        found = Counts()
+        comparison = Counts()
         for number, signed in enumerate(self.mutations(count, seed)):
-            mine = self.ours(signed)
+            content = self.by_keymint(signed)
             others: dict[str, bytes | None] = {}
             for name, read in self.readers.items():
-                if mine is not None or number % asked_of == 0 or name.startswith("libcrypto"):
+                if content is not None or number % every == 0 or name.startswith("libcrypto"):
                     others[name] = _with_lf(read(signed))
-                    found.counts[f"asked {name}"] += 1
-            found.counts["files"] += 1
-            found.counts["accepted by us"] += mine is not None
+                    comparison.counts[f"read by {name}"] += 1
+            comparison.counts["files"] += 1
+            comparison.counts["accepted by Keymint"] += content is not None
             some = {text for text in others.values() if text is not None}
-            found.counts["refused by us, accepted by a vendor or openssl"] += mine is None and bool(some)
-            found.counts["refused by all"] += mine is None and not some
+            comparison.counts["refused by Keymint, accepted by a vendor or openssl"] += content is None and bool(some)
+            comparison.counts["refused by all"] += content is None and not some
             mailed = by_email(signed)
             if some and mailed is not None and mailed not in some:
-                found.counts["openssl and Python's email read different contents"] += 1
+                comparison.counts["openssl and Python's email read different contents"] += 1
             others["Python's email"] = mailed
-            if mine is not None:
+            if content is not None:
                 for name, text in others.items():
-                    if text != mine:
-                        found.wrong.append(
-                            f"file {number} of seed {seed}: {name} reads {text!r:.200}, we {mine!r:.200}"
+                    if text != content:
+                        comparison.wrong.append(
+                            f"file {number} of seed {seed}: {name} reads {text!r:.200}, Keymint {content!r:.200}"
                         )
-        return found
+        return comparison
 
 
 def _with_lf(text: bytes | None) -> bytes | None:

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from .handmade import Authorities
 
 pytestmark = pytest.mark.skipif(not HAVE_OPENSSL, reason="openssl is not installed: apt-get install openssl")
-FILES, SEED, ASKED_OF = 400, 2024, 10
+FILES, SEED, READ_EVERY = 400, 2024, 10
 
 
 @pytest.fixture(scope="module")
@@ -34,22 +34,22 @@ def bench(tmp_path_factory: pytest.TempPathFactory, cyclone_plugins: None) -> Be
 @pytest.mark.cyclonedds
 def test_all_readers_see_the_same_content_in_files_of_common_tools(bench: Bench) -> None:
     for name, signed, text in bench.genuine:
-        assert bench.ours(signed) == text, name
+        assert bench.by_keymint(signed) == text, name
         for reader, read in bench.readers.items():
-            found = read(signed)
-            assert found is not None, (name, reader)
-            assert found.replace(b"\r\n", b"\n") == text, (name, reader)
+            content = read(signed)
+            assert content is not None, (name, reader)
+            assert content.replace(b"\r\n", b"\n") == text, (name, reader)
 
 
 @pytest.mark.cyclonedds
 def test_mutated_files_that_we_accept_have_the_same_content_for_all(bench: Bench) -> None:
     """A sample of the comparisons of ``benchmarks/signed_files.py``."""
-    found = bench.compare(FILES, SEED, asked_of=ASKED_OF)
-    assert found.wrong == []
-    assert found.counts["files"] == FILES
-    assert found.counts["accepted by us"] > FILES // 20
-    assert found.counts["refused by us, accepted by a vendor or openssl"] > FILES // 20
-    assert found.counts["openssl and Python's email read different contents"] > 0
+    comparison = bench.compare(FILES, SEED, every=READ_EVERY)
+    assert comparison.wrong == []
+    assert comparison.counts["files"] == FILES
+    assert comparison.counts["accepted by Keymint"] > FILES // 20
+    assert comparison.counts["refused by Keymint, accepted by a vendor or openssl"] > FILES // 20
+    assert comparison.counts["openssl and Python's email read different contents"] > 0
 
 
 def permissions(topic: str) -> bytes:

@@ -76,7 +76,7 @@ def in_tree(content: bytes, chance: Random, others: Sequence[bytes]) -> bytes:
 
     Args:
         content: a well-formed document.
-        chance: what happens.
+        chance: source of random choices.
         others: well-formed documents to take elements and texts from.
     """
     root = etree.fromstring(content)

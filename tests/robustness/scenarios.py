@@ -64,8 +64,8 @@ class Scenario:
 
     Attributes:
         before: runs that prepare it.
-        change: what a user changes then, in the folder of the workspace and the policy.
-        verb: the run itself, as its arguments; ``{}`` stands for the folder.
+        change: applies a user's change to the folder of the workspace and the policy.
+        verb: the arguments of the run; ``{}`` is replaced by the folder.
     """
 
     before: tuple[Callable[[Path], None], ...]
