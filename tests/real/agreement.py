@@ -34,7 +34,6 @@ if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
     from pathlib import Path
 
-    from keymint_ros2_dds.vendors.cyclone_access_control import Direction
     from keymint_ros2_dds.vendors.participants import ProbeParticipant, Vendor
 
     import comarmor
@@ -67,7 +66,7 @@ REQUESTS: tuple[tuple[str, str], ...] = (
 class Operation:
     """An endpoint on a DDS topic."""
 
-    direction: Direction
+    direction: str
     topic: str
 
 

@@ -7,7 +7,7 @@ import time
 from typing import TYPE_CHECKING
 
 import pytest
-from keymint_ros2_dds.vendors.participants import DeniedError, Direction, ProbeEndpoint, RefusedError, System
+from keymint_ros2_dds.vendors.participants import DeniedError, ProbeEndpoint, RefusedError, System
 
 from .provisioning import enclave
 
@@ -74,22 +74,20 @@ def copied(install: Path, tmp_path: Path) -> Callable[[str], Path]:
 def test_talker_and_listener_exchange_samples(install: Path, system: System) -> None:
     reader = system.open(enclave(install, "/listener")).edge("subscribe", "rt/chatter")
     writer = system.open(enclave(install, "/talker")).edge("publish", "rt/chatter")
-    writer.await_match()
     for text in ("hello", "world"):
         writer.write(text)
-    assert [reader.read(), reader.read()] == ["hello", "world"]
+        assert reader.read() == text
 
 
 def test_client_and_server_exchange_request_and_reply(install: Path, system: System) -> None:
     client = system.open(enclave(install, "/talker"))
     server = system.open(enclave(install, "/listener"))
-    ends: tuple[tuple[Direction, Direction, str], ...] = (
+    ends: tuple[tuple[str, str, str], ...] = (
         ("publish", "subscribe", "rq/add_two_intsRequest"),
         ("subscribe", "publish", "rr/add_two_intsReply"),
     )
     for at_client, at_server, topic in ends:
         edges = {at_client: client.edge(at_client, topic), at_server: server.edge(at_server, topic)}
-        edges["publish"].await_match()
         edges["publish"].write(topic)
         assert edges["subscribe"].read() == topic
 
@@ -120,7 +118,7 @@ def test_a_writer_on_a_denied_topic_is_refused(install: Path, system: System) ->
     ],
 )
 def test_an_enclave_without_the_permission_is_refused(
-    install: Path, system: System, subject: str, direction: Direction, topic: str
+    install: Path, system: System, subject: str, direction: str, topic: str
 ) -> None:
     participant = system.open(enclave(install, subject))
     with pytest.raises(DeniedError):

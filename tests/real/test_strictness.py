@@ -23,9 +23,8 @@ from .handmade import Authorities, criteria, governance_document, permissions_do
 if TYPE_CHECKING:
     from pathlib import Path
 
-    from keymint_ros2_dds.vendors.participants import Direction
 
-QUESTIONS: tuple[tuple[Direction, str, tuple[str, ...]], ...] = (
+QUESTIONS: tuple[tuple[str, str, tuple[str, ...]], ...] = (
     ("publish", "rt/x", ()), ("publish", "rt/y", ()), ("publish", "rt/z", ()), ("subscribe", "rt/s", ()),
     ("publish", "rt/", ()), ("publish", "rt/other", ()), ("publish", "rt/p", ("a",)),
 )  # fmt: skip

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 import pytest
 from cryptography.x509.oid import NameOID
-from keymint_ros2_dds.vendors.participants import DeniedError, Direction, RefusedError, System, Vendor
+from keymint_ros2_dds.vendors.participants import DeniedError, RefusedError, System, Vendor
 
 from .handmade import Authorities, criteria, rule
 
@@ -40,7 +40,7 @@ def test_rules(
     authorities: Authorities, system: System, tmp_path: Path, rules: str, allowed: list[tuple[str, str]]
 ) -> None:
     participant = system.open(authorities.enclave(tmp_path, rules))
-    directions: tuple[Direction, Direction] = ("publish", "subscribe")
+    directions: tuple[str, str] = ("publish", "subscribe")
     questions = [(direction, topic) for direction in directions for topic in ("rt/x", "rt/y")]
     assert [question for question in questions if participant.allows(*question)] == allowed
 
@@ -77,7 +77,6 @@ def test_two_rdns_in_the_order_of_rfc_4514(authorities: Authorities, system: Sys
 
     reader = system.open(enclave("/listener", "b", rule("allow", SUBSCRIBE_X))).edge("subscribe", "rt/x")
     writer = system.open(enclave("/talker", "a", rule("allow", PUBLISH_X))).edge("publish", "rt/x")
-    writer.await_match()
     writer.write("hello")
     assert reader.read() == "hello"
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
 from itertools import groupby
-from typing import cast
 
 from keymint.api import Availability, Tier, Verdict
 from keymint.errors import KeymintError
@@ -14,7 +13,6 @@ from keymint_ros2_dds.lowering.endpoints import endpoints
 from keymint_ros2_dds.transports import enclave_files
 from keymint_ros2_dds.transports.enclave_model import EnclaveModel, EnclaveModels
 from keymint_ros2_dds.vendors.participants import (
-    Direction,
     ProbeError,
     ProbeParticipant,
     RefusedError,
@@ -100,5 +98,5 @@ def _asked(participant: ProbeParticipant, needed: Iterable[Edge]) -> Iterator[tu
         if reason:
             yield False, reason
         else:
-            found = endpoint.object
-            yield participant.ask(cast("Direction", endpoint.permission), found.name, found.partitions)
+            topic = endpoint.object
+            yield participant.ask(endpoint.permission, topic.name, topic.partitions)

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import ExitStack
 from pathlib import Path
-from typing import cast
 
 from comarmor.errors import Origin
 from keymint.api import Availability, Tier, Verdict
@@ -20,7 +19,7 @@ from keymint_ros2_dds.transports import admission, enclave_files
 from keymint_ros2_dds.transports.enclave_model import EnclaveModel, EnclaveModels
 from keymint_ros2_dds.transports.participants_transport import RealTransport
 from keymint_ros2_dds.vendors import probe_builds
-from keymint_ros2_dds.vendors.cyclone_access_control import AccessControl, Direction
+from keymint_ros2_dds.vendors.cyclone_access_control import AccessControl
 from keymint_ros2_dds.vendors.participants import CycloneDDS
 
 
@@ -96,7 +95,7 @@ def _open(enclave_model: EnclaveModel, folder: Path, domain: int, stack: ExitSta
 
 def _answers(access: AccessControl, needed: Iterable[Edge]) -> Iterator[tuple[bool, str]]:
     for endpoint in needed:
-        found = endpoint.object
+        topic = endpoint.object
         reason = admission.unsayable(endpoint)
-        allowed = not reason and access.allows(cast("Direction", endpoint.permission), found.name, found.partitions)
+        allowed = not reason and access.allows(endpoint.permission, topic.name, topic.partitions)
         yield allowed, "the access-control plugin allows it" if allowed else reason or access.reason

@@ -24,7 +24,6 @@ from keymint_ros2_dds.transports import admission
 from keymint_ros2_dds.transports.enclave_model import EnclaveModel, EnclaveModels
 from keymint_ros2_dds.vendors.participants import (
     DeniedError,
-    Direction,
     ProbeEndpoint,
     ProbeError,
     ProbeParticipant,
@@ -147,8 +146,7 @@ def _admitted(vendor: Vendor, enclave: Enclave, peers: _Peers, batch: Sequence[E
             if participant is None or reason:
                 admitted, said = False, refusal or reason
             else:
-                direction = cast("Direction", endpoint.permission)
-                admitted, said = participant.ask(direction, endpoint.object.name, endpoint.object.partitions)
+                admitted, said = participant.ask(endpoint.permission, endpoint.object.name, endpoint.object.partitions)
             found[endpoint] = _Trial(endpoint, admitted, said, None if reason else peers.of(endpoint))
     return found
 

@@ -20,9 +20,8 @@ from contextlib import contextmanager
 from ctypes import POINTER, Structure, byref, c_char_p, c_int, c_int32, c_int64, c_ubyte, c_uint32, c_void_p
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Literal, Self
+from typing import Any, Self
 
-Direction = Literal["publish", "subscribe"]
 Document = Path | bytes | str
 """A file, the content itself, or a URI (``file:`` or ``data:,``) as the property of a participant has it."""
 
@@ -221,38 +220,17 @@ class AccessControl:
         qos, _, exception = self._references
         return self._noted(self._check_participant(self._plugin, self._handle, self._domain, qos, exception))
 
-    def allows_topic(self, topic: str) -> bool:
-        """Tell whether the enclave may create the topic: the check before that of any writer or reader."""
-        if not self._handle:
-            return False
-        qos, _, exception = self._references
-        return self._noted(self._check_topic(self._plugin, self._handle, self._domain, _octets(topic), qos, exception))
-
-    def allows_endpoint(self, direction: Direction, topic: str, partitions: Iterable[str] = ()) -> bool:
-        """Tell whether the enclave may create a writer (``publish``) or a reader (``subscribe``) of the topic."""
+    def allows(self, direction: str, topic: str, partitions: Iterable[str] = ()) -> bool:
+        """Tell whether the enclave may create a writer (``publish``) or a reader (``subscribe``), and its topic."""
         if not self._handle:
             return False
         qos, tags, exception = self._references
+        subject = self._plugin, self._handle, self._domain, _octets(topic), qos
+        if not self._noted(self._check_topic(*subject, exception)):
+            return False
         names = [_octets(partition) for partition in partitions]
-        buffer = (c_char_p * len(names))(*names)
-        partition_qos = _String(len(names), len(names), buffer)
-        check = self._check_endpoint[direction]
-        return self._noted(
-            check(
-                self._plugin,
-                self._handle,
-                self._domain,
-                _octets(topic),
-                qos,
-                byref(partition_qos),
-                tags,
-                exception,
-            )
-        )
-
-    def allows(self, direction: Direction, topic: str, partitions: Iterable[str] = ()) -> bool:
-        """Tell whether a participant of the enclave gets a writer or a reader: topic check, then endpoint check."""
-        return self.allows_topic(topic) and self.allows_endpoint(direction, topic, partitions)
+        partition_qos = _String(len(names), len(names), (c_char_p * len(names))(*names))
+        return self._noted(self._check_endpoint[direction](*subject, byref(partition_qos), tags, exception))
 
     def close(self) -> None:
         """Free the plugin instance; it denies everything afterwards."""

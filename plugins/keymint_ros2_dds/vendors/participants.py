@@ -21,16 +21,15 @@ import select
 import subprocess
 import tempfile
 import time
+from abc import ABC, abstractmethod
 from collections.abc import Iterable, Mapping
 from contextlib import ExitStack
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import IO, Literal, Protocol, Self, cast
+from typing import IO, Self, cast
 
 from keymint_ros2_dds.vendors import cyclone_access_control
 from keymint_ros2_dds.vendors.ports import FIRST_PARTICIPANT, Ports
-
-Direction = Literal["publish", "subscribe"]
 
 GRACE_SECONDS = 30.0
 """How long an answer may take beyond the time of its command before the probe counts as hung."""
@@ -44,10 +43,6 @@ class DeniedError(Exception):
     """The vendor denies the writer or reader."""
 
 
-class NotMatchedError(Exception):
-    """No peer matches in time."""
-
-
 class MatchedError(Exception):
     """A peer matches although none should."""
 
@@ -56,17 +51,21 @@ class ProbeError(Exception):
     """The probe hangs, has died, or does not know the command: not a decision of the vendor."""
 
 
-class Vendor(Protocol):
-    """How participants of a vendor are started."""
+@dataclass(frozen=True, slots=True)
+class Vendor(ABC):
+    """How participants of a vendor are started.
 
-    @property
-    def program(self) -> Path:
-        """The vendor's built probe program."""
+    Attributes:
+        program: the vendor's built probe program.
+        environment: environment variables of every process.
+        nonconforming: the built library that makes a participant ignore its own permissions, if any.
+    """
 
-    @property
-    def nonconforming(self) -> Path | None:
-        """The built library that makes a participant ignore its own permissions, if any."""
+    program: Path
+    environment: Mapping[str, str] = field(default_factory=dict, repr=False)
+    nonconforming: Path | None = None
 
+    @abstractmethod
     def start(
         self, first_port: int, index: int, *, conforming: bool = True
     ) -> tuple[Mapping[str, str], tuple[str, ...]]:
@@ -79,13 +78,8 @@ class Vendor(Protocol):
         """
 
 
-@dataclass(frozen=True, slots=True)
-class CycloneDDS:
+class CycloneDDS(Vendor):
     """Participants of Cyclone DDS; the transport is configured as for any application, by ``CYCLONEDDS_URI``."""
-
-    program: Path
-    environment: Mapping[str, str] = field(default_factory=dict, repr=False)
-    nonconforming: Path | None = None
 
     def start(
         self, first_port: int, index: int, *, conforming: bool = True
@@ -106,21 +100,16 @@ class CycloneDDS:
         return environment, (str(plugins), str(self.nonconforming))
 
 
-@dataclass(frozen=True, slots=True)
-class FastDDS:
+class FastDDS(Vendor):
     """Participants of Fast DDS; the transport is configured by the probe.
 
     The process's time zone is UTC, because Fast DDS reads the dates of permissions as local time.
     """
 
-    program: Path
-    environment: Mapping[str, str] = field(default_factory=dict, repr=False)
-    nonconforming: Path | None = None
-
     def start(
         self, first_port: int, index: int, *, conforming: bool = True
     ) -> tuple[Mapping[str, str], tuple[str, ...]]:
-        """Return the time zone, and the first port of participants with this one's place after it."""
+        """Return the time zone, and the first port of participants followed by the participant's number."""
         environment = {**self.environment, "TZ": "UTC"}
         if not conforming:
             environment["LD_PRELOAD"] = str(self.nonconforming)
@@ -172,7 +161,7 @@ class ProbeParticipant:
         self._process = process
         self._edges = 0
 
-    def edge(self, direction: Direction, topic: str, partitions: Iterable[str] = ()) -> ProbeEndpoint:
+    def edge(self, direction: str, topic: str, partitions: Iterable[str] = ()) -> ProbeEndpoint:
         """Create a writer or a reader.
 
         Raises:
@@ -184,11 +173,11 @@ class ProbeParticipant:
             raise DeniedError(reason)
         return ProbeEndpoint(self._process, name)
 
-    def allows(self, direction: Direction, topic: str, partitions: Iterable[str] = ()) -> bool:
+    def allows(self, direction: str, topic: str, partitions: Iterable[str] = ()) -> bool:
         """Tell whether the vendor allows a writer or reader; it is deleted at once."""
         return self.ask(direction, topic, partitions)[0]
 
-    def ask(self, direction: Direction, topic: str, partitions: Iterable[str] = ()) -> tuple[bool, str]:
+    def ask(self, direction: str, topic: str, partitions: Iterable[str] = ()) -> tuple[bool, str]:
         """Tell the same, with the vendor's message if it denies."""
         answer, reason = self._process.ask("TRY", direction, topic, *partitions)
         return answer == "ALLOWED", reason.strip()
@@ -205,33 +194,17 @@ class ProbeEndpoint:
         self._process = process
         self._name = name
 
-    def await_match(self, seconds: float = 20.0) -> None:
-        """Wait until a peer matches; complaints of the vendor do not end the wait.
-
-        Raises:
-            NotMatchedError: none matches in time; with the vendor's complaints.
-        """
-        deadline, complaints = time.monotonic() + seconds, []
-        while (left := deadline - time.monotonic()) > 0:
-            answer, rest = self._await(left)
-            if answer == "MATCHED":
-                return
-            complaints.append(rest)
-        raise NotMatchedError("; ".join(filter(None, complaints)) or "no complaint")
-
     def await_rejection(self, seconds: float) -> str | None:
         """Wait until the vendor rejects a peer; return why, or None if nothing happens in time.
 
         Raises:
             MatchedError: a peer matches.
         """
-        answer, rest = self._await(seconds)
+        milliseconds = str(round(seconds * 1000))
+        answer, reason = self._process.ask("AWAIT", self._name, milliseconds, seconds=seconds)
         if answer == "MATCHED":
             raise MatchedError
-        return rest or None
-
-    def _await(self, seconds: float) -> tuple[str, str]:
-        return self._process.ask("AWAIT", self._name, str(round(seconds * 1000)), seconds=seconds)
+        return reason or None
 
     def write(self, text: str) -> None:
         """Publish a sample."""

@@ -11,7 +11,7 @@ import os
 import shutil
 import subprocess
 import tempfile
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from types import MappingProxyType
@@ -19,17 +19,12 @@ from types import MappingProxyType
 from keymint_ros2_dds.vendors import cyclone_access_control, program_cache
 
 _SOURCES = Path(__file__).parent
-
-
-_INHERITED = ("PATH", "LD_LIBRARY_PATH")
+_NO_VARIABLES: Mapping[str, str] = MappingProxyType({})
 
 
 def inherited(environment: Mapping[str, str]) -> Mapping[str, str]:
     """Return the variables that a probe inherits: none that configures a vendor."""
-    return {name: environment[name] for name in _INHERITED if name in environment}
-
-
-_NOTHING: Mapping[str, str] = MappingProxyType({})
+    return {name: environment[name] for name in ("PATH", "LD_LIBRARY_PATH") if name in environment}
 
 
 class MissingVendorError(Exception):
@@ -67,28 +62,22 @@ class Probe:
     arguments: tuple[str, ...]
     packages: tuple[str, ...]
 
-    def require(self, environment: Mapping[str, str] = _NOTHING) -> tuple[str, bytes]:
+    def require(self, environment: Mapping[str, str] = _NO_VARIABLES) -> tuple[str, bytes]:
         """Return the compiler, and the preprocessed header.
 
         Raises:
             MissingVendorError: compiler or headers are not installed.
         """
-        path = environment.get("PATH", os.defpath)
-        compiler = next(filter(None, (shutil.which(name, path=path) for name in self.compilers)), None)
+        compiler = self._compiler(environment)
         if compiler is None:
             reason = f"no compiler {' or '.join(self.compilers)}"
             raise MissingVendorError(self.vendor, reason, (self.compilers[0], *self.packages))
-        looked_for = subprocess.run(  # noqa: S603 - no shell, and no word of it from outside
-            [compiler, *self.arguments[:1], "-E", "-include", self.header, "-x", self._language, os.devnull],
-            capture_output=True,
-            check=False,
-            env={"PATH": path},
-        )
-        if looked_for.returncode:
+        preprocessing = self._preprocess(compiler, self.header, environment)
+        if preprocessing.returncode:
             raise MissingVendorError(self.vendor, f"no header {self.header}", self.packages)
-        return compiler, looked_for.stdout
+        return compiler, preprocessing.stdout
 
-    def build(self, cache: Path, environment: Mapping[str, str] = _NOTHING) -> Path:
+    def build(self, cache: Path, environment: Mapping[str, str] = _NO_VARIABLES) -> Path:
         """Return the program; build it if it is not in the cache.
 
         Args:
@@ -106,36 +95,39 @@ class Probe:
             with tempfile.TemporaryDirectory(dir=program.parent) as scratch:
                 output = Path(scratch) / program.name
                 command = [compiler, *self.arguments[:1], "-O1", "-o", str(output), str(source)]
-                done = subprocess.run(  # noqa: S603 - no shell, and no word of it from outside
-                    [*command, *self.arguments[1:]],
-                    capture_output=True,
-                    check=False,
-                    env={"PATH": environment.get("PATH", os.defpath)},
-                )
-                if done.returncode:
-                    said = done.stderr.decode(errors="replace").strip().splitlines()
-                    reason = f"{self.source} cannot be built: {said[-1] if said else 'no message'}"
+                compilation = _run([*command, *self.arguments[1:]], environment)
+                if compilation.returncode:
+                    errors = compilation.stderr.decode(errors="replace").strip().splitlines()
+                    reason = f"{self.source} cannot be built: {errors[-1] if errors else 'no message'}"
                     raise MissingVendorError(self.vendor, reason, self.packages)
                 output.chmod(0o700)
                 output.replace(program)
         return program
 
-    def version(self, header: str, macro: str, environment: Mapping[str, str] = _NOTHING) -> str:
+    def version(self, header: str, macro: str, environment: Mapping[str, str] = _NO_VARIABLES) -> str:
         """Return the value of the macro of the vendor's version, or an empty text."""
-        path = environment.get("PATH", os.defpath)
-        compiler = next(filter(None, (shutil.which(name, path=path) for name in self.compilers)), None)
+        compiler = self._compiler(environment)
         if compiler is None:
             return ""
-        command = [compiler, *self.arguments[:1], "-E", "-dM", "-include", header, "-x", self._language, os.devnull]
-        done = subprocess.run(  # noqa: S603 - no shell, and no word of it from outside
-            command, capture_output=True, text=True, check=False, env={"PATH": path}
-        )
-        lines = (line.split(maxsplit=2) for line in done.stdout.splitlines())
+        output = self._preprocess(compiler, header, environment, "-dM").stdout.decode(errors="replace")
+        lines = (line.split(maxsplit=2) for line in output.splitlines())
         return next((words[2].strip('"') for words in lines if words[1:2] == [macro] and len(words) == 3), "")  # noqa: PLR2004
 
-    @property
-    def _language(self) -> str:
-        return "c" if self.source.endswith(".c") else "c++"
+    def _compiler(self, environment: Mapping[str, str]) -> str | None:
+        path = environment.get("PATH", os.defpath)
+        return next(filter(None, (shutil.which(name, path=path) for name in self.compilers)), None)
+
+    def _preprocess(
+        self, compiler: str, header: str, environment: Mapping[str, str], *options: str
+    ) -> subprocess.CompletedProcess[bytes]:
+        language = "c" if self.source.endswith(".c") else "c++"
+        command = [compiler, *self.arguments[:1], "-E", *options, "-include", header, "-x", language, os.devnull]
+        return _run(command, environment)
+
+
+def _run(command: Sequence[str], environment: Mapping[str, str]) -> subprocess.CompletedProcess[bytes]:
+    path = environment.get("PATH", os.defpath)
+    return subprocess.run(command, capture_output=True, check=False, env={"PATH": path})  # noqa: S603 - no shell
 
 
 CYCLONE_PACKAGES = ("libddsc0debian", "cyclonedds-dev", "gcc")

@@ -21,7 +21,7 @@ def place(cache: Path, name: str) -> Path:
         name: the program's.
     """
     program = folder(cache) / name
-    return program if is_ours(program) or not os.path.lexists(program) else _of_this_run() / name
+    return program if is_ours(program) or not os.path.lexists(program) else Path(_of_this_run().name) / name
 
 
 def folder(cache: Path) -> Path:
@@ -33,8 +33,8 @@ def folder(cache: Path) -> Path:
     try:
         cache.mkdir(mode=0o700, parents=True, exist_ok=True)
     except OSError:
-        return _of_this_run()
-    return cache if is_ours_alone(cache) else _of_this_run()
+        return Path(_of_this_run().name)
+    return cache if is_ours_alone(cache) else Path(_of_this_run().name)
 
 
 def is_ours_alone(path: Path) -> bool:
@@ -79,11 +79,7 @@ def _is_safe(found: os.stat_result) -> bool:
     return stat.S_ISLNK(found.st_mode) or not writable or bool(found.st_mode & stat.S_ISVTX)
 
 
-def _of_this_run() -> Path:
-    return Path(_temporary().name)
-
-
 @functools.cache
-def _temporary() -> tempfile.TemporaryDirectory[str]:
+def _of_this_run() -> tempfile.TemporaryDirectory[str]:
     """Return a folder with mode 0700 that exists as long as the process."""
     return tempfile.TemporaryDirectory(prefix="keymint-")
