@@ -17,31 +17,23 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from comarmor.errors import ComArmorError, Diagnostic, Origin, Severity
-    from comarmor.language.loading import load, load_all
-    from comarmor.language.policy import Policy
-    from comarmor.language.render import render
-    from comarmor.language.syntax import Attachment, Decision, Profile, ProfileRule
-    from comarmor.rules import PARTS, PERMISSIONS, Effect, Rule
+    from comarmor.errors import ComArmorError as ComArmorError
+    from comarmor.errors import Diagnostic as Diagnostic
+    from comarmor.errors import Origin as Origin
+    from comarmor.errors import Severity as Severity
+    from comarmor.language.loading import load as load
+    from comarmor.language.loading import load_all as load_all
+    from comarmor.language.policy import Policy as Policy
+    from comarmor.language.render import render as render
+    from comarmor.language.syntax import Attachment as Attachment
+    from comarmor.language.syntax import Decision as Decision
+    from comarmor.language.syntax import Profile as Profile
+    from comarmor.language.syntax import ProfileRule as ProfileRule
+    from comarmor.rules import PARTS as PARTS
+    from comarmor.rules import PERMISSIONS as PERMISSIONS
+    from comarmor.rules import Effect as Effect
+    from comarmor.rules import Rule as Rule
 
-__all__ = [
-    "PARTS",
-    "PERMISSIONS",
-    "Attachment",
-    "ComArmorError",
-    "Decision",
-    "Diagnostic",
-    "Effect",
-    "Origin",
-    "Policy",
-    "Profile",
-    "ProfileRule",
-    "Rule",
-    "Severity",
-    "load",
-    "load_all",
-    "render",
-]
 
 _MODULES = {
     "comarmor.errors": ("ComArmorError", "Diagnostic", "Origin", "Severity"),

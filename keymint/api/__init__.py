@@ -18,111 +18,61 @@ group                        protocol
 
 from __future__ import annotations
 
-from comarmor.rules import Expectation
-from keymint.api.building import (
-    Artifact,
-    BuildOptions,
-    BuildResult,
-    BuildType,
-    EnclaveCredentials,
-    Hint,
-    Inspection,
-    NameMapping,
-    SigningAuthority,
-)
-from keymint.api.certificates import Authority, CertificateSpec, Extension, KeySpec, Validity
-from keymint.api.graphs import DiscoveredGraph, GraphSource, LearnedPolicy, PolicyLearner
-from keymint.api.packages import DomainRange, DomainRule, Governance, Package, Permissions, TopicProtection
-from keymint.api.policies import (
-    AppliedProfile,
-    LoadedPolicy,
-    PolicyDecision,
-    PolicyStructure,
-    PolicyType,
-    PolicyTypeWithTests,
-    StructuredPolicy,
-    WrittenProfile,
-    WrittenRule,
-)
-from keymint.api.profiles import (
-    Bootstrap,
-    PackageType,
-    PolicySource,
-    ProfileSettings,
-    ProfileType,
-    RuleLocator,
-    WorkspaceProfile,
-)
-from keymint.api.proving import (
-    Claim,
-    Counterexample,
-    Proof,
-    ProofTask,
-    Prover,
-    TrustAnchor,
-    TrustAnchors,
-    ValidityTerm,
-)
-from keymint.api.transports import Availability, Enclave, Environment, Tier, Transport, TransportType, Verdict
+from comarmor.rules import Expectation as Expectation
+from keymint.api.building import Artifact as Artifact
+from keymint.api.building import BuildOptions as BuildOptions
+from keymint.api.building import BuildResult as BuildResult
+from keymint.api.building import BuildType as BuildType
+from keymint.api.building import EnclaveCredentials as EnclaveCredentials
+from keymint.api.building import Hint as Hint
+from keymint.api.building import Inspection as Inspection
+from keymint.api.building import NameMapping as NameMapping
+from keymint.api.building import SigningAuthority as SigningAuthority
+from keymint.api.certificates import Authority as Authority
+from keymint.api.certificates import CertificateSpec as CertificateSpec
+from keymint.api.certificates import Extension as Extension
+from keymint.api.certificates import KeySpec as KeySpec
+from keymint.api.certificates import Validity as Validity
+from keymint.api.graphs import DiscoveredGraph as DiscoveredGraph
+from keymint.api.graphs import GraphSource as GraphSource
+from keymint.api.graphs import LearnedPolicy as LearnedPolicy
+from keymint.api.graphs import PolicyLearner as PolicyLearner
+from keymint.api.packages import DomainRange as DomainRange
+from keymint.api.packages import DomainRule as DomainRule
+from keymint.api.packages import Governance as Governance
+from keymint.api.packages import Package as Package
+from keymint.api.packages import Permissions as Permissions
+from keymint.api.packages import TopicProtection as TopicProtection
+from keymint.api.policies import AppliedProfile as AppliedProfile
+from keymint.api.policies import LoadedPolicy as LoadedPolicy
+from keymint.api.policies import PolicyDecision as PolicyDecision
+from keymint.api.policies import PolicyStructure as PolicyStructure
+from keymint.api.policies import PolicyType as PolicyType
+from keymint.api.policies import PolicyTypeWithTests as PolicyTypeWithTests
+from keymint.api.policies import StructuredPolicy as StructuredPolicy
+from keymint.api.policies import WrittenProfile as WrittenProfile
+from keymint.api.policies import WrittenRule as WrittenRule
+from keymint.api.profiles import Bootstrap as Bootstrap
+from keymint.api.profiles import PackageType as PackageType
+from keymint.api.profiles import PolicySource as PolicySource
+from keymint.api.profiles import ProfileSettings as ProfileSettings
+from keymint.api.profiles import ProfileType as ProfileType
+from keymint.api.profiles import RuleLocator as RuleLocator
+from keymint.api.profiles import WorkspaceProfile as WorkspaceProfile
+from keymint.api.proving import Claim as Claim
+from keymint.api.proving import Counterexample as Counterexample
+from keymint.api.proving import Proof as Proof
+from keymint.api.proving import ProofTask as ProofTask
+from keymint.api.proving import Prover as Prover
+from keymint.api.proving import TrustAnchor as TrustAnchor
+from keymint.api.proving import TrustAnchors as TrustAnchors
+from keymint.api.proving import ValidityTerm as ValidityTerm
+from keymint.api.transports import Availability as Availability
+from keymint.api.transports import Enclave as Enclave
+from keymint.api.transports import Environment as Environment
+from keymint.api.transports import Tier as Tier
+from keymint.api.transports import Transport as Transport
+from keymint.api.transports import TransportType as TransportType
+from keymint.api.transports import Verdict as Verdict
 
 API_VERSION = "1.0"
-
-__all__ = [
-    "API_VERSION",
-    "AppliedProfile",
-    "Artifact",
-    "Authority",
-    "Availability",
-    "Bootstrap",
-    "BuildOptions",
-    "BuildResult",
-    "BuildType",
-    "CertificateSpec",
-    "Claim",
-    "Counterexample",
-    "DiscoveredGraph",
-    "DomainRange",
-    "DomainRule",
-    "Enclave",
-    "EnclaveCredentials",
-    "Environment",
-    "Expectation",
-    "Extension",
-    "Governance",
-    "GraphSource",
-    "Hint",
-    "Inspection",
-    "KeySpec",
-    "LearnedPolicy",
-    "LoadedPolicy",
-    "NameMapping",
-    "Package",
-    "PackageType",
-    "Permissions",
-    "PolicyDecision",
-    "PolicyLearner",
-    "PolicySource",
-    "PolicyStructure",
-    "PolicyType",
-    "PolicyTypeWithTests",
-    "ProfileSettings",
-    "ProfileType",
-    "Proof",
-    "ProofTask",
-    "Prover",
-    "RuleLocator",
-    "SigningAuthority",
-    "StructuredPolicy",
-    "Tier",
-    "TopicProtection",
-    "Transport",
-    "TransportType",
-    "TrustAnchor",
-    "TrustAnchors",
-    "Validity",
-    "ValidityTerm",
-    "Verdict",
-    "WorkspaceProfile",
-    "WrittenProfile",
-    "WrittenRule",
-]
