@@ -6,6 +6,8 @@ strict: it refuses every encoding but the canonical one, so that an altered byte
 
 from __future__ import annotations
 
+import base64
+
 INTEGER = 0x02
 OCTET_STRING = 0x04
 NULL = 0x05
@@ -16,6 +18,8 @@ IA5_STRING = 0x16
 SEQUENCE = 0x30
 SET = 0x31
 CONTEXT_0 = 0xA0
+BASE64_LINE = 64
+"""Characters of base64 on a line of PEM (RFC 7468, section 2) and of Keymint's S/MIME."""
 
 _LONG_TAG = 0x1F
 _LONG_LENGTH = 0x80
@@ -30,6 +34,12 @@ def tlv(tag: int, *parts: bytes) -> bytes:
         return bytes((tag, size)) + content
     octets = size.to_bytes((size.bit_length() + 7) // 8, "big")
     return bytes((tag, _LONG_LENGTH | len(octets))) + octets + content
+
+
+def base64_lines(content: bytes) -> bytes:
+    """Return the base64 of a content in lines of :data:`BASE64_LINE` characters, each with a line feed."""
+    text = base64.b64encode(content)
+    return b"".join(text[start : start + BASE64_LINE] + b"\n" for start in range(0, len(text), BASE64_LINE))
 
 
 def integer(value: int) -> bytes:

@@ -21,6 +21,7 @@ from comarmor.errors import Origin
 from comarmor.text import did_you_mean
 from keymint.api import KeySpec
 from keymint.errors import KeymintError
+from keymint.pki import der
 
 PrivateKey = ec.EllipticCurvePrivateKey | rsa.RSAPrivateKey
 PublicKey = ec.EllipticCurvePublicKey | rsa.RSAPublicKey
@@ -44,8 +45,6 @@ MIN_RSA_BITS = 2048
 MAX_RSA_BITS = 16384
 """OpenSSL verifies no larger ones (OPENSSL_RSA_MAX_MODULUS_BITS)."""
 _PUBLIC_EXPONENT = 65537
-_LINE = 64
-"""Characters of base64 on a line (RFC 7468, section 2)."""
 _PEM = re.compile(rb"-----BEGIN ([A-Z0-9 ]+)-----\n((?:[A-Za-z0-9+/]{1,64}={0,2}\n)+)-----END \1-----\n")
 
 
@@ -184,15 +183,10 @@ def _is_encrypted(pem: bytes) -> bool:
 def _is_canonical_frame(pem: bytes) -> bool:
     """Return whether the bytes are exactly one PEM block with base64 in full lines."""
     frame = _PEM.fullmatch(pem)
-    if frame is None:
-        return False
     try:
-        content = base64.b64decode(frame.group(2).replace(b"\n", b""), validate=True)
+        return frame is not None and der.base64_lines(base64.b64decode(frame[2])) == frame[2]
     except binascii.Error:
         return False
-    text = base64.b64encode(content)
-    lines = b"".join(text[start : start + _LINE] + b"\n" for start in range(0, len(text), _LINE))
-    return lines == frame.group(2)
 
 
 def _is_ec(spec: KeySpec, where: Origin | None) -> bool:

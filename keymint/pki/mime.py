@@ -35,16 +35,17 @@ from __future__ import annotations
 import base64
 import hashlib
 import re
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 from typing import NoReturn
 
 from comarmor.errors import Origin
 from keymint.errors import KeymintError
+from keymint.pki import der
 
 UNREAD = "smime-form"
 """Error code for a file in a form that this reader refuses: how vendors read it is unknown."""
 
-_LINE = 64
 _BOUNDARY = 32
 _TYPE = b"application/x-pkcs7-signature"
 _HEAD = b'MIME-Version: 1.0\nContent-Type: multipart/signed; protocol="%b"; micalg="sha-256"; boundary="----' % _TYPE
@@ -65,7 +66,7 @@ _BEFORE_TEXT = 6
 """Lines of the frame before the text part."""
 _BEFORE_CONTENT = 8
 """The same with the text part's header and the blank line after it."""
-_BARE_CR = re.compile(rb"\r(?!\n)")
+_SEPARATORS = 3
 _SHOWN = 80
 
 
@@ -98,11 +99,8 @@ def wrap(content: bytes, signature: bytes) -> bytes:
     frame with the package ``email``, at ten times the cost of the signature.)
     """
     boundary = hashlib.sha256(content).hexdigest()[:_BOUNDARY].upper().encode()
-    text = base64.b64encode(signature)
-    lines = b"".join(text[start : start + _LINE] + b"\n" for start in range(0, len(text), _LINE))
-    return b"".join(
-        (_HEAD, boundary, _TEXT % boundary, content, _SIGNATURE % boundary, lines, _TAIL % boundary),
-    )
+    lines = der.base64_lines(signature)
+    return b"".join((_HEAD, boundary, _TEXT % boundary, content, _SIGNATURE % boundary, lines, _TAIL % boundary))
 
 
 def unwrap(document: bytes, where: Origin | None = None) -> SignedDocument:
@@ -116,7 +114,45 @@ def unwrap(document: bytes, where: Origin | None = None) -> SignedDocument:
         KeymintError: the document does not match the grammar above (code ``smime-form``); with the line and what was
             expected.
     """
-    return _MimeParser(document, where).document()
+    for pattern, name in ((rb"\x00", "a NUL byte"), (rb"\r(?!\n)", "a carriage return without a line feed")):
+        if match := re.search(pattern, document):
+            refuse(where, document.count(b"\n", 0, match.start()) + 1, f"it has {name}")
+    lines = document.split(b"\n")
+    texts = [line.removesuffix(b"\r") for line in lines]
+    _require(texts, [(0, b"MIME-Version: 1.0")], where)
+    multipart = _MULTIPART.fullmatch(texts[1]) if len(texts) > 1 else None
+    if multipart is None:
+        form = b'Content-Type: multipart/signed; protocol="..."; micalg="..."; boundary="..."'
+        _refuse_line(texts, 1, form, where)
+    protocol, digest, boundary = multipart.groups()
+    if digest not in _DIGESTS:
+        refuse(where, 2, f"its digest is {digest.decode()}, expected sha-256, sha-384 or sha-512")
+    separator = b"--" + boundary
+    _require(texts, enumerate((b"", b"This is an S/MIME signed message", b""), 2), where)
+    second, last = _separators(document, texts, separator, where)
+    if second <= _BEFORE_CONTENT:
+        refuse(where, second + 1, "expected the text part with its header and a blank line")
+    _require(texts, enumerate((separator, b"Content-Type: text/plain", b""), _BEFORE_TEXT - 1), where)
+    headers = (
+        b'Content-Type: %b; name="smime.p7s"' % protocol,
+        b"Content-Transfer-Encoding: base64",
+        b'Content-Disposition: attachment; filename="smime.p7s"',
+        b"",
+    )
+    _require(texts, enumerate(headers, second + 1), where)
+    _require(texts, [(last - 1, b""), *((line, b"") for line in range(last + 1, len(texts)))], where)
+    base64_start = second + 1 + len(headers)
+    # The line end before a separator belongs to the separator, and so to the frame.
+    _require_line_ends(lines, range(_BEFORE_TEXT, second - 1), range(base64_start, last - 1), where)
+    encoded = texts[base64_start : last - 1]
+    try:
+        signature = base64.b64decode(b"".join(encoded), validate=True)
+    except ValueError:
+        signature = b""
+    if not signature or der.base64_lines(signature).splitlines() != encoded:
+        refuse(where, base64_start + 1, f"expected the signature in base64, {der.BASE64_LINE} characters in a line")
+    content = b"\n".join(texts[_BEFORE_CONTENT:second])
+    return SignedDocument(content, signature, _BEFORE_CONTENT, _DIGESTS[digest])
 
 
 def refuse(where: Origin | None, line: int, problem: str) -> NoReturn:
@@ -136,122 +172,37 @@ def refuse(where: Origin | None, line: int, problem: str) -> NoReturn:
     )
 
 
-class _MimeParser:
-    """Parses one document, line by line. Lines are counted from 0 here, and from 1 in messages."""
+def _require(texts: Sequence[bytes], expected: Iterable[tuple[int, bytes]], where: Origin | None) -> None:
+    """Refuse a document unless each numbered line (from 0, without its line end) has the expected text."""
+    for line, text in expected:
+        if line >= len(texts) or texts[line] != text:
+            _refuse_line(texts, line, text, where)
 
-    def __init__(self, document: bytes, where: Origin | None) -> None:
-        self._where = where
-        for pattern, name in ((rb"\x00", "a NUL byte"), (_BARE_CR, "a carriage return without a line feed")):
-            if match := re.search(pattern, document):
-                self._refuse(document.count(b"\n", 0, match.start()), f"it has {name}")
-        self._document = document
-        self._lines = document.split(b"\n")
-        self._returns = self._lines[0].endswith(b"\r")
 
-    def document(self) -> SignedDocument:
-        self._expect(0, b"MIME-Version: 1.0")
-        protocol, digest, separator = self._multipart()
-        self._expect(2, b"")
-        self._expect(3, b"This is an S/MIME signed message")
-        self._expect(4, b"")
-        first, second, last = self._separators(separator)
-        if first != _BEFORE_TEXT - 1:
-            self._refuse(_BEFORE_TEXT - 1, f"expected the first {_shown(separator)}")
-        content = self._content(second)
-        signature = self._signature(protocol, second, last)
-        for line in range(last + 1, len(self._lines)):
-            if line < len(self._lines) - 1 or self._lines[line]:
-                self._expect(line, b"")
-        return SignedDocument(content, signature, _BEFORE_CONTENT, digest)
+def _refuse_line(texts: Sequence[bytes], line: int, expected: bytes, where: Origin | None) -> NoReturn:
+    actual = _shown(texts[line]) if line < len(texts) else "the end of the file"
+    refuse(where, line + 1, f"expected {_shown(expected)}, found {actual}")
 
-    def _multipart(self) -> tuple[bytes, str, bytes]:
-        """Return the signature's type, the digest, and the separator line."""
-        match = _MULTIPART.fullmatch(self._frame(1)) if len(self._lines) > 1 else None
-        if match is None:
-            self._unexpected(1, b'Content-Type: multipart/signed; protocol="..."; micalg="..."; boundary="..."')
-        digest = _DIGESTS.get(match[2])
-        if digest is None:
-            self._refuse(1, f"its digest is {match[2].decode()}, expected sha-256, sha-384 or sha-512")
-        return match[1], digest, b"--" + match[3]
 
-    def _separators(self, separator: bytes) -> tuple[int, int, int]:
-        """Return the lines of the three separators; their text must occur nowhere else."""
-        overlapping = re.compile(b"(?=" + re.escape(separator) + b")")
-        lines = [self._document.count(b"\n", 0, each.start()) for each in overlapping.finditer(self._document)]
-        expected = (separator, separator, separator + b"--")
-        for line, text in zip(lines, expected, strict=False):
-            self._expect(line, text)
-        if len(lines) != len(expected):
-            last = lines[len(expected)] if len(lines) > len(expected) else len(self._lines) - 1
-            self._refuse(last, f"expected {_shown(separator)} in three places, the file has {len(lines)}")
-        return lines[0], lines[1], lines[2]
+def _separators(document: bytes, texts: Sequence[bytes], separator: bytes, where: Origin | None) -> tuple[int, int]:
+    """Return the lines of the last two of the three separators, whose text must occur nowhere else."""
+    overlapping = re.compile(b"(?=" + re.escape(separator) + b")")
+    places = [document.count(b"\n", 0, match.start()) for match in overlapping.finditer(document)]
+    _require(texts, zip(places, (separator, separator, separator + b"--"), strict=False), where)
+    if len(places) != _SEPARATORS:
+        line = places[_SEPARATORS] if len(places) > _SEPARATORS else len(texts) - 1
+        refuse(where, line + 1, f"expected {_shown(separator)} in three places, the file has {len(places)}")
+    return places[1], places[2]
 
-    def _content(self, second: int) -> bytes:
-        """Return the content. The line end before the second separator belongs to the separator."""
-        if second < _BEFORE_CONTENT + 1:
-            self._refuse(second, "expected the text part with its header and a blank line")
-        lines = [*self._section(_BEFORE_TEXT, second - 1), self._frame(second - 1)]
-        for number, wanted in enumerate((b"Content-Type: text/plain", b"")):
-            if lines[number] != wanted:
-                self._unexpected(_BEFORE_TEXT + number, wanted)
-        return b"\n".join(lines[_BEFORE_CONTENT - _BEFORE_TEXT :])
 
-    def _signature(self, protocol: bytes, second: int, last: int) -> bytes:
-        headers = (
-            b'Content-Type: %b; name="smime.p7s"' % protocol,
-            b"Content-Transfer-Encoding: base64",
-            b'Content-Disposition: attachment; filename="smime.p7s"',
-            b"",
-        )
-        for number, wanted in enumerate(headers, second + 1):
-            self._expect(number, wanted)
-        start = second + 1 + len(headers)
-        self._expect(last - 1, b"")
-        lines = self._section(start, last - 1)
-        for number, text in enumerate(lines):
-            if len(text) != _LINE and (number < len(lines) - 1 or not 1 <= len(text) < _LINE):
-                self._refuse(start + number, f"expected {_LINE} characters of base64, fewer only in the last line")
-        joined = b"".join(lines)
-        try:
-            signature = base64.b64decode(joined, validate=True)
-        except ValueError:
-            signature = b""
-        if not joined or base64.b64encode(signature) != joined:
-            self._refuse(start, "expected the signature in base64")
-        return signature
-
-    def _section(self, start: int, stop: int) -> list[bytes]:
-        """Return lines without their line ends, which must all be of one kind."""
-        lines = self._lines[start:stop]
-        returns = [text.endswith(b"\r") for text in lines]
-        if not any(returns):
-            return lines
-        if not all(returns):
-            wanted = returns[0]
-            self._wrong_end(start + returns.index(not wanted), wanted, start)
-        return [text[:-1] for text in lines]
-
-    def _frame(self, line: int) -> bytes:
-        """Return a line of the frame without its line end, which must be the same as in the first line."""
-        text = self._lines[line]
-        if line < len(self._lines) - 1 and text.endswith(b"\r") != self._returns:
-            self._wrong_end(line, self._returns, 0)
-        return text.removesuffix(b"\r")
-
-    def _wrong_end(self, line: int, wanted: bool, like: int) -> NoReturn:
-        actual, expected = ("LF", "CRLF") if wanted else ("CRLF", "LF")
-        self._refuse(line, f"the line ends with {actual}, expected {expected} as in line {like + 1}")
-
-    def _expect(self, line: int, text: bytes) -> None:
-        if line >= len(self._lines) or self._frame(line) != text:
-            self._unexpected(line, text)
-
-    def _unexpected(self, line: int, text: bytes) -> NoReturn:
-        actual = _shown(self._lines[line].removesuffix(b"\r")) if line < len(self._lines) else "the end of the file"
-        self._refuse(line, f"expected {_shown(text)}, found {actual}")
-
-    def _refuse(self, line: int, problem: str) -> NoReturn:
-        refuse(self._where, line + 1, problem)
+def _require_line_ends(lines: Sequence[bytes], text_part: range, encoded: range, where: Origin | None) -> None:
+    """Refuse a document unless the frame, the text part and the base64 each have one kind of line end."""
+    for line, text in enumerate(lines[:-1]):
+        like = next((part.start for part in (text_part, encoded) if line in part), 0)
+        wanted = lines[like].endswith(b"\r")
+        if text.endswith(b"\r") != wanted:
+            actual, expected = ("LF", "CRLF") if wanted else ("CRLF", "LF")
+            refuse(where, line + 1, f"the line ends with {actual}, expected {expected} as in line {like + 1}")
 
 
 def _shown(line: bytes) -> str:
