@@ -32,7 +32,7 @@ _BEGIN, _END = b"-----BEGIN CERTIFICATE-----", b"-----END CERTIFICATE-----"
 
 @dataclass(frozen=True, slots=True)
 class Issuer:
-    """An authority that issues: its certificate and its private key."""
+    """An authority with its private key, which issues certificates and signs documents."""
 
     certificate: x509.Certificate
     key: keys.PrivateKey = field(repr=False)
@@ -168,9 +168,8 @@ def issue_authority(spec: CertificateSpec, key: keys.PrivateKey, issuer: Issuer 
     Raises:
         KeymintError: the specification cannot be issued; with its origin.
     """
-    if issuer is None:
-        return _issue(spec, key.public_key(), None, key, forms.Role.AUTHORITY)
-    return _issue(spec, key.public_key(), issuer.certificate, issuer.key, forms.Role.AUTHORITY)
+    certificate, signing_key = (issuer.certificate, issuer.key) if issuer else (None, key)
+    return _issue(spec, key.public_key(), certificate, signing_key, authority=True)
 
 
 def issue_identity(spec: CertificateSpec, public_key: keys.PublicKey, issuer: Issuer) -> Issued:
@@ -192,7 +191,7 @@ def issue_identity(spec: CertificateSpec, public_key: keys.PublicKey, issuer: Is
     Raises:
         KeymintError: the specification cannot be issued; with its origin.
     """
-    return _issue(spec, public_key, issuer.certificate, issuer.key, forms.Role.IDENTITY)
+    return _issue(spec, public_key, issuer.certificate, issuer.key, authority=False)
 
 
 def certificate_satisfies(
@@ -218,8 +217,7 @@ def certificate_satisfies(
     Raises:
         KeymintError: as issuing would.
     """
-    role = forms.Role.AUTHORITY if authority else forms.Role.IDENTITY
-    form, _ = forms.form(spec, public_key, issuer, role)
+    form, _ = forms.form(spec, public_key, issuer, authority=authority)
     try:
         certificate = load(pem)
         certificate.verify_directly_issued_by(issuer or certificate)
@@ -268,9 +266,10 @@ def _issue(
     public_key: keys.PublicKey,
     issuer: x509.Certificate | None,
     signing_key: keys.PrivateKey,
-    role: forms.Role,
+    *,
+    authority: bool,
 ) -> Issued:
-    form, diagnostics = forms.form(spec, public_key, issuer, role)
+    form, diagnostics = forms.form(spec, public_key, issuer, authority=authority)
     serial = x509.random_serial_number() if spec.serial is None else spec.serial
     builder = (
         x509.CertificateBuilder()

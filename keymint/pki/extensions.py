@@ -74,11 +74,6 @@ def key_usage(*names: str) -> x509.KeyUsage:
     return x509.KeyUsage(**bits)
 
 
-def subject_key_identifier(context: Context) -> x509.SubjectKeyIdentifier:
-    """Return the identifier of the subject's key (RFC 5280, 4.2.1.2, method 1)."""
-    return x509.SubjectKeyIdentifier.from_public_key(context.public_key)
-
-
 def authority_key_identifier(issuer: x509.Certificate) -> x509.AuthorityKeyIdentifier:
     """Return the identifier of the issuer's key, as the issuer's certificate has it (RFC 5280, 4.2.1.1)."""
     identifier = value(issuer, x509.SubjectKeyIdentifier)
@@ -183,10 +178,6 @@ def _basic_constraints(text: str, _: Context) -> x509.BasicConstraints:
     return x509.BasicConstraints(authority, path_length)
 
 
-def _key_usage(text: str, _: Context) -> x509.KeyUsage:
-    return key_usage(*(_one_of(item, KEY_USAGES) for item in _items(text)))
-
-
 def _extended_key_usage(text: str, _: Context) -> x509.ExtendedKeyUsage:
     return x509.ExtendedKeyUsage(
         _oid(item) if item[0].isdigit() else _EXTENDED_KEY_USAGES[_one_of(item, _EXTENDED_KEY_USAGES)]
@@ -211,12 +202,8 @@ def _general_name(item: str) -> x509.GeneralName:
     return maker(text)
 
 
-def _subject_alternative_name(text: str, _: Context) -> x509.SubjectAlternativeName:
-    return x509.SubjectAlternativeName(_general_name(item) for item in _items(text))
-
-
-def _issuer_alternative_name(text: str, _: Context) -> x509.IssuerAlternativeName:
-    return x509.IssuerAlternativeName(_general_name(item) for item in _items(text))
+def _general_names(text: str) -> list[x509.GeneralName]:
+    return [_general_name(item) for item in _items(text)]
 
 
 def _certificate_policies(text: str, _: Context) -> x509.CertificatePolicies:
@@ -226,9 +213,7 @@ def _certificate_policies(text: str, _: Context) -> x509.CertificatePolicies:
 
 
 def _crl_distribution_points(text: str, _: Context) -> x509.CRLDistributionPoints:
-    return x509.CRLDistributionPoints(
-        x509.DistributionPoint([_general_name(item)], None, None, None) for item in _items(text)
-    )
+    return x509.CRLDistributionPoints(x509.DistributionPoint([name], None, None, None) for name in _general_names(text))
 
 
 def _authority_information_access(text: str, _: Context) -> x509.AuthorityInformationAccess:
@@ -247,7 +232,7 @@ def _subject_key_identifier(text: str, context: Context) -> x509.SubjectKeyIdent
     if text == "none":
         return None
     if text == "hash":
-        return subject_key_identifier(context)
+        return x509.SubjectKeyIdentifier.from_public_key(context.public_key)  # RFC 5280, 4.2.1.2, method 1
     return x509.SubjectKeyIdentifier(_hex(text))
 
 
@@ -267,10 +252,6 @@ def _authority_key_identifier(text: str, context: Context) -> x509.AuthorityKeyI
         [x509.DirectoryName(context.issuer.issuer)],
         context.issuer.serial_number,
     )
-
-
-def _ns_comment(text: str, _: Context) -> x509.UnrecognizedExtension:
-    return x509.UnrecognizedExtension(_NS_COMMENT, _string("IA5", text))
 
 
 def _string(kind: str, text: str) -> bytes:
@@ -304,14 +285,23 @@ def _raw(text: str) -> bytes:
 
 _KNOWN: dict[str, tuple[x509.ObjectIdentifier, Callable[[str, Context], x509.ExtensionType | None]]] = {
     "basicConstraints": (ExtensionOID.BASIC_CONSTRAINTS, _basic_constraints),
-    "keyUsage": (ExtensionOID.KEY_USAGE, _key_usage),
+    "keyUsage": (
+        ExtensionOID.KEY_USAGE,
+        lambda text, _: key_usage(*(_one_of(item, KEY_USAGES) for item in _items(text))),
+    ),
     "extendedKeyUsage": (ExtensionOID.EXTENDED_KEY_USAGE, _extended_key_usage),
-    "subjectAltName": (ExtensionOID.SUBJECT_ALTERNATIVE_NAME, _subject_alternative_name),
-    "issuerAltName": (ExtensionOID.ISSUER_ALTERNATIVE_NAME, _issuer_alternative_name),
+    "subjectAltName": (
+        ExtensionOID.SUBJECT_ALTERNATIVE_NAME,
+        lambda text, _: x509.SubjectAlternativeName(_general_names(text)),
+    ),
+    "issuerAltName": (
+        ExtensionOID.ISSUER_ALTERNATIVE_NAME,
+        lambda text, _: x509.IssuerAlternativeName(_general_names(text)),
+    ),
     "certificatePolicies": (ExtensionOID.CERTIFICATE_POLICIES, _certificate_policies),
     "crlDistributionPoints": (ExtensionOID.CRL_DISTRIBUTION_POINTS, _crl_distribution_points),
     "authorityInfoAccess": (ExtensionOID.AUTHORITY_INFORMATION_ACCESS, _authority_information_access),
     "subjectKeyIdentifier": (ExtensionOID.SUBJECT_KEY_IDENTIFIER, _subject_key_identifier),
     "authorityKeyIdentifier": (ExtensionOID.AUTHORITY_KEY_IDENTIFIER, _authority_key_identifier),
-    "nsComment": (_NS_COMMENT, _ns_comment),
+    "nsComment": (_NS_COMMENT, lambda text, _: x509.UnrecognizedExtension(_NS_COMMENT, _string("IA5", text))),
 }

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from datetime import UTC
-from enum import Enum
 from types import MappingProxyType
 
 from cryptography import x509
@@ -31,13 +30,6 @@ _SIGNS_DOCUMENTS = (ExtendedKeyUsageOID.EMAIL_PROTECTION, ExtendedKeyUsageOID.AN
 _Values = dict[x509.ObjectIdentifier, tuple[bool, x509.ExtensionType]]
 
 
-class Role(Enum):
-    """The purpose of a certificate."""
-
-    AUTHORITY = "authority"
-    IDENTITY = "identity"
-
-
 @dataclass(frozen=True, slots=True)
 class Form:
     """All fields of a certificate to issue, except its serial number."""
@@ -50,7 +42,7 @@ class Form:
 
 
 def form(
-    spec: CertificateSpec, public_key: keys.PublicKey, issuer: x509.Certificate | None, role: Role
+    spec: CertificateSpec, public_key: keys.PublicKey, issuer: x509.Certificate | None, *, authority: bool
 ) -> tuple[Form, tuple[Diagnostic, ...]]:
     """Return the fields of a certificate, and a warning if its validity was cut to the issuer's.
 
@@ -65,7 +57,7 @@ def form(
             code="serial-invalid",
         )
     if issuer is not None:
-        _check_issuer(issuer, spec.origin, role)
+        _check_issuer(issuer, spec.origin, authority=authority)
     subject = names.parse(spec.subject_name, spec.origin)
     validity, diagnostics = _clamp(spec, issuer)
     made = Form(
@@ -73,7 +65,7 @@ def form(
         issuer=subject if issuer is None else issuer.subject,
         validity=validity,
         hash_algorithm=_hash(spec),
-        extensions=_extensions(spec, extensions.Context(public_key, issuer), role),
+        extensions=_extensions(spec, extensions.Context(public_key, issuer), authority=authority),
     )
     return made, diagnostics
 
@@ -123,7 +115,7 @@ def _period(validity: Validity) -> str:
     return f"{validity.not_before:%Y-%m-%dT%H:%M:%SZ} to {validity.not_after:%Y-%m-%dT%H:%M:%SZ}"
 
 
-def _check_issuer(issuer: x509.Certificate, where: Origin, role: Role) -> None:
+def _check_issuer(issuer: x509.Certificate, where: Origin, *, authority: bool) -> None:
     """Refuse an issuer that may not issue (RFC 5280, 4.2.1.3 and 4.2.1.9)."""
     constraints = extensions.value(issuer, x509.BasicConstraints)
     usage = extensions.value(issuer, x509.KeyUsage)
@@ -132,7 +124,7 @@ def _check_issuer(issuer: x509.Certificate, where: Origin, role: Role) -> None:
         problem = "is not a CA certificate (basicConstraints)"
     elif usage is not None and not usage.key_cert_sign:
         problem = "lacks keyCertSign (keyUsage)"
-    elif role is Role.AUTHORITY and constraints.path_length == 0:
+    elif authority and constraints.path_length == 0:
         problem = "has pathlen:0, so it may not issue authorities (basicConstraints)"
     if problem:
         raise KeymintError(
@@ -143,45 +135,43 @@ def _check_issuer(issuer: x509.Certificate, where: Origin, role: Role) -> None:
         )
 
 
-def _extensions(spec: CertificateSpec, context: extensions.Context, role: Role) -> _Values:
+def _extensions(spec: CertificateSpec, context: extensions.Context, *, authority: bool) -> _Values:
     """Return the role's defaults, replaced by the extensions of the specification."""
-    values: dict[x509.ObjectIdentifier, tuple[bool, x509.ExtensionType | None]] = _defaults(context, role)
+    values = _defaults(context, authority=authority)
     given: set[x509.ObjectIdentifier] = set()
     for extension in spec.extensions:
         oid, critical, value = extensions.parse(extension, context)
         if oid in given:
             raise KeymintError(
-                f"the extension {extension.name} occurs twice",
-                where=extension.origin,
-                code="extension-invalid",
+                f"the extension {extension.name} occurs twice", where=extension.origin, code="extension-invalid"
             )
         given.add(oid)
-        values[oid] = (critical, value)
-        if problem := _conflict(value, critical, role):
+        if value is None:
+            values.pop(oid, None)
+        else:
+            values[oid] = (critical, value)
+        if problem := _conflict(value, critical, authority=authority):
             raise KeymintError(
                 f"{extension.name} = {quoted(extension.value, 80)} {problem}",
                 where=extension.origin,
-                help="leave it out for the default" if role is Role.IDENTITY else "leave it out, or correct it",
+                help="leave it out, or correct it" if authority else "leave it out for the default",
                 code="extension-conflict",
             )
-    return {oid: (critical, value) for oid, (critical, value) in values.items() if value is not None}
+    return values
 
 
-def _defaults(
-    context: extensions.Context, role: Role
-) -> dict[x509.ObjectIdentifier, tuple[bool, x509.ExtensionType | None]]:
-    authority = role is Role.AUTHORITY
-    usages = _AUTHORITY_USAGE if authority else _IDENTITY_USAGE
-    defaults: dict[x509.ObjectIdentifier, tuple[bool, x509.ExtensionType | None]] = {
+def _defaults(context: extensions.Context, *, authority: bool) -> _Values:
+    defaults: _Values = {
         ExtensionOID.BASIC_CONSTRAINTS: (True, x509.BasicConstraints(authority, None)),
-        ExtensionOID.KEY_USAGE: (True, usages),
+        ExtensionOID.KEY_USAGE: (True, _AUTHORITY_USAGE if authority else _IDENTITY_USAGE),
     }
     if not authority:
         defaults[ExtensionOID.EXTENDED_KEY_USAGE] = (False, _IDENTITY_EXTENDED_USAGE)
-    defaults[ExtensionOID.SUBJECT_KEY_IDENTIFIER] = (False, extensions.subject_key_identifier(context))
+    identifier = x509.SubjectKeyIdentifier.from_public_key(context.public_key)
+    defaults[ExtensionOID.SUBJECT_KEY_IDENTIFIER] = (False, identifier)
     if context.issuer is not None:
-        identifier = extensions.authority_key_identifier(context.issuer)
-        defaults[ExtensionOID.AUTHORITY_KEY_IDENTIFIER] = (False, identifier)
+        issuer_identifier = extensions.authority_key_identifier(context.issuer)
+        defaults[ExtensionOID.AUTHORITY_KEY_IDENTIFIER] = (False, issuer_identifier)
     return defaults
 
 
@@ -190,18 +180,18 @@ _IDENTITY_USAGE = extensions.key_usage("digitalSignature")
 _IDENTITY_EXTENDED_USAGE = x509.ExtendedKeyUsage([ExtendedKeyUsageOID.SERVER_AUTH, ExtendedKeyUsageOID.CLIENT_AUTH])
 
 
-def _conflict(value: x509.ExtensionType | None, critical: bool, role: Role) -> str:
+def _conflict(value: x509.ExtensionType | None, critical: bool, *, authority: bool) -> str:
     """Return why a certificate of this role must not have an extension, or an empty string."""
     match value:
-        case x509.ExtendedKeyUsage() if role is Role.IDENTITY and any(each in value for each in _SIGNS_DOCUMENTS):
+        case x509.ExtendedKeyUsage() if not authority and any(each in value for each in _SIGNS_DOCUMENTS):
             return "would let an identity sign its own permissions (emailProtection, anyExtendedKeyUsage)"
-        case x509.BasicConstraints() if role is Role.IDENTITY and value.ca:
+        case x509.BasicConstraints() if not authority and value.ca:
             return "would make an identity an authority"
-        case x509.KeyUsage() if role is Role.IDENTITY and value.key_cert_sign:
+        case x509.KeyUsage() if not authority and value.key_cert_sign:
             return "would let an identity issue certificates (keyCertSign)"
-        case x509.BasicConstraints() if role is Role.AUTHORITY and not (value.ca and critical):
+        case x509.BasicConstraints() if authority and not (value.ca and critical):
             return "must be critical and CA:TRUE for an authority (RFC 5280, 4.2.1.9)"
-        case x509.KeyUsage() if role is Role.AUTHORITY and not value.key_cert_sign:
+        case x509.KeyUsage() if authority and not value.key_cert_sign:
             return "must have keyCertSign for an authority (RFC 5280, 4.2.1.3)"
         case _:
             return ""

@@ -7,7 +7,6 @@ SROS2 write, and only if every reader sees the same content.
 from __future__ import annotations
 
 import functools
-from dataclasses import dataclass, field
 from datetime import datetime
 
 from cryptography import x509
@@ -22,16 +21,8 @@ from keymint.pki.mime import SignedDocument
 _MICALG_LINE = 2
 
 
-@dataclass(frozen=True, slots=True)
-class Signer:
-    """An authority's certificate and private key, loaded."""
-
-    certificate: x509.Certificate
-    key: keys.PrivateKey = field(repr=False)
-
-
 @functools.lru_cache(maxsize=16)
-def load_signer(signer: api.SigningAuthority) -> Signer:
+def load_signer(signer: api.SigningAuthority) -> certificates.Issuer:
     """Return an authority, loaded once for all documents of a run: reading a key costs more than signing.
 
     Raises:
@@ -47,7 +38,7 @@ def load_signer(signer: api.SigningAuthority) -> Signer:
             help="restore the replaced file",
             code="key-mismatch",
         )
-    return Signer(certificate, key)
+    return certificates.Issuer(certificate, key)
 
 
 def sign(content: bytes, certificate: x509.Certificate, key: keys.PrivateKey, where: Origin | None = None) -> bytes:

@@ -49,15 +49,15 @@ def verify_chain(
         bundle = certificates.load_bundle(ca_pem_bundle, where)
     except KeymintError as error:
         return list(error.diagnostics)
-    path, broken = _path(certificate, bundle)
-    findings = [_finding(*broken, where)] if broken else []
+    path, problem = _path(certificate, bundle)
+    problems = [problem] if problem else []
     for depth, link in enumerate(path):
-        problems = [*_time(link, at), *_critical(link), *(_authority(link, path[1:depth]) if depth else ())]
-        findings += [_finding(code, message, help_, where) for code, message, help_ in problems]
-    return findings
+        problems += [*_time(link, at), *_critical(link), *(_authority(link, path[1:depth]) if depth else ())]
+    return [Diagnostic(code, Severity.ERROR, message, where, help_) for code, message, help_ in problems]
 
 
 _Problem = tuple[str, str, str]
+"""Code, message and help of a finding."""
 
 
 def _path(
@@ -100,16 +100,17 @@ def _signature(certificate: x509.Certificate) -> _Problem:
 
 
 def _time(certificate: x509.Certificate, at: datetime) -> Iterator[_Problem]:
+    shown = _shown(certificate.subject)
     if at > certificate.not_valid_after_utc:
         yield (
             "certificate-expired",
-            f"the certificate of {_shown(certificate.subject)} expired on {_date(certificate.not_valid_after_utc)}",
+            f"the certificate of {shown} expired on {certificate.not_valid_after_utc:%Y-%m-%dT%H:%M:%SZ}",
             "extend its validity in the sources, then build and install",
         )
     elif at < certificate.not_valid_before_utc:
         yield (
             "certificate-not-yet-valid",
-            f"the certificate of {_shown(certificate.subject)} begins {_date(certificate.not_valid_before_utc)}",
+            f"the certificate of {shown} begins {certificate.not_valid_before_utc:%Y-%m-%dT%H:%M:%SZ}",
             "compare the clock of this machine, or give it an earlier start",
         )
 
@@ -151,13 +152,5 @@ def _authority(certificate: x509.Certificate, below: Sequence[x509.Certificate])
         )
 
 
-def _date(at: datetime) -> str:
-    return f"{at:%Y-%m-%dT%H:%M:%SZ}"
-
-
 def _shown(name: x509.Name) -> str:
     return repr(names.to_text(name))
-
-
-def _finding(code: str, message: str, help_: str, where: Origin | None) -> Diagnostic:
-    return Diagnostic(code, Severity.ERROR, message, where, help_)
