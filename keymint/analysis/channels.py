@@ -9,10 +9,13 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, field
+from contextlib import suppress
+from dataclasses import dataclass
+from functools import cache
+from itertools import product
 
 from comarmor.errors import Origin
-from comarmor.patterns.decision_lists import Block, DecisionList, Equal, Witness
+from comarmor.patterns.decision_lists import DecisionList, Equal, Witness
 from comarmor.patterns.glob import EVERYTHING, Glob, literal, parse
 from comarmor.patterns.relations import TooComplexError, covers, intersection
 from comarmor.rules import Effect
@@ -21,25 +24,27 @@ from keymint.analysis.rule_lists import (
     PermissionKey,
     allow_only,
     decision_list,
+    deny_over_allow,
     find_permitted,
-    in_partition,
+    object_patterns,
     pattern_text,
     permission_keys,
     query_pattern,
+    restrict_allowed,
     rule_patterns,
 )
 from keymint.analysis.subject_patterns import (
     EVERY,
-    at_most,
     can_exist,
+    expressions_for,
+    fixed_expressions,
+    namespace_name_splits,
     profile_subjects,
     representatives,
-    restrict_allowed,
     rules_of,
     structure,
 )
-from keymint.analysis.subject_templates import placeholders, symbolic_patterns
-from keymint.api import LoadedPolicy, PolicyStructure
+from keymint.api import LoadedPolicy, PolicyStructure, WrittenRule
 
 FLOWS: tuple[tuple[PermissionKey, PermissionKey], ...] = (
     ((RAW, "publish"), (RAW, "subscribe")),
@@ -69,22 +74,24 @@ class Channel:
     word: str
 
 
-@dataclass(slots=True)
 class ChannelSearch:
     """Finds channels.
 
-    Attributes:
+    Args:
         policy: the policy.
         but: expressions of objects to ignore.
         common: returns True for a rule for every node; a channel that such rules allow to both ends is ignored, see
             :meth:`infrastructure`.
     """
 
-    policy: LoadedPolicy
-    but: Sequence[str]
-    common: Callable[[Origin], bool] = field(default=lambda _: False)
-    _known: dict[tuple[str, PermissionKey], DecisionList] = field(default_factory=dict)
-    _known_common: dict[tuple[str, PermissionKey], tuple[Glob, ...]] = field(default_factory=dict)
+    def __init__(
+        self, policy: LoadedPolicy, but: Sequence[str] = (), common: Callable[[Origin], bool] = lambda _: False
+    ) -> None:
+        self.but = but
+        self._policy = policy
+        self._is_common = common
+        self._listed = cache(lambda subject, key: decision_list(rules_of(policy, subject), key))
+        self._common = cache(self._common_patterns)
 
     def path(self, sources: Sequence[str], targets: Sequence[str]) -> list[Channel] | None:
         """Return a shortest path of channels from one of the sources to one of the targets, or None.
@@ -94,7 +101,7 @@ class ChannelSearch:
         goals = set(targets)
         seen = set(sources)
         queue: deque[tuple[str, list[Channel]]] = deque((source, []) for source in sources)
-        everybody = [*dict.fromkeys((*targets, *self.policy.subjects()))]
+        everybody = [*dict.fromkeys((*targets, *self._policy.subjects()))]
         while queue:
             subject, path = queue.popleft()
             for other in everybody:
@@ -111,110 +118,144 @@ class ChannelSearch:
 
     def between(self, writer: str, reader: str) -> Iterator[Channel]:
         """Yield channels from one subject to another, at most one for each expression of the writer's rules."""
+        reported: set[Channel] = set()
         for send, receive in FLOWS:
             received = self._listed(reader, receive)
             if not _allows(received):
                 continue
             sent = self._listed(writer, send)
-            shared = _shared(self._common(writer, send), self._common(reader, receive))
-            reported: set[str] = set()
+            counted = self._counted(send[0], _shared(self._common(writer, send), self._common(reader, receive)))
             for pattern in (pattern for block in sent if block.allows for pattern in block.patterns):
-                counts = self._counts(send[0], shared)
-                outcome = find_permitted(send[0], restrict_allowed(pattern, sent), received, counts)
-                if isinstance(outcome, Equal):
-                    continue
-                word = outcome.word if isinstance(outcome, Witness) else ""
-                if word not in reported:
-                    reported.add(word)
-                    yield Channel(writer, reader, send[0], (send[1], receive[1]), word)
+                lists = (restrict_allowed(pattern, sent), received, counted)
+                channel = _channel(writer, reader, send, receive, *lists)
+                if channel and channel not in reported:
+                    reported.add(channel)
+                    yield channel
 
     def infrastructure(self, writer: str, reader: str) -> Iterator[Channel]:
         """Yield the channels from one subject to another that rules for every node allow to both ends."""
         for send, receive in FLOWS:
             for pattern in _shared(self._common(writer, send), self._common(reader, receive)):
-                sent, received = self._listed(writer, send), self._listed(reader, receive)
-                outcome = find_permitted(send[0], allow_only(pattern), sent, received, self._counts(send[0]))
-                if not isinstance(outcome, Equal):
-                    word = outcome.word if isinstance(outcome, Witness) else ""
-                    yield Channel(writer, reader, send[0], (send[1], receive[1]), word)
+                lists = (self._listed(writer, send), self._listed(reader, receive), self._counted(send[0]))
+                channel = _channel(writer, reader, send, receive, allow_only(pattern), *lists)
+                if channel:
+                    yield channel
 
     def possible(self, writers: Glob, readers: Glob) -> Iterator[Channel]:
         """Yield possible channels between subjects that the policy does not name.
 
         No result proves that there is none. Writer and reader are patterns of subjects.
         """
-        written = structure(self.policy)
+        written = structure(self._policy)
         if written is None:
             return
         for send, receive in FLOWS:
             try:
-                sent = [one for piece in intersection(writers, EVERY) for one in at_most(written, piece, send)]
-                received = [one for piece in intersection(readers, EVERY) for one in at_most(written, piece, receive)]
+                sent = [one for piece in intersection(writers, EVERY) for one in _at_most(written, piece, send)]
+                received = [one for piece in intersection(readers, EVERY) for one in _at_most(written, piece, receive)]
             except TooComplexError:
                 yield Channel(pattern_text(writers), pattern_text(readers), send[0], (send[1], receive[1]), "")
                 continue
-            for subject, decided in sent:
-                for other, decided2 in received:
-                    if (literal(subject) is not None and literal(other) is not None) or not _allows(decided2):
-                        continue  # subjects that the policy names are checked by between()
-                    shared = _shared(self._surely(written, subject, send), self._surely(written, other, receive))
-                    outcome = find_permitted(send[0], decided, decided2, self._counts(send[0], shared))
-                    if not isinstance(outcome, Equal) and can_exist(subject) and can_exist(other):
-                        word = outcome.word if isinstance(outcome, Witness) else ""
-                        yield Channel(pattern_text(subject), pattern_text(other), send[0], (send[1], receive[1]), word)
+            for (subject, sent_list), (other, received_list) in product(sent, received):
+                if (literal(subject) is not None and literal(other) is not None) or not _allows(received_list):
+                    continue  # subjects that the policy names are checked by between()
+                shared = _shared(
+                    self._common_to_all(written, subject, send), self._common_to_all(written, other, receive)
+                )
+                lists = (sent_list, received_list, self._counted(send[0], shared))
+                channel = _channel(pattern_text(subject), pattern_text(other), send, receive, *lists)
+                if channel and can_exist(subject) and can_exist(other):
+                    yield channel
 
     def named(self, expression: str) -> tuple[str, ...]:
         """Return the subjects of an expression; see :func:`~keymint.analysis.subject_patterns.representatives`."""
-        return representatives(self.policy, parse(expression))
+        return representatives(self._policy, parse(expression))
 
-    def _listed(self, subject: str, key: PermissionKey) -> DecisionList:
-        if (subject, key) not in self._known:
-            self._known[subject, key] = decision_list(rules_of(self.policy, subject), key)
-        return self._known[subject, key]
-
-    def _common(self, subject: str, key: PermissionKey) -> tuple[Glob, ...]:
+    def _common_patterns(self, subject: str, key: PermissionKey) -> tuple[Glob, ...]:
         """Return the patterns that rules for every node allow to a subject."""
-        if (subject, key) not in self._known_common:
-            rules = rules_of(self.policy, subject)
-            self._known_common[subject, key] = tuple(
-                dict.fromkeys(
-                    pattern
-                    for rule in rules
-                    if rule.effect is Effect.ALLOW and key in permission_keys(rule) and self.common(rule.origin)
-                    for expression in rule.expressions
-                    for pattern in rule_patterns(rule, expression, key)
-                )
+        return tuple(
+            dict.fromkeys(
+                pattern
+                for rule in rules_of(self._policy, subject)
+                if rule.effect is Effect.ALLOW and self._is_common(rule.origin)
+                for pattern in object_patterns(rule, key)
             )
-        return self._known_common[subject, key]
+        )
 
-    def _surely(self, written: PolicyStructure, subjects: Glob, key: PermissionKey) -> tuple[Glob, ...]:
+    def _common_to_all(self, written: PolicyStructure, subjects: Glob, key: PermissionKey) -> tuple[Glob, ...]:
         """Return the patterns that rules for every node allow to every subject of a pattern."""
         return tuple(
             pattern
-            for clause in written.clauses
-            if clause.rule.effect is Effect.ALLOW
-            and key in permission_keys(clause.rule)
-            and self.common(clause.rule.origin)
-            if any(covers(each, subjects) for each in profile_subjects(clause.profiles))
-            for pattern in symbolic_patterns(clause, key)
-            if not placeholders(pattern)
+            for clause in _rules_for_all(written, Effect.ALLOW, subjects, key)
+            if self._is_common(clause.rule.origin)
+            for expression in fixed_expressions(clause)
+            for pattern in rule_patterns(clause.rule, expression, key)
         )
 
-    def _counts(self, kind: str, shared: Sequence[Glob] = ()) -> DecisionList:
+    def _counted(self, kind: str, shared: Sequence[Glob] = ()) -> DecisionList:
         """Return the decision list of the names that are not ignored."""
-        denied = (in_partition("*", parse(each)) if kind == RAW else query_pattern(kind, each) for each in self.but)
-        return (Block(False, (*denied, *shared)), Block(True, (EVERYTHING,)))
+        ignored = (query_pattern(kind, expression, "*") for expression in self.but)
+        return deny_over_allow((*ignored, *shared), (EVERYTHING,))
+
+
+def _channel(
+    writer: str, reader: str, send: PermissionKey, receive: PermissionKey, *lists: DecisionList
+) -> Channel | None:
+    """Return the channel by a shortest name that all lists allow; None if there is provably none."""
+    outcome = find_permitted(send[0], *lists)
+    if isinstance(outcome, Equal):
+        return None
+    word = outcome.word if isinstance(outcome, Witness) else ""
+    return Channel(writer, reader, send[0], (send[1], receive[1]), word)
+
+
+def _at_most(written: PolicyStructure, within: Glob, key: PermissionKey) -> Iterator[tuple[Glob, DecisionList]]:
+    """Yield patterns of subjects, each with a decision list that allows at least what any of them may do.
+
+    Args:
+        written: structure of a policy.
+        within: pattern of the subjects.
+        key: a kind, and a permission without parts.
+
+    Raises:
+        TooComplexError: the profiles overlap in too many ways.
+    """
+    for clause in written.clauses:
+        if clause.rule.effect is not Effect.ALLOW or key not in permission_keys(clause.rule):
+            continue
+        for subjects in profile_subjects(clause.profiles, within):
+            allowed = dict.fromkeys(
+                pattern
+                for namespace, name in namespace_name_splits(subjects)
+                for expression in clause.expand(pattern_text(namespace), pattern_text(name))
+                for pattern in rule_patterns(clause.rule, expression, key)
+            )
+            subject = literal(subjects)
+            denied = (
+                pattern
+                for denial in _rules_for_all(written, Effect.DENY, subjects, key)
+                for expression in (fixed_expressions(denial) if subject is None else expressions_for(denial, subject))
+                for pattern in rule_patterns(denial.rule, expression, key)
+            )
+            yield subjects, deny_over_allow(denied, allowed)
+
+
+def _rules_for_all(
+    written: PolicyStructure, effect: Effect, subjects: Glob, key: PermissionKey
+) -> Iterator[WrittenRule]:
+    """Yield the rules of an effect that apply to every subject of a pattern."""
+    for clause in written.clauses:
+        applies = clause.rule.effect is effect and key in permission_keys(clause.rule)
+        if applies and any(covers(each, subjects) for each in profile_subjects(clause.profiles)):
+            yield clause
 
 
 def _shared(one: Sequence[Glob], other: Sequence[Glob]) -> tuple[Glob, ...]:
     """Return the intersections of patterns of both sides, without those that are too complex."""
     shared: dict[Glob, None] = {}
-    for pattern in one:
-        for pattern2 in other:
-            try:
-                shared |= dict.fromkeys(intersection(pattern, pattern2))
-            except TooComplexError:
-                continue
+    for patterns in product(one, other):
+        with suppress(TooComplexError):
+            shared |= dict.fromkeys(intersection(*patterns))
     return tuple(shared)
 
 

@@ -8,58 +8,21 @@ from __future__ import annotations
 
 from collections import defaultdict
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass
+from itertools import product
 
-from comarmor.errors import Origin
 from comarmor.patterns.decision_lists import Equal, Unknown
 from comarmor.patterns.glob import Glob
 from comarmor.patterns.matching import matches
 from comarmor.patterns.relations import disjoint
-from comarmor.rules import PERMISSIONS, Effect
+from comarmor.rules import PARTS, PERMISSIONS, Effect
 from keymint.analysis.query_budget import QueryBudget
-from keymint.analysis.rule_lists import PermissionKey, allow_only, decision_list, find_permitted, is_composite, negated
+from keymint.analysis.rule_diff import PermissionChange, unknown_change
+from keymint.analysis.rule_lists import PermissionKey, allow_only, decision_list, find_permitted, negated
 from keymint.analysis.subject_patterns import EVERY, example_subject, rules_of
 from keymint.analysis.subject_templates import exact_halves, fill_placeholders, fit_pattern, placeholders
 from keymint.analysis.symbolic_rules import SymbolicRule, SymbolicRules
-from keymint.analysis.symbolic_search import (
-    EVERYBODY,
-    FoundSubject,
-    SymbolicCondition,
-    Undecided,
-    find_subject,
-)
+from keymint.analysis.symbolic_search import EVERYBODY, SymbolicCondition, find_subject
 from keymint.api import LoadedPolicy
-
-KEYS: tuple[PermissionKey, ...] = tuple(
-    (kind, permission)
-    for kind, permissions in PERMISSIONS.items()
-    for permission in permissions
-    if not is_composite(kind, permission)
-)
-"""All kinds and permissions without parts: policies that agree on them agree on all."""
-
-
-@dataclass(frozen=True, slots=True)
-class PatternDifference:
-    """What the subjects of a pattern gain or lose.
-
-    Attributes:
-        gains: True if only the newer policy allows it, False if only the older one does.
-        key: kind, and permission without parts; empty if the budget was spent before the last search.
-        subjects: the pattern.
-        object: pattern of symbolic words of the rule that allows it.
-        where: that rule; None if the budget was spent.
-        subject: an example; empty if unknown.
-        unknown: why it is unknown, or empty.
-    """
-
-    gains: bool
-    key: PermissionKey
-    subjects: Glob
-    object: Glob
-    where: Origin | None
-    subject: str
-    unknown: str = ""
 
 
 def pattern_differences(
@@ -67,8 +30,10 @@ def pattern_differences(
     written: tuple[SymbolicRules, SymbolicRules],
     named: Iterable[str],
     budget: QueryBudget,
-) -> Iterator[PatternDifference]:
-    """Yield what subjects gain or lose. No result proves that no subject does, whatever its name.
+) -> Iterator[tuple[Glob, str | PermissionChange]]:
+    """Yield patterns of subjects, each with an example that gains or loses something, or with an unknown change.
+
+    No result proves that no subject gains or loses anything, whatever its name.
 
     Args:
         policies: the older one and the newer one.
@@ -76,18 +41,21 @@ def pattern_differences(
         named: subjects to ignore.
         budget: limit of the search.
     """
-    old, new = written
     named = tuple(named)
+    # Policies that agree on the permissions without parts agree on all.
+    keys = [
+        key for kind, permissions in PERMISSIONS.items() for key in product((kind,), permissions) if key not in PARTS
+    ]
     for comparison in (
-        _PatternComparison(True, policies, (old, new), named, budget),
-        _PatternComparison(False, policies[::-1], (new, old), named, budget),
+        _PatternComparison(True, policies, written, named, budget),
+        _PatternComparison(False, policies[::-1], written[::-1], named, budget),
     ):
-        for key in KEYS:
-            for each in comparison.of(key):
-                if each.unknown and budget.is_empty:
-                    yield PatternDifference(each.gains, ("", ""), EVERY, (), None, "", budget.reason(each.unknown))
+        for key in keys:
+            for subjects, difference in comparison.of(key):
+                if isinstance(difference, PermissionChange) and budget.is_empty:
+                    yield EVERY, unknown_change(budget.reason(difference.unknown))
                     return
-                yield each
+                yield subjects, difference
 
 
 class _PatternComparison:
@@ -104,7 +72,7 @@ class _PatternComparison:
     def __init__(
         self,
         gains: bool,
-        policies: Sequence[LoadedPolicy],
+        policies: tuple[LoadedPolicy, LoadedPolicy],
         rules: tuple[SymbolicRules, SymbolicRules],
         named: tuple[str, ...],
         budget: QueryBudget,
@@ -117,7 +85,7 @@ class _PatternComparison:
         self._reported: dict[Glob, dict[str, None]] = defaultdict(dict)
         self._known_matches: dict[Glob, frozenset[str]] = {}
 
-    def of(self, key: PermissionKey) -> Iterator[PatternDifference]:
+    def of(self, key: PermissionKey) -> Iterator[tuple[Glob, str | PermissionChange]]:
         """Yield the differences for a kind and permission, at most one for each rule and pattern of its subjects."""
         allowed = self._after.all(key, Effect.ALLOW)
         new = allowed.keys() - self._before.all(key, Effect.ALLOW).keys()
@@ -131,33 +99,36 @@ class _PatternComparison:
                 searches = [self._not_allowed_before(key, rule, subjects)] if content in new else []
                 searches += self._denied_before(key, rule, subjects, lifted)
                 answer = self._first(key, rule, subjects, searches) if searches else None
-                if isinstance(answer, FoundSubject):
-                    self._reported[subjects][answer.subject] = None
-                    yield PatternDifference(self._gains, key, subjects, rule.object, rule.where, answer.subject)
+                if isinstance(answer, str):
+                    self._reported[subjects][answer] = None
+                    yield subjects, answer
                 elif answer is not None:
-                    yield PatternDifference(self._gains, key, subjects, rule.object, rule.where, "", answer.reason)
+                    yield (
+                        subjects,
+                        PermissionChange(self._gains, *key, rule.object, False, "", rule.where, answer.reason),
+                    )
 
     def _first(
         self, key: PermissionKey, rule: SymbolicRule, subjects: Glob, searches: Sequence[_AlternativeSearches]
-    ) -> FoundSubject | Undecided | None:
+    ) -> str | Unknown | None:
         """Return the first subject found by a search, else the reason why one of them is undecided."""
 
-        def check(subject: str) -> bool | Undecided:
+        def check(subject: str) -> bool | Unknown:
             return self._differs(key, rule.object, subject)
 
         tried = [*self._reported[subjects], *self._example(subjects)]
         for subject in tried:
             if check(subject) is True:
-                return FoundSubject(subject)
-        undecided: Undecided | None = None
+                return subject
+        undecided: Unknown | None = None
         for alternatives in searches:
-            answer: FoundSubject | Undecided | None = None
+            answer: str | Unknown | None = None
             for within, shape, conditions in alternatives:
                 excluded = (*self._matching_named(within), *tried)
                 answer = find_subject(key[0], within, shape, conditions, check, excluded, self._budget)
-                if not isinstance(answer, Undecided):
+                if not isinstance(answer, Unknown):
                     break
-            if isinstance(answer, FoundSubject):
+            if isinstance(answer, str):
                 return answer
             undecided = undecided or answer
         return undecided
@@ -206,14 +177,14 @@ class _PatternComparison:
             alternatives.append((subjects, rule.object, both))
         yield from sorted(alternatives, key=_inexact_entries)
 
-    def _differs(self, key: PermissionKey, pattern: Glob, subject: str) -> bool | Undecided:
+    def _differs(self, key: PermissionKey, pattern: Glob, subject: str) -> bool | Unknown:
         """Return True if only one policy allows a subject something that a pattern matches."""
         concrete = fill_placeholders(pattern, *exact_halves(subject))
         before, after = (decision_list(rules_of(policy, subject), key) for policy in self._policies)
         budget = self._budget.next_query()
         outcome = find_permitted(key[0], allow_only(concrete), after, negated(before), budget=budget)
         if isinstance(outcome, Unknown):
-            return Undecided(self._budget.reason(outcome.reason))
+            return Unknown(self._budget.reason(outcome.reason))
         return not isinstance(outcome, Equal)
 
 

@@ -5,12 +5,11 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
-from keymint.analysis.pattern_diff import PatternDifference, pattern_differences
+from keymint.analysis.pattern_diff import pattern_differences
 from keymint.analysis.query_budget import QueryBudget
-from keymint.analysis.rule_diff import PermissionChange, rule_changes
-from keymint.analysis.rule_lists import SEPARATOR, display_pattern, pattern_text
+from keymint.analysis.rule_diff import PermissionChange, rule_changes, unknown_change
+from keymint.analysis.rule_lists import SEPARATOR, pattern_text
 from keymint.analysis.subject_patterns import structure
-from keymint.analysis.subject_templates import as_written
 from keymint.analysis.symbolic_rules import SymbolicRules
 from keymint.api import LoadedPolicy
 from keymint.graph import Edge, Object
@@ -55,15 +54,15 @@ def diff_policies(old: LoadedPolicy, new: LoadedPolicy, budget: QueryBudget | No
     named = {*old.subjects(), *new.subjects()}.union(*(book.singles for book in books))
     changed = [each for subject in sorted(named) if (each := _of_subject(old, new, subject, "", budget))]
     if len(books) < len(written):
-        return [*changed, _undecided("*", _UNWRITTEN)]
+        return [*changed, _unknown("*", unknown_change(_UNWRITTEN))]
     reported: set[tuple[str, str]] = set()
-    for difference in pattern_differences((old, new), (books[0], books[1]), named, budget):
-        like = pattern_text(difference.subjects)
-        if difference.unknown:
-            changed.append(_undecided(like, difference.unknown, difference))
-        elif (like, difference.subject) not in reported:
-            reported.add((like, difference.subject))
-            each = _of_subject(old, new, difference.subject, like, budget)
+    for subjects, difference in pattern_differences((old, new), (books[0], books[1]), named, budget):
+        like = pattern_text(subjects)
+        if isinstance(difference, PermissionChange):
+            changed.append(_unknown(like, difference))
+        elif (like, difference) not in reported:
+            reported.add((like, difference))
+            each = _of_subject(old, new, difference, like, budget)
             changed += [each] if each else []
     return changed
 
@@ -91,20 +90,7 @@ def _check_example(old: LoadedPolicy, new: LoadedPolicy, subject: str, change: P
         raise AssertionError(f"the policies do not differ on {edge} as reported")
 
 
-def _undecided(like: str, reason: str, difference: PatternDifference | None = None) -> SubjectChanges:
-    """Return an unknown change for the subjects that a pattern matches."""
-    if difference is None or difference.where is None:
-        change = PermissionChange(True, "", "", "*", False, "", None, reason)
-    else:
-        change = PermissionChange(
-            difference.gains,
-            *difference.key,
-            as_written(display_pattern(difference.key[0], difference.object)),
-            False,
-            "",
-            difference.where,
-            reason,
-        )
+def _unknown(like: str, change: PermissionChange) -> SubjectChanges:
     return SubjectChanges("", like, before=True, after=True, changes=(change,))
 
 

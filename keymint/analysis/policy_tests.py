@@ -16,11 +16,11 @@ from keymint.analysis.rule_lists import (
     allow_only,
     display_name,
     find_permitted,
+    matching_rule,
     negated,
+    object_patterns,
     part_lists,
-    permission_keys,
     query_pattern,
-    rule_patterns,
 )
 from keymint.analysis.subject_patterns import (
     can_exist,
@@ -117,7 +117,7 @@ class ExpectationChecker:
                     continue
                 if not isinstance(outcome, Witness):
                     return f"the answer for {subject} is unknown: {outcome.reason}", None
-                denying = self._denying(rules, kind, permission, outcome.word)
+                denying = matching_rule(rules, Effect.DENY, kind, permission, outcome.word)
                 why = "a DENY rule matches" if denying else "no rule allows it"
                 shown = display_name(kind, outcome.word)
                 return f"{subject} may not {permission} {shown}: {why}", denying.origin if denying else None
@@ -131,17 +131,6 @@ class ExpectationChecker:
             return f"{each.subject} may {permission} {display_name(kind, each.word)}", each.where
         return "", None
 
-    def _denying(self, rules: Sequence[Rule], kind: str, permission: str, word: str) -> Rule | None:
-        for part_kind, part, suffix in parts(kind, permission):
-            for rule in rules:
-                if rule.effect is Effect.DENY and any(
-                    matches(one, word + suffix)
-                    for expression in rule.expressions
-                    for one in rule_patterns(rule, expression, (part_kind, part))
-                ):
-                    return rule
-        return None
-
     def _exercised(self, expected: Expectation, within: Glob, kind: str, permission: str, name: Glob) -> Iterator[Spot]:
         """Yield the spots of the rules that decide on subjects and objects of an expectation."""
         effect = Effect.ALLOW if expected.allowed else Effect.DENY
@@ -151,11 +140,7 @@ class ExpectationChecker:
                 continue
             for rule in rules:
                 if rule.effect is effect and any(
-                    not disjoint(one, other)
-                    for key, other in names
-                    if key in permission_keys(rule)
-                    for expression in rule.expressions
-                    for one in rule_patterns(rule, expression, key)
+                    not disjoint(one, other) for key, other in names for one in object_patterns(rule, key)
                 ):
                     yield rule.origin.spot
 

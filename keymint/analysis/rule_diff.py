@@ -10,7 +10,8 @@ from comarmor.patterns.decision_lists import DecisionList, Equal, ProofResult, U
 from comarmor.patterns.glob import Glob, parse, surround
 from comarmor.patterns.proofs import difference
 from comarmor.patterns.relations import TooComplexError, covers, disjoint, intersection
-from comarmor.rules import PERMISSIONS, Effect, parts
+from comarmor.patterns.tokens import STAR
+from comarmor.rules import PARTS, PERMISSIONS, Effect, parts
 from keymint.analysis.query_budget import QueryBudget
 from keymint.analysis.rule_lists import (
     PermissionKey,
@@ -19,14 +20,13 @@ from keymint.analysis.rule_lists import (
     display_name,
     display_pattern,
     find_permitted,
-    is_composite,
     negated,
+    object_patterns,
     part_lists,
-    permission_keys,
-    rule_patterns,
+    restrict_allowed,
     universe,
 )
-from keymint.analysis.subject_patterns import restrict_allowed
+from keymint.analysis.subject_templates import as_written
 from keymint.ir import Rule
 
 
@@ -38,7 +38,7 @@ class PermissionChange:
         gains: True if only the newer policy allows it, False if only the older one does.
         kind: kind of the objects.
         permission: the permission.
-        pattern: expression of the objects, with the partition if it is not the default one.
+        objects: pattern of the words of the objects.
         whole: everything that the pattern matches changes, not only a part.
         word: the shortest name that changes, with the partition for kind ``topic``; empty if unknown.
         where: the rule that allows it; None if unknown.
@@ -48,11 +48,16 @@ class PermissionChange:
     gains: bool
     kind: str
     permission: str
-    pattern: str
+    objects: Glob
     whole: bool
     word: str
     where: Origin | None
     unknown: str = ""
+
+    @property
+    def pattern(self) -> str:
+        """Expression of the objects, with the partition if it is not the default one."""
+        return as_written(display_pattern(self.kind, self.objects))
 
     @property
     def example(self) -> str:
@@ -60,9 +65,12 @@ class PermissionChange:
         return display_name(self.kind, self.word)
 
 
-def rule_changes(
-    old: Sequence[Rule], new: Sequence[Rule], budget: QueryBudget | None = None
-) -> Iterator[PermissionChange]:
+def unknown_change(reason: str) -> PermissionChange:
+    """Return an unknown change of any permission."""
+    return PermissionChange(True, "", "", (STAR,), False, "", None, reason)
+
+
+def rule_changes(old: Sequence[Rule], new: Sequence[Rule], budget: QueryBudget) -> Iterator[PermissionChange]:
     """Yield what a subject gains and loses when its rules change, gains first.
 
     Args:
@@ -70,49 +78,44 @@ def rule_changes(
         new: its newer rules.
         budget: limit of the search.
     """
-    budget = budget or QueryBudget()
-    for is_gain, before, after in ((True, old, new), (False, new, old)):
-        for kind, permission, pattern, example, whole, where, unknown in _RuleComparison(
-            before, after, budget
-        ).differences():
-            yield PermissionChange(
-                is_gain, kind, permission, display_pattern(kind, pattern), whole, example, where, unknown
-            )
-
-
-_Difference = tuple[str, str, Glob, str, bool, Origin, str]
-"""Kind, permission, pattern, example, whether all of the pattern changes, the rule that allows it, and why unknown."""
+    yield from _RuleComparison(True, old, new, budget).changes()
+    yield from _RuleComparison(False, new, old, budget).changes()
 
 
 class _RuleComparison:
     """Finds what some rules allow and others do not.
 
     Args:
+        gains: the rules that allow it are the newer ones.
         before: the rules that do not allow it.
         after: the rules that do.
         budget: limit of the search.
     """
 
-    def __init__(self, before: Sequence[Rule], after: Sequence[Rule], budget: QueryBudget) -> None:
+    def __init__(self, gains: bool, before: Sequence[Rule], after: Sequence[Rule], budget: QueryBudget) -> None:
+        self._gains = gains
         self._before = before
         self._after = after
         self._budget = budget
 
-    def differences(self) -> Iterator[_Difference]:
-        """Yield the differences, permissions without parts first; composite permissions cover those of their parts."""
-        all_ = [(kind, permission) for kind, permissions in PERMISSIONS.items() for permission in permissions]
-        composite = [each for key in all_ if is_composite(*key) for each in self._composite(*key)]
+    def changes(self) -> Iterator[PermissionChange]:
+        """Yield the changes, permissions without parts first; composite permissions cover those of their parts."""
+        keys = [(kind, permission) for kind, permissions in PERMISSIONS.items() for permission in permissions]
+        composite = [change for key in keys if key in PARTS for change in self._composite(key)]
         explained: dict[PermissionKey, list[Glob]] = {}
-        for kind, permission, pattern, *_ in composite:
-            pieces = [((of, part), surround("", pattern, suffix)) for of, part, suffix in parts(kind, permission)]
+        for change in composite:
+            pieces = [
+                ((kind, part), surround("", change.objects, suffix))
+                for kind, part, suffix in parts(change.kind, change.permission)
+            ]
             if all(self._is_changed(key, piece) for key, piece in pieces):
                 for key, piece in pieces:
                     explained.setdefault(key, []).append(piece)
-        for key in all_:
-            if not is_composite(*key):
-                for each in self._elementary(key):
-                    if not any(covers(outer, each[2]) for outer in explained.get(key, ())):
-                        yield each
+        for key in keys:
+            if key not in PARTS:
+                for change in self._elementary(key):
+                    if not any(covers(outer, change.objects) for outer in explained.get(key, ())):
+                        yield change
         yield from composite
 
     def _is_changed(self, key: PermissionKey, piece: Glob) -> bool:
@@ -121,20 +124,25 @@ class _RuleComparison:
     def _find(self, kind: str, *lists: DecisionList) -> ProofResult:
         return find_permitted(kind, *lists, budget=self._budget.next_query())
 
-    def _elementary(self, key: PermissionKey) -> list[_Difference]:
-        """Return the differences for a kind and permission without parts."""
+    def _change(
+        self, key: PermissionKey, objects: Glob, outcome: Witness | Unknown, whole: bool, where: Origin
+    ) -> PermissionChange:
+        if isinstance(outcome, Unknown):
+            return PermissionChange(self._gains, *key, objects, False, "", where, outcome.reason)
+        return PermissionChange(self._gains, *key, objects, whole, outcome.word, where)
+
+    def _elementary(self, key: PermissionKey) -> list[PermissionChange]:
+        """Return the changes for a kind and permission without parts."""
         old, new = decision_list(self._before, key), decision_list(self._after, key)
         if isinstance(difference(old, new, universe=universe(key[0]), budget=self._budget.next_query()), Equal):
             return []
         denied = tuple(dict.fromkeys(pattern for block in old if not block.allows for pattern in block.patterns))
-        differences: list[_Difference] = []
+        changes: list[PermissionChange] = []
         for rule in self._after:
-            if rule.effect is not Effect.ALLOW or key not in permission_keys(rule):
-                continue
-            for expression in rule.expressions:
-                for pattern in rule_patterns(rule, expression, key):
-                    differences += self._of_pattern(pattern, old, new, denied, key, rule.origin)
-        return _maximal(differences)
+            if rule.effect is Effect.ALLOW:
+                for pattern in object_patterns(rule, key):
+                    changes += self._of_pattern(pattern, old, new, denied, key, rule.origin)
+        return _maximal(changes)
 
     def _of_pattern(
         self,
@@ -144,15 +152,15 @@ class _RuleComparison:
         denied: tuple[Glob, ...],
         key: PermissionKey,
         where: Origin,
-    ) -> Iterator[_Difference]:
+    ) -> Iterator[PermissionChange]:
         """Yield the newly allowed part of a pattern: what was denied, and what no rule allowed."""
-        kind, permission = key
+        kind = key[0]
         allowed_now = restrict_allowed(pattern, new)
         unmatched: DecisionList = (*(block for block in old if not block.allows), *negated(old)[1:])
         outcome = self._find(kind, allowed_now, unmatched)
         if not isinstance(outcome, Equal):
             whole = not any(not disjoint(pattern, each) for each in denied) and self._is_whole(kind, pattern, old, new)
-            yield _difference(key, pattern, outcome, whole, where)
+            yield self._change(key, pattern, outcome, whole, where)
         for each in denied:
             try:
                 pieces = intersection(pattern, each)
@@ -161,29 +169,29 @@ class _RuleComparison:
             for piece in pieces:
                 outcome = self._find(kind, allow_only(piece), allow_only(each), allowed_now)
                 if not isinstance(outcome, Equal):
-                    yield _difference((kind, permission), piece, outcome, self._is_whole(kind, piece, old, new), where)
+                    yield self._change(key, piece, outcome, self._is_whole(kind, piece, old, new), where)
 
-    def _composite(self, kind: str, permission: str) -> list[_Difference]:
-        """Return the differences for a permission with parts: all parts are allowed now, and were not."""
+    def _composite(self, key: PermissionKey) -> list[PermissionChange]:
+        """Return the changes for a permission with parts: all parts are allowed now, and were not."""
+        kind, permission = key
         candidates = {
-            pattern: rule.origin
+            parse(expression): rule.origin
             for rule in reversed(self._after)
             if rule.effect is Effect.ALLOW and rule.kind == kind and permission in rule.permissions
             for expression in rule.expressions
-            for pattern in (parse(expression),)
         }
         if not candidates:
             return []
         old, new = part_lists(self._before, kind, permission), part_lists(self._after, kind, permission)
-        differences: list[_Difference] = []
+        changes: list[PermissionChange] = []
         for pattern, where in candidates.items():
             outcomes = [self._find(kind, allow_only(pattern), *new, negated(part)) for part in old]
             outcome = _shortest(outcomes)
             if outcome is not None:
                 had = not isinstance(self._find(kind, allow_only(pattern), *old), Equal)
                 lacks = any(not isinstance(self._find(kind, allow_only(pattern), negated(part)), Equal) for part in new)
-                differences.append(_difference((kind, permission), pattern, outcome, not had and not lacks, where))
-        return _maximal(differences)
+                changes.append(self._change(key, pattern, outcome, not had and not lacks, where))
+        return _maximal(changes)
 
     def _is_whole(self, kind: str, pattern: Glob, old: DecisionList, new: DecisionList) -> bool:
         """Return True if the older list denies, and the newer one allows, everything that a pattern matches."""
@@ -199,19 +207,11 @@ def _shortest(outcomes: Sequence[Equal | Witness | Unknown]) -> Witness | Unknow
     return next((each for each in outcomes if isinstance(each, Unknown)), None)
 
 
-def _difference(
-    key: PermissionKey, pattern: Glob, outcome: Witness | Unknown, whole: bool, where: Origin
-) -> _Difference:
-    if isinstance(outcome, Unknown):
-        return (*key, pattern, "", False, where, outcome.reason)
-    return (*key, pattern, outcome.word, whole, where, "")
-
-
-def _maximal(differences: Sequence[_Difference]) -> list[_Difference]:
-    """Return the differences whose pattern is not covered by another one."""
-    kept: list[_Difference] = []
-    for at, one in enumerate(differences):
-        others = (*kept, *differences[at + 1 :])
-        if not any(covers(other[2], one[2]) and (other[4] or not one[4]) for other in others):
-            kept.append(one)
+def _maximal(changes: Sequence[PermissionChange]) -> list[PermissionChange]:
+    """Return the changes whose pattern is not covered by another one."""
+    kept: list[PermissionChange] = []
+    for at, change in enumerate(changes):
+        others = (*kept, *changes[at + 1 :])
+        if not any(covers(other.objects, change.objects) and (other.whole or not change.whole) for other in others):
+            kept.append(change)
     return kept

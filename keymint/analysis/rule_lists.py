@@ -7,15 +7,16 @@ several partitions is allowed if it is allowed in each of them, so deciding one 
 from __future__ import annotations
 
 import string
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from functools import lru_cache
 
 from comarmor.patterns.decision_lists import Block, DecisionList, ProofResult, SearchBudget, Universe
 from comarmor.patterns.glob import EVERYTHING, Glob, after, literal, normalise, parse, surround, units
+from comarmor.patterns.matching import matches
 from comarmor.patterns.printing import exact
 from comarmor.patterns.proofs import difference
 from comarmor.patterns.tokens import ANY, MAX_CODE, STAR, charset
-from comarmor.rules import PARTS, Effect, parts
+from comarmor.rules import Effect, parts
 from keymint.ir import Rule
 
 RAW = "topic"
@@ -67,6 +68,26 @@ def rule_patterns(rule: Rule, expression: str, key: PermissionKey) -> tuple[Glob
     )
 
 
+def object_patterns(rule: Rule, key: PermissionKey) -> Iterator[Glob]:
+    """Yield the patterns of the words of a kind and permission that a rule matches."""
+    for expression in rule.expressions:
+        yield from rule_patterns(rule, expression, key)
+
+
+def matching_rule(rules: Sequence[Rule], effect: Effect, kind: str, permission: str, word: str) -> Rule | None:
+    """Return the first rule of an effect for a name, by the first part of a composite permission that has one."""
+    return next(
+        (
+            rule
+            for part_kind, part, suffix in parts(kind, permission)
+            for rule in rules
+            if rule.effect is effect
+            and any(matches(pattern, word + suffix) for pattern in object_patterns(rule, (part_kind, part)))
+        ),
+        None,
+    )
+
+
 def in_partition(partition: str, name: Glob) -> Glob:
     """Return the pattern of a DDS topic in the partitions that an expression matches."""
     return normalise((*parse(partition), SEPARATOR, *name))
@@ -81,8 +102,7 @@ def decision_list(rules: Iterable[Rule], key: PermissionKey) -> DecisionList:
     """Return the decision list of rules for a kind and permission without parts."""
     by_effect: dict[Effect, dict[Glob, None]] = {Effect.DENY: {}, Effect.ALLOW: {}}
     for rule in rules:
-        for expression in rule.expressions:
-            by_effect[rule.effect] |= dict.fromkeys(rule_patterns(rule, expression, key))
+        by_effect[rule.effect] |= dict.fromkeys(object_patterns(rule, key))
     return deny_over_allow(by_effect[Effect.DENY], by_effect[Effect.ALLOW])
 
 
@@ -125,6 +145,11 @@ def allow_only(pattern: Glob) -> DecisionList:
     return (Block(True, (pattern,)),)
 
 
+def restrict_allowed(pattern: Glob, decided: DecisionList) -> DecisionList:
+    """Return a decision list restricted to one of its allowed patterns."""
+    return (*(block for block in decided if not block.allows), Block(True, (pattern,)))
+
+
 def negated(decided: DecisionList) -> DecisionList:
     """Return the list that allows exactly what another one denies."""
     return (*(Block(not block.allows, block.patterns) for block in decided), Block(True, (EVERYTHING,)))
@@ -142,11 +167,6 @@ def find_permitted(kind: str, *lists: DecisionList, budget: SearchBudget | None 
         A shortest ``Witness``, ``Equal`` if there is none, or ``Unknown``.
     """
     return difference((), *lists, legal_names(kind), universe=universe(kind), budget=budget)
-
-
-def is_composite(kind: str, permission: str) -> bool:
-    """Return True for a permission with parts."""
-    return (kind, permission) in PARTS
 
 
 def pattern_text(pattern: Glob) -> str:

@@ -10,25 +10,16 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator, Sequence
 from operator import itemgetter
 
-from comarmor.patterns.decision_lists import Block, DecisionList, Equal, Witness
+from comarmor.patterns.decision_lists import Equal, Witness
 from comarmor.patterns.glob import Glob, literal, normalise, parse, units
 from comarmor.patterns.matching import matches
 from comarmor.patterns.pattern_index import PatternIndex
-from comarmor.patterns.relations import TooComplexError, covers, intersection
+from comarmor.patterns.relations import TooComplexError, intersection
 from comarmor.patterns.steps import StepLimitError, cached, spend, step_limit
 from comarmor.patterns.tokens import Charset, Star
 from comarmor.ros_names import is_fully_qualified
-from comarmor.rules import Effect
 from comarmor.text import did_you_mean
-from keymint.analysis.rule_lists import (
-    PermissionKey,
-    allow_only,
-    deny_over_allow,
-    find_permitted,
-    pattern_text,
-    permission_keys,
-    rule_patterns,
-)
+from keymint.analysis.rule_lists import allow_only, find_permitted, pattern_text
 from keymint.api import LoadedPolicy, PolicyStructure, StructuredPolicy, WrittenProfile, WrittenRule
 from keymint.ir import Rule
 
@@ -208,40 +199,6 @@ def _overlaps(wild: Sequence[Glob]) -> list[Glob]:
     return list(overlaps)
 
 
-def at_most(written: PolicyStructure, within: Glob, key: PermissionKey) -> Iterator[tuple[Glob, DecisionList]]:
-    """Yield patterns of subjects, each with a decision list that allows at least what any of them may do.
-
-    Args:
-        written: structure of a policy.
-        within: pattern of the subjects.
-        key: a kind, and a permission without parts.
-
-    Raises:
-        TooComplexError: the profiles overlap in too many ways.
-    """
-    matching = [clause for clause in written.clauses if key in permission_keys(clause.rule)]
-    denials = [clause for clause in matching if clause.rule.effect is Effect.DENY]
-    for clause in matching:
-        if clause.rule.effect is not Effect.ALLOW:
-            continue
-        for subjects in profile_subjects(clause.profiles, within):
-            granted: dict[Glob, None] = {}
-            for namespace, name in namespace_name_splits(subjects):
-                for expression in clause.expand(pattern_text(namespace), pattern_text(name)):
-                    granted |= dict.fromkeys(rule_patterns(clause.rule, expression, key))
-            yield subjects, deny_over_allow(_surely_denied(denials, subjects, key), granted)
-
-
-def _surely_denied(denials: Sequence[WrittenRule], subjects: Glob, key: PermissionKey) -> Iterator[Glob]:
-    """Yield patterns of objects that are denied to every subject that a pattern matches."""
-    for clause in denials:
-        if not any(covers(each, subjects) for each in profile_subjects(clause.profiles)):
-            continue
-        name = literal(subjects)
-        for expression in fixed_expressions(clause) if name is None else expressions_for(clause, name):
-            yield from rule_patterns(clause.rule, expression, key)
-
-
 def expressions_for(clause: WrittenRule, subject: str) -> tuple[str, ...]:
     """Return the expressions of a rule for a subject."""
     head, _, last = subject.rpartition("/")
@@ -313,8 +270,3 @@ def representatives(policy: LoadedPolicy, pattern: Glob) -> tuple[str, ...]:
             continue
         examples |= dict.fromkeys(subject for one in reachable if (subject := example_subject(one)) is not None)
     return named or tuple(examples)
-
-
-def restrict_allowed(pattern: Glob, decided: DecisionList) -> DecisionList:
-    """Return a decision list restricted to one of its allowed patterns."""
-    return (*(block for block in decided if not block.allows), Block(True, (pattern,)))

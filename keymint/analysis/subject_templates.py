@@ -27,21 +27,6 @@ _Tokens = tuple[Token, ...]
 
 
 @dataclass(frozen=True, slots=True)
-class TemplatePiece:
-    """Patterns of subjects, and of the symbolic words for each of them.
-
-    Attributes:
-        namespace: pattern of the namespaces, without the leading ``/``.
-        name: pattern of the last segments.
-        object: pattern of symbolic words.
-    """
-
-    namespace: Glob
-    name: Glob
-    object: Glob
-
-
-@dataclass(frozen=True, slots=True)
 class FittedPattern:
     """A pattern, rewritten for symbolic words with the placeholders of another pattern.
 

@@ -27,7 +27,6 @@ from keymint.analysis.subject_templates import (
     NAME,
     NAMESPACE,
     PLACEHOLDERS,
-    TemplatePiece,
     concrete_name,
     exact_halves,
     fill_placeholders,
@@ -74,21 +73,7 @@ class SymbolicCondition:
     some: tuple[SymbolicEntry, ...] | None = None
 
 
-@dataclass(frozen=True, slots=True)
-class FoundSubject:
-    """A subject that fulfils the conditions."""
-
-    subject: str
-
-
-@dataclass(frozen=True, slots=True)
-class Undecided:
-    """The reason why the answer is unknown."""
-
-    reason: str
-
-
-SubjectCheck = Callable[[str], "bool | Undecided"]
+SubjectCheck = Callable[[str], bool | Unknown]
 """Decides exactly, by a subject's own rules, whether it fulfils the conditions."""
 
 
@@ -109,7 +94,7 @@ def find_subject(
     check: SubjectCheck,
     excluded: Iterable[str],
     budget: QueryBudget,
-) -> FoundSubject | Undecided | None:
+) -> str | Unknown | None:
     """Find a subject with a word that fulfils all conditions; None if there is provably none.
 
     Args:
@@ -122,10 +107,10 @@ def find_subject(
         budget: limit of the search.
     """
     excluded = tuple(excluded)
-    undecided: Undecided | None = None
+    undecided: Unknown | None = None
     for namespace, name in _singled(namespace_name_pairs(subjects), placeholders(shape)):
         answer = _Search(kind, namespace, name, shape, conditions, budget).run(check, excluded)
-        if isinstance(answer, FoundSubject):
+        if isinstance(answer, str):
             return answer
         undecided = undecided or answer
     return undecided
@@ -171,12 +156,12 @@ class _Search:
         self._budget = budget
         self._universe = Universe(_alphabet(kind), 4 if kind == RAW else 3, SEPARATOR, last_nonempty=kind == RAW)
 
-    def run(self, check: SubjectCheck, excluded: Iterable[str]) -> FoundSubject | Undecided | None:
+    def run(self, check: SubjectCheck, excluded: Iterable[str]) -> str | Unknown | None:
         """Search, check the candidate, and search again without it; see :func:`find_subject`."""
         try:
             positives, negatives = self._lists()
         except TooComplexError:
-            return Undecided("its patterns overlap in too many ways")
+            return Unknown("its patterns overlap in too many ways")
         refused = [*negatives, *map(self._subject, excluded)]
         for _ in range(_ROUNDS):
             denied = Block(False, tuple(dict.fromkeys(refused)))
@@ -185,22 +170,22 @@ class _Search:
                 *((Block(True, each),) for each in positives[1:]),
             ]
             if self._budget.is_empty:
-                return Undecided(self._budget.reason(""))
+                return Unknown(self._budget.reason(""))
             outcome = difference((), *lists, universe=self._universe, budget=self._budget.next_query(len(lists)))
             if isinstance(outcome, Equal):
                 return None
             if isinstance(outcome, Unknown):
-                return Undecided(self._budget.reason(outcome.reason))
+                return Unknown(self._budget.reason(outcome.reason))
             namespace, name, word = outcome.word.split(SEPARATOR, 2)
             subject = f"/{namespace}{name}"
             verdict = check(subject)
             if verdict is not False:
-                return FoundSubject(subject) if verdict is True else verdict
+                return subject if verdict is True else verdict
             refused += [
                 self._subject(subject),
                 *self._denied_for(namespace, name, concrete_name(word, namespace, name)),
             ]
-        return Undecided("rules that depend on {namespace} or {name} overlap others, and no example was found")
+        return Unknown("rules that depend on {namespace} or {name} overlap others, and no example was found")
 
     def _lists(self) -> tuple[list[tuple[Glob, ...]], list[Glob]]:
         """Return patterns of allowed words for each condition, and patterns of forbidden words."""
@@ -208,13 +193,13 @@ class _Search:
         negatives = [*_illegal(self._kind), *self._surplus_placeholders()]
         for condition in self._conditions:
             if condition.some is not None:
-                some = (piece for entry in condition.some for piece in self._pieces(entry, wide=True))
-                positives.append(tuple(dict.fromkeys(_word(each.namespace, each.name, each.object) for each in some)))
+                some = (word for entry in condition.some for word in self._entry_words(entry, wide=True))
+                positives.append(tuple(dict.fromkeys(some)))
             for entry in condition.none:
-                negatives += (_word(p.namespace, p.name, p.object) for p in self._pieces(entry, wide=False))
+                negatives += self._entry_words(entry, wide=False)
         return positives, negatives
 
-    def _pieces(self, entry: SymbolicEntry, *, wide: bool) -> Iterator[TemplatePiece]:
+    def _entry_words(self, entry: SymbolicEntry, *, wide: bool) -> Iterator[Glob]:
         """Yield an entry as patterns of words, over-approximated (wide) or under-approximated."""
         for entry_namespace, entry_name in entry.subjects:
             try:
@@ -228,7 +213,7 @@ class _Search:
                 fit = fit_pattern(pattern, self._shape, namespace, name, wide=wide)
                 for limits, limits2, object_ in fit.pieces:
                     both = (_narrowed(namespace, limits, wide=wide), _narrowed(name, limits2, wide=wide))
-                    yield from (TemplatePiece(one, other, object_) for one, other in product(*both))
+                    yield from (_word(one, other, object_) for one, other in product(*both))
 
     @staticmethod
     def _fixed(pattern: Glob, namespace: Glob, name: Glob) -> Glob:
@@ -252,7 +237,7 @@ class _Search:
                     narrow = SymbolicEntry(
                         ((exact[0] if NAMESPACE in used else one, exact[1] if NAME in used else other),), entry.object
                     )
-                    yield from (_word(p.namespace, p.name, p.object) for p in self._pieces(narrow, wide=False))
+                    yield from self._entry_words(narrow, wide=False)
 
     def _surplus_placeholders(self) -> Iterator[Glob]:
         """Yield the words with more placeholders than the shape: its stars match no placeholders."""

@@ -15,22 +15,14 @@ from keymint.analysis.query_budget import QueryBudget
 from keymint.analysis.rule_lists import (
     allow_only,
     find_permitted,
+    matching_rule,
     part_lists,
     pattern_text,
-    permission_keys,
-    rule_patterns,
     strip_suffix,
 )
 from keymint.analysis.subject_patterns import can_exist, example_subject, named_subjects, rules_of, structure
 from keymint.analysis.symbolic_rules import SymbolicRule, SymbolicRules
-from keymint.analysis.symbolic_search import (
-    EVERYBODY,
-    FoundSubject,
-    SymbolicCondition,
-    SymbolicEntry,
-    Undecided,
-    find_subject,
-)
+from keymint.analysis.symbolic_search import EVERYBODY, SymbolicCondition, SymbolicEntry, find_subject
 from keymint.api import LoadedPolicy
 from keymint.ir import Rule
 
@@ -54,9 +46,7 @@ class PermissionHolder:
     unknown: str = ""
 
 
-def who_can(
-    policy: LoadedPolicy, within: Glob, kind: str, permission: str, name: Glob, budget: QueryBudget | None = None
-) -> Iterator[PermissionHolder]:
+def who_can(policy: LoadedPolicy, within: Glob, kind: str, permission: str, name: Glob) -> Iterator[PermissionHolder]:
     """Yield subjects with a permission: first those that a policy names, then an example for each pattern of others.
 
     No result proves that no possible subject has the permission on any name. If the policy type does not provide the
@@ -68,7 +58,6 @@ def who_can(
         kind: kind of the objects.
         permission: a permission of that kind.
         name: pattern of the objects; for kind ``topic`` with the partition.
-        budget: limit of the search.
     """
     exact = literal(within)
     written = structure(policy) if exact is None else None
@@ -82,7 +71,7 @@ def who_can(
         if outcome is not None:
             yield _holder_of(subject, "", outcome, policy, kind, permission)
     if rules is not None:
-        search = _HolderSearch(policy, rules, kind, permission, name, frozenset(named), budget or QueryBudget())
+        search = _HolderSearch(policy, rules, kind, permission, name, frozenset(named))
         yield from search.others(within)
 
 
@@ -95,24 +84,12 @@ def shortest_granted(
     return None if isinstance(outcome, Equal) else outcome
 
 
-def granting_rule(rules: Sequence[Rule], kind: str, permission: str, word: str) -> Rule | None:
-    """Return the first rule that allows a name, or the first part of a composite permission on it."""
-    part_kind, part, suffix = parts(kind, permission)[0]
-    for rule in rules:
-        if rule.effect is not Effect.ALLOW or (part_kind, part) not in permission_keys(rule):
-            continue
-        for expression in rule.expressions:
-            if any(matches(one, word + suffix) for one in rule_patterns(rule, expression, (part_kind, part))):
-                return rule
-    return None
-
-
 def _holder_of(
     subject: str, like: str, outcome: Witness | Unknown, policy: LoadedPolicy, kind: str, permission: str
 ) -> PermissionHolder:
     if isinstance(outcome, Unknown):
         return PermissionHolder(subject, like, "", None, outcome.reason)
-    rule = granting_rule(rules_of(policy, subject), kind, permission, outcome.word)
+    rule = matching_rule(rules_of(policy, subject), Effect.ALLOW, kind, permission, outcome.word)
     return PermissionHolder(subject, like, outcome.word, rule.origin if rule else None)
 
 
@@ -126,7 +103,6 @@ class _HolderSearch:
         permission: the permission.
         name: pattern of the objects.
         named: subjects that are already checked.
-        budget: limit of the search.
     """
 
     def __init__(
@@ -137,13 +113,12 @@ class _HolderSearch:
         permission: str,
         name: Glob,
         named: frozenset[str],
-        budget: QueryBudget,
     ) -> None:
         self._policy = policy
         self._rules = rules
         self._kind, self._permission, self._name = kind, permission, name
         self._named = named
-        self._budget = budget
+        self._budget = QueryBudget()
 
     def others(self, within: Glob) -> Iterator[PermissionHolder]:
         """Yield an example for each pattern of subjects with the permission."""
@@ -156,22 +131,22 @@ class _HolderSearch:
                     continue
                 for shape in _before(rule.object, suffix):
                     answer = self._holder(subjects, shape, rule)
-                    if isinstance(answer, Undecided):
+                    if isinstance(answer, Unknown):
                         unknown.setdefault(subjects, answer.reason)
                     elif answer is not None:
                         reported.add(subjects)
-                        yield from self._example(answer.subject, subjects)
+                        yield from self._example(answer, subjects)
                         break
         for subjects, reason in unknown.items():
             if subjects not in reported:
                 yield PermissionHolder("", pattern_text(subjects), "", None, reason)
 
-    def _holder(self, subjects: Glob, shape: Glob, rule: SymbolicRule) -> FoundSubject | Undecided | None:
+    def _holder(self, subjects: Glob, shape: Glob, rule: SymbolicRule) -> str | Unknown | None:
         first = example_subject(subjects)
         tried = [] if first is None or first in self._named else [first]
         for subject in tried:
             if self._check(subject) is True:
-                return FoundSubject(subject)
+                return subject
         excluded = {subject for subject in self._named if matches(subjects, subject)}
         conditions = (*rule.reach.conditions, *self._conditions(subjects))
         return find_subject(self._kind, subjects, shape, conditions, self._check, (*excluded, *tried), self._budget)
@@ -185,11 +160,11 @@ class _HolderSearch:
             if number:
                 yield SymbolicCondition(some=tuple(_without(self._rules.perhaps(key, Effect.ALLOW, subjects), suffix)))
 
-    def _check(self, subject: str) -> bool | Undecided:
+    def _check(self, subject: str) -> bool | Unknown:
         outcome = shortest_granted(
             rules_of(self._policy, subject), self._kind, self._permission, self._name, self._budget
         )
-        return Undecided(self._budget.reason(outcome.reason)) if isinstance(outcome, Unknown) else outcome is not None
+        return Unknown(self._budget.reason(outcome.reason)) if isinstance(outcome, Unknown) else outcome is not None
 
     def _example(self, subject: str, subjects: Glob) -> Iterator[PermissionHolder]:
         outcome = shortest_granted(rules_of(self._policy, subject), self._kind, self._permission, self._name)
