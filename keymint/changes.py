@@ -22,6 +22,11 @@ class Action(StrEnum):
     REMOVED = "removed"
 
 
+def file_mode(*, secret: bool) -> int:
+    """Return the mode of a secret or public file."""
+    return 0o600 if secret else 0o644
+
+
 @dataclass(frozen=True, slots=True)
 class File:
     """A file to write: its bytes, and whether it is secret (0600) or public (0644)."""

@@ -16,7 +16,7 @@ from typing import NoReturn
 
 from comarmor.errors import Origin
 from comarmor.text import quoted
-from keymint.changes import File
+from keymint.changes import File, file_mode
 from keymint.errors import KeymintError
 
 PREFIX, SUFFIX = ".keymint-", ".tmp"
@@ -38,6 +38,16 @@ def is_temporary(name: str) -> bool:
     return name.startswith(PREFIX) and name.endswith(SUFFIX)
 
 
+@contextlib.contextmanager
+def opened_folder(name: str | Path, parent: int | None = None) -> Iterator[int]:
+    """Open a folder, relative to an open parent folder if given, without following a link."""
+    descriptor = os.open(name, FOLDER, dir_fd=parent)
+    try:
+        yield descriptor
+    finally:
+        os.close(descriptor)
+
+
 def create(folder: int, shown: Path, name: str, file: File, owner: tuple[int, int] | None = None) -> None:
     """Create and synchronise a file.
 
@@ -51,14 +61,19 @@ def create(folder: int, shown: Path, name: str, file: File, owner: tuple[int, in
     with reported(shown / name):
         opened = os.open(name, NEW_FILE, 0o600, dir_fd=folder)
         try:
-            view = memoryview(file.content)
-            while view:
-                view = view[os.write(opened, view) :]
+            write_all(opened, file.content)
             give(opened, owner)
-            os.fchmod(opened, 0o600 if file.secret else 0o644)
+            os.fchmod(opened, file_mode(secret=file.secret))
             os.fsync(opened)
         finally:
             os.close(opened)
+
+
+def write_all(opened: int, content: bytes) -> None:
+    """Write to an open file; the system may take several writes for it."""
+    view = memoryview(content)
+    while view:
+        view = view[os.write(opened, view) :]
 
 
 def give(opened: int, owner: tuple[int, int] | None) -> None:

@@ -12,7 +12,7 @@ import errno
 import os
 import shutil
 import stat
-from collections.abc import Iterator
+from collections.abc import Collection
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import NoReturn
@@ -21,13 +21,14 @@ from comarmor.errors import Origin
 from keymint.changes import File
 from keymint.errors import KeymintError
 from keymint.file_writing import (
-    FOLDER,
     NEW_FILE,
     create,
     give,
     is_temporary,
+    opened_folder,
     reported,
     require_regular,
+    write_all,
 )
 
 _NO_LINK = {errno.EPERM, errno.EMLINK, errno.EOPNOTSUPP, errno.ENOSYS}
@@ -70,15 +71,6 @@ class Carried:
     left: set[str] = field(default_factory=set)
 
 
-@contextlib.contextmanager
-def _opened(parent: int, name: str) -> Iterator[int]:
-    descriptor = os.open(name, FOLDER, dir_fd=parent)
-    try:
-        yield descriptor
-    finally:
-        os.close(descriptor)
-
-
 def stage(old: int, new_parent: int, name: str, shown: Path, content: FolderContent) -> Carried | None:
     """Create and synchronise the replacement of a folder.
 
@@ -101,14 +93,14 @@ def stage(old: int, new_parent: int, name: str, shown: Path, content: FolderCont
         if not os.access(".", os.W_OK | os.X_OK, dir_fd=old, effective_ids=True):
             raise PermissionError(errno.EACCES, os.strerror(errno.EACCES))
         os.mkdir(name, 0o700, dir_fd=new_parent)
-        with _opened(new_parent, name) as new:
+        with opened_folder(name, new_parent) as new:
             give(new, (status.st_uid, status.st_gid))
             _copy_attributes(old, new)
             carried = _carry(old, new, shown, content)
             for file in content.files:
                 replaced = require_regular(old, shown, file) or status
                 create(new, shown, file, content.files[file], (replaced.st_uid, replaced.st_gid))
-            _add_folders(new, shown, content)
+            _add_folders(new, shown, content, staged=carried.folders)
             if content.removes() and not (carried.files or carried.folders or content.writes()):
                 os.rmdir(name, dir_fd=new_parent)
                 return None
@@ -131,7 +123,7 @@ def _carry(old: int, new: int, shown: Path, content: FolderContent) -> Carried:
         elif entry.is_dir(follow_symlinks=False):
             if name in content.removed:
                 raise IsADirectoryError(errno.EISDIR, os.strerror(errno.EISDIR))
-            with _opened(old, name) as inner:
+            with opened_folder(name, old) as inner:
                 if mount_of(inner) != mount:
                     refuse_mount(shown / name)
                 below = stage(inner, new, name, shown / name, content.folders.get(name, FolderContent()))
@@ -145,10 +137,10 @@ def _carry(old: int, new: int, shown: Path, content: FolderContent) -> Carried:
     return carried
 
 
-def _add_folders(parent: int, shown: Path, content: FolderContent) -> None:
+def _add_folders(parent: int, shown: Path, content: FolderContent, staged: Collection[str] = ()) -> None:
     """Create the new subfolders of a staged folder."""
     for name, inner in content.folders.items():
-        if inner.writes() and not _exists(parent, name):
+        if inner.writes() and name not in staged:
             add(parent, name, shown / name, inner)
 
 
@@ -166,20 +158,12 @@ def add(parent: int, name: str, shown: Path, content: FolderContent) -> None:
     """
     with reported(shown):
         os.mkdir(name, 0o700, dir_fd=parent)
-        with _opened(parent, name) as new:
+        with opened_folder(name, parent) as new:
             for file in content.files:
                 create(new, shown, file, content.files[file])
             _add_folders(new, shown, content)
             os.fchmod(new, 0o700 if content.private else content.mode)
             os.fsync(new)
-
-
-def _exists(parent: int, name: str) -> bool:
-    try:
-        os.stat(name, dir_fd=parent, follow_symlinks=False)
-    except FileNotFoundError:
-        return False
-    return True
 
 
 def _link(old: int, new: int, shown: Path, name: str) -> None:
@@ -209,9 +193,7 @@ def _copy(old: int, new: int, shown: Path, name: str) -> None:
     target = os.open(name, NEW_FILE, 0o600, dir_fd=new)
     try:
         while chunk := os.read(source, 1 << 20):
-            view = memoryview(chunk)
-            while view:
-                view = view[os.write(target, view) :]
+            write_all(target, chunk)
         give(target, (status.st_uid, status.st_gid))
         made = os.fstat(target)
         if (made.st_uid, made.st_gid) != (status.st_uid, status.st_gid):
@@ -273,13 +255,13 @@ def clear(parent: int, name: str, new: int, carried: Carried) -> None:
     Raises:
         OSError: the system refuses.
     """
-    with _opened(parent, name) as old:
+    with opened_folder(name, parent) as old:
         with os.scandir(old) as entries:
             ordered = sorted(entries, key=lambda entry: entry.name)
         for entry in ordered:
             below = carried.folders.get(entry.name)
             if below is not None:
-                with _opened(new, entry.name) as inner:
+                with opened_folder(entry.name, new) as inner:
                     clear(old, entry.name, inner, below)
             elif entry.name in carried.left and entry.is_dir(follow_symlinks=False):
                 shutil.rmtree(entry.name, dir_fd=old)

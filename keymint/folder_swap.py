@@ -16,7 +16,7 @@ import os
 import shutil
 from collections.abc import Callable
 
-from keymint.file_writing import FOLDER, PREFIX, temporary
+from keymint.file_writing import PREFIX, opened_folder, temporary
 
 WAITING = ".next"
 """Suffix of the folder in which a complete new folder waits."""
@@ -80,8 +80,7 @@ def _replace(parent: int, staged: str, name: str) -> str | None:
     """Replace a folder where names cannot be exchanged; it is missing for a moment."""
     waiting = temporary(WAITING)
     os.mkdir(waiting, 0o700, dir_fd=parent)
-    inner = os.open(waiting, FOLDER, dir_fd=parent)
-    try:
+    with opened_folder(waiting, parent) as inner:
         os.rename(staged, name, src_dir_fd=parent, dst_dir_fd=inner)
         os.fsync(inner)
         os.fsync(parent)
@@ -96,8 +95,6 @@ def _replace(parent: int, staged: str, name: str) -> str | None:
             shutil.rmtree(name, dir_fd=parent)  # overlayfs cannot rename a folder of a lower layer, but can remove it
             old = None
         os.rename(name, name, src_dir_fd=inner, dst_dir_fd=parent)
-    finally:
-        os.close(inner)
     os.rmdir(waiting, dir_fd=parent)
     return old
 
@@ -117,15 +114,10 @@ def finish(parent: int, waiting: str) -> None:
     Raises:
         OSError: the system refuses.
     """
-    inner = os.open(waiting, FOLDER, dir_fd=parent)
-    try:
-        with os.scandir(inner) as entries:
-            names = [entry.name for entry in entries]
-        for name in names:
+    with opened_folder(waiting, parent) as inner:
+        for name in os.listdir(inner):
             with contextlib.suppress(FileNotFoundError):
                 shutil.rmtree(name, dir_fd=parent)
             os.rename(name, name, src_dir_fd=inner, dst_dir_fd=parent)
             os.fsync(parent)
-    finally:
-        os.close(inner)
     os.rmdir(waiting, dir_fd=parent)

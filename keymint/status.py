@@ -9,7 +9,7 @@ from datetime import datetime
 from keymint.api import LoadedPolicy
 from keymint.errors import KeymintError
 from keymint.plan import build, create, install
-from keymint.plan.authorities import trusted_chains
+from keymint.plan.authority_files import trusted_chains
 from keymint.plan.enclaves import hidden, installed, installed_certificate, orphans
 from keymint.session import Session
 from keymint.workspace import packages

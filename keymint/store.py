@@ -28,6 +28,7 @@ from keymint.file_writing import (
     create,
     is_temporary,
     make_folder,
+    opened_folder,
     refuse,
     reported,
     require_regular,
@@ -35,7 +36,7 @@ from keymint.file_writing import (
 )
 from keymint.folder_staging import FolderContent, add, clear, mount_of, refuse_mount, stage
 from keymint.folder_swap import finish, is_waiting, swap_in
-from keymint.workspace_lock import LOCK
+from keymint.workspace_lock import LOCK, wait_for_lock
 
 
 class Store:
@@ -70,11 +71,7 @@ class Store:
                 refuse(self._records / LOCK, error)
         try:
             with reported(self._records / LOCK):
-                try:
-                    fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
-                except BlockingIOError:
-                    on_wait()
-                    fcntl.flock(lock, fcntl.LOCK_EX)
+                wait_for_lock(lock, fcntl.LOCK_EX, on_wait)
             yield
         finally:
             os.close(lock)
@@ -101,8 +98,8 @@ class Store:
         for root in self._roots if self.is_marked() else [self._records]:
             for folder, folders, files in os.walk(root):
                 for name in filter(is_waiting, folders):
-                    with self._opened_to_sweep(Path(folder)) as opened, reported(Path(folder) / name):
-                        finish(opened, name)
+                    with reported(Path(folder) / name), opened_folder(folder) as parent:
+                        finish(parent, name)
                 for name in filter(is_temporary, (*folders, *files)):
                     path = Path(folder) / name
                     with reported(path):
@@ -112,20 +109,12 @@ class Store:
                             path.unlink()
                 folders[:] = (name for name in folders if not is_temporary(name) and not is_waiting(name))
 
-    @staticmethod
-    @contextlib.contextmanager
-    def _opened_to_sweep(folder: Path) -> Iterator[int]:
-        with reported(folder):
-            opened = os.open(folder, FOLDER)
-        try:
-            yield opened
-        finally:
-            os.close(opened)
-
     # -- writing -------------------------------------------------------------------------------------------------
 
     def change(self, changes: Iterable[FolderChange]) -> None:
         """Write and remove files; all changes in one folder take effect in one step.
+
+        A folder that becomes empty is removed, and so are its parents below the root.
 
         A folder in which several files change is replaced, together with the changes in its subfolders. A root of the
         store is never replaced, because it may be a mount point.
@@ -153,10 +142,6 @@ class Store:
     def write(self, folder: Path, files: Mapping[str, File], *, private: bool = False) -> None:
         """Write files into a folder, all in one step; see :meth:`change`."""
         self.change([FolderChange(folder, files, (), private)])
-
-    def remove(self, folder: Path, names: Sequence[str]) -> None:
-        """Remove files from a folder, then the folder and its parents below the root if they are empty."""
-        self.change([FolderChange(folder, {}, tuple(names))])
 
     def _merged(self, changes: Iterable[FolderChange]) -> dict[Path, FolderChange]:
         """Return one change for each folder in which anything changes."""
@@ -205,14 +190,12 @@ class Store:
             staged: str | None = temporary()
             try:
                 with reported(folder):
-                    old = os.open(folder.name, FOLDER, dir_fd=parent)
-                    opened.callback(os.close, old)
+                    old = opened.enter_context(opened_folder(folder.name, parent))
                     if mount_of(old) != mount_of(parent):
                         refuse_mount(folder)
                     carried = stage(old, parent, str(staged), folder, content)
                     if carried is not None:
-                        new = os.open(str(staged), FOLDER, dir_fd=parent)
-                        opened.callback(os.close, new)
+                        new = opened.enter_context(opened_folder(str(staged), parent))
                         staged = swap_in(parent, str(staged), folder.name)  # now the name of the old folder
                         if staged is not None:
                             clear(parent, staged, new, carried)

@@ -1,4 +1,4 @@
-"""The workspace lock for readers: shared, and held only while they read their inputs into memory."""
+"""The workspace lock. Readers hold it only while they read their inputs into memory."""
 
 from __future__ import annotations
 
@@ -31,18 +31,21 @@ def read_lock(records: Path, on_wait: Callable[[], None]) -> Iterator[bool]:
     except OSError:
         yield False
         return
+    locked = True
     try:
-        yield _lock(lock, on_wait)
+        try:
+            wait_for_lock(lock, fcntl.LOCK_SH, on_wait)
+        except OSError:
+            locked = False
+        yield locked
     finally:
         os.close(lock)
 
 
-def _lock(lock: int, on_wait: Callable[[], None]) -> bool:
+def wait_for_lock(lock: int, operation: int, on_wait: Callable[[], None]) -> None:
+    """Lock an open file with ``LOCK_SH`` or ``LOCK_EX``; calls ``on_wait`` before waiting for another process."""
     try:
-        fcntl.flock(lock, fcntl.LOCK_SH | fcntl.LOCK_NB)
+        fcntl.flock(lock, operation | fcntl.LOCK_NB)
     except BlockingIOError:
         on_wait()
-        fcntl.flock(lock, fcntl.LOCK_SH)
-    except OSError:
-        return False
-    return True
+        fcntl.flock(lock, operation)

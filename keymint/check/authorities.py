@@ -13,10 +13,9 @@ from comarmor.errors import Diagnostic, Origin, Severity
 from keymint.errors import KeymintError
 from keymint.pki import certificates, keys
 from keymint.plan import authority_files
-from keymint.plan.authorities import in_order, satisfies
 from keymint.plan.authority_files import AuthorityFiles
 from keymint.plan.enclaves import deployed_authorities
-from keymint.plan.private_keys import load_key
+from keymint.plan.private_keys import key_defects
 from keymint.session import Inputs, Session
 
 
@@ -25,7 +24,7 @@ def authorities(session: Session, within: timedelta) -> Iterator[Diagnostic]:
     deployed = functools.cache(functools.partial(deployed_authorities, session))
     issuers: dict[str, x509.Certificate] = {}
     fingerprints: dict[str, str] = {}
-    for authority in in_order(session.profile.authorities):
+    for authority in authority_files.in_order(session.profile.authorities):
         files = authority_files.read_files(session, authority, deployed)
         key, found = _key(session, files)
         yield from found
@@ -80,23 +79,16 @@ _DECIDED_BY_A_PERSON = frozenset(
 
 def _key(inputs: Inputs, files: AuthorityFiles) -> tuple[keys.PublicKey | None, Iterator[Diagnostic]]:
     """Return the public key of a readable private key, and the findings on it."""
-    spec, name = files.authority.certificate, files.authority.name
     if files.key is None:
+        name = files.authority.name
         message = f"the private key of {name!r} is not here"
         where, help_ = Origin(files.certificate_file), "restore it to sign anything"
         note = Diagnostic("authority-key-missing", Severity.NOTE, message, where, help_)
         return None, iter((note,) if files.content is not None else ())
-    remedy = f"restore it from a backup; {authority_files.new_authority_help(name)}"
     try:
-        key = load_key(files.key, spec.key, inputs.environment, Origin(files.key_file), spec.origin, remedy)
+        return authority_files.load_private_key(inputs, files).public_key(), iter(())
     except KeymintError as error:
-        return None, map(_about_key, error.diagnostics)
-    return key.public_key(), iter(())
-
-
-def _about_key(found: Diagnostic) -> Diagnostic:
-    """Return a defect of an authority's key as a finding; a missing password is only a note."""
-    return replace(found, severity=Severity.NOTE) if found.code == "password-missing" else found
+        return None, key_defects(error)
 
 
 def _unreadable(files: AuthorityFiles) -> Iterator[Diagnostic]:
@@ -130,7 +122,7 @@ def _certificate(
     ]
     found += () if found else _refused(lambda: authority_files.require_known(files, public))
     yield from found
-    if not found and not satisfies(files.content or b"", spec, public, issuers.get(spec.issuer)):
+    if not found and not authority_files.satisfies(files.content or b"", spec, public, issuers.get(spec.issuer)):
         yield Diagnostic(
             "authority-drift",
             Severity.ERROR,

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from dataclasses import replace
 from datetime import timedelta
 
 from comarmor.errors import Diagnostic, Origin, Severity
@@ -12,8 +11,9 @@ from keymint.check.file_status import linked_twice, modes
 from keymint.errors import KeymintError
 from keymint.pki import keys
 from keymint.plan import identity_keys, install
-from keymint.plan.authorities import trusted_chains
+from keymint.plan.authority_files import trusted_chains
 from keymint.plan.enclaves import enclave_files
+from keymint.plan.private_keys import key_defects
 from keymint.session import Inputs, Session
 from keymint.state import digest
 
@@ -64,14 +64,8 @@ def identity_key(
         fingerprint = keys.fingerprint(key)
         keyring.require_own(package.name, path, key)
     except KeymintError as error:
-        return fingerprint, tuple(_about_key(found, subject) for found in error.diagnostics)
+        return fingerprint, tuple(key_defects(error, subject))
     return fingerprint, ()
-
-
-def _about_key(found: Diagnostic, subject: str) -> Diagnostic:
-    """Return a defect of a subject's key as a finding; a missing password is only a note."""
-    severity = Severity.NOTE if found.code == "password-missing" else found.severity
-    return replace(found, severity=severity, subject=subject)
 
 
 def on_disk(session: Session, name: str, files: Mapping[str, bytes]) -> Iterator[Diagnostic]:

@@ -3,22 +3,21 @@
 from __future__ import annotations
 
 import functools
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
-from itertools import chain
 
 from cryptography import x509
 
 from comarmor.errors import Diagnostic, Origin, Severity
 from comarmor.text import did_you_mean
-from keymint.api import Authority, CertificateSpec, SigningAuthority
+from keymint.api import SigningAuthority
 from keymint.changes import Action, File, FolderChange, Plan, Step, changed
 from keymint.errors import ExitCode, KeymintError
 from keymint.pki import certificates, keys
 from keymint.plan import authority_files, key_record
 from keymint.plan.authority_files import AuthorityFiles
 from keymint.plan.enclaves import deployed_authorities
-from keymint.plan.private_keys import load_key, password
+from keymint.plan.private_keys import password
 from keymint.session import Inputs, Session
 
 STAGE = "authorities"
@@ -39,20 +38,12 @@ class MintedAuthority:
 
     @property
     def issuer(self) -> certificates.Issuer:
-        """The issuer of certificates.
-
-        Raises:
-            KeymintError: its private key is kept elsewhere, or its password is not set.
-        """
+        """The issuer of certificates; a KeymintError if its private key is kept elsewhere, or its password not set."""
         return self._with_key()[0]
 
     @property
     def signer(self) -> SigningAuthority:
-        """The signer of documents.
-
-        Raises:
-            KeymintError: its private key is kept elsewhere, or its password is not set.
-        """
+        """The signer of documents; errors as for ``issuer``."""
         return self._with_key()[1]
 
     def _with_key(self) -> tuple[certificates.Issuer, SigningAuthority]:
@@ -85,7 +76,7 @@ def plan_authorities(session: Session, new: Sequence[str] = ()) -> tuple[Plan, M
     steps: list[Step] = []
     warnings: list[Diagnostic] = []
     errors: list[Diagnostic] = []
-    for authority in in_order(session.profile.authorities):
+    for authority in authority_files.in_order(session.profile.authorities):
         if authority.certificate.issuer and authority.certificate.issuer not in minted:
             continue  # its issuer has a defect
         files = authority_files.read_files(session, authority, deployed)
@@ -118,111 +109,61 @@ def _require_named(session: Session, new: Sequence[str]) -> None:
             )
 
 
-def in_order(authorities: Sequence[Authority]) -> tuple[Authority, ...]:
-    """Return authorities in an order in which each follows its issuer."""
-    ordered: dict[str, Authority] = {}
-    waiting = list(authorities)
-    while waiting:
-        ready = [a for a in waiting if not a.certificate.issuer or a.certificate.issuer in ordered]
-        if not ready:
-            cycle = ", ".join(a.name for a in waiting)
-            raise KeymintError(
-                f"the authorities {cycle} wait for each other's certificate",
-                where=waiting[0].certificate.origin,
-                help="leave one issuer_name empty",
-                code="authority-cycle",
-            )
-        ordered |= {a.name: a for a in ready}
-        waiting = [a for a in waiting if a.name not in ordered]
-    return tuple(ordered.values())
-
-
-def trusted_chains(session: Session) -> Mapping[str, bytes]:
-    """Return the certificate chain (PEM) of each authority from the disk."""
-    chains: dict[str, bytes] = {}
-    for authority in in_order(session.profile.authorities):
-        own = session.tree.read(session.workspace.authority_certificate(authority.name)) or b""
-        chains[authority.name] = own + chains.get(authority.certificate.issuer, b"")
-    return chains
-
-
-def satisfies(pem: bytes, spec: CertificateSpec, key: keys.PublicKey, issuer: x509.Certificate | None) -> bool:
-    """Tell whether an authority's certificate is the one that the profile specifies."""
-    return certificates.certificate_satisfies(pem, spec, key, issuer, authority=True)
-
-
 def _plan_authority(
     inputs: Inputs, files: AuthorityFiles, minted: Mapping[str, MintedAuthority], *, renew: bool
 ) -> tuple[MintedAuthority, tuple[FolderChange, ...], Sequence[Diagnostic]]:
-    spec = files.authority.certificate
+    spec, name = files.authority.certificate, files.authority.name
     above = minted[spec.issuer] if spec.issuer else None
     signing_error = _signing_error(inputs, files)
     if signing_error is not None and files.content is not None and not renew:
         return _without_key(files, above, signing_error), (), ()
     secret = password(spec.key, inputs.environment, spec.origin)
-    if files.key is None and not renew:
-        authority_files.require_unused(files)
+    changes: tuple[FolderChange, ...] = ()
     if files.key is None or renew:
-        return _mint(inputs, files, above, secret)
-    pem = files.key
-    remedy = f"restore it from a backup; {authority_files.new_authority_help(files.authority.name)}"
-    key = load_key(pem, spec.key, inputs.environment, Origin(files.key_file), spec.origin, remedy)
-    public = key.public_key()
-    if key_record.was_under_way(inputs.state, keys.fingerprint(public)):
-        files = files.without_other_certificate(public)
+        if not renew:
+            authority_files.require_unused(files)
+        key = keys.generate(spec.key, spec.origin)
+        pem = keys.to_pem(key, secret)
+        path = inputs.workspace.authority_key(name)
+        changes = (FolderChange(path.parent, {path.name: File(pem, secret=True)}, private=True),)
+        certificate, warnings = _new_certificate(files, key, above)
     else:
-        authority_files.require_fit(files, public)
-        authority_files.require_name(files)
-        authority_files.require_known(files, public)
-    certificate, warnings = _certificate(files, key, above)
-    return _minted(inputs, files, certificate, (key, pem, secret), above, (), warnings)
-
-
-def _mint(
-    inputs: Inputs, files: AuthorityFiles, above: MintedAuthority | None, secret: bytes | None
-) -> tuple[MintedAuthority, tuple[FolderChange, ...], Sequence[Diagnostic]]:
-    """Plan a new key, and its certificate."""
-    spec, name = files.authority.certificate, files.authority.name
-    key = keys.generate(spec.key, spec.origin)
-    pem = keys.to_pem(key, secret)
-    path = inputs.workspace.authority_key(name)
-    changes = (FolderChange(path.parent, {path.name: File(pem, secret=True)}, private=True),)
-    issued = certificates.issue_authority(spec, key, above.issuer if above else None)
-    warnings = list(issued.diagnostics)
-    if files.known():
-        message = f"{name!r} is a new authority: {authority_files.COST}"
-        warnings.append(Diagnostic("authority-new", Severity.WARNING, message, Origin(files.certificate_file)))
-    return _minted(inputs, files, issued.pem, (key, pem, secret), above, changes, warnings)
-
-
-def _minted(
-    inputs: Inputs,
-    files: AuthorityFiles,
-    certificate: bytes,
-    key: tuple[keys.PrivateKey, bytes, bytes | None],
-    above: MintedAuthority | None,
-    changes: tuple[FolderChange, ...],
-    warnings: Sequence[Diagnostic],
-) -> tuple[MintedAuthority, tuple[FolderChange, ...], Sequence[Diagnostic]]:
-    """Return an authority with its key (object, PEM and password), and all its changes."""
-    path = inputs.workspace.authority_certificate(files.authority.name)
+        key, pem = authority_files.load_private_key(inputs, files), files.key
+        public = key.public_key()
+        if key_record.was_under_way(inputs.state, keys.fingerprint(public)):
+            files = files.without_other_certificate(public)
+        else:
+            authority_files.require_fit(files, public)
+            authority_files.require_name(files)
+            authority_files.require_known(files, public)
+        certificate, warnings = _certificate(files, key, above)
+    path = inputs.workspace.authority_certificate(name)
     changes += changed(inputs.tree, path.parent, {path.name: File(certificate)})
     loaded = certificates.load(certificate)
-    private, pem, secret = key
-    keyed = certificates.Issuer(loaded, private), SigningAuthority(files.authority.name, certificate, pem, secret)
+    keyed = certificates.Issuer(loaded, key), SigningAuthority(name, certificate, pem, secret)
     return MintedAuthority(loaded, certificate + (above.chain if above else b""), keyed), changes, warnings
+
+
+def _new_certificate(
+    files: AuthorityFiles, key: keys.PrivateKey, above: MintedAuthority | None
+) -> tuple[bytes, Sequence[Diagnostic]]:
+    """Return a certificate for a new key, and warnings."""
+    issued = certificates.issue_authority(files.authority.certificate, key, above.issuer if above else None)
+    if not files.known():
+        return issued.pem, issued.diagnostics
+    message = f"{files.authority.name!r} is a new authority: {authority_files.COST}"
+    new = Diagnostic("authority-new", Severity.WARNING, message, Origin(files.certificate_file))
+    return issued.pem, (*issued.diagnostics, new)
 
 
 def _certificate(
     files: AuthorityFiles, key: keys.PrivateKey, above: MintedAuthority | None
 ) -> tuple[bytes, Sequence[Diagnostic]]:
     """Return the certificate of a key: an existing one if the profile still specifies it, else a new one."""
-    spec, public = files.authority.certificate, key.public_key()
-    issuer = above.certificate if above else None
-    candidates = chain(() if files.certificate is None else (files.certificate,), _lazily(files.in_use))
-    for candidate in candidates:
+    spec = files.authority.certificate
+    for candidate in _candidates(files):
         pem = certificates.to_pem(candidate)
-        if satisfies(pem, spec, public, issuer):
+        if authority_files.satisfies(pem, spec, key.public_key(), above.certificate if above else None):
             return pem, ()
     issued = certificates.issue_authority(spec, key, above.issuer if above else None)
     if not files.in_use():
@@ -238,8 +179,10 @@ def _certificate(
     return issued.pem, (*issued.diagnostics, again)
 
 
-def _lazily(make: Callable[[], Iterable[x509.Certificate]]) -> Iterator[x509.Certificate]:
-    yield from make()
+def _candidates(files: AuthorityFiles) -> Iterator[x509.Certificate]:
+    if files.certificate is not None:
+        yield files.certificate
+    yield from files.in_use()
 
 
 def _signing_error(inputs: Inputs, files: AuthorityFiles) -> KeymintError | None:
@@ -271,7 +214,7 @@ def _without_key(files: AuthorityFiles, above: MintedAuthority | None, signing_e
     public_key = certificates.public_key(certificate, Origin(files.certificate_file))
     authority_files.require_known(files, public_key)
     authority_files.require_name(files)
-    if not keys.fits(public_key, spec.key) or not satisfies(
+    if not keys.fits(public_key, spec.key) or not authority_files.satisfies(
         content, spec, public_key, above.certificate if above else None
     ):
         raise signing_error

@@ -16,7 +16,6 @@ from keymint.api import Package
 from keymint.errors import KeymintError
 from keymint.pki import certificates, keys
 from keymint.plan import authority_files, key_record
-from keymint.plan.authorities import in_order
 from keymint.plan.authority_files import AuthorityFiles
 from keymint.plan.private_keys import password
 from keymint.session import Inputs, Session
@@ -31,7 +30,7 @@ def contradictions(session: Session) -> Contradictions:
     A missing certificate is no contradiction.
     """
     by_authority: dict[str, tuple[Diagnostic, ...]] = {}
-    for authority in in_order(session.profile.authorities):
+    for authority in authority_files.in_order(session.profile.authorities):
         files = authority_files.read_files(session, authority, tuple)
         own = () if files.content is None else tuple(_against(session, files, files.content))
         if all_ := (*own, *by_authority.get(authority.certificate.issuer, ())):

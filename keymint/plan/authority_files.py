@@ -11,12 +11,13 @@ from dataclasses import dataclass, field, replace
 from cryptography import x509
 
 from comarmor.errors import Origin
-from keymint.api import Authority
+from keymint.api import Authority, CertificateSpec
 from keymint.errors import KeymintError
 from keymint.pki import certificates, keys, names
 from keymint.plan import key_record
 from keymint.plan.enclaves import INSTALLED
-from keymint.session import Inputs
+from keymint.plan.private_keys import load_key
+from keymint.session import Inputs, Session
 
 COST = "no deployed enclave trusts it until all are redeployed"
 """The consequence of a new authority, for messages."""
@@ -101,6 +102,46 @@ def _readable(content: bytes | None) -> x509.Certificate | None:
     except KeymintError:
         return None
     return certificate
+
+
+def in_order(authorities: Sequence[Authority]) -> tuple[Authority, ...]:
+    """Return authorities in an order in which each follows its issuer."""
+    ordered: dict[str, Authority] = {}
+    waiting = list(authorities)
+    while waiting:
+        ready = [a for a in waiting if not a.certificate.issuer or a.certificate.issuer in ordered]
+        if not ready:
+            cycle = ", ".join(a.name for a in waiting)
+            raise KeymintError(
+                f"the authorities {cycle} wait for each other's certificate",
+                where=waiting[0].certificate.origin,
+                help="leave one issuer_name empty",
+                code="authority-cycle",
+            )
+        ordered |= {a.name: a for a in ready}
+        waiting = [a for a in waiting if a.name not in ordered]
+    return tuple(ordered.values())
+
+
+def trusted_chains(session: Session) -> Mapping[str, bytes]:
+    """Return the certificate chain (PEM) of each authority from the disk."""
+    chains: dict[str, bytes] = {}
+    for authority in in_order(session.profile.authorities):
+        own = session.tree.read(session.workspace.authority_certificate(authority.name)) or b""
+        chains[authority.name] = own + chains.get(authority.certificate.issuer, b"")
+    return chains
+
+
+def satisfies(pem: bytes, spec: CertificateSpec, key: keys.PublicKey, issuer: x509.Certificate | None) -> bool:
+    """Tell whether an authority's certificate is the one that the profile specifies."""
+    return certificates.certificate_satisfies(pem, spec, key, issuer, authority=True)
+
+
+def load_private_key(inputs: Inputs, files: AuthorityFiles) -> keys.PrivateKey:
+    """Load the private key of an authority that has one; errors as :func:`keymint.plan.private_keys.load_key`."""
+    spec = files.authority.certificate
+    remedy = f"restore it from a backup; {new_authority_help(files.authority.name)}"
+    return load_key(files.key or b"", spec.key, inputs.environment, Origin(files.key_file), spec.origin, remedy)
 
 
 def new_authority_help(name: str) -> str:

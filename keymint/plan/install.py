@@ -9,7 +9,7 @@ from pathlib import Path
 
 from comarmor.errors import Diagnostic, Origin, Severity
 from keymint.api import Artifact
-from keymint.changes import Action, File, FolderChange, Plan, Step
+from keymint.changes import Action, File, FolderChange, Plan, Step, file_mode
 from keymint.errors import KeymintError
 from keymint.pki import certificates, keys
 from keymint.plan import build, identity_keys, key_record, lifetimes
@@ -245,7 +245,7 @@ def _inputs_digest(session: Session, name: str, chains: Mapping[str, bytes]) -> 
 def _has_mode(inputs: Inputs, path: Path, *, secret: bool) -> bool:
     """Tell whether a file on the disk has the mode that it should have; planned files will have it."""
     status = inputs.tree.status(path)
-    return status is None or stat.S_IMODE(status.st_mode) & 0o777 == (0o600 if secret else 0o644)
+    return status is None or stat.S_IMODE(status.st_mode) & 0o777 == file_mode(secret=secret)
 
 
 def _prune(session: Session, name: str) -> Step:

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import replace
 
-from comarmor.errors import Diagnostic, Origin
+from comarmor.errors import Diagnostic, Origin, Severity
 from keymint.api import KeySpec
 from keymint.errors import KeymintError
 from keymint.pki import keys
@@ -69,6 +69,13 @@ def load_key(
         kind = f"an EC key on {spec.curve}" if spec.algorithm == "ec" else f"an RSA key of {spec.size} bits"
         raise KeymintError(f"is not {kind}, which {asked} asks for", where=shown, help=remedy, code="key-kind")
     return key
+
+
+def key_defects(error: KeymintError, subject: str = "") -> Iterator[Diagnostic]:
+    """Yield the defects of a stored key as findings; a missing password is only a note."""
+    for defect in error.diagnostics:
+        severity = Severity.NOTE if defect.code == "password-missing" else defect.severity
+        yield replace(defect, severity=severity, subject=subject)
 
 
 def _help(diagnostic: Diagnostic, spec: KeySpec, asked: Origin, remedy: str) -> str:

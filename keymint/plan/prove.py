@@ -16,7 +16,7 @@ from keymint.api import Claim, DomainRange, LoadedPolicy, Package, Proof, ProofT
 from keymint.errors import KeymintError
 from keymint.ir import SubjectRules
 from keymint.plan import authority_evidence, terms
-from keymint.plan.authorities import trusted_chains
+from keymint.plan.authority_files import trusted_chains
 from keymint.plan.enclaves import INSTALLED, TAKEN, enclave_files
 from keymint.plan.trust_anchors import anchors_of
 from keymint.session import Session

@@ -8,7 +8,7 @@ from dataclasses import replace
 from comarmor.errors import Diagnostic
 from keymint.api import Package, Prover, TrustAnchor, TrustAnchors
 from keymint.plan import authority_evidence
-from keymint.plan.authorities import trusted_chains
+from keymint.plan.authority_files import trusted_chains
 from keymint.plan.enclaves import TAKEN, enclave_files
 from keymint.session import Session
 
@@ -19,7 +19,7 @@ def anchors_of(session: Session, package: Package, chains: Mapping[str, bytes]) 
     Args:
         session: the workspace and its profile.
         package: the package.
-        chains: certificates of the authorities by name; see :func:`keymint.plan.authorities.trusted_chains`.
+        chains: certificates of the authorities by name; see :func:`keymint.plan.authority_files.trusted_chains`.
     """
     workspace = session.workspace
 

@@ -32,6 +32,10 @@ def store_at(root: Path) -> Store:
     return Store({root: False, root / "install": False}, root / ".keymint")
 
 
+def remove(root: Path, folder: Path, names: list[str]) -> None:
+    store_at(root).change([FolderChange(folder, removed=tuple(names))])
+
+
 def visible(top: Path) -> Folders:
     """Return what each folder shows; temporary folders are none of it, wherever they are."""
     found: Folders = {}
@@ -213,6 +217,14 @@ def root(tmp_path: Path) -> Path:
     return tmp_path / "ws"
 
 
+def test_a_file_in_the_place_of_a_subfolder_is_refused(root: Path) -> None:
+    folder, store = root / "install" / "robot", store_at(root)
+    store.write(folder, {"cert.pem": File(b"old"), "talker": File(b"a user's")})
+    with pytest.raises(KeymintError, match="File exists"):
+        store.change([FolderChange(folder, NEW), FolderChange(folder / "talker", NEW)])
+    assert visible(root / "install") == {"robot": {"cert.pem": b"old", "talker": b"a user's"}}
+
+
 @pytest.fixture
 def enclave(root: Path) -> Path:
     """Return the folder of an enclave with another one inside, and with what is not Keymint's in both."""
@@ -288,7 +300,7 @@ def test_an_enclave_goes_at_once_and_the_one_inside_stays(root: Path, enclave: P
 
     watched = Watched(look=look)
     with watched.patched():
-        store_at(root).remove(enclave, ["key.pem", "cert.pem", "crl.pem", "link", "fifo"])
+        remove(root, enclave, ["key.pem", "cert.pem", "crl.pem", "link", "fifo"])
     whole = frozenset({"key.pem", "cert.pem", "crl.pem", "link", "fifo", "talker", "notes"})
     assert states == {whole, frozenset({"talker", "notes"})}
     assert status(enclave / "talker") == inside
@@ -310,7 +322,7 @@ def test_folders_that_change_together_change_in_one_exchange(root: Path, enclave
 def test_a_single_file_is_replaced_where_it_is(root: Path, enclave: Path) -> None:
     before = enclave.stat().st_ino
     store_at(root).write(enclave, {"cert.pem": File(b"new")})
-    store_at(root).remove(enclave, ["key.pem"])
+    remove(root, enclave, ["key.pem"])
     assert enclave.stat().st_ino == before
 
 
@@ -410,7 +422,7 @@ def test_on_overlayfs_a_folder_of_a_lower_layer_is_replaced_and_removed(overlay:
         store.write(enclave, NEW)
     assert visible(overlay / "install") == new
     store.write(enclave, NEW)  # now it lies in the upper layer
-    store.remove(overlay / "install" / "other", ["cert.pem"])
+    store.change([FolderChange(overlay / "install" / "other", removed=("cert.pem",))])
     store.change([FolderChange(enclave, removed=tuple(new["robot"])), FolderChange(enclave / "talker", NEW)])
     assert visible(overlay / "install") == {"robot/talker": {name: file.content for name, file in NEW.items()}}
     assert left_behind(overlay) == []

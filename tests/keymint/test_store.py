@@ -17,7 +17,7 @@ from typing import Any
 
 import pytest
 
-from keymint.changes import File
+from keymint.changes import File, FolderChange
 from keymint.errors import KeymintError
 from keymint.file_writing import MAX_COMPONENT
 from keymint.store import Store
@@ -46,6 +46,10 @@ def listing(folder: Path) -> dict[str, str]:
         else:
             found[str(path.relative_to(folder))] = f"{mode} {path.read_bytes()!r}" if path.is_file() else mode
     return found
+
+
+def remove(store: Store, folder: Path, names: list[str]) -> None:
+    store.change([FolderChange(folder, removed=tuple(names))])
 
 
 def names(folder: Path) -> frozenset[str]:
@@ -203,7 +207,7 @@ def test_what_lies_outside_is_refused(root: Path, store: Store, tmp_path: Path) 
         assert code_of(store.write, folder, {"file": PUBLIC}) == "confined", folder
     assert list(tmp_path.iterdir()) == []
     (tmp_path / "file").write_bytes(b"")
-    assert code_of(store.remove, tmp_path, ["file"]) == "confined"
+    assert code_of(remove, store, tmp_path, ["file"]) == "confined"
     assert (tmp_path / "file").exists()
 
 
@@ -214,7 +218,7 @@ def test_what_is_no_name_of_a_file_is_refused(root: Path, store: Store, name: st
     assert code_of(store.write, root / "install" / "a", {"good": PUBLIC, name: PUBLIC}) == "confined"
     assert not root.exists()
     store.write(root / "install" / "a", {"good": PUBLIC})
-    assert code_of(store.remove, root / "install" / "a", ["good", name]) == "confined"
+    assert code_of(remove, store, root / "install" / "a", ["good", name]) == "confined"
     assert (root / "install" / "a" / "good").exists()
 
 
@@ -270,7 +274,7 @@ def test_a_planted_link_is_not_removed_through(tmp_path: Path, root: Path, store
     (root / place).parent.mkdir(parents=True)
     (root / place).symlink_to(elsewhere)
     before = listing(tmp_path)
-    assert code_of(store.remove, root / "install" / "a" / "b", ["file"]) == "symlink-refused"
+    assert code_of(remove, store, root / "install" / "a" / "b", ["file"]) == "symlink-refused"
     assert listing(tmp_path) == before
 
 
@@ -301,18 +305,18 @@ def test_what_is_no_regular_file_is_not_replaced(root: Path, store: Store) -> No
 
 def test_a_removed_folder_takes_its_empty_parents_along(root: Path, store: Store) -> None:
     store.write(root / "install" / "a" / "b" / "c", {"one": PUBLIC, "two": SECRET})
-    store.remove(root / "install" / "a" / "b" / "c", ["one", "two"])
+    remove(store, root / "install" / "a" / "b" / "c", ["one", "two"])
     assert listing(root) == {"install": "0755"}
 
 
 def test_what_is_not_named_stays(root: Path, store: Store) -> None:
     store.write(root / "install" / "a", {"one": PUBLIC, "two": PUBLIC})
     store.write(root / "install" / "a" / "b", {"one": PUBLIC})
-    store.remove(root / "install" / "a", ["one", "missing"])
+    remove(store, root / "install" / "a", ["one", "missing"])
     assert set(listing(root / "install")) == {"a", "a/two", "a/b", "a/b/one"}
-    store.remove(root / "install" / "a", ["two"])
+    remove(store, root / "install" / "a", ["two"])
     assert set(listing(root / "install")) == {"a", "a/b", "a/b/one"}
-    store.remove(root / "install" / "a" / "b", ["one"])
+    remove(store, root / "install" / "a" / "b", ["one"])
     assert listing(root / "install") == {}
 
 
@@ -329,19 +333,19 @@ def test_a_whole_folder_vanishes_at_once(root: Path, store: Store, monkeypatch: 
             return result
 
         monkeypatch.setattr(os, call, watched)
-    store.remove(folder, ["one", "two"])
+    remove(store, folder, ["one", "two"])
     assert states == {None, frozenset({"one", "two"})}
     assert listing(root / "install") == {}
 
 
 def test_removing_what_is_not_there_does_nothing(root: Path, store: Store) -> None:
-    store.remove(root / "install" / "a", ["one"])
+    remove(store, root / "install" / "a", ["one"])
     assert not root.exists()
 
 
 def test_a_root_stays_when_its_last_file_goes(root: Path, store: Store) -> None:
     store.write(root / "install", {"one": PUBLIC})
-    store.remove(root / "install", ["one"])
+    remove(store, root / "install", ["one"])
     assert listing(root) == {"install": "0755"}
 
 
@@ -457,7 +461,7 @@ SCRIPT = textwrap.dedent("""
     import os, sys
     from pathlib import Path
     from keymint.errors import KeymintError
-    from keymint.changes import File
+    from keymint.changes import File, FolderChange
     from keymint.store import Store
     root = Path(sys.argv[1])
     store = Store({root: False}, root / ".keymint")
