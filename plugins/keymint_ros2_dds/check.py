@@ -7,7 +7,6 @@ from dataclasses import replace
 from datetime import UTC, datetime, timedelta
 
 from cryptography import x509
-from lxml import etree
 
 from comarmor.errors import Diagnostic, Origin, Severity
 from keymint.api import DomainRange, Inspection
@@ -207,7 +206,7 @@ class _Enclave:
         if kind != PERMISSIONS or built is None:
             return False
         try:
-            return _headers(content) == _headers(built) and is_form_of(self._inspection.package, content)
+            return is_form_of(self._inspection.package, content)
         except KeymintError:
             return False
 
@@ -283,10 +282,3 @@ def _ranges(domains: Iterable[DocumentDomains]) -> Iterator[DomainRange]:
 
 def _shown(moment: datetime) -> str:
     return f"{moment.astimezone(UTC):%Y-%m-%d %H:%M} UTC"
-
-
-def _headers(content: bytes) -> list[tuple[str, str, str]]:
-    """Return the elements of a permissions document without its rules, as name, label and text."""
-    root = dds_xml.read(content, PERMISSIONS, PERMISSIONS_XML)
-    etree.strip_elements(root, "allow_rule", "deny_rule")
-    return [(item.tag, item.get("name", ""), (item.text or "").strip()) for item in root.iter("*")]

@@ -9,8 +9,6 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
-from lxml import etree
-
 from comarmor.errors import Diagnostic, Severity
 from comarmor.patterns.steps import step_limit
 from keymint.api import BuildOptions, Claim, Package, Proof
@@ -89,7 +87,8 @@ def _forms(compiled: Compiled, *, optimise: bool) -> Iterator[tuple[GrantRule[st
 def is_form_of(package: Package, document: bytes) -> bool:
     """Tell whether a permissions document is a form of a package's rules.
 
-    The document is proven to mean what the rules mean. Relay rules cannot be proven and must equal those of a form.
+    The document is proven to mean what the rules mean. Its header and relay rules cannot be proven and must equal those
+    of a form.
 
     Raises:
         KeymintError: the document cannot be read, or the rules cannot be compiled.
@@ -98,14 +97,19 @@ def is_form_of(package: Package, document: bytes) -> bool:
     forms = [render(package.permissions, rules) for rules in (*compiled.forms, compiled.plain)]
     if document in forms:
         return True
-    if _relay_rules(document) not in map(_relay_rules, forms):
+    if _not_proven(document) not in map(_not_proven, forms):
         return False
     return not _open_claims(package, compiled.lowered, document, _models(compiled))
 
 
-def _relay_rules(document: bytes) -> list[bytes]:
+def _not_proven(document: bytes) -> list[tuple[str, str, str]]:
+    """Return the elements that no proof covers, all but the rules for endpoints, as name, label and text."""
     root = dds_xml.read(document, PERMISSIONS, PERMISSIONS_XML)
-    return [etree.tostring(rule, method="c14n") for rule in root.iterfind(f".//{TopicAction.RELAY}/..")]
+    for grant in root.iter("grant"):
+        for rule in [*grant.iterfind("allow_rule"), *grant.iterfind("deny_rule")]:
+            if rule.find(TopicAction.RELAY) is None:
+                grant.remove(rule)
+    return [(item.tag, item.get("name", ""), (item.text or "").strip()) for item in root.iter("*")]
 
 
 def _models(compiled: Compiled) -> tuple[str, ...]:

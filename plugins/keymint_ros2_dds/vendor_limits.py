@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Iterator
 
-from comarmor.errors import Diagnostic, Severity
+from comarmor.errors import Diagnostic, Origin, Severity
 from comarmor.rules import Effect
 from keymint.api import KeySpec, Package
 from keymint.errors import KeymintError
@@ -18,20 +18,17 @@ BROKEN = 64_000
 """Bytes of a signed document beyond which handshakes fail on some vendor: a UDP datagram has at most 65,507."""
 SIGNATURE = 1_450
 """Approximate bytes that S/MIME adds with an EC key of 256 bits; with RSA of 2048 bits it adds 2,250."""
+_ACCEPTED_KEYS = ("RSA with 2048 bits", "SECP256R1")
 
 
 def check_key(key: KeySpec, package: Package, *, allow_vendor_specific: bool) -> Iterator[Diagnostic]:
     """Yield the defects of an identity's key: vendors accept RSA with 2048 bits or EC with 256 bits."""
-    if key.algorithm == "rsa":
-        fine, name = key.size == 2048, f"RSA with {key.size} bits"  # noqa: PLR2004 - the size in question
-    else:
-        try:
-            name = keys.curve_name(key.curve, package.identity.origin)
-        except KeymintError as error:
-            yield from error.diagnostics
-            return
-        fine = name == "SECP256R1"
-    if not fine:
+    try:
+        name = _key_name(key, package.identity.origin)
+    except KeymintError as error:
+        yield from error.diagnostics
+        return
+    if name not in _ACCEPTED_KEYS:
         yield Diagnostic(
             "portability-key",
             Severity.WARNING if allow_vendor_specific else Severity.ERROR,
@@ -66,7 +63,11 @@ def check_issuers(package: Package) -> Iterator[Diagnostic]:
                 spec.origin,
                 "issue identities by a self-signed authority",
             )
-        if not _accepted(spec.key):
+        try:
+            accepted = _key_name(spec.key, spec.origin) in _ACCEPTED_KEYS
+        except KeymintError:
+            accepted = True  # reported where the authority's key is generated
+        if not accepted:
             yield Diagnostic(
                 "portability-authority-key",
                 Severity.WARNING,
@@ -77,13 +78,8 @@ def check_issuers(package: Package) -> Iterator[Diagnostic]:
             )
 
 
-def _accepted(key: KeySpec) -> bool:
-    if key.algorithm == "rsa":
-        return key.size == 2048  # noqa: PLR2004 - the size in question
-    try:
-        return keys.curve_name(key.curve) == "SECP256R1"
-    except KeymintError:
-        return True  # reported where the authority's key is generated
+def _key_name(key: KeySpec, where: Origin) -> str:
+    return f"RSA with {key.size} bits" if key.algorithm == "rsa" else keys.curve_name(key.curve, where)
 
 
 def check_size(size: int, kind: str, package: Package, lowered: Lowered | None = None) -> Iterator[Diagnostic]:

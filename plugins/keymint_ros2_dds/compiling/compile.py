@@ -17,9 +17,9 @@ from keymint.errors import KeymintError
 from keymint.ir import Rule
 from keymint_ros2_dds.compiling import partitions
 from keymint_ros2_dds.compiling.gathering import GUARD, gathered
-from keymint_ros2_dds.compiling.partitions import PartitionError
+from keymint_ros2_dds.compiling.partitions import UnportableError
 from keymint_ros2_dds.compiling.priority import EndpointCount, prioritised
-from keymint_ros2_dds.compiling.rule_order import OrderError, portable_rules, rule_per_policy_rule, standard_rules
+from keymint_ros2_dds.compiling.rule_order import portable_rules, rule_per_policy_rule, standard_rules
 from keymint_ros2_dds.lowering.dds_topics import TopicAction
 from keymint_ros2_dds.lowering.endpoints import endpoints
 from keymint_ros2_dds.lowering.grant_rules import GrantRule
@@ -83,10 +83,8 @@ def _minimal_rules(lowered: Lowered, report: _PortabilityReport) -> tuple[GrantR
     try:
         with step_limit(STEPS):
             return portable_rules(lowered)
-    except OrderError as error:
-        report.add("portability-order", None, error.pattern, error.reason)
-    except PartitionError as error:
-        report.add("portability-partition", None, error.pattern, error.reason)
+    except UnportableError as error:
+        report.add(error.code, None, error.pattern, error.reason)
     except StepLimitError as error:
         reason = f"it overlaps with others in too many ways: no order of the rules in {error.steps:,} steps"
         report.add("portability-effort", None, _widest(lowered), reason)
@@ -107,7 +105,7 @@ def _plain(lowered: Lowered, report: _PortabilityReport) -> tuple[GrantRule[str]
     try:
         with step_limit(STEPS):
             rules = full.with_expressions(rule_per_policy_rule(portable_rules(lowered, reduced=False), lowered))
-    except (OrderError, PartitionError, StepLimitError):
+    except (UnportableError, StepLimitError):
         rules = ()
     if rules and not full.diagnostics:
         return rules

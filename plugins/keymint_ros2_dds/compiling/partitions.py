@@ -37,15 +37,17 @@ Step = tuple[Glob, Partitions]
 """A step of a decision list: topics that match are allowed in these partitions; denied in all, if there are none."""
 
 
-class PartitionError(Exception):
-    """The partitions of a pattern cannot be expressed portably across DDS vendors.
+class UnportableError(Exception):
+    """Rules cannot be expressed portably across DDS vendors.
 
     Attributes:
+        code: ``portability-partition`` or ``portability-order``.
         pattern: the topic pattern.
         reason: one line.
     """
 
-    def __init__(self, pattern: Glob, reason: str) -> None:
+    def __init__(self, pattern: Glob, reason: str, code: str = "portability-partition") -> None:
+        self.code = code
         self.pattern = pattern
         self.reason = reason
         super().__init__(reason)
@@ -144,7 +146,7 @@ def decision_list(allow: Sequence[Step], deny: Sequence[Step]) -> list[Step]:
     Denials in every partition come before all allowed wildcards.
 
     Raises:
-        PartitionError: a deny removes names from ``*``, or the patterns overlap in too many ways.
+        UnportableError: a deny removes names from ``*``, or the patterns overlap in too many ways.
     """
     allow = [(pattern, _plain(listed)) for pattern, listed in allow]
     patterns = dict.fromkeys(pattern for pattern, _ in (*allow, *deny))
@@ -218,17 +220,17 @@ def _intersection(pattern: Glob, other: Glob) -> tuple[Glob, ...]:
     """Return the pieces of an intersection.
 
     Raises:
-        PartitionError: there are too many pieces.
+        UnportableError: there are too many pieces.
     """
     try:
         return intersection(pattern, other)
     except TooComplexError:
-        raise PartitionError(pattern, "it overlaps with others in too many ways") from None
+        raise UnportableError(pattern, "it overlaps with others in too many ways") from None
 
 
 def _check_count(patterns: Collection[Glob], pattern: Glob) -> None:
     if len(patterns) > MAX_PATTERNS:
-        raise PartitionError(pattern, "patterns with different partitions overlap in too many ways")
+        raise UnportableError(pattern, "patterns with different partitions overlap in too many ways")
 
 
 def _closed(steps: Sequence[Step], *, literals_only: bool = False) -> Iterator[Step]:
@@ -302,7 +304,7 @@ def _effective(pattern: Glob, allow: _Side, deny: _Side) -> Partitions:
         listed = frozenset(name for _, names in allow.covering(pattern) for name in names)
         denied = list(deny.covering(pattern))
     except TooComplexError:
-        raise PartitionError(pattern, "its overlaps with other patterns are too complex to compute") from None
+        raise UnportableError(pattern, "its overlaps with other patterns are too complex to compute") from None
     remaining = _reduced(listed)
     for other, names in denied:
         if remaining:
@@ -310,7 +312,7 @@ def _effective(pattern: Glob, allow: _Side, deny: _Side) -> Partitions:
                 remaining = _remaining(remaining, names)
             except ValueError:
                 reason = f"it removes a part of the partitions {' '.join(remaining)}, which vendors read differently"
-                raise PartitionError(other, reason) from None
+                raise UnportableError(other, reason) from None
     return remaining
 
 

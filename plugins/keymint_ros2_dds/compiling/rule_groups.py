@@ -52,7 +52,7 @@ def rule_groups(
         reduced: drop redundant patterns of simple lists.
 
     Raises:
-        PartitionError: the partitions cannot be expressed portably across DDS vendors.
+        UnportableError: the partitions cannot be expressed portably across DDS vendors.
     """
     if not any(partitions for _, partitions in (*allow, *deny)):
         return [_simple(action, allow, deny, DEFAULT, reduced=reduced)]

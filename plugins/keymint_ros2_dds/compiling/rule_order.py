@@ -25,22 +25,15 @@ from comarmor.patterns.relations import TooComplexError, intersection, union_cov
 from comarmor.rules import Effect
 from keymint.ir import Rule
 from keymint.keymake.order import EarlyRules, early_rules
+from keymint_ros2_dds.compiling.partitions import UnportableError
 from keymint_ros2_dds.compiling.rule_groups import RuleGroup, denied_partitions, merged, rule_groups
 from keymint_ros2_dds.lowering.dds_topics import TopicAction
 from keymint_ros2_dds.lowering.grant_rules import DEFAULT, EVERY, GrantRule
 from keymint_ros2_dds.lowering.lower import Lowered
 
+_ORDER = "portability-order"
 _Groups = Mapping[TopicAction, Sequence[RuleGroup]]
 _Early = tuple[TopicAction, RuleGroup, EarlyRules]
-
-
-class OrderError(Exception):
-    """Cyclone DDS and the standard disagree on every order of the rules; has a pattern and the reason in one line."""
-
-    def __init__(self, pattern: Glob, reason: str) -> None:
-        self.pattern = pattern
-        self.reason = reason
-        super().__init__(reason)
 
 
 def portable_rules(lowered: Lowered, *, reduced: bool = True) -> tuple[GrantRule[Glob], ...]:
@@ -51,8 +44,8 @@ def portable_rules(lowered: Lowered, *, reduced: bool = True) -> tuple[GrantRule
         reduced: drop redundant patterns.
 
     Raises:
-        OrderError: Cyclone DDS and the standard would disagree on every order.
-        PartitionError: the partitions cannot be expressed portably across DDS vendors.
+        UnportableError: Cyclone DDS and the standard would disagree on every order, or the partitions cannot be
+            expressed portably across DDS vendors.
     """
     groups = {
         action: rule_groups(action, tuple(lowered.allow[action]), tuple(lowered.deny[action]), reduced=reduced)
@@ -77,11 +70,11 @@ def _both_directions(groups: _Groups) -> list[GrantRule[Glob]]:
     if all(group.arrangement for group in (*groups[publish], *groups[subscribe])):
         orders.insert(0, ((), (publish, subscribe)))
     candidates: list[list[GrantRule[Glob]]] = []
-    refused: OrderError | None = None
+    refused: UnportableError | None = None
     for order, early_actions in orders:
         try:
             early = [item for action in early_actions for item in _early(action, groups)]
-        except OrderError as error:
+        except UnportableError as error:
             refused = error
             continue
         if order or not any(rules.dirty for _, _, rules in early):
@@ -103,7 +96,7 @@ def _early(action: TopicAction, groups: _Groups) -> list[_Early]:
     """Return the patterns that one direction must allow before the denials of the other direction.
 
     Raises:
-        OrderError: there are no such rules.
+        UnportableError: there are no such rules.
     """
     other = TopicAction.SUBSCRIBE if action is TopicAction.PUBLISH else TopicAction.PUBLISH
     denied = [pattern for group in groups[other] for pattern in group.denied]
@@ -120,9 +113,10 @@ def _early(action: TopicAction, groups: _Groups) -> list[_Early]:
                     "it is denied in one direction, allowed in the other, and narrowed to several lists of partitions: "
                     "Cyclone DDS up to 0.10 lets the denial decide for both directions"
                 )
-                raise OrderError(clash, reason)
+                raise UnportableError(clash, reason, _ORDER)
         except TooComplexError:
-            raise OrderError(denied[0], "it overlaps what the other direction allows in too many ways") from None
+            reason = "it overlaps what the other direction allows in too many ways"
+            raise UnportableError(denied[0], reason, _ORDER) from None
     return result
 
 

@@ -7,14 +7,16 @@ of ``DCPSParticipant``), ``publications`` and ``subscriptions`` (samples of ``DC
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 
 from lxml import etree
 
 from comarmor.errors import Origin
 from comarmor.xml.reader import line, parse
+from keymint.api import DiscoveredGraph
 from keymint.errors import KeymintError
 from keymint_ros2_dds.discovery.capture import Capture, DiscoveredEndpoint, DiscoveredParticipant
+from keymint_ros2_dds.discovery.to_graph import discovered
 
 MAX_DOMAIN = 232
 _HEX = re.compile(r"[0-9a-f]{1,2}(?:,\s*[0-9a-f]{1,2})*\Z", re.IGNORECASE)
@@ -26,12 +28,13 @@ def recognises(content: bytes) -> bool:
     return content.removeprefix(b"\xef\xbb\xbf").lstrip()[:1] == b"<"
 
 
-def read(content: bytes, name: str) -> Capture:
-    """Read a capture.
+def read(content: bytes, name: str, names: Mapping[str, str]) -> DiscoveredGraph:
+    """Return the graph of a capture.
 
     Args:
         content: the XML document.
         name: its file as the user would type it, for messages.
+        names: subjects that the user gives, by GUID or the beginning of one.
 
     Raises:
         KeymintError: not well-formed, too large, with a DOCTYPE, or no such capture; with ``file:line``.
@@ -42,7 +45,7 @@ def read(content: bytes, name: str) -> Capture:
         raise reader.error(
             root, f"the root is <{root.tag}>, expected <system>", "export the system from RTI Admin Console"
         )
-    return reader.capture(root)
+    return discovered(reader.capture(root), names)
 
 
 class _AdminConsoleReader:
@@ -56,8 +59,8 @@ class _AdminConsoleReader:
         participants: dict[str, DiscoveredParticipant] = {}
         endpoints: dict[DiscoveredEndpoint, None] = {}
         for data in root.iter("participant_data"):
-            one = self._participant(data)
-            participants[one.guid] = one
+            participant = self._participant(data)
+            participants[participant.guid] = participant
         for tag, permission in _ENDPOINTS.items():
             for data in root.iter(tag):
                 endpoint = self._endpoint(data, permission)

@@ -7,15 +7,16 @@ participants and endpoints that disappear again, but not what discovery protecti
 from __future__ import annotations
 
 import ctypes
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from ctypes import POINTER, Structure, byref, c_bool, c_char_p, c_int32, c_int64, c_size_t, c_uint32, c_uint64, c_void_p
 from functools import cache, partial
 from threading import Event
 from typing import Any, Self
 
-from keymint.api import Availability
+from keymint.api import Availability, DiscoveredGraph
 from keymint.errors import KeymintError
 from keymint_ros2_dds.discovery.capture import Capture, DiscoveredEndpoint, DiscoveredParticipant
+from keymint_ros2_dds.discovery.to_graph import discovered
 
 LIBRARY = "libddsc.so.0debian"
 INSTALL = "apt-get install libddsc0debian"
@@ -81,7 +82,7 @@ def library() -> Any:
     """
     for name in (LIBRARY, *_OTHER_NAMES):
         try:
-            found = ctypes.CDLL(name)
+            loaded = ctypes.CDLL(name)
             break
         except OSError:
             continue
@@ -105,11 +106,11 @@ def library() -> Any:
     }
     for name, (result, arguments) in signatures.items():
         try:
-            function = getattr(found, name)
+            function = getattr(loaded, name)
         except AttributeError:
-            raise OSError(f"{found._name} has no {name}") from None  # noqa: SLF001 - its file name
+            raise OSError(f"{loaded._name} has no {name}") from None  # noqa: SLF001 - its file name
         function.restype, function.argtypes = result, arguments
-    return found
+    return loaded
 
 
 def usable() -> Availability:
@@ -121,12 +122,13 @@ def usable() -> Availability:
     return Availability(usable=True, version="0.10")
 
 
-def observe(domain: int, go_on: Callable[[], bool]) -> Capture:
-    """Return all participants and endpoints that appear in a domain.
+def observe(domain: int, go_on: Callable[[], bool], names: Mapping[str, str]) -> DiscoveredGraph:
+    """Return the graph of all participants and endpoints that appear in a domain.
 
     Args:
         domain: DDS domain id.
         go_on: called every 20 ms; the observation ends when it returns False.
+        names: subjects that the user gives, by GUID or the beginning of one.
 
     Raises:
         KeymintError: Cyclone DDS is not installed, or cannot join the domain.
@@ -139,7 +141,7 @@ def observe(domain: int, go_on: Callable[[], bool]) -> Capture:
         pause = Event()
         while go_on():
             pause.wait(_PAUSE)
-        return observer.capture()
+        return discovered(observer.capture(), names)
 
 
 class _Observer:
@@ -235,9 +237,9 @@ def _taken(dds: Any, reader: int, kind: type[Any]) -> Iterator[Any]:
         if count <= 0:
             return
         try:
-            for at in range(count):
-                address = samples[at]
-                if infos[at].valid_data and address:
+            for index in range(count):
+                address = samples[index]
+                if infos[index].valid_data and address:
                     yield kind.from_address(address)
         finally:
             dds.dds_return_loan(reader, samples, count)
@@ -271,10 +273,10 @@ def _partitions(dds: Any, qos: int | None) -> list[str]:
     count, names = c_uint32(), POINTER(c_void_p)()
     if not qos or not dds.dds_qget_partition(qos, byref(count), byref(names)) or not count.value:
         return []
-    found = [names[at] for at in range(count.value)]
+    addresses = [names[index] for index in range(count.value)]
     try:
-        return [_text(ctypes.string_at(address)) if address else "" for address in found]
+        return [_text(ctypes.string_at(address)) if address else "" for address in addresses]
     finally:
-        for address in found:
+        for address in addresses:
             dds.dds_free(address)
         dds.dds_free(names)

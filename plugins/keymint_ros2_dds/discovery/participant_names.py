@@ -49,20 +49,20 @@ def name_participants(
     names = _given(participants, given)
     serves: dict[str, set[str]] = {}
     meets: dict[str, set[str]] = {}
-    for seen in endpoints:
-        entity = ros_name(seen.object)
+    for endpoint in endpoints:
+        entity = ros_name(endpoint.object)
         if entity is None or entity.part == "rt" or not entity.name.endswith(_PARAMETERS):
             continue
         node = entity.name.removesuffix(_PARAMETERS)
-        meets.setdefault(seen.participant, set()).add(node)
-        if (entity.part, seen.permission) == ("rq", "subscribe"):
-            serves.setdefault(seen.participant, set()).add(node)
-    said: list[Diagnostic] = []
+        meets.setdefault(endpoint.participant, set()).add(node)
+        if (entity.part, endpoint.permission) == ("rq", "subscribe"):
+            serves.setdefault(endpoint.participant, set()).add(node)
+    diagnostics: list[Diagnostic] = []
     for one in sorted(participants):
-        found = ("the name that you gave", names[one.guid]) if one.guid in names else _own(one, serves, meets)
-        if found is None:
+        origin = ("the name that you gave", names[one.guid]) if one.guid in names else _announced(one, serves, meets)
+        if origin is None:
             names[one.guid] = f"/participant_{one.guid[:24]}"
-            said.append(
+            diagnostics.append(
                 Diagnostic(
                     "subject-unknown",
                     Severity.WARNING,
@@ -73,11 +73,11 @@ def name_participants(
                 )
             )
             continue
-        how, names[one.guid] = found
+        how, names[one.guid] = origin
         message = f"participant {one.guid} in domain {one.domain} is {names[one.guid]}: {how}"
-        said.append(Diagnostic("subject-named", Severity.NOTE, message, subject=names[one.guid]))
-    said += _shared(participants, names, given)
-    return names, said
+        diagnostics.append(Diagnostic("subject-named", Severity.NOTE, message, subject=names[one.guid]))
+    diagnostics += _shared(participants, names, given)
+    return names, diagnostics
 
 
 def _shared(
@@ -106,21 +106,21 @@ def _shared(
         )
 
 
-def _own(
+def _announced(
     one: DiscoveredParticipant, serves: Mapping[str, set[str]], meets: Mapping[str, set[str]]
 ) -> tuple[str, str] | None:
     """Return how a participant announces its name, and the name; or None."""
-    told = _fields(one.user_data)
-    enclave = told.get("enclave", "")
+    fields = _fields(one.user_data)
+    enclave = fields.get("enclave", "")
     if legal_subject(enclave):
         return "the enclave in its user data", enclave
-    node = f"{told.get('namespace', '/').rstrip('/')}/{told.get('name', '')}"
+    node = f"{fields.get('namespace', '/').rstrip('/')}/{fields.get('name', '')}"
     if legal_subject(node):
         return "node and namespace in its user data", node
     name = one.name if one.name.startswith("/") else f"/{one.name}"
     if legal_subject(name):
-        whole = [node for node in (*serves.get(one.guid, ()), *meets.get(one.guid, ())) if node.endswith(name)]
-        return "the participant's name", whole[0] if len(set(whole)) == 1 else name
+        full_names = [node for node in (*serves.get(one.guid, ()), *meets.get(one.guid, ())) if node.endswith(name)]
+        return "the participant's name", full_names[0] if len(set(full_names)) == 1 else name
     served = [node for node in serves.get(one.guid, ()) if legal_subject(node)]
     if len(served) == 1:
         return "the node whose parameters it serves", served[0]

@@ -14,7 +14,6 @@ from comarmor.patterns import glob
 from comarmor.patterns.glob import EVERYTHING, Glob
 from comarmor.patterns.printing import exact
 from comarmor.patterns.relations import covers, union_covers
-from comarmor.patterns.tokens import PatternError
 from comarmor.rules import PARTS
 from comarmor.text import did_you_mean
 from keymint.api import DomainRule, Governance, TopicProtection
@@ -23,7 +22,7 @@ from keymint_ros2_dds.documents import dds_xml
 from keymint_ros2_dds.domains import check_domains
 from keymint_ros2_dds.enclave_layout import GOVERNANCE
 from keymint_ros2_dds.lowering.dds_topics import DDS_TOPICS
-from keymint_ros2_dds.lowering.mapping import ARDENT, dds_patterns
+from keymint_ros2_dds.lowering.mapping import ARDENT, dds_patterns, parse_expression
 from keymint_ros2_dds.lowering.portable import NotPortableError, portable_expressions
 
 KINDS = ("NONE", "SIGN", "ENCRYPT", "SIGN_WITH_ORIGIN_AUTHENTICATION", "ENCRYPT_WITH_ORIGIN_AUTHENTICATION")
@@ -188,11 +187,7 @@ def patterns(topic: TopicProtection, distro: str) -> list[Glob]:
     Raises:
         KeymintError: the expression is invalid.
     """
-    try:
-        tokens = glob.parse(topic.expression)
-    except PatternError as error:
-        diagnostic = error.diagnostics[0]
-        raise KeymintError(diagnostic.message, where=topic.origin, help=diagnostic.help, code="expression") from None
+    tokens = parse_expression(topic.expression, topic.origin)
     result = [
         pattern
         for permission in _PERMISSIONS[topic.kind]

@@ -13,14 +13,13 @@ from comarmor.patterns import glob
 from comarmor.patterns.glob import Glob
 from comarmor.patterns.possible_names import advice, matches_ros_name
 from comarmor.patterns.printing import exact
-from comarmor.patterns.tokens import PatternError
 from comarmor.rules import Effect, parts
 from comarmor.text import did_you_mean
 from keymint.errors import KeymintError
 from keymint.ir import Rule, SubjectRules
 from keymint_ros2_dds.lowering.dds_topics import DDS_TOPICS, TopicAction
 from keymint_ros2_dds.lowering.grant_rules import Partitions
-from keymint_ros2_dds.lowering.mapping import dds_patterns, has_kind
+from keymint_ros2_dds.lowering.mapping import dds_patterns, has_kind, parse_expression
 
 LoweredRules = Mapping[tuple[Glob, Partitions], Rule]
 """Topic patterns with their partitions (none: not narrowed), and for each the first rule that has it."""
@@ -71,19 +70,19 @@ def lower(rules: SubjectRules, distro: str) -> Lowered:
         side = sides[rule.effect]
         partitions = tuple(sorted(set(rule.partitions)))
         for expression in partitions:
-            _parse(expression, rule)
+            parse_expression(expression, rule.origin)
         for expression in rule.expressions:
-            patterns = _patterns(expression, rule, distro)
+            tokens = parse_expression(expression, rule.origin)
+            patterns = _patterns(tokens, rule, distro)
             for action, pattern, partition in patterns:
                 side[action].setdefault((pattern, partition or partitions), rule)
-            if not patterns or not (rule.kind == _RAW_TOPIC or matches_ros_name(_parse(expression, rule))):
+            if not patterns or not (rule.kind == _RAW_TOPIC or matches_ros_name(tokens)):
                 diagnostics.append(_never_matches(expression, rule, rules.subject))
     return Lowered(sides[Effect.ALLOW], sides[Effect.DENY], tuple(diagnostics))
 
 
-def _patterns(expression: str, rule: Rule, distro: str) -> list[tuple[TopicAction, Glob, Partitions]]:
+def _patterns(tokens: Glob, rule: Rule, distro: str) -> list[tuple[TopicAction, Glob, Partitions]]:
     """Return action, topic pattern and mapped partitions of an expression of a rule, for all its permissions."""
-    tokens = _parse(expression, rule)
     result: list[tuple[TopicAction, Glob, Partitions]] = []
     for permission in rule.permissions:
         for _, part, suffix in parts(rule.kind, permission):
@@ -100,14 +99,6 @@ def _patterns(expression: str, rule: Rule, distro: str) -> list[tuple[TopicActio
                         partitions = () if partition is None else (exact(partition),)
                         result.append((topic.action, pattern, partitions))
     return result
-
-
-def _parse(expression: str, rule: Rule) -> Glob:
-    try:
-        return glob.parse(expression)
-    except PatternError as error:
-        diagnostic = error.diagnostics[0]
-        raise KeymintError(diagnostic.message, where=rule.origin, help=diagnostic.help, code="expression") from None
 
 
 def _unknown(rule: Rule, distro: str, subject: str) -> Diagnostic:

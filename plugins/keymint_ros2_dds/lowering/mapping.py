@@ -1,18 +1,22 @@
 """Mapping of ROS names to DDS topics and partitions, by ROS 2 distribution.
 
-:mod:`.modern_names` is the mapping of Bouncy and later, :mod:`.ardent_names` that of Ardent. Both keep raw topics as
-they are.
+Since Bouncy the full ROS name is part of the topic name, and partitions are not used: the topic ``/a`` is the DDS topic
+``rt/a``; the service ``/s`` is the pair ``rq/sRequest`` and ``rr/sReply``. :mod:`.ardent_names` is the mapping of
+Ardent. Actions and parameters consist of topics and services. Raw topics keep their names.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator
 
+from comarmor.errors import Origin
+from comarmor.patterns import glob
 from comarmor.patterns.glob import Glob
+from comarmor.patterns.tokens import PatternError
 from comarmor.rules import Effect
 from comarmor.text import did_you_mean
 from keymint.errors import KeymintError
-from keymint_ros2_dds.lowering import ardent_names, modern_names
+from keymint_ros2_dds.lowering import ardent_names
 from keymint_ros2_dds.lowering.dds_topics import DdsTopic
 
 ARDENT = "ardent"
@@ -41,8 +45,36 @@ def dds_patterns(
         for partition, pattern in ardent_names.dds_patterns(expression, topic, part, every=effect is Effect.DENY):
             yield pattern, partition
     else:
-        for pattern in modern_names.dds_patterns(expression, topic, part):
+        for pattern in _topic_patterns(expression, topic, part):
             yield pattern, None
+
+
+def _topic_patterns(expression: Glob, topic: DdsTopic, part: str) -> tuple[Glob, ...]:
+    """Return the topic patterns since Bouncy.
+
+    A ROS name begins with ``/``. So ``*/scan`` becomes ``rt/scan`` and ``rt/*/scan``, not ``rt*/scan``.
+    """
+    if not topic.prefix:
+        return (glob.surround("", expression, topic.suffix),)
+    text = glob.literal(expression)
+    if text is not None:
+        name = text + part
+        return ((topic.prefix + name + topic.suffix,),) if name.startswith("/") else ()
+    after = glob.after(glob.surround("", expression, part), "/")
+    return tuple(glob.surround(topic.prefix + "/", rest, topic.suffix) for rest in after)
+
+
+def parse_expression(expression: str, where: Origin) -> Glob:
+    """Return the pattern of an expression of the sources.
+
+    Raises:
+        KeymintError: the expression is invalid.
+    """
+    try:
+        return glob.parse(expression)
+    except PatternError as error:
+        diagnostic = error.diagnostics[0]
+        raise KeymintError(diagnostic.message, where=where, help=diagnostic.help, code="expression") from None
 
 
 def has_kind(distro: str, kind: str) -> bool:
