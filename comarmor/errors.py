@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from enum import IntEnum, StrEnum
 
@@ -67,6 +67,11 @@ class Origin:
     def alone(self) -> Origin:
         """Return the place without the chain of includes."""
         return Origin(self.file, self.line, (), self.column)
+
+    def with_files(self, rename: Callable[[str], str]) -> Origin:
+        """Return the place with other names for its file and for those in the chain."""
+        chain = tuple(outer.with_files(rename) for outer in self.chain)
+        return Origin(rename(self.file), self.line, chain, self.column)
 
     def __str__(self) -> str:
         """Return ``file:line``, followed by the chain of includes."""

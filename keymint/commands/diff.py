@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from contextlib import ExitStack
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -109,10 +108,7 @@ def _loaded(run: Run, policies: Policies, text: str, stack: ExitStack, trees: di
 
 
 def _as_known(found: Diagnostic, trees: dict[str, str]) -> Diagnostic:
-    def origin(where: Origin) -> Origin:
-        return replace(where, file=_renamed(where.file, trees), chain=tuple(map(origin, where.chain)))
-
-    where = origin(found.where) if found.where else None
+    where = found.where.with_files(lambda file: _renamed(file, trees)) if found.where else None
     message, help_ = (_renamed(text, trees) for text in (found.message, found.help))
     return Diagnostic(found.code, found.severity, message, where, help_, found.subject)
 

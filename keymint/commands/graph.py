@@ -19,7 +19,7 @@ from keymint.commands.run import Run
 from keymint.commands.user_files import read_input, write_outputs
 from keymint.commands.verb import verb
 from keymint.commands.verify_report import sources
-from keymint.drawing.labelled_graph import LabelledGraph, choose_subjects, select_edges
+from keymint.drawing.labelled_graph import LabelledEdge, LabelledGraph, choose_subjects, select_edges
 from keymint.drawing.options import DrawingOptions, Split
 from keymint.drawing.palette import Theme
 from keymint.drawing.policy_graph import label_graph, policy_graph
@@ -248,7 +248,7 @@ def _labelled(
             code="usage",
             exit_code=ExitCode.USAGE,
         )
-    return select_edges(LabelledGraph.of_graph("", found), subjects=subjects)
+    return select_edges(LabelledGraph.of("", map(LabelledEdge, found.edges), found.subjects), subjects=subjects)
 
 
 def _drawn(run: Run, labelled: LabelledGraph, kind: str, options: DrawingOptions, scale: float) -> bytes:

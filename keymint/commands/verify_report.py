@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import replace
 from pathlib import Path
 
 from comarmor.errors import Origin
@@ -18,7 +17,7 @@ from keymint.drawing.labelled_graph import (
     select_edges,
 )
 from keymint.drawing.options import DrawingOptions
-from keymint.drawing.policy_graph import nowhere
+from keymint.drawing.policy_graph import policy_label
 from keymint.graph import MISMATCHES, Edge
 from keymint.verify.mismatch import Comparison, Mismatch
 
@@ -38,7 +37,7 @@ def labelled_edges(
     allowed: Iterable[int],
     decide: Callable[[Edge], PolicyDecision],
     typed: Callable[[str], str],
-    common: Callable[[Origin], bool] = nowhere,
+    common: Callable[[Origin], bool] = lambda _: False,
 ) -> LabelledGraph:
     """Return the graph with the labels of policy and transports.
 
@@ -66,7 +65,7 @@ def labelled_edges(
             express = decision is not None and not decision.allowed and decision.where is not None
             if decision is not None and (any(found) or express or room[bool(may)]):
                 room[bool(may)] -= not any(found) and not express
-                policy = _of_policy(decision, typed)
+                policy = policy_label(decision, typed)
                 said = tuple(
                     _of_finding(one, typed) if one else Label(policy.allowed) if known[at] else None
                     for at, one in enumerate(found)
@@ -92,21 +91,10 @@ def _with_endpoints(
     yield from ((edge, 0) for edge in left)
 
 
-def _of_policy(decision: PolicyDecision, typed: Callable[[str], str]) -> Label:
-    reason = decision.reason.without_places()
-    if decision.where is None:
-        return Label(decision.allowed, reason)
-    return Label(decision.allowed, reason, _place(decision.where, typed))
-
-
 def _of_finding(finding: Mismatch, typed: Callable[[str], str]) -> Label:
     verdict = finding.verdict
     reason = "; ".join(filter(None, (finding.reason, verdict.deviation)))
-    return Label(verdict.allowed, reason, _place(finding.document, typed))
-
-
-def _place(origin: Origin, typed: Callable[[str], str]) -> Origin:
-    return replace(origin, file=typed(origin.file), chain=tuple(_place(outer, typed) for outer in origin.chain))
+    return Label(verdict.allowed, reason, finding.document.with_files(typed))
 
 
 def write_report(run: Run, folder: Path, labelled: LabelledGraph) -> list[str]:

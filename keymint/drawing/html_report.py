@@ -10,7 +10,8 @@ import base64
 import hashlib
 from collections import Counter, defaultdict
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
+from importlib import resources
 from typing import Any
 
 from markupsafe import Markup
@@ -23,7 +24,7 @@ from keymint.drawing.layout import NodeKey
 from keymint.drawing.options import DrawingOptions
 from keymint.drawing.palette import Theme, style_sheet
 from keymint.drawing.simplify import EXPLICIT, priority, simplify
-from keymint.drawing.svg import PageEmbedding, draw, environment
+from keymint.drawing.svg import draw, environment
 from keymint.graph import DomainObject, EdgeOutcome
 
 MOST_ROWS = 10_000
@@ -71,7 +72,7 @@ def html_report(labelled: LabelledGraph, sources: Mapping[str, bytes], picture: 
         "has_policy": any(one.policy for one in labelled.edges),
         "confusions": [(name, labelled.confusion(at)) for at, name in enumerate(page.transports)],
         "differences": [row for row in listed if row["wrong"]],
-        "picture": Markup(draw(labelled, options, PageEmbedding(page.number))) if labelled.edges else "",  # noqa: S704 - escaped
+        "picture": Markup(draw(labelled, options, page.number)) if labelled.edges else "",  # noqa: S704 - escaped
         "groups": list(_groups(labelled, options, page)) if labelled.edges else [],
         "subjects": [
             {"name": printable(name), "number": page.number(name), "rows": rows[name]} for name in labelled.subjects
@@ -91,14 +92,12 @@ def _groups(labelled: LabelledGraph, options: DrawingOptions, page: _Page) -> It
     for name, members in simplify(labelled, options).groups.items():
         if len(members) > 1:
             part = replace(select_edges(labelled, subjects=set(members)), title=name)
-            drawn = draw(part, replace(options, group=False), PageEmbedding(page.number))
+            drawn = draw(part, replace(options, group=False), page.number)
             yield {"name": printable(name), "number": page.number(name), "picture": Markup(drawn)}  # noqa: S704 - escaped
 
 
 def _text(name: str) -> str:
-    loader = environment().loader
-    assert loader is not None  # noqa: S101 - the environment is ours
-    return loader.get_source(environment(), name)[0]
+    return resources.files(__package__).joinpath("templates", name).read_text(encoding="utf-8")
 
 
 def _digest(text: str) -> str:
@@ -108,14 +107,6 @@ def _digest(text: str) -> str:
 def _lines(content: bytes) -> Iterator[str]:
     for line in content.decode("utf-8", "replace").split("\n"):
         yield "\t".join(printable(part) for part in line.removesuffix("\r").split("\t"))
-
-
-@dataclass(frozen=True, slots=True)
-class _Link:
-    """A link to a line of a file; ``target`` is empty if the report does not contain the file."""
-
-    text: str
-    target: str
 
 
 class _Page:
@@ -155,11 +146,7 @@ class _Page:
             "subject": printable(edge.subject),
             "subject_number": self.number(edge.subject),
             "permission": printable(edge.permission),
-            "object": object_name(edge.object, edge.domain),
-            "object_number": self.number(edge.domain_object),
-            "kind": KINDS.get(edge.object.kind, edge.object.kind),
-            "kind_class": edge.object.kind if edge.object.kind in KINDS else "neutral",
-            "pattern": edge.object in self._labelled.patterns,
+            "object": self._object(edge.domain_object),
             "audit": one.audit,
             "policy": self._label(one.policy),
             "transports": [
@@ -180,12 +167,22 @@ class _Page:
             "links": list(self._links(label.where)) if label.where else [],
         }
 
-    def _links(self, where: Origin) -> Iterator[_Link]:
+    def _links(self, where: Origin) -> Iterator[Mapping[str, str]]:
+        """Yield a link to each place; ``target`` is empty if the report does not contain the file."""
         for place in (where, *where.chain):
-            text = cited(place.file, place.line)
             at = self._sources.get(place.file)
             target = "" if at is None else f"f{at}-{place.line}" if place.line else f"f{at}"
-            yield _Link(printable(text), target)
+            yield {"text": printable(cited(place.file, place.line)), "target": target}
+
+    def _object(self, key: DomainObject) -> Mapping[str, Any]:
+        domain, object_ = key
+        return {
+            "number": self.number(key),
+            "name": object_name(object_, domain),
+            "kind": KINDS[object_.kind],
+            "kind_class": object_.kind,
+            "pattern": object_ in self._labelled.patterns,
+        }
 
     def object_rows(self) -> list[Mapping[str, Any]]:
         """Return every object with the permissions that subjects have on it."""
@@ -200,11 +197,7 @@ class _Page:
                 allowed[key].append((self.number(subject), printable(subject), printable(one.edge.permission)))
         return [
             {
-                "number": self.number(key),
-                "name": object_name(key[1], key[0]),
-                "kind": KINDS.get(key[1].kind, key[1].kind),
-                "kind_class": key[1].kind if key[1].kind in KINDS else "neutral",
-                "pattern": key[1] in self._labelled.patterns,
+                **self._object(key),
                 "allowed": allowed[key],
                 "denied": counts[key]["denied"],
                 "wrong": counts[key]["wrong"],

@@ -5,11 +5,12 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import NoReturn
 
 from comarmor.errors import Origin
 from comarmor.text import did_you_mean, first_few
 from keymint.errors import ExitCode, KeymintError
-from keymint.graph import ConfusionMatrix, Edge, EdgeOutcome, Graph, Object
+from keymint.graph import ConfusionMatrix, Edge, EdgeOutcome, Object
 
 
 @dataclass(frozen=True, slots=True)
@@ -100,11 +101,6 @@ class LabelledGraph:
         names = {*subjects, *(labelled.edge.subject for labelled in ordered)}
         return cls(title, ordered, tuple(sorted(names)), tuple(transports), frozenset(patterns), tuple(confusions))
 
-    @classmethod
-    def of_graph(cls, title: str, graph: Graph) -> LabelledGraph:
-        """Return a graph whose edges have no labels."""
-        return cls.of(title, (LabelledEdge(edge) for edge in graph.edges), graph.subjects)
-
     @property
     def counts(self) -> Mapping[EdgeOutcome, int]:
         """Number of edges by outcome."""
@@ -178,6 +174,6 @@ def select_edges(
     return replace(labelled, edges=edges, subjects=tuple(sorted(kept)), confusions=())
 
 
-def _refuse(message: str, name: str, known: Sequence[str]) -> None:
+def _refuse(message: str, name: str, known: Sequence[str]) -> NoReturn:
     hint = did_you_mean(name, known, f"there are {first_few(known, 5)}" if known else "the graph is empty")
     raise KeymintError(message, help=hint, code="subject-unknown", exit_code=ExitCode.USAGE)

@@ -12,7 +12,6 @@ from bisect import bisect_right, insort
 from collections import defaultdict
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from types import MappingProxyType
 
 from comarmor.text import printable
 from keymint.drawing.display_text import (
@@ -112,8 +111,8 @@ def lay_out(
     heading: str,
     edges: Sequence[LabelledEdge],
     subjects: Sequence[str],
-    names: Mapping[Object, str] = MappingProxyType({}),
-    marks: Mapping[str, str] = MappingProxyType({}),
+    names: Mapping[Object, str],
+    marks: Mapping[str, str],
 ) -> Panel:
     """Return the layout of a graph.
 
@@ -170,12 +169,11 @@ def _kind(key: NodeKey) -> str:
 def _title(key: NodeKey) -> str:
     if isinstance(key, str):
         return printable(key)
-    return f"{object_name(key[1], key[0])} ({KINDS.get(key[1].kind, key[1].kind)})"
+    return f"{object_name(key[1], key[0])} ({KINDS[key[1].kind]})"
 
 
 def _rank(key: DomainObject) -> tuple[int, DomainObject]:
-    kinds = list(KINDS)
-    return (kinds.index(key[1].kind) if key[1].kind in kinds else len(kinds), key)
+    return list(KINDS).index(key[1].kind), key
 
 
 # -- order -----------------------------------------------------------------------------------------------------------

@@ -10,6 +10,8 @@ from __future__ import annotations
 from collections.abc import Mapping
 from enum import StrEnum
 
+from keymint.drawing.display_text import KINDS
+
 
 class Theme(StrEnum):
     """Background of a picture; ``auto`` follows the browser's preference and is light elsewhere."""
@@ -67,7 +69,7 @@ DARK: Mapping[str, str] = {
     "plain": "#9aa4af",
     "audit": "#e3b341",
 }
-KIND_NAMES = ("subject", "ros_topic", "ros_service", "ros_action", "ros_parameter", "topic")
+KIND_NAMES = ("subject", *KINDS)
 
 FONTS = "'DejaVu Sans Mono','Liberation Mono',Menlo,Consolas,'Noto Sans Mono',monospace"
 """Fixed-width fonts of 0.55 to 0.61 em, for which boxes are sized."""

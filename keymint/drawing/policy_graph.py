@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import functools
 import itertools
-from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 
 from comarmor.errors import Origin
@@ -21,16 +21,6 @@ MOST_EDGES = 250_000
 """Maximum number of edges to draw: about 250 MB."""
 
 
-def unchanged(file: str) -> str:
-    """Return a path unchanged."""
-    return file
-
-
-def nowhere(_where: Origin) -> bool:
-    """Return False: no rule is a common one."""
-    return False
-
-
 def label_graph(
     title: str,
     policy: LoadedPolicy,
@@ -38,8 +28,8 @@ def label_graph(
     subjects: Collection[str],
     *,
     everything: bool = False,
-    typed: Callable[[str], str] = unchanged,
-    common: Callable[[Origin], bool] = nowhere,
+    typed: Callable[[str], str] = str,
+    common: Callable[[Origin], bool] = lambda _: False,
 ) -> LabelledGraph:
     """Return a graph, or its completion, with the labels of a policy.
 
@@ -58,9 +48,8 @@ def label_graph(
     if everything:
         _refuse_large(len(subjects) * sum(len(LABELLED[object_.kind]) for _, object_ in graph.objects))
     edges = complete(replace(graph, subjects=tuple(subjects))) if everything else graph.edges
-    labels = _Labels(typed, common)
-    labelled = (labels.labelled(edge, policy.decide(edge)) for edge in edges if edge.subject in subjects)
-    return LabelledGraph.of(title, labelled, subjects)
+    decided = ((edge, policy.decide(edge)) for edge in edges if edge.subject in subjects)
+    return LabelledGraph.of(title, _labelled(decided, typed, common), subjects)
 
 
 def policy_graph(
@@ -69,8 +58,8 @@ def policy_graph(
     subjects: Sequence[str] = (),
     *,
     everything: bool = False,
-    typed: Callable[[str], str] = unchanged,
-    common: Callable[[Origin], bool] = nowhere,
+    typed: Callable[[str], str] = str,
+    common: Callable[[Origin], bool] = lambda _: False,
 ) -> LabelledGraph:
     """Return the graph of a policy.
 
@@ -115,12 +104,11 @@ def policy_graph(
                     permissions.setdefault(object_, set()).update(rule.permissions)
     if everything:
         _refuse_large(len(chosen) * sum(len(LABELLED[object_.kind]) for object_ in names))
-    labels = _Labels(typed, common)
-    labelled = itertools.chain(
-        _edges_to_names(policy, chosen, sorted(names), labels, everything=everything),
-        _edges_to_expressions(policy, own, expressions, labels),
+    decided = itertools.chain(
+        _edges_to_names(policy, chosen, sorted(names), everything=everything),
+        _edges_to_expressions(policy, own, expressions),
     )
-    edges = list(itertools.islice(labelled, MOST_EDGES + 1))
+    edges = list(_labelled(itertools.islice(decided, MOST_EDGES + 1), typed, common))
     _refuse_large(len(edges))
     return LabelledGraph.of(title, edges, chosen, patterns=expressions)
 
@@ -135,8 +123,8 @@ def _refuse_large(edges: int) -> None:
 
 
 def _edges_to_names(
-    policy: LoadedPolicy, subjects: Sequence[str], objects: Sequence[Object], labels: _Labels, *, everything: bool
-) -> Iterator[LabelledEdge]:
+    policy: LoadedPolicy, subjects: Sequence[str], objects: Sequence[Object], *, everything: bool
+) -> Iterator[tuple[Edge, PolicyDecision]]:
     for subject in subjects:
         for object_ in objects:
             for permission in PERMISSIONS[object_.kind]:
@@ -144,42 +132,36 @@ def _edges_to_names(
                 decision = policy.decide(edge)
                 completes = everything and permission in LABELLED[object_.kind]
                 if decision.allowed or decision.where is not None or completes:
-                    yield labels.labelled(edge, decision)
+                    yield edge, decision
 
 
 def _edges_to_expressions(
-    policy: LoadedPolicy,
-    own: Mapping[str, Mapping[Object, set[str]]],
-    expressions: Mapping[Object, Object],
-    labels: _Labels,
-) -> Iterator[LabelledEdge]:
+    policy: LoadedPolicy, own: Mapping[str, Mapping[Object, set[str]]], expressions: Mapping[Object, Object]
+) -> Iterator[tuple[Edge, PolicyDecision]]:
     for subject, objects in own.items():
         for expression, permissions in objects.items():
             for permission in sorted(permissions):
                 edge = Edge(subject, permission, expressions[expression])
-                yield labels.labelled(replace(edge, object=expression), policy.decide(edge))
+                yield replace(edge, object=expression), policy.decide(edge)
 
 
-class _Labels:
-    """Makes labels of decisions, one object for all equal ones to save memory."""
+def _labelled(
+    decided: Iterable[tuple[Edge, PolicyDecision]], typed: Callable[[str], str], common: Callable[[Origin], bool]
+) -> Iterator[LabelledEdge]:
+    typed = functools.cache(typed)
+    labels: dict[PolicyDecision, Label] = {}  # one object for all equal labels saves memory
+    for edge, decision in decided:
+        if decision not in labels:
+            labels[decision] = policy_label(decision, typed)
+        shared = decision.allowed and decision.where is not None and common(decision.where)
+        yield LabelledEdge(edge, labels[decision], (), decision.audit, shared)
 
-    def __init__(self, typed: Callable[[str], str], common: Callable[[Origin], bool]) -> None:
-        self._typed = functools.cache(typed)
-        self._common = common
-        self._known: dict[PolicyDecision, Label] = {}
 
-    def labelled(self, edge: Edge, decision: PolicyDecision) -> LabelledEdge:
-        """Return a labelled edge."""
-        if decision not in self._known:
-            # The origin of the rule is shown beside the reason.
-            reason = decision.reason.without_places()
-            where = self._place(decision.where) if decision.where else None
-            self._known[decision] = Label(decision.allowed, reason, where)
-        common = decision.allowed and decision.where is not None and self._common(decision.where)
-        return LabelledEdge(edge, self._known[decision], (), decision.audit, common)
-
-    def _place(self, origin: Origin) -> Origin:
-        return replace(origin, file=self._typed(origin.file), chain=tuple(map(self._place, origin.chain)))
+def policy_label(decision: PolicyDecision, typed: Callable[[str], str]) -> Label:
+    """Return a decision of a policy as a label, with files as the user would type them."""
+    where = decision.where.with_files(typed) if decision.where else None
+    # The origin of the rule is shown beside the reason.
+    return Label(decision.allowed, decision.reason.without_places(), where)
 
 
 def _literal(object_: Object) -> bool:

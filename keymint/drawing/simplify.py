@@ -142,7 +142,7 @@ def _fold(
 def folded_name(members: Sequence[DomainObject]) -> str:
     """Return the label of folded objects: ``/talker/… (6 services)``."""
     first = members[0][1]
-    noun = KINDS.get(first.kind, first.kind)
+    noun = KINDS[first.kind]
     return printable(f"{namespace(first.name)}… ({len(members)} {noun}{'' if noun.endswith('s') else 's'})")
 
 

@@ -7,7 +7,6 @@ import re
 import textwrap
 from collections import defaultdict
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
 from functools import cache
 from typing import TYPE_CHECKING
 
@@ -33,15 +32,8 @@ _LEAST_WIDTH = 760.0
 _HEAD = 8.0
 
 
-@dataclass(frozen=True, slots=True)
-class PageEmbedding:
-    """A picture inside a page, which has the style sheet.
-
-    Attributes:
-        number: returns the number of a subject, group or object; the page describes it at ``#n<number>``.
-    """
-
-    number: Callable[[NodeKey], int]
+NodeNumber = Callable[[NodeKey], int]
+"""Returns the number of a subject, group or object in a page, which describes it at ``#n<number>``."""
 
 
 @cache
@@ -78,8 +70,8 @@ def svg(labelled: LabelledGraph, options: DrawingOptions | None = None) -> bytes
     return draw(labelled, options or DrawingOptions(), None).encode()
 
 
-def draw(labelled: LabelledGraph, options: DrawingOptions, embedding: PageEmbedding | None) -> str:
-    """Return a picture as a document, or as an element to embed in a page."""
+def draw(labelled: LabelledGraph, options: DrawingOptions, number: NodeNumber | None) -> str:
+    """Return a picture as a document, or as an element to embed in a page that has the style sheet."""
     drawn = simplify(labelled, options)
     names = {key[1]: folded_name(members) for key, members in drawn.members.items() if len(members) > 1}
     marks = {name: f"+{len(common)} common" for name, common in drawn.marks.items()}
@@ -103,8 +95,8 @@ def draw(labelled: LabelledGraph, options: DrawingOptions, embedding: PageEmbedd
             heading=shorten(printable(labelled.title), int(width / (CHARACTER * 15 / 12))),
             subtitle=subtitle,
             subtitles=[(text, MARGIN + 34 + at * LINE) for at, text in enumerate(subtitles)],
-            style=None if embedding else style_sheet(options.theme),
-            standalone=embedding is None,
+            style=None if number else style_sheet(options.theme),
+            standalone=number is None,
             width=_number(width + 2 * MARGIN),
             height=_number(panel_top + sheet_height + MARGIN),
             margin=MARGIN,
@@ -117,9 +109,9 @@ def draw(labelled: LabelledGraph, options: DrawingOptions, embedding: PageEmbedd
                     "x": _number(left + x),
                     "y": _number(panel_top + y),
                     "lines": [
-                        _line(line, labelled, options, drawn, embedding) for line in _by_priority(panel.lines, options)
+                        _line(line, labelled, options, drawn, number) for line in _by_priority(panel.lines, options)
                     ],
-                    "boxes": [_box(box, labelled, drawn, embedding) for box in panel.boxes],
+                    "boxes": [_box(box, labelled, drawn, number) for box in panel.boxes],
                 }
                 for panel, x, y in placed
             ],
@@ -191,9 +183,7 @@ def _subtitle(labelled: LabelledGraph, options: DrawingOptions, drawn: Simplifie
 # -- shapes ----------------------------------------------------------------------------------------------------------
 
 
-def _box(
-    box: NodeBox, labelled: LabelledGraph, drawn: SimplifiedGraph, embedding: PageEmbedding | None
-) -> dict[str, object]:
+def _box(box: NodeBox, labelled: LabelledGraph, drawn: SimplifiedGraph, number: NodeNumber | None) -> dict[str, object]:
     key = box.key
     members: Sequence[NodeKey] = drawn.groups[key] if isinstance(key, str) else drawn.members[key]
     title = box.title
@@ -218,8 +208,8 @@ def _box(
         "mark_y": _number(box.y + box.height / 2 + 12.2),
         "mark_title": "\n".join(common),
         "middle": _number(box.y + box.height / 2),
-        "number": embedding.number(box.key) if embedding else None,
-        "numbers": _numbers(members, embedding),
+        "number": number(box.key) if number else None,
+        "numbers": _numbers(members, number),
     }
 
 
@@ -228,7 +218,7 @@ def _line(
     labelled: LabelledGraph,
     options: DrawingOptions,
     drawn: SimplifiedGraph,
-    embedding: PageEmbedding | None,
+    number: NodeNumber | None,
 ) -> dict[str, object]:
     outcome = line.labelled.outcome(options.transport)
     size = _HEAD * (1.25 if outcome.false else 1.0)
@@ -258,14 +248,14 @@ def _line(
         "danger": outcome is EdgeOutcome.FALSE_POSITIVE,
         "middle_x": _number((start + end) / 2),
         "middle_y": _number((line.y1 + line.y2) / 2),
-        "subject": _numbers(drawn.groups[edge.subject], embedding),
-        "object": _numbers(drawn.members[edge.domain_object], embedding),
+        "subject": _numbers(drawn.groups[edge.subject], number),
+        "object": _numbers(drawn.members[edge.domain_object], number),
     }
 
 
-def _numbers(keys: Sequence[NodeKey], embedding: PageEmbedding | None) -> str | None:
+def _numbers(keys: Sequence[NodeKey], number: NodeNumber | None) -> str | None:
     """Return the page's numbers of the members of a box."""
-    return " ".join(str(embedding.number(key)) for key in keys) if embedding else None
+    return " ".join(str(number(key)) for key in keys) if number else None
 
 
 def _head(x: float, y: float, size: float, *, barred: bool) -> str:

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
-from comarmor.errors import Diagnostic, Origin, Severity
+from comarmor.errors import Diagnostic, Severity
 from keymint.changes import Step
 from keymint.errors import ExitCode
 from keymint.workspace import Workspace, shown
@@ -40,13 +40,12 @@ def as_typed(diagnostic: Diagnostic, folder: Path) -> Diagnostic:
     """Return a diagnostic with paths relative to a directory."""
     prefix = f"{folder}/"
 
-    def place(origin: Origin) -> Origin:
-        file = shown(Path(origin.file), folder) if origin.file.startswith("/") else origin.file
-        return replace(origin, file=file, chain=tuple(map(place, origin.chain)))
+    def typed(file: str) -> str:
+        return shown(Path(file), folder) if file.startswith("/") else file
 
     return replace(
         diagnostic,
-        where=place(diagnostic.where) if diagnostic.where else None,
+        where=diagnostic.where.with_files(typed) if diagnostic.where else None,
         message=diagnostic.message.replace(prefix, ""),
         help=diagnostic.help.replace(prefix, ""),
     )
