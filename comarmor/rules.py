@@ -86,26 +86,22 @@ _READ_SERVICES = ("/describe_parameters", "/get_parameters", "/get_parameter_typ
 _WRITE_SERVICES = ("/set_parameters", "/set_parameters_atomically")
 
 
-def _services(permission: str, suffixes: tuple[str, ...]) -> tuple[tuple[str, str, str], ...]:
-    return tuple(("ros_service", permission, suffix) for suffix in suffixes)
-
-
-def _topics(permission: str, suffixes: tuple[str, ...]) -> tuple[tuple[str, str, str], ...]:
-    return tuple(("ros_topic", permission, suffix) for suffix in suffixes)
+def _parts(kind: str, permission: str, suffixes: tuple[str, ...]) -> tuple[tuple[str, str, str], ...]:
+    return tuple((kind, permission, suffix) for suffix in suffixes)
 
 
 PARTS: Mapping[tuple[str, str], tuple[tuple[str, str, str], ...]] = MappingProxyType(
     {
         ("ros_action", "ros_request"): (
-            *_services("ros_call", _GOAL_SERVICES),
-            *_topics("ros_subscribe", _GOAL_TOPICS),
+            *_parts("ros_service", "ros_call", _GOAL_SERVICES),
+            *_parts("ros_topic", "ros_subscribe", _GOAL_TOPICS),
         ),
         ("ros_action", "ros_operate"): (
-            *_services("ros_execute", _GOAL_SERVICES),
-            *_topics("ros_publish", _GOAL_TOPICS),
+            *_parts("ros_service", "ros_execute", _GOAL_SERVICES),
+            *_parts("ros_topic", "ros_publish", _GOAL_TOPICS),
         ),
-        ("ros_parameter", "ros_read"): _services("ros_call", _READ_SERVICES),
-        ("ros_parameter", "ros_write"): _services("ros_call", _WRITE_SERVICES),
+        ("ros_parameter", "ros_read"): _parts("ros_service", "ros_call", _READ_SERVICES),
+        ("ros_parameter", "ros_write"): _parts("ros_service", "ros_call", _WRITE_SERVICES),
     }
 )
 """The parts of each composite permission: kind, permission and name suffix of the topics and services that implement it

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 from lxml import etree
 
@@ -52,7 +52,7 @@ class _PolicyParser:
     def collect(self, error: ComArmorError, where: Origin) -> None:
         """Collect the defects of an error; those without a place get the given one."""
         for item in error.diagnostics:
-            placed = item if item.where else Diagnostic(item.code, item.severity, item.message, where, item.help)
+            placed = item if item.where else replace(item, where=where)
             if placed not in self.diagnostics:
                 self.diagnostics.append(placed)
         if len(self.diagnostics) >= _MOST_DIAGNOSTICS:
@@ -126,7 +126,7 @@ class _PolicyParser:
         if depth > _DEEPEST:
             self.refuse(f"profiles are nested more than {_DEEPEST} deep", item.where, "xml-limit")
             return
-        scope = around.inner()
+        scope = TunableScope(self.budget, around)
         audit = audit or item.element.get("modifier") == "AUDIT"
         attachments: list[Attachment] = []
         inner: list[Profile] = []
@@ -164,12 +164,9 @@ class _PolicyParser:
                 )
                 continue
             name = literal(expression.text)
-            if name is not None and not _is_legal(name):
+            if name is not None and (expected := _expected_of_name(name)):
                 self.refuse(
-                    f"{quoted(name)} is not a legal name of a subject",
-                    expression.where,
-                    "subject-name",
-                    _why_illegal(name),
+                    f"{quoted(name)} is not a legal name of a subject", expression.where, "subject-name", expected
                 )
             yield expression
 
@@ -265,14 +262,12 @@ def _unique(expressions: list[Attachment]) -> tuple[Attachment, ...]:
     return tuple(first.values())
 
 
-def _is_legal(name: str) -> bool:
-    """Whether a name may become the name of an enclave, and so a path."""
-    return (
-        len(name) <= _LONGEST_NAME and is_fully_qualified(name) and max(map(len, name.split("/"))) <= _LONGEST_SEGMENT
-    )
-
-
-def _why_illegal(name: str) -> str:
+def _expected_of_name(name: str) -> str:
+    """Return what a name violates of the form of enclaves' names, which become paths; empty for a legal name."""
     if len(name) > _LONGEST_NAME or max(map(len, name.split("/"))) > _LONGEST_SEGMENT:
         return f"at most {_LONGEST_NAME} characters, and {_LONGEST_SEGMENT} between two '/'"
-    return "expected '/' and segments of letters, digits and '_' that do not begin with a digit, e.g. /robot1/talker"
+    if not is_fully_qualified(name):
+        return (
+            "expected '/' and segments of letters, digits and '_' that do not begin with a digit, e.g. /robot1/talker"
+        )
+    return ""

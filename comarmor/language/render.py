@@ -15,23 +15,30 @@ def render(policy: Policy) -> str:
     The document decides every request as the policy does. Loading and rendering it again gives the same text.
     """
     root = etree.Element("profiles")
-    for profile in policy.profiles:
-        _profile(root, profile)
+    for outer in policy.profiles:
+        root.append(profile(outer))
+    return document(root)
+
+
+def document(root: etree._Element) -> str:
+    """Return an element as an indented XML document."""
     etree.indent(root)
     text = etree.tostring(root, encoding="unicode")
     return f'<?xml version="1.0" encoding="UTF-8"?>\n{text}\n'
 
 
-def _profile(parent: etree._Element, profile: Profile) -> None:
-    element = etree.SubElement(parent, "profile", name=profile.name)
-    if profile.audit:
+def profile(source: Profile) -> etree._Element:
+    """Return the element of a profile."""
+    element = etree.Element("profile", name=source.name)
+    if source.audit:
         element.set("modifier", "AUDIT")
-    for attachment in profile.attachments:
+    for attachment in source.attachments:
         etree.SubElement(element, "attachment").text = attachment.text
-    for rule in profile.rules:
+    for rule in source.rules:
         _rule(element, rule)
-    for inner in profile.profiles:
-        _profile(element, inner)
+    for inner in source.profiles:
+        element.append(profile(inner))
+    return element
 
 
 def _rule(parent: etree._Element, rule: ProfileRule) -> None:

@@ -22,10 +22,10 @@ from comarmor.text import did_you_mean, quoted
 from comarmor.xml.reader import LIMITS, XINCLUDE, Limits, line, parse
 from comarmor.xml.sandboxed_paths import (
     SandboxedFolder,
-    existing_file,
     exists,
     path_text,
     read_bounded,
+    resolve,
     similar_file,
     unreadable,
 )
@@ -190,7 +190,7 @@ class _PolicyReader:
             where: place for the error if it cannot be read.
             chain: the places that include it, innermost first.
         """
-        real = existing_file(folder, relative, where)
+        real = resolve(folder, relative, where)
         if real in self.files:
             self.seen[Path(folder.shown, relative)] = self.files[real]
         if real in self.open:

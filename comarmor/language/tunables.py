@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import partial
 
-from comarmor.errors import ComArmorError, Origin
+from comarmor.errors import ComArmorError, Origin, Spot
 from comarmor.language.attachments import MOST_VALUES, TunableReference, Value, expand, strip
 from comarmor.language.attachments import parse as parse_attachment
 from comarmor.language.syntax import Tunable
@@ -16,7 +16,8 @@ MOST_CHARACTERS = 32 * 2**20
 """The most characters of all expanded expressions of a policy."""
 
 
-_Key = tuple[str, int, int, str]
+_Key = tuple[Spot, str]
+"""Place and name of a tunable."""
 
 
 @dataclass(slots=True)
@@ -32,18 +33,15 @@ class ExpansionBudget:
 
     def declare(self, tunable: Tunable) -> None:
         """Record the declaration of a tunable."""
-        if (key := _key(tunable)) not in self.used_tunables:
+        key = tunable.where.spot, tunable.name
+        if key not in self.used_tunables:
             self.unused_tunables.setdefault(key, tunable)
 
     def use(self, tunable: Tunable) -> None:
         """Record a use of a tunable."""
-        key = _key(tunable)
+        key = tunable.where.spot, tunable.name
         self.used_tunables.add(key)
         self.unused_tunables.pop(key, None)
-
-
-def _key(tunable: Tunable) -> _Key:
-    return tunable.where.file, tunable.where.line, tunable.where.column, tunable.name
 
 
 @dataclass(slots=True)
@@ -54,17 +52,14 @@ class TunableScope:
         budget: shared by the complete policy.
         outer: the enclosing scope.
         own: the tunables declared so far.
-        passed: by name, the first use of a tunable of an enclosing scope that this scope had not declared.
+        passed: by name, a tunable of an enclosing scope that this scope had not declared, and the place of its first
+            use.
     """
 
     budget: ExpansionBudget
     outer: TunableScope | None = None
     own: dict[str, Tunable] = field(default_factory=dict)
-    passed: dict[str, Origin] = field(default_factory=dict)
-
-    def inner(self) -> TunableScope:
-        """Return a new scope nested in this one."""
-        return TunableScope(self.budget, self)
+    passed: dict[str, tuple[Tunable, Origin]] = field(default_factory=dict)
 
     def declare(self, name: str, values: Sequence[str], where: Origin) -> None:
         """Declare a tunable in this scope; from here on it hides tunables of the same name in enclosing scopes.
@@ -81,16 +76,16 @@ class TunableScope:
                 code="tunable",
             )
         if name in self.passed:
+            outer, use = self.passed[name]
             raise ComArmorError(
-                f"the tunable @{{{name}}} is declared after its use at {self.passed[name]}, which refers to the one "
-                f"declared at {self._around(name).where}",
+                f"the tunable @{{{name}}} is declared after its use at {use}, which refers to the one "
+                f"declared at {outer.where}",
                 where=where,
                 help="declare it above its use, or give it another name",
                 code="tunable",
             )
-        self.own[name] = Tunable(
-            name, (), where
-        )  # declared even if defective, so that its uses are not reported as well
+        # Declared even if defective, so that its uses are not reported as well.
+        self.own[name] = Tunable(name, (), where)
         expanded: dict[Value, None] = {}
         for value in values:
             pieces = parse_attachment(value)
@@ -103,42 +98,28 @@ class TunableScope:
         self.own[name] = Tunable(name, tuple(expanded), where)
         self.budget.declare(self.own[name])
 
-    def _around(self, name: str) -> Tunable:
-        """Return the tunable of that name in the nearest enclosing scope; it must exist."""
-        scope = self.outer
-        while scope is not None and name not in scope.own:
-            scope = scope.outer
-        if scope is None:
-            raise LookupError(name)
-        return scope.own[name]
-
     def values(self, name: str, where: Origin) -> tuple[Value, ...]:
         """Return the values of a tunable for a use in a place.
 
         Raises:
             ComArmorError: it is not declared above, in this or an enclosing scope.
         """
+        passed: list[TunableScope] = []
         scope: TunableScope | None = self
-        known: dict[str, None] = {}
         while scope is not None:
-            if name in scope.own:
-                self.budget.use(scope.own[name])
-                self._record_passed(name, scope, where)
-                return scope.own[name].values
-            known |= dict.fromkeys(scope.own)
+            if tunable := scope.own.get(name):
+                self.budget.use(tunable)
+                for inner in passed:
+                    inner.passed.setdefault(name, (tunable, where))
+                return tunable.values
+            passed.append(scope)
             scope = scope.outer
+        known = dict.fromkeys(known for scope in passed for known in scope.own)
         raise ComArmorError(
             f"the tunable @{{{name}}} is unknown here",
             help=did_you_mean(name, known, "declare it with <tunable> above its use"),
             code="tunable",
         )
-
-    def _record_passed(self, name: str, declaring: TunableScope, where: Origin) -> None:
-        """Record the use of a tunable in this scope and the enclosing ones up to the one that declares it."""
-        scope: TunableScope | None = self
-        while scope is not None and scope is not declaring:
-            scope.passed.setdefault(name, where)
-            scope = scope.outer
 
     def expand(self, text: str, where: Origin) -> tuple[Value, ...]:
         """Return the expansions of an attachment.

@@ -61,13 +61,6 @@ def exists(folder: SandboxedFolder, relative: str, where: Origin) -> bool:
     return True
 
 
-def existing_file(folder: SandboxedFolder, relative: str, where: Origin) -> Path:
-    """Return the resolved path of a file that must exist in a folder."""
-    if not exists(folder, relative, where):
-        raise ComArmorError("the file does not exist", where=where, code="unreadable")
-    return resolve(folder, relative, where)
-
-
 def read_bounded(folder: Path, real: Path, size: int) -> bytes:
     """Return at most ``size`` bytes of a regular file below a folder.
 

@@ -120,10 +120,6 @@ def _attribute(match: re.Match[str], vocabulary: SchemaVocabulary, _e: etree._El
     return f"<{match[1]}> has the unknown attribute '{match[2]}'", did_you_mean(match[2], vocabulary.attributes)
 
 
-def _required(match: re.Match[str], _v: SchemaVocabulary, _e: etree._Element | None) -> tuple[str, str]:
-    return f"<{match[1]}> lacks its attribute '{match[2]}'", ""
-
-
 def _enumeration(match: re.Match[str], _v: SchemaVocabulary, _e: etree._Element | None) -> tuple[str, str]:
     values = [value.strip("'") for value in match[4].split(", ")]
     return f"{_node(match)} is {quoted(match[3])}, expected {' or '.join(values)}", did_you_mean(match[3], values)
@@ -134,18 +130,6 @@ def _short(match: re.Match[str], _v: SchemaVocabulary, _e: etree._Element | None
     if not int(match[3]):
         return f"{_node(match)} is empty", ""
     return f"{_node(match)} has {match[3]} characters, expected {least} or more", ""
-
-
-def _simple(match: re.Match[str], _v: SchemaVocabulary, _e: etree._Element | None) -> tuple[str, str]:
-    return f"<{match[1]}> can only contain text, no elements", ""
-
-
-def _text(match: re.Match[str], _v: SchemaVocabulary, _e: etree._Element | None) -> tuple[str, str]:
-    return f"<{match[1]}> cannot contain text", "remove the text, or put it into a comment"
-
-
-def _value(match: re.Match[str], _v: SchemaVocabulary, _e: etree._Element | None) -> tuple[str, str]:
-    return f"{_node(match)} is {quoted(match[3])}, which is not {match[4]}", ""
 
 
 _QUOTED = re.compile(r"'([^']*)(?:'|\Z)")
@@ -160,7 +144,10 @@ _EXPLANATIONS: tuple[tuple[re.Pattern[str], _Explanation], ...] = tuple(
         (r"Element '(.+?)': Missing child element\(s\)\. Expected is (?:one of )?\( (.+) \)\.", _missing),
         (r"Element '(.+?)': No matching global declaration", _root),
         (r"Element '(.+?)', attribute '(.+?)': The attribute '.+' is not allowed", _attribute),
-        (r"Element '(.+?)': The attribute '(.+?)' is required but missing", _required),
+        (
+            r"Element '(.+?)': The attribute '(.+?)' is required but missing",
+            lambda match, *_: (f"<{match[1]}> lacks its attribute '{match[2]}'", ""),
+        ),
         (
             r"Element '(.+?)'(?:, attribute '(.+?)')?: \[.+?\] The value '(.*)' is not .+ set \{(.+)\}",
             _enumeration,
@@ -169,11 +156,17 @@ _EXPLANATIONS: tuple[tuple[re.Pattern[str], _Explanation], ...] = tuple(
             r"Element '(.+?)'(?:, attribute '(.+?)')?: \[facet 'minLength'\] .* length of '(\d+)'.* length of '(\d+)'",
             _short,
         ),
-        (r"Element '(.+?)': Element content is not allowed", _simple),
-        (r"Element '(.+?)': Character content", _text),
+        (
+            r"Element '(.+?)': Element content is not allowed",
+            lambda match, *_: (f"<{match[1]}> can only contain text, no elements", ""),
+        ),
+        (
+            r"Element '(.+?)': Character content",
+            lambda match, *_: (f"<{match[1]}> cannot contain text", "remove the text, or put it into a comment"),
+        ),
         (
             r"Element '(.+?)'(?:, attribute '(.+?)')?: (?:\[.+?\] The value )?'(.*)' is not (a valid .+|accepted .+)\.",
-            _value,
+            lambda match, *_: (f"{_node(match)} is {quoted(match[3])}, which is not {match[4]}", ""),
         ),
     )
 )

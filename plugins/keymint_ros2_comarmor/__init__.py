@@ -74,16 +74,7 @@ class ComArmorPolicyType:
     def load(
         self, sources: Sequence[PolicySource], library: Path | None, library_shown: Path | None = None
     ) -> ComArmorPolicy:
-        """Load several policies as one: the union of their profiles.
-
-        Args:
-            sources: files or directories; includes of each are confined to its own folder.
-            library: a folder that is searched for included files which a policy does not have.
-            library_shown: path of the library in messages and origins, if it will be copied there.
-
-        Raises:
-            KeymintError: with ``file:line`` of each defect.
-        """
+        """See :meth:`keymint.api.PolicyType.load`."""
         for source in sources:
             if not source.path.exists():
                 raise KeymintError(
@@ -101,11 +92,7 @@ class ComArmorPolicyType:
         return comarmor.language.source.fingerprint(path)
 
     def expectations(self, path: Path) -> Mapping[Path, Sequence[Expectation]]:
-        """Return the expectations in the ``*.test.xml`` files beside a policy, or in one such file.
-
-        Raises:
-            KeymintError: with ``file:line`` of each defect.
-        """
+        """Return the expectations in the ``*.test.xml`` files beside a policy, or in one such file."""
         from comarmor.language.policy_tests import expectations  # noqa: PLC0415 - only one verb needs it
 
         return expectations(path)

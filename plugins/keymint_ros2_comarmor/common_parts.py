@@ -5,17 +5,17 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 from keymint_ros2_comarmor.learned_document import INCLUDE_SIZE, fragment_size, profile_size
-from keymint_ros2_comarmor.learned_rules import CommonPart, Need, Needs, fold, literal, literal_needs, templates
+from keymint_ros2_comarmor.learned_rules import CommonPart, Need, fold, literal, templates
 
 _NAME = "common_{number}.xml"
 
 
-def share(needs: Mapping[str, Needs]) -> tuple[CommonPart, ...]:
+def share(needs: Mapping[str, set[Need]]) -> tuple[CommonPart, ...]:
     """Return the common parts that make the policy shorter, in bytes of all its files.
 
     The needs that a group of subjects shares are one candidate. Larger groups are tried first.
     """
-    remaining = literal_needs(needs)
+    remaining = {subject: set(own_needs) for subject, own_needs in needs.items()}
     parts: list[CommonPart] = []
     for subjects, shared in sorted(_candidates(remaining).items(), key=lambda item: (-len(item[0]), item[0])):
         covered = {subject: frozenset(by_template.values()) for subject, by_template in shared.items()}

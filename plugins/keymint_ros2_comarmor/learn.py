@@ -11,7 +11,7 @@ from keymint.api import LearnedPolicy
 from keymint.graph import Edge, Graph
 from keymint_ros2_comarmor.common_parts import share
 from keymint_ros2_comarmor.learned_document import document, fragment
-from keymint_ros2_comarmor.learned_rules import Needs, grant_of
+from keymint_ros2_comarmor.learned_rules import needs_of
 from keymint_ros2_comarmor.review import conflict, unused
 
 
@@ -32,10 +32,8 @@ def learn(graph: Graph, existing: comarmor.Policy | None, fragments: str) -> Lea
         else:
             missing.append(edge)
     subjects = [each for each in graph.subjects if existing is None or not existing.applicable(each)]
-    needs: dict[str, Needs] = {each: {} for each in sorted({*subjects, *(edge.subject for edge in missing)})}
-    for edge in missing:
-        kind, name, permission, partitions = grant_of(edge)
-        needs[edge.subject].setdefault((kind, name), {}).setdefault(permission, set()).update(partitions)
+    granted = needs_of(missing)
+    needs = {subject: granted.get(subject, set()) for subject in sorted({*subjects, *granted})}
     parts = share(needs) if fragments else ()
     return LearnedPolicy(
         document=document(needs, parts, fragments, _note(graph)) if needs else b"",

@@ -6,18 +6,19 @@ from collections.abc import Mapping, Sequence
 
 from lxml import etree
 
-import comarmor
+from comarmor.language import render
+from comarmor.language.source import INCLUDE
 from comarmor.language.syntax import Attachment, Profile, ProfileRule
 from comarmor.patterns.printing import escape
-from keymint_ros2_comarmor.learned_rules import NOWHERE, CommonPart, Needs, fold, literal, literal_needs
+from comarmor.xml.reader import XINCLUDE
+from keymint_ros2_comarmor.learned_rules import NOWHERE, CommonPart, Need, fold, literal
 
-XI = "http://www.w3.org/2001/XInclude"
 _ANY_SUBJECT = "*"
 INCLUDE_SIZE = len('    <xi:include href="policy.d/common_1.xml" parse="xml"/>\n')
 """Bytes of a typical include."""
 
 
-def document(needs: Mapping[str, Needs], parts: Sequence[CommonPart], folder: str, note: str = "") -> bytes:
+def document(needs: Mapping[str, set[Need]], parts: Sequence[CommonPart], folder: str, note: str = "") -> bytes:
     """Return the policy document, with one profile for each subject.
 
     Args:
@@ -26,26 +27,16 @@ def document(needs: Mapping[str, Needs], parts: Sequence[CommonPart], folder: st
         folder: folder of the included files, relative to the policy.
         note: a comment to insert before the root element; empty for none.
     """
-    profiles = []
-    for subject, own_needs in literal_needs(needs).items():
+    root = etree.Element("profiles", nsmap={"xi": XINCLUDE} if parts else None)
+    for subject, own_needs in needs.items():
         covered = {need for part in parts for need in part.covered.get(subject, ())}
         rules = fold(map(literal, own_needs - covered))
-        profiles.append(_profile(subject.removeprefix("/"), escape(subject), rules))
-    text = comarmor.render(comarmor.Policy(tuple(profiles)))
-    if not parts:
-        return _with_note(text.encode(), note)
-    root = etree.fromstring(text.encode(), etree.XMLParser(remove_blank_text=True))
-    included = etree.Element("profiles", nsmap={"xi": XI})
-    for subject, element in zip(needs, list(root), strict=True):
-        included.append(element)
+        profile = _profile(subject.removeprefix("/"), escape(subject), rules)
+        root.append(profile)
         for part in reversed(parts):
             if subject in part.subjects:
-                element.insert(1, etree.Element(f"{{{XI}}}include", href=f"{folder}/{part.name}", parse="xml"))
-    return _with_note(_xml(included), note)
-
-
-def _with_note(policy: bytes, note: str) -> bytes:
-    """Insert a comment before the root element."""
+                profile.insert(1, etree.Element(INCLUDE, href=f"{folder}/{part.name}", parse="xml"))
+    policy = render.document(root).encode()
     return policy.replace(b"<profiles", f"<!-- {note} -->\n<profiles".encode(), 1) if note else policy
 
 
@@ -55,9 +46,8 @@ def fragment(part: CommonPart) -> bytes:
 
 
 def _fragment(rules: tuple[ProfileRule, ...], name: str) -> bytes:
-    text = comarmor.render(comarmor.Policy((_profile(name, _ANY_SUBJECT, rules),)))
-    root = etree.fromstring(text.encode(), etree.XMLParser(remove_blank_text=True))
-    return _xml(root[0] if len(rules) > 1 else root[0][1])
+    profile = _profile(name, _ANY_SUBJECT, rules)
+    return render.document(profile if len(rules) > 1 else profile[1]).encode()
 
 
 def fragment_size(rules: tuple[ProfileRule, ...]) -> int:
@@ -67,15 +57,12 @@ def fragment_size(rules: tuple[ProfileRule, ...]) -> int:
 
 def profile_size(rules: tuple[ProfileRule, ...]) -> int:
     """Return the size in bytes of a policy with one profile of these rules."""
-    return len(comarmor.render(comarmor.Policy((_profile("p", "p", rules),))).encode())
+    root = etree.Element("profiles")
+    root.append(_profile("p", "p", rules))
+    return len(render.document(root).encode())
 
 
-def _profile(name: str, attachment: str, rules: tuple[ProfileRule, ...]) -> Profile:
-    return Profile(
-        name, audit=False, attachments=(Attachment(attachment, NOWHERE),), profiles=(), rules=rules, where=NOWHERE
-    )
-
-
-def _xml(root: etree._Element) -> bytes:
-    etree.indent(root)
-    return f'<?xml version="1.0" encoding="UTF-8"?>\n{etree.tostring(root, encoding="unicode")}\n'.encode()
+def _profile(name: str, attachment: str, rules: tuple[ProfileRule, ...]) -> etree._Element:
+    """Return the element of a profile with one attachment."""
+    attachments = (Attachment(attachment, NOWHERE),)
+    return render.profile(Profile(name, audit=False, attachments=attachments, profiles=(), rules=rules, where=NOWHERE))

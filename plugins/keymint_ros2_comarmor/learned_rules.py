@@ -11,8 +11,6 @@ from comarmor.patterns.printing import escape
 from comarmor.rules import PERMISSIONS, Effect
 from keymint.graph import Edge
 
-Needs = dict[tuple[str, str], dict[str, set[str]]]
-"""The partitions of each permission, by kind and name of the object; the default partition is the empty text."""
 Need = tuple[str, str, str, tuple[str, ...]]
 """Kind, attachment or name, permission, and partitions; no partitions means the default one."""
 
@@ -38,16 +36,16 @@ class CommonPart:
     covered: Mapping[str, frozenset[Need]] = field(repr=False)
 
 
-def grant_of(edge: Edge) -> tuple[str, str, str, tuple[str, ...]]:
-    """Return kind, name, permission and partitions of an edge; the default partition is the empty text."""
-    return edge.object.kind, edge.object.name, edge.permission, edge.object.partitions or ("",)
-
-
-def flat(needs: Needs) -> Iterable[Need]:
-    """Yield the needs of a subject one by one, with names."""
-    for (kind, name), permissions in needs.items():
-        for permission, partitions in permissions.items():
-            yield kind, name, permission, () if partitions == {""} else tuple(sorted(partitions))
+def needs_of(edges: Iterable[Edge]) -> dict[str, set[Need]]:
+    """Return the needs of each subject, with names; the partitions of one permission on one object are merged."""
+    partitions: dict[str, dict[tuple[str, str, str], set[str]]] = {}
+    for edge in edges:
+        key = edge.object.kind, edge.object.name, edge.permission
+        partitions.setdefault(edge.subject, {}).setdefault(key, set()).update(edge.object.partitions or ("",))
+    return {
+        subject: {(*key, () if names == {""} else tuple(sorted(names))) for key, names in by_key.items()}
+        for subject, by_key in partitions.items()
+    }
 
 
 def fold(needs: Iterable[Need]) -> tuple[ProfileRule, ...]:
@@ -101,8 +99,3 @@ def templates(need: Need, subject: str) -> tuple[Need, ...]:
         elif name.startswith(namespace) and namespace != "/":
             texts.append("{namespace}" + escape(name.removeprefix(namespace)))
     return tuple((kind, text, permission, partitions) for text in texts)
-
-
-def literal_needs(needs: Mapping[str, Needs]) -> dict[str, set[Need]]:
-    """Return the needs of each subject one by one, with names."""
-    return {subject: set(flat(own_needs)) for subject, own_needs in needs.items()}

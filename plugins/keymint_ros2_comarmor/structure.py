@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
+from functools import partial
 
 import comarmor
 from comarmor.language.attachments import for_parts
@@ -27,7 +28,7 @@ def structure(policy: comarmor.Policy) -> PolicyStructure:
         WrittenRule(
             (*around, _texts(profile)),
             rule.with_expressions(attachment.text for attachment in rule.attachments),
-            _expanding(rule),
+            partial(_expand, rule),
             tuple(attachment.where for attachment in rule.attachments),
             len(rule.where.chain) > len(profile.where.chain),
         )
@@ -48,11 +49,8 @@ def _texts(profile: comarmor.Profile) -> tuple[str, ...]:
     return tuple(attachment.text for attachment in profile.attachments)
 
 
-def _expanding(rule: comarmor.ProfileRule) -> Callable[[str, str], tuple[str, ...]]:
-    def expand(namespace: str, name: str) -> tuple[str, ...]:
-        return tuple(
-            for_parts(attachment.value, namespace, name) if attachment.value else attachment.text
-            for attachment in rule.attachments
-        )
-
-    return expand
+def _expand(rule: comarmor.ProfileRule, namespace: str, name: str) -> tuple[str, ...]:
+    return tuple(
+        for_parts(attachment.value, namespace, name) if attachment.value else attachment.text
+        for attachment in rule.attachments
+    )
