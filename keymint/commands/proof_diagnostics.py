@@ -121,7 +121,7 @@ def _refutation(subject: str, found: Counterexample, models: str) -> Diagnostic:
     ros = f" ({_entity(found.meaning)})" if found.meaning else ""
     domain = f" in domain {endpoint.domain}" if endpoint.domain else ""
     message = (
-        f"{subject}: the document {may} it to {endpoint.permission} {name}{ros}{domain}, the policy {says} it: "
+        f"{subject}: the document {may} it to {endpoint.permission} {name}{ros}{domain}, but the policy {says} it: "
         f"{policy.reason}; {by_document} [{models}]"
     )
     deviation = f"; docs/vendors.md, {document.deviation}" if document.deviation else ""

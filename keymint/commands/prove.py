@@ -113,9 +113,9 @@ def _summary(run: Run, found: ProofResults) -> None:
     parts += [f"{refuted} refuted"] * bool(refuted)
     parts += [f"{len(open_) - refuted} unknown"] * (len(open_) > refuted)
     parts += [f"{counted(unread, 'enclave')} could not be read"] * bool(unread)
-    parts += [f"{remembered} cached"] * bool(remembered)
     models = ", ".join(_taken(found))
-    enclaves = f"{counted(count, 'enclave')}{f' for {models}' if models else ''}"
+    cached = f" ({remembered} cached)" if remembered else ""
+    enclaves = f"{counted(count, 'enclave')}{cached}{f' for {models}' if models else ''}"
     say(f"proved {enclaves}: {', '.join(parts)}{_when(found)}")
     if excepted := list(dict.fromkeys(_excepted(found))):
         say(f"not part of the proof, left open by governance: {'; '.join(excepted[:SHOWN])}{_more(excepted)}")

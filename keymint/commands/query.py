@@ -256,7 +256,7 @@ def _isolated(run: Run, channels: ChannelSearch, question: PolicyQuery) -> _Answ
         {
             "yes": f"isolated: nothing flows between {apart}{_but_for(channels, common)}",
             "no": f"not isolated: {counted(len(together), 'channel')} between {apart}",
-            "unknown": f"unknown: no subject that the policy names breaks it, but others of {apart} may",
+            "unknown": f"unknown: no channel between named subjects, but others of {apart} may have one",
         }[verdict]
     )
     if verdict != "yes" and common:
@@ -284,8 +284,8 @@ def _but_for(channels: ChannelSearch, infrastructure: Sequence[Channel]) -> str:
     """Return what an answer ignores."""
     left = [*channels.but]
     if infrastructure:
-        left.append(f"what the library allows to every node ({_names(infrastructure)})")
-    return f", but for {', '.join(left)}" if left else ""
+        left.append(f"what the library allows every node ({_names(infrastructure)})")
+    return f", except {', '.join(left)}" if left else ""
 
 
 def _names(infrastructure: Sequence[Channel]) -> str:

@@ -131,7 +131,7 @@ def _lines(found: Explanation, typed: Callable[[str], str]) -> Iterator[str]:
     layers["policy"] = [rule(each) for each in found.rules] or [str(found.policy.reason)]
     if found.near:
         layers["policy"].append(f"nearest: {rule(found.near)}, but {found.near.note}")
-    layers["package"] = [rule(each) for each in found.package] or ["none of its rules applies to this"]
+    layers["package"] = [rule(each) for each in found.package] or ["no rule applies"]
     if not found.packaged:
         layers["package"] = ["missing ('keymint create' creates it)"]
     layers["needs"] = [_need(each) for each in found.endpoints]

@@ -65,7 +65,7 @@ def legend(
         if outcome in outcomes:
             yield LegendEntry(text, edge_classes(outcome, labels=labels), "arrow" if outcome.allowed else "barred")
     if any(one.audit for one in drawn.edges):
-        yield LegendEntry("AUDIT: to be watched", "audited", "dot")
+        yield LegendEntry("AUDIT rule", "audited", "dot")
     if drawn.marks:
         yield LegendEntry("what every node may do (--common draws it)", "muted", "mark")
 

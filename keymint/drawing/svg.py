@@ -167,9 +167,9 @@ def _subtitle(labelled: LabelledGraph, options: DrawingOptions, drawn: Simplifie
         if options.transport is None and len(labelled.transports) == 1:
             which = labelled.transports[0]
         false = sum(one.outcome(options.transport).false for one in labelled.edges)
-        notes.append(f"{printable(which)} compared with the policy: {counted(false, 'false label')}")
+        notes.append(f"{printable(which)} compared with the policy: {counted(false, 'mismatch')}")
     if marks := sum(map(len, drawn.marks.values())):
-        notes.append(f"{counted(marks, 'common edge')} as marks")
+        notes.append(f"{counted(marks, 'common edge')} shown as marks")
     if any(len(members) > 1 for members in drawn.groups.values()):
         notes.append("subjects are grouped by namespace")
     if any(len(members) > 1 for members in drawn.members.values()):

@@ -165,7 +165,7 @@ def refuse(where: Origin | None, line: int, problem: str) -> NoReturn:
     """
     place = Origin(where.file, line) if where is not None and line else where
     raise KeymintError(
-        f"is not a signed document with exactly one reading: {problem}",
+        f"is malformed or ambiguous S/MIME: {problem}",
         where=place,
         help="sign it again with keymint install",
         code=UNREAD,

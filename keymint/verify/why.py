@@ -100,7 +100,7 @@ def request(subject: str, permission: str, name: str, partitions: Sequence[str],
         )
     if kind != RAW and partitions:
         raise KeymintError(
-            f"{permission} is about a {kind}, and only a topic has partitions",
+            f"{permission} applies to a {kind}, and only a topic has partitions",
             help="leave --partition out, or ask for publish or subscribe",
             code="partition-unexpected",
             exit_code=ExitCode.USAGE,

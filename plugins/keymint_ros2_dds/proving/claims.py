@@ -42,26 +42,26 @@ from keymint_ros2_dds.proving.grant_periods import GrantPeriod, grant_periods
 from keymint_ros2_dds.reading.signed_permissions import DocumentGrant, PermissionsDocument
 
 _ALWAYS = (
-    "the governance that counts is that of the subject's own enclave: a participant's local checks read no other",
-    "packets are protected as the governance says: where it neither signs nor encrypts, the network is trusted",
-    "a grant of the subject, for Cyclone DDS its first one, is valid at the time",
+    "only the governance in the subject's own enclave applies: a participant's local checks read no other",
+    "packets are protected as the governance requires: where it neither signs nor encrypts, the network is trusted",
+    "a grant of the subject (for Cyclone DDS the first one) is valid at that time",
     "ROS names are mapped as the distribution documents it",
-    "an endpoint has one partition, whose name is text, and no data tags (of several, each must be permitted)",
-    "relay is not asked about",
+    "an endpoint has no data tags and one partition, whose name is text (of several, each must be permitted)",
+    "relay is not covered",
 )
 ASSUMPTIONS: Mapping[str, tuple[str, ...]] = MappingProxyType(
     {
-        "omg": ("documents are read as DDS Security 1.1 says (9.4.1.3)", *_ALWAYS),
+        "omg": ("documents are read as DDS Security 1.1 specifies (9.4.1.3)", *_ALWAYS),
         "cyclonedds-0.10": (
             "documents are read as Cyclone DDS 0.10.2 was measured to read them; its topic check is part of the model",
-            "no application creates the built-in topics (DCPS…), about which Cyclone DDS asks no document",
+            "no application creates built-in topics (DCPS…): Cyclone DDS does not check these",
             *_ALWAYS,
         ),
         "fastdds-2.9": (
             "documents are read as Fast DDS 2.9.1 was measured to read them",
-            "names beyond ASCII are compared as in the C locale, by byte; in others, as Python sets, also by character",
-            "participants are in the domains of the policy: local checks do not look at domains of permissions",
-            "local time is UTC, in which Fast DDS takes the dates of a grant to be",
+            "non-ASCII names are compared by byte (C locale); other locales (Python sets one) also compare characters",
+            "participants join only the domains of the policy: local checks ignore the domains in permissions",
+            "the local time zone is UTC: Fast DDS reads the dates of a grant as local time",
             *_ALWAYS,
         ),
     }

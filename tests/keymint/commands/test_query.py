@@ -27,7 +27,7 @@ SHARED = ["--except", "/parameter_events", "--except", "ros_discovery_info"]
         (
             "isolated /robot1/* /robot2/*",
             0,
-            "but for what the library allows to every node (ros_discovery_info, /param",
+            "except what the library allows every node (ros_discovery_info, /param",
         ),
         (
             "isolated /robot1/base /fleet/dispatcher",
@@ -37,7 +37,7 @@ SHARED = ["--except", "/parameter_events", "--except", "ros_discovery_info"]
         (
             "flows /fleet/dashboard /robot1/lidar",
             0,
-            "but for what the library allows to every node (ros_discovery_info",
+            "except what the library allows every node (ros_discovery_info",
         ),
     ],
 )
@@ -57,7 +57,7 @@ def test_infrastructure_counts_if_asked(keymint) -> None:
 def test_what_is_shared_on_purpose(keymint) -> None:
     outcome = keymint("query", FLEET, "isolated", "/robot1/*", "/robot2/*", *SHARED)
     assert outcome.code == 0
-    assert outcome.out.startswith("isolated: nothing flows between /robot1/* and /robot2/*, but for /parameter_events")
+    assert outcome.out.startswith("isolated: nothing flows between /robot1/* and /robot2/*, except /parameter_events")
     steps = keymint("query", FLEET, "flows", "/robot1/lidar", "/robot2/base", *SHARED).out.splitlines()
     assert steps[0] == "yes: in 3 steps"
     assert steps[3] == (

@@ -64,7 +64,7 @@ def test_a_file_of_which_vendors_read_an_old_document(
     assert old != current
     pair = (signed_by(SIGNERS[signer], provisioned, each) for each in (old, current))
     (enclave(provisioned) / f"{kind}.p7s").write_bytes(spliced(*pair))
-    place = f"install/enclaves/talker/{kind}.p7s:6: error: is not a signed document with exactly one reading"
+    place = f"install/enclaves/talker/{kind}.p7s:6: error: is malformed or ambiguous S/MIME"
     proven = keymint("prove", cwd=provisioned)
     assert (proven.code, place in proven.err) == (3, True), proven
     checked = keymint("check", cwd=provisioned)
@@ -86,6 +86,6 @@ def test_a_form_that_is_not_read_is_not_said_to_be_denied(keymint: Callable[...,
     for arguments in (("verify", *ASKED), REQUEST):
         outcome = keymint(*arguments, cwd=provisioned)
         assert outcome.code == 1
-        assert "permissions.p7s:2: error: is not a signed document with exactly one reading" in outcome.err
+        assert "permissions.p7s:2: error: is malformed or ambiguous S/MIME" in outcome.err
         assert "Traceback" not in outcome.err
     assert keymint("prove", cwd=provisioned).code == 3

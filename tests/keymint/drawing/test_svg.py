@@ -85,7 +85,7 @@ def test_expressions_and_audit_are_marked() -> None:
     found = type(audited)(audited.edge, audited.policy, (), audit=True)
     graph = LabelledGraph.of("t", [found], patterns=[Object("ros_topic", "/robot/*")])
     root = tree(svg(graph))
-    assert {"expression", "AUDIT: to be watched"} <= set(legend(root))
+    assert {"expression", "AUDIT rule"} <= set(legend(root))
     assert root.xpath("//s:g[contains(@class, 'pattern') and contains(@class, 'ros_topic')]", namespaces=NS)
     assert root.xpath("//s:g[@class='edge deny']/s:circle", namespaces=NS)
 
@@ -177,7 +177,7 @@ def test_common_rules_become_a_mark_at_the_subject() -> None:
     root = tree(svg(graph))
     assert sorted(texts(root)) == ["+1 common", "/a", "/chatter"]
     assert "what every node may do (--common draws it)" in legend(root)
-    assert "1 common edge as marks" in root.findtext("s:desc", namespaces=NS)
+    assert "1 common edge shown as marks" in root.findtext("s:desc", namespaces=NS)
     assert "/a ros_publish /rosout" in root.xpath("string(//s:g[s:text='+1 common']/s:title)", namespaces=NS)
     assert sorted(texts(tree(svg(graph, DrawingOptions(common=True))))) == ["/a", "/chatter", "/rosout"]
     assert "+1 common" in dot(graph).decode()
