@@ -48,7 +48,7 @@ def test_a_run_that_waits_for_the_workspace_lock_reports_it_and_then_does_its_wo
         runs = [start(folder, "provision", folder / "policy.xml") for _ in range(2)]
         for run in runs:
             assert run.stderr is not None
-            assert "waiting" in run.stderr.readline()
+            assert "Waiting for the workspace lock" in run.stderr.readline()
             assert run.poll() is None
         assert not (folder / "ws" / "src").exists()
     said = [run.communicate(timeout=60) for run in runs]
@@ -82,7 +82,7 @@ def test_a_reader_waits_for_a_writer_but_not_for_another_reader(
         fcntl.flock(lock, fcntl.LOCK_EX)
         run = start(folder, *verb)
         assert run.stderr is not None
-        assert "waiting" in run.stderr.readline()
+        assert "Waiting for the workspace lock" in run.stderr.readline()
         assert run.poll() is None
     out, err = run.communicate(timeout=60)
     assert (run.returncode, err) == (0, ""), out

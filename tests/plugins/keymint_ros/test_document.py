@@ -22,6 +22,13 @@ def test_a_missing_file_is_reported(workspace: Workspace, path: str) -> None:
     assert error.value.diagnostics[0].where
 
 
+def test_a_long_path_of_a_missing_file_is_cut_in_the_message(workspace: Workspace) -> None:
+    with pytest.raises(KeymintError) as error:
+        workspace.edit(_MANIFEST, ">authorities.xml", f">{'a' * 3000}.xml").load_profile()
+    assert error.value.diagnostics[0].code == "file-missing"
+    assert len(str(error.value)) < 500
+
+
 def test_identical_documents_of_two_profiles_are_reported_by_their_own_paths(workspace: Workspace) -> None:
     broken = {**workspace.profile, "authorities.xml": b"<profile/>"}
     for root in (Path("/one"), Path("/two")):
