@@ -7,7 +7,7 @@ import pytest
 import comarmor
 from comarmor import Effect
 
-XI = 'xmlns:xi="http://www.w3.org/2001/XInclude"'
+from .policies import XI, profile, rule
 
 WORKED = f"""<profiles {XI}>
   <profile name="talker">
@@ -29,20 +29,6 @@ NODE = """<ros_topic qualifier="ALLOW" modifier="AUDIT">
   <permissions><ros_publish/></permissions>
 </ros_topic>
 """
-
-
-def rule(kind, effect, attachment, *permissions, partitions=None, modifier=""):
-    held = "".join(f"<{permission}/>" for permission in permissions)
-    parts = "" if partitions is None else "".join(f"<partition>{item}</partition>" for item in partitions)
-    listed = f"<partitions>{parts}</partitions>" if parts else ""
-    return (
-        f'<{kind} qualifier="{effect}"{modifier}><attachment>{attachment}</attachment>'
-        f"<permissions>{held}</permissions>{listed}</{kind}>"
-    )
-
-
-def profile(*content, attachment="/s", attributes=""):
-    return f'<profile name="p"{attributes}><attachment>{attachment}</attachment>{"".join(content)}</profile>'
 
 
 def test_worked_example(write) -> None:
@@ -88,40 +74,6 @@ def test_deny_is_only_about_its_kind_and_permission(load) -> None:
     )
     assert policy.decide("/s", "ros_topic", "ros_publish", "/x").allowed
     assert not policy.decide("/s", "ros_topic", "ros_subscribe", "/x").allowed
-
-
-def test_rules_of_several_profiles_are_one_set(load) -> None:
-    policy = load(
-        f"<profiles>{profile(rule('ros_topic', 'ALLOW', '/x', 'ros_publish'))}"
-        f"{profile(rule('ros_topic', 'DENY', '/x*', 'ros_publish'), attachment='*')}</profiles>"
-    )
-    assert [len(policy.rules(subject)) for subject in ("/s", "/t")] == [2, 1]
-    assert not policy.decide("/s", "ros_topic", "ros_publish", "/x").allowed
-
-
-def test_nested_profile_applies_only_where_every_outer_one_does(load) -> None:
-    inner = profile(rule("ros_topic", "ALLOW", "/x", "ros_publish"), attachment="*/arm")
-    exact = profile(attachment="/r2/base")
-    policy = load(profile(inner, exact, profile(attachment="/r1/base"), attachment="/r1/*"))
-    assert policy.decide("/r1/arm", "ros_topic", "ros_publish", "/x").allowed
-    assert not policy.decide("/r2/arm", "ros_topic", "ros_publish", "/x").allowed
-    assert policy.subjects() == ("/r1/base",)
-    assert [p.attachments[0].text for p in policy.applicable("/r1/arm")] == ["/r1/*", "*/arm"]
-
-
-def test_profile_with_attachments_alone_is_a_subject(load) -> None:
-    policy = load(profile(attachment="/only/keys"))
-    assert policy.subjects() == ("/only/keys",)
-    assert policy.rules("/only/keys") == ()
-    assert len(policy.applicable("/only/keys")) == 1
-
-
-def test_audit_of_a_profile_marks_every_rule_below(load) -> None:
-    plain = rule("ros_topic", "ALLOW", "/x", "ros_publish")
-    own = rule("ros_topic", "ALLOW", "/y", "ros_publish", modifier=' modifier="AUDIT"')
-    watched = profile(profile(plain), attributes=' modifier="AUDIT"')
-    policy = load(f"<profiles>{watched}{profile(own, plain)}</profiles>")
-    assert [found.audit for found in policy.rules("/s")] == [True, True, False]
 
 
 READ = ("describe_parameters", "get_parameters", "get_parameter_types", "list_parameters")

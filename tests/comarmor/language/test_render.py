@@ -12,8 +12,6 @@ from hypothesis import strategies as st
 import comarmor
 from comarmor import PERMISSIONS, Attachment, Effect, Origin, Policy, Profile, ProfileRule, data
 from comarmor.language import attachments
-from comarmor.patterns import expression
-from comarmor.patterns.printing import escape
 
 HERE = Origin("generated.xml", 1)
 PIECES = (
@@ -133,11 +131,3 @@ def test_canonical_form(load) -> None:
         "  </profile>\n"
         "</profiles>\n"
     )
-
-
-@given(st.text(alphabet=" \t\n\\a*[]{}", max_size=6))
-def test_text_of_a_name_survives_the_notation(text: str) -> None:
-    written = escape(text)
-    assert attachments.strip(f"\n {written}\t ") == written
-    (value,) = attachments.expand(attachments.parse(written), lambda _: ())
-    assert expression.literal("".join(value)) == text
