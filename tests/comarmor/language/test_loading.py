@@ -10,7 +10,7 @@ import comarmor
 
 from .policies import allow, include, profile, topics
 
-REFERENCE = Path(__file__).parents[3] / "shared" / "reference" / "ppac" / "comarmor.d"
+REFERENCE = Path(__file__).parents[4] / "shared" / "reference" / "ppac" / "comarmor.d"
 
 
 def test_directory_has_its_roots_in_sorted_order(write) -> None:
