@@ -2,32 +2,14 @@
 
 from __future__ import annotations
 
-from keymint_ros2_dds.decision.evaluator import DecisionOutcome, DocumentEvaluator, EndpointDecision, decide
-from keymint_ros2_dds.decision.semantics import (
-    CYCLONEDDS_0_10,
-    FASTDDS_2_9,
-    OMG,
-    VARIATIONS,
-    Deviation,
-    Semantics,
-    Variation,
-    explain,
-)
-from keymint_ros2_dds.reading.signed_permissions import PermissionsDocument, read
-
-__all__ = [
-    "CYCLONEDDS_0_10",
-    "FASTDDS_2_9",
-    "OMG",
-    "VARIATIONS",
-    "DecisionOutcome",
-    "Deviation",
-    "DocumentEvaluator",
-    "EndpointDecision",
-    "PermissionsDocument",
-    "Semantics",
-    "Variation",
-    "decide",
-    "explain",
-    "read",
-]  # fmt: skip
+from keymint_ros2_dds.decision.evaluator import DecisionOutcome as DecisionOutcome
+from keymint_ros2_dds.decision.evaluator import DocumentEvaluator as DocumentEvaluator
+from keymint_ros2_dds.decision.evaluator import EndpointDecision as EndpointDecision
+from keymint_ros2_dds.decision.semantics import CYCLONEDDS_0_10 as CYCLONEDDS_0_10
+from keymint_ros2_dds.decision.semantics import FASTDDS_2_9 as FASTDDS_2_9
+from keymint_ros2_dds.decision.semantics import OMG as OMG
+from keymint_ros2_dds.decision.semantics import VARIATIONS as VARIATIONS
+from keymint_ros2_dds.decision.semantics import Variation as Variation
+from keymint_ros2_dds.decision.semantics import explain as explain
+from keymint_ros2_dds.reading.signed_permissions import PermissionsDocument as PermissionsDocument
+from keymint_ros2_dds.reading.signed_permissions import read as read

@@ -115,13 +115,13 @@ class DocumentEvaluator:
         if refused:
             self.refusal = EndpointDecision(DecisionOutcome.ERROR, 0, refused)
             return
-        found = _grant(document, subject_name, now, semantics)
-        if isinstance(found, EndpointDecision):
-            self.refusal = found
+        grant = _grant(document, subject_name, now, semantics)
+        if isinstance(grant, EndpointDecision):
+            self.refusal = grant
             return
-        self._default = semantics.default_counts and found.allows
-        self._default_line = found.line
-        in_domain = [rule for rule in found.rules if _holds(rule, domain, semantics)]
+        self._default = semantics.default_counts and grant.allows
+        self._default_line = grant.line
+        in_domain = [rule for rule in grant.rules if semantics.applies(rule, domain)]
         self.joins = self._default or any(rule.allows for rule in in_domain)
         for step in _steps(in_domain, semantics):
             self._steps.setdefault(step.action, []).append(step)
@@ -156,11 +156,11 @@ class DocumentEvaluator:
                 return self._by_default(topic)
             if named is not None and not named.allows:
                 return self._by(named, f"denies the topic {topic!r}", allowed=False)
-        asked = [fnmatch.in_bytes(each) for each in partitions] or DEFAULT_PARTITION
+        names = [fnmatch.in_bytes(each) for each in partitions] or DEFAULT_PARTITION
         for step in self._steps.get(action, ()):
             if not step.topics.match(name):
                 continue
-            if self._concerns(step, asked, tags):
+            if self._matches(step, names, tags):
                 return self._by(
                     step, f"{'allows' if step.allows else 'denies'} {action} {topic!r}", allowed=step.allows
                 )
@@ -168,12 +168,12 @@ class DocumentEvaluator:
                 return self._by(step, f"names {topic!r}, but not in these partitions", allowed=False)
         return self._by_default(topic)
 
-    def _concerns(self, step: _Step, asked: Sequence[str], tags: Collection[tuple[str, str]]) -> bool:
+    def _matches(self, step: _Step, partitions: Sequence[str], tags: Collection[tuple[str, str]]) -> bool:
         """Tell whether partitions and tags match: an allow rule needs all of the endpoint's, a deny rule one."""
         need = all if step.allows else any
         if step.tags is not None and self.semantics.tags_count and not need(tag in step.tags for tag in tags):
             return False
-        return step.partitions is None or need(step.partitions.match(each) for each in asked)
+        return step.partitions is None or need(step.partitions.match(each) for each in partitions)
 
     def _by(self, step: _Step, text: str, *, allowed: bool) -> EndpointDecision:
         rule = "allow_rule" if step.allows else "deny_rule"
@@ -186,43 +186,21 @@ class DocumentEvaluator:
         return EndpointDecision(outcome, self._default_line, text, self._place(self._default_line))
 
 
-def decide(
-    document: PermissionsDocument,
-    subject_name: str,
-    now: datetime,
-    domain: int,
-    action: str,
-    topic: str,
-    partitions: Sequence[str] = (),
-    tags: Collection[tuple[str, str]] = (),
-    variation: Variation = OMG,
-) -> EndpointDecision:
-    """Decide about one endpoint by a document; see :class:`DocumentEvaluator`."""
-    return DocumentEvaluator(document, subject_name, now, domain, variation).decide(action, topic, partitions, tags)
-
-
 def _grant(
     document: PermissionsDocument, subject_name: str, now: datetime, semantics: Semantics
 ) -> DocumentGrant | EndpointDecision:
     """Return the grant that applies, or why there is none."""
     reason = f"no grant applies to {subject_name!r}"
-    found_line = 0
+    line = 0
     for grant in semantics.grants(document, subject_name):
         period = semantics.period(grant)
         if period is not None and period[0] <= now <= period[1]:
             return grant
         when = "is not valid yet" if period is not None and now < period[0] else "has expired"
-        found_line = grant.line
+        line = grant.line
         reason = f"the grant of {subject_name!r} {when} ({grant.not_before.strip()} to {grant.not_after.strip()})"
-        if not semantics.passes_over_invalid:
-            break
-    where = document.place(found_line) if found_line else None
-    return EndpointDecision(DecisionOutcome.ERROR, found_line, reason, where)
-
-
-def _holds(rule: DocumentRule, domain: int, semantics: Semantics) -> bool:
-    exact = semantics.min_only_is_exact
-    return not semantics.domains_count or any(each.contain(domain, min_only_is_exact=exact) for each in rule.domains)
+    where = document.place(line) if line else None
+    return EndpointDecision(DecisionOutcome.ERROR, line, reason, where)
 
 
 def _steps(rules: Iterable[DocumentRule], semantics: Semantics) -> Iterator[_Step]:

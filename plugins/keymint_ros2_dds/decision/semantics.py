@@ -11,16 +11,17 @@ import functools
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
+from enum import StrEnum
 from typing import Any
 
 from comarmor.patterns.tokens import Dialect
-from keymint_ros2_dds.decision import fnmatch, strictness, subject_names
-from keymint_ros2_dds.decision.strictness import Parser
+from keymint_ros2_dds.decision import fnmatch, subject_names
 from keymint_ros2_dds.reading import dates
-from keymint_ros2_dds.reading.quirks import BLANKS
+from keymint_ros2_dds.reading.quirks import BLANKS, CRASHES, REFUSES, UNMODELLED, Quirk, VendorReading
 from keymint_ros2_dds.reading.signed_governance import GovernanceDocument
 from keymint_ros2_dds.reading.signed_permissions import (
     DocumentGrant,
+    DocumentRule,
     PermissionsDocument,
 )
 
@@ -33,6 +34,14 @@ def trimmed(text: str) -> str:
 def unless_blank(text: str) -> str:
     """Return a text as Fast DDS reads it: white space alone is an empty text."""
     return text if text.strip(BLANKS) else ""
+
+
+class Parser(StrEnum):
+    """Whose parser reads a document: the standard accepts what its schema allows (DDS Security 1.1, 9.4.1)."""
+
+    STANDARD = "the schema"
+    CYCLONE = "Cyclone DDS"
+    FAST = "Fast DDS"
 
 
 BEGINNING_OF_TIME = datetime.min.replace(tzinfo=UTC)
@@ -83,16 +92,36 @@ class Semantics:
     topic_rules_both_ways: bool = False
 
     def refusal(self, document: PermissionsDocument | GovernanceDocument) -> str:
-        """Return why the parser refuses a document, or an empty text."""
-        return strictness.refusal(document, self.parser)
+        """Return why the parser refuses a document, in one line with its place; or an empty text."""
+        if self.parser is Parser.STANDARD:
+            return document.defect
+        quirk = self._first(document, CRASHES, REFUSES)
+        if quirk is None or self.unmodelled(document):
+            return ""
+        crashes = self._reading(quirk) is CRASHES
+        text = f"{quirk.text} crashes {self.parser}" if crashes else f"{self.parser} refuses {quirk.text}"
+        return f"{document.place(quirk.line)}: {text}"
 
     def unmodelled(self, document: PermissionsDocument | GovernanceDocument) -> str:
         """Return why it is not known how the parser reads a document, or an empty text."""
-        return strictness.unmodelled(document, self.parser)
+        quirk = None if self.parser is Parser.STANDARD else self._first(document, UNMODELLED)
+        return f"{document.place(quirk.line)}: how {self.parser} reads {quirk.text} is not modelled" if quirk else ""
+
+    def _first(self, document: PermissionsDocument | GovernanceDocument, *readings: VendorReading) -> Quirk | None:
+        return next((quirk for quirk in document.quirks if self._reading(quirk) in readings), None)
+
+    def _reading(self, quirk: Quirk) -> VendorReading:
+        return quirk.cyclone if self.parser is Parser.CYCLONE else quirk.fast
 
     def grants(self, document: PermissionsDocument, subject_name: str) -> Sequence[DocumentGrant]:
-        """Return the grants that match an identity, in the order of the document."""
-        return [each for each in document.grants if self.selects(self.reads_text(each.subject_name), subject_name)]
+        """Return the grants that may apply to an identity, in the order of the document."""
+        grants = [grant for grant in document.grants if self.selects(self.reads_text(grant.subject_name), subject_name)]
+        return grants if self.passes_over_invalid else grants[:1]
+
+    def applies(self, rule: DocumentRule, domain: int) -> bool:
+        """Return whether a rule applies in a domain."""
+        exact = self.min_only_is_exact
+        return not self.domains_count or any(each.contain(domain, min_only_is_exact=exact) for each in rule.domains)
 
     def period(self, grant: DocumentGrant) -> tuple[datetime, datetime] | None:
         """Return the period of validity of a grant, both ends included; None if it is never valid."""

@@ -244,7 +244,7 @@ class _Model:
         groups: dict[tuple[object, ...], list[DomainRange]] = {}
         for first, following in pairwise(steps):
             inside = any(d.first <= first <= d.last for d in wanted)
-            applying = [permission_lists.holds(rule, first, self._semantics) for rule in rules]
+            applying = [self._semantics.applies(rule, first) for rule in rules]
             governed = self._rule(first)
             rule = None if governed is None else governed.rule
             opens = rule is not None and any(
@@ -298,7 +298,7 @@ class _Model:
         if governed is None or self._governing is None:
             return _Permitted(own)
         default = semantics.default_counts and grant.allows
-        joins = default or any(rule.allows and permission_lists.holds(rule, domain, semantics) for rule in grant.rules)
+        joins = default or any(rule.allows and semantics.applies(rule, domain) for rule in grant.rules)
         if governed.rule is None:
             return _Permitted(own, REFUSED) if inside else _Permitted(own)
         if not governed.admits(joins=joins):

@@ -26,8 +26,6 @@ class GrantPeriod:
 def grant_periods(document: PermissionsDocument, subject_name: str, semantics: Semantics) -> Iterator[GrantPeriod]:
     """Yield a period for each grant of the identity that is ever in force."""
     grants = semantics.grants(document, subject_name)
-    if not semantics.passes_over_invalid:
-        grants = grants[:1]
     if len(grants) == 1:
         if (only := semantics.period(grants[0])) is not None:
             yield GrantPeriod(grants[0], *only)

@@ -73,19 +73,12 @@ def of_grant(
     Raises:
         PatternError: implementations read an expression differently.
     """
-    rules = [rule for rule in grant.rules if holds(rule, domain, semantics)]
+    rules = [rule for rule in grant.rules if semantics.applies(rule, domain)]
     default = (Block(True, (EVERYTHING,)),) if semantics.default_counts and grant.allows else ()
     lists = [(*_endpoints(rules, action, semantics, pairs=pairs), *default)]
     if semantics.topic_check:
         lists.append((*_topics(rules, semantics, pairs=pairs), *default))
     return tuple(lists)
-
-
-def holds(rule: DocumentRule, domain: int, semantics: Semantics) -> bool:
-    """Tell whether a rule applies in a domain."""
-    if not semantics.domains_count:
-        return True
-    return any(each.contain(domain, min_only_is_exact=semantics.min_only_is_exact) for each in rule.domains)
 
 
 def _endpoints(rules: Iterable[DocumentRule], action: str, semantics: Semantics, *, pairs: bool) -> Iterator[Block]:

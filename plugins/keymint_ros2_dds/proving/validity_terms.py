@@ -13,9 +13,7 @@ from keymint.errors import KeymintError
 from keymint.pki import certificates, names
 from keymint_ros2_dds import revocation
 from keymint_ros2_dds.decision import VARIATIONS, PermissionsDocument
-from keymint_ros2_dds.decision.semantics import Semantics
 from keymint_ros2_dds.enclave_layout import CA, CERTIFICATE, CRL, IDENTITY_CA, PERMISSIONS_CA
-from keymint_ros2_dds.reading.signed_permissions import DocumentGrant
 
 Period = tuple[datetime, datetime]
 _SECOND = timedelta(seconds=1)
@@ -61,15 +59,14 @@ def of_grants(document: PermissionsDocument, subject_name: str) -> Iterator[Vali
         subject_name: the identity's, in the order of RFC 2253.
     """
     together: dict[tuple[int, tuple[Period, ...]], list[str]] = {}
-    for name in VARIATIONS:
-        semantics = VARIATIONS[name].semantics
+    for name, variation in VARIATIONS.items():
+        semantics = variation.semantics
         if semantics.refusal(document) or semantics.unmodelled(document):
             continue
         grants = semantics.grants(document, subject_name)
-        counting = grants if semantics.passes_over_invalid else grants[:1]
-        if counting:
-            periods = joined(_periods(counting, semantics))
-            together.setdefault((counting[0].line, periods), []).append(name)
+        if grants:
+            periods = joined(filter(None, map(semantics.period, grants)))
+            together.setdefault((grants[0].line, periods), []).append(name)
     for (line, periods), models in together.items():
         where = Origin(document.file, line + document.offset)
         yield ValidityTerm("grant", f"the grant of {subject_name!r}", where, periods, tuple(models))
@@ -84,10 +81,3 @@ def joined(periods: Iterable[Period]) -> tuple[Period, ...]:
         else:
             found.append((first, last))
     return tuple(found)
-
-
-def _periods(grants: Iterable[DocumentGrant], semantics: Semantics) -> Iterator[Period]:
-    for grant in grants:
-        period = semantics.period(grant)
-        if period is not None:
-            yield period

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator, Sequence
 from itertools import groupby
 
-from keymint.api import Availability, Tier, Verdict
+from keymint.api import Verdict
 from keymint.errors import KeymintError
 from keymint.graph import Edge
 from keymint_ros2_dds.decision import Variation
@@ -50,14 +50,6 @@ def verdict(
         if not allowed:
             break
     return Verdict(allowed, message or ("it is allowed" if allowed else "it is denied"), line, deviation)
-
-
-def refused(tier: Tier, usable: Availability, name: str) -> KeymintError:
-    """Return the error for a tier that cannot be used here."""
-    reason = usable.reason or f"it has no tier {tier}"
-    return KeymintError(
-        f"the transport {name!r} cannot be used at tier {tier}: {reason}", help=usable.help, code="transport-unusable"
-    )
 
 
 def admission(

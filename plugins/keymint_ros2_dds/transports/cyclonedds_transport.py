@@ -2,18 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator
 from contextlib import ExitStack
+from dataclasses import replace
 from pathlib import Path
 
-from comarmor.errors import Origin
 from keymint.api import Availability, Tier, Verdict
 from keymint.errors import KeymintError
 from keymint.graph import Edge
-from keymint.pki import smime
-from keymint_ros2_dds import decision
 from keymint_ros2_dds.decision import CYCLONEDDS_0_10
-from keymint_ros2_dds.enclave_layout import PERMISSIONS_P7S
 from keymint_ros2_dds.lowering.endpoints import endpoints
 from keymint_ros2_dds.transports import admission, enclave_files
 from keymint_ros2_dds.transports.enclave_model import EnclaveModel, EnclaveModels
@@ -30,45 +27,38 @@ class CycloneDDSTransport(RealTransport):
     MODEL = CYCLONEDDS_0_10
     VENDOR = CycloneDDS
     PROBE = probe_builds.CYCLONEDDS
+    VERSION = ("dds/version.h", "DDS_VERSION")
     NONCONFORMING = probe_builds.CYCLONEDDS_NONCONFORMING
 
-    def _found(self, environment: Mapping[str, str]) -> Availability:
+    def _installed(self) -> Availability:
         """Without compiler and headers only the tier *decision* is usable."""
         try:
             probe_builds.require_cyclone_plugins()
         except probe_builds.MissingVendorError as error:
             return Availability(usable=False, reason=error.reason, help=error.help)
-        version = probe_builds.CYCLONEDDS.version("dds/version.h", "DDS_VERSION", environment) or "0.10"
-        try:
-            probe_builds.CYCLONEDDS.require(environment)
-        except probe_builds.MissingVendorError as error:
-            return Availability(
-                usable=True, version=version, reason=error.reason, help=error.help, tiers=(Tier.DECISION,)
-            )
-        return Availability(usable=True, version=version, tiers=tuple(Tier))
+        availability = super()._installed()
+        if not availability.usable:
+            return replace(availability, usable=True, version="0.10", tiers=(Tier.DECISION,))
+        return replace(availability, version=availability.version or "0.10")
 
     def _decision(self, models: EnclaveModels, edges: Iterable[Edge]) -> Iterator[tuple[Edge, Verdict]]:
-        return _decision(models, edges)
-
-
-def _decision(models: EnclaveModels, edges: Iterable[Edge]) -> Iterator[tuple[Edge, Verdict]]:
-    """Ask the access-control plugin about each enclave; only those of one subject are open at a time."""
-    subject, opened = "", dict[int, "AccessControl | str"]()
-    with ExitStack() as stack:
-        for edge in edges:
-            enclave = models.enclave(edge.subject)
-            if edge.subject != subject:
-                stack.pop_all().close()
-                subject, opened = edge.subject, {}
-            enclave_model = models.of(edge.subject, edge.domain)
-            if edge.domain not in opened:
-                opened[edge.domain] = _open(enclave_model, enclave.folder, edge.domain, stack)
-            access = opened[edge.domain]
-            if isinstance(access, str):
-                yield edge, Verdict(allowed=False, reason=access)
-                continue
-            needed = endpoints(enclave.distro, edge)
-            yield edge, admission.verdict(enclave_model, CYCLONEDDS_0_10, needed, _answers(access, needed))
+        """Ask the access-control plugin about each enclave; only those of one subject are open at a time."""
+        subject, opened = "", dict[int, "AccessControl | str"]()
+        with ExitStack() as stack:
+            for edge in edges:
+                enclave = models.enclave(edge.subject)
+                if edge.subject != subject:
+                    stack.pop_all().close()
+                    subject, opened = edge.subject, {}
+                enclave_model = models.of(edge.subject, edge.domain)
+                if edge.domain not in opened:
+                    opened[edge.domain] = _open(enclave_model, enclave.folder, edge.domain, stack)
+                access = opened[edge.domain]
+                if isinstance(access, str):
+                    yield edge, Verdict(allowed=False, reason=access)
+                    continue
+                needed = endpoints(enclave.distro, edge)
+                yield edge, admission.verdict(enclave_model, self.MODEL, needed, _answers(access, needed))
 
 
 def _open(enclave_model: EnclaveModel, folder: Path, domain: int, stack: ExitStack) -> AccessControl | str:
@@ -80,8 +70,7 @@ def _open(enclave_model: EnclaveModel, folder: Path, domain: int, stack: ExitSta
         permissions = enclave_model.documents.permissions
     else:
         try:  # the plugin may accept a signature that Keymint does not
-            signed = enclave_files.content(folder, PERMISSIONS_P7S)
-            permissions = decision.read(smime.signed_content(signed, Origin(PERMISSIONS_P7S)))
+            permissions = enclave_files.unverified_permissions(folder)
         except KeymintError as error:
             return str(error)
     crash = permissions.crash

@@ -17,7 +17,6 @@ from keymint_ros2_dds.enclave_layout import (
     CA,
     CERTIFICATE,
     GOVERNANCE_P7S,
-    IDENTITY_CA,
     KEY,
     PERMISSIONS_CA,
     PERMISSIONS_P7S,
@@ -41,15 +40,16 @@ def signed_documents(folder: Path, environment: Environment) -> SignedDocuments:
     Raises:
         KeymintError: a file cannot be read, or a signature is not valid.
     """
-    authority_ = authority(folder, permissions=True)
+    # The layout of Ardent has one file for both authorities.
+    authority = content(folder, PERMISSIONS_CA if (folder / PERMISSIONS_CA).exists() else CA)
     permissions, governance = content(folder, PERMISSIONS_P7S), content(folder, GOVERNANCE_P7S)
     certificate = content(folder, CERTIFICATE)
-    files = (authority_, permissions, governance, certificate)
+    files = (authority, permissions, governance, certificate)
     key = b"".join(hashlib.sha256(each).digest() for each in files)
     documents = environment.opened.get(key)
     if not isinstance(documents, SignedDocuments):
         verified = [
-            smime.verify(signed, authority_, at=environment.now, where=Origin(name))
+            smime.verify(signed, authority, at=environment.now, where=Origin(name))
             for name, signed in ((PERMISSIONS_P7S, permissions), (GOVERNANCE_P7S, governance))
         ]
         documents = environment.opened[key] = SignedDocuments(
@@ -58,6 +58,34 @@ def signed_documents(folder: Path, environment: Environment) -> SignedDocuments:
             subject_name(certificate, Origin(CERTIFICATE)),
         )
     return documents
+
+
+def unverified_permissions(folder: Path) -> PermissionsDocument:
+    """Return the permissions document of an enclave, whoever signed it.
+
+    Raises:
+        KeymintError: it cannot be read.
+    """
+    return signed_permissions.read(smime.signed_content(content(folder, PERMISSIONS_P7S), Origin(PERMISSIONS_P7S)))
+
+
+def document_topics(enclave: Enclave) -> tuple[tuple[str, tuple[str, ...]], ...]:
+    """Return each topic expression of the permissions with its partition expressions, in the order of the document.
+
+    The result is empty if the document cannot be read, which the transports report.
+    """
+    try:
+        document = unverified_permissions(enclave.folder)
+    except KeymintError:
+        return ()
+    topics = (
+        (topic, criteria.partitions or ())
+        for grant in document.grants
+        for rule in grant.rules
+        for criteria in rule.criteria
+        for topic in criteria.topics
+    )
+    return tuple(dict.fromkeys(topics))
 
 
 def content(folder: Path, name: str) -> bytes:
@@ -75,16 +103,6 @@ def content(folder: Path, name: str) -> bytes:
             help="run 'keymint install'",
             code="enclave-file",
         ) from None
-
-
-def authority(folder: Path, *, permissions: bool) -> bytes:
-    """Return the certificate of an authority; the layout of Ardent has one file for both.
-
-    Raises:
-        KeymintError: it cannot be read.
-    """
-    name = PERMISSIONS_CA if permissions else IDENTITY_CA
-    return content(folder, name if (folder / name).exists() else CA)
 
 
 def subject_name(certificate: bytes, where: Origin) -> str:

@@ -1,16 +1,15 @@
-"""A transport with participants of a real vendor: its tiers, and the build of its probe programs."""
+"""Transports with participants of a real vendor: their tiers, and the build of their probe programs."""
 
 from __future__ import annotations
 
-from abc import ABC, abstractmethod
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from functools import cached_property
 from typing import ClassVar
 
 from keymint.api import Availability, Enclave, Environment, Tier, Verdict
 from keymint.errors import KeymintError
 from keymint.graph import Edge
-from keymint_ros2_dds.decision import Variation
+from keymint_ros2_dds.decision import FASTDDS_2_9, Variation
 from keymint_ros2_dds.transports import admission, enclave_files
 from keymint_ros2_dds.transports.delivery import exchange
 from keymint_ros2_dds.transports.enclave_model import EnclaveModels
@@ -18,7 +17,7 @@ from keymint_ros2_dds.vendors import probe_builds
 from keymint_ros2_dds.vendors.participants import CycloneDDS, FastDDS, Vendor
 
 
-class RealTransport(ABC):
+class RealTransport:
     """Implements :class:`keymint.api.Transport` with participants of a vendor.
 
     Attributes:
@@ -26,6 +25,7 @@ class RealTransport(ABC):
         MODEL: the model of the vendor, to explain what it decides.
         VENDOR: how participants are started.
         PROBE: how to build their program.
+        VERSION: the header and macro of the vendor's version.
         NONCONFORMING: how to build the library that makes a participant ignore its own permissions.
     """
 
@@ -33,6 +33,7 @@ class RealTransport(ABC):
     MODEL: ClassVar[Variation]
     VENDOR: ClassVar[type[CycloneDDS | FastDDS]]
     PROBE: ClassVar[probe_builds.Probe]
+    VERSION: ClassVar[tuple[str, str]]
     NONCONFORMING: ClassVar[probe_builds.Probe]
 
     def __init__(self, environment: Environment) -> None:
@@ -44,17 +45,24 @@ class RealTransport(ABC):
 
     @cached_property
     def _usable(self) -> Availability:
-        return self._found(self._environment.variables)
+        return self._installed()
 
-    @abstractmethod
-    def _found(self, environment: Mapping[str, str]) -> Availability:
+    def _installed(self) -> Availability:
         """Look for the libraries, compilers and headers that the tiers need."""
+        try:
+            self.PROBE.require(self._environment.variables)
+        except probe_builds.MissingVendorError as error:
+            return Availability(usable=False, reason=error.reason, help=error.help)
+        version = self.PROBE.version(*self.VERSION, self._environment.variables)
+        return Availability(usable=True, version=version, tiers=tuple(Tier))
 
     def label(self, enclaves: Sequence[Enclave], edges: Iterable[Edge], tier: Tier) -> Iterator[tuple[Edge, Verdict]]:
         """See :meth:`keymint.api.Transport.label`."""
         usable = self.usable()
         if tier not in usable.tiers:
-            raise admission.refused(tier, usable, self.NAME)
+            reason = usable.reason or f"it has no tier {tier}"
+            message = f"the transport {self.NAME!r} cannot be used at tier {tier}: {reason}"
+            raise KeymintError(message, help=usable.help, code="transport-unusable")
         models = EnclaveModels(enclaves, self._environment)
         if tier is Tier.DECISION:
             return self._decision(models, edges)
@@ -79,3 +87,14 @@ class RealTransport(ABC):
             )
         except (probe_builds.MissingVendorError, OSError) as error:
             raise KeymintError(str(error), code="transport-unusable") from None
+
+
+class FastDDSTransport(RealTransport):
+    """Fast DDS 2.9; its access control cannot be asked without a participant: *decision* and *admission* are one."""
+
+    NAME = "fastdds"
+    MODEL = FASTDDS_2_9
+    VENDOR = FastDDS
+    PROBE = probe_builds.FASTDDS
+    VERSION = ("fastrtps/config.h", "FASTRTPS_VERSION_STR")
+    NONCONFORMING = probe_builds.FASTDDS_NONCONFORMING

@@ -7,8 +7,7 @@ from dataclasses import dataclass
 
 from keymint.api import Availability, Enclave, Environment, Tier, Verdict
 from keymint.graph import Edge
-from keymint_ros2_dds import decision
-from keymint_ros2_dds.decision import Variation
+from keymint_ros2_dds.decision import OMG, VARIATIONS, Variation
 from keymint_ros2_dds.lowering.endpoints import endpoints
 from keymint_ros2_dds.transports.enclave_model import EnclaveModel, EnclaveModels
 
@@ -20,15 +19,9 @@ class Simulated:
     variation: Variation
     environment: Environment
 
-    @classmethod
-    def of(cls, name: str, environment: Environment) -> Simulated:
-        """Return the simulated transport of this name."""
-        return cls(decision.VARIATIONS[name], environment)
-
     def usable(self) -> Availability:
         """Return that it is usable."""
-        versions = {"omg": "1.1"}
-        version = versions.get(self.variation.name) or self.variation.name.rpartition("-")[2]
+        version = "1.1" if self.variation is OMG else self.variation.name.rpartition("-")[2]
         return Availability(usable=True, version=version, tiers=(Tier.DECISION,))
 
     def label(self, enclaves: Sequence[Enclave], edges: Iterable[Edge], tier: Tier) -> Iterator[tuple[Edge, Verdict]]:
@@ -49,3 +42,8 @@ class Simulated:
             if not modelled.allowed:
                 break
         return verdict
+
+
+def simulated(name: str, environment: Environment) -> Simulated:
+    """Return the simulated transport of this name."""
+    return Simulated(VARIATIONS[name], environment)

@@ -2,11 +2,29 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection, Sequence
 from datetime import UTC, datetime
 from xml.sax.saxutils import escape
 
+from keymint_ros2_dds.decision import OMG, DocumentEvaluator, EndpointDecision, PermissionsDocument, Variation
+
 NOW = datetime(2026, 11, 21, tzinfo=UTC)
 SUBJECT = "CN=/talker,OU=4f"
+
+
+def decide(
+    document: PermissionsDocument,
+    subject_name: str,
+    now: datetime,
+    domain: int,
+    action: str,
+    topic: str,
+    partitions: Sequence[str] = (),
+    tags: Collection[tuple[str, str]] = (),
+    variation: Variation = OMG,
+) -> EndpointDecision:
+    """Decide about one endpoint by a document."""
+    return DocumentEvaluator(document, subject_name, now, domain, variation).decide(action, topic, partitions, tags)
 
 
 def criteria(action: str, *topics: str, partitions: tuple[str, ...] | None = None, tags: str = "") -> str:

@@ -7,9 +7,9 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 import pytest
-from keymint_ros2_dds.decision import CYCLONEDDS_0_10, FASTDDS_2_9, OMG, VARIATIONS, decide, explain, read
+from keymint_ros2_dds.decision import CYCLONEDDS_0_10, FASTDDS_2_9, OMG, VARIATIONS, explain, read
 
-from .documents import NOW, SUBJECT, criteria, document, grant, rule
+from .documents import NOW, SUBJECT, criteria, decide, document, grant, rule
 
 C, F, O = CYCLONEDDS_0_10.name, FASTDDS_2_9.name, OMG.name  # noqa: E741 - the standard
 X = criteria("publish", "rt/x")

@@ -11,14 +11,13 @@ from keymint_ros2_dds.decision import (
     OMG,
     DecisionOutcome,
     DocumentEvaluator,
-    decide,
     read,
 )
 
 from keymint.errors import KeymintError
 
 from .. import oracles  # noqa: TID252 - helpers of the folder above
-from .documents import NOW, SUBJECT, criteria, document, grant, rule
+from .documents import NOW, SUBJECT, criteria, decide, document, grant, rule
 
 PUBLISH = criteria("publish", "rt/chatter")
 
