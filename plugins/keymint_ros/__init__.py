@@ -19,7 +19,7 @@ class RosProfileType:
     recognises = lazy("keymint_ros.profile:recognises")
     load = lazy("keymint_ros.profile:load")
     with_policy = lazy("keymint_ros.profile:with_policy")
-    settings = lazy("keymint_ros.settings:settings")
+    settings = lazy("keymint_ros.profile:settings")
 
 
 class RosPackageType:

@@ -29,17 +29,13 @@ def create(
         part = manifest.read(existing[MARKER], f"{name}/{MARKER}").permissions
         path = normal_path(part.path, Origin(f"{name}/{MARKER}", part.line))
     else:
-        files = {file: content for file, content in _new(profile).items() if file not in existing}
+        new = {
+            MARKER: bootstrap.package_manifest(build_type(profile)),
+            "governance.xml": bootstrap.package_document("governance.xml"),
+            "identities.xml": bootstrap.package_document("identities.xml"),
+        }
+        files = {file: content for file, content in new.items() if file not in existing}
     return {**files, **_permissions(profile, rules, path, existing, force=force)}
-
-
-def _new(profile: WorkspaceProfile) -> Mapping[str, bytes]:
-    """Return the documents of a new package except its permissions."""
-    return {
-        MARKER: bootstrap.package_manifest(build_type(profile)),
-        "governance.xml": bootstrap.package_document("governance.xml"),
-        "identities.xml": bootstrap.package_document("identities.xml"),
-    }
 
 
 def _permissions(

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 from comarmor.errors import Origin
@@ -138,25 +138,24 @@ def complete(
     general: Mapping[str, Any] = next(
         (rule.settings for rule in defaults.topic_rules if (rule.kind, rule.expression) == ("topic", "*")), {}
     )
-    inherited = tuple(_topic_protection(rule, general, defaults_file) for rule in defaults.topic_rules)
-    rules = [
-        DomainRule(
-            domains=rule.domains or defaults.domains or DEFAULT_DOMAINS,
-            topic_rules=tuple(_topic_protection(topic, general, file) for topic in rule.topic_rules) + inherited,
+    base = DomainRule(
+        domains=defaults.domains or DEFAULT_DOMAINS,
+        topic_rules=tuple(_topic_protection(rule, general, defaults_file) for rule in defaults.topic_rules),
+        origin=Origin(defaults_file, defaults.line),
+        **{**_STRICT_DOMAIN, **defaults.settings},
+    )
+    rules = tuple(
+        replace(
+            base,
+            domains=rule.domains or base.domains,
+            topic_rules=tuple(_topic_protection(topic, general, file) for topic in rule.topic_rules) + base.topic_rules,
             origin=Origin(file, rule.line),
-            domains_origin=None if rule.domains else Origin(defaults_file, defaults.line),
-            **{**_STRICT_DOMAIN, **defaults.settings, **rule.settings},
+            domains_origin=None if rule.domains else base.origin,
+            **rule.settings,
         )
         for rule in own
-    ]
-    return tuple(rules) or (
-        DomainRule(
-            domains=defaults.domains or DEFAULT_DOMAINS,
-            topic_rules=inherited,
-            origin=Origin(defaults_file, defaults.line),
-            **{**_STRICT_DOMAIN, **defaults.settings},
-        ),
     )
+    return rules or (base,)
 
 
 def _topic_protection(rule: TopicRuleElement, general: Mapping[str, Any], file: str) -> TopicProtection:

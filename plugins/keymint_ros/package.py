@@ -25,12 +25,6 @@ _T = TypeVar("_T")
 
 
 @dataclass(frozen=True, slots=True)
-class _IdentityElement:
-    name: str
-    certificate: certificate.CertificateElement
-
-
-@dataclass(frozen=True, slots=True)
 class _GrantDefaults:
     line: int
     issuer: str
@@ -39,9 +33,9 @@ class _GrantDefaults:
     validity: Validity | None
 
 
-def _identity(root: etree._Element) -> _IdentityElement:
+def _identity(root: etree._Element) -> tuple[str, certificate.CertificateElement]:
     (element,) = root.iterfind("identities/identity")
-    return _IdentityElement(element.get("name", "").strip(), certificate.read(element, placeholders.SUBJECT))
+    return element.get("name", "").strip(), certificate.read(element, placeholders.SUBJECT)
 
 
 def _grant_defaults(root: etree._Element) -> _GrantDefaults:
@@ -116,11 +110,11 @@ class _PackageLoader:
         defaults_file, defaults_content = self.defaults(self.manifest.identities)
         own = defaults = replace(_read_identity_defaults(defaults_content, defaults_file), file=defaults_file)
         if content is not None:
-            element = _read_identity(content, file)
-            own = replace(element.certificate, file=file)
-            if not manifest.is_name_of(element.name, self.name):
+            name, element = _read_identity(content, file)
+            own = replace(element, file=file)
+            if not manifest.is_name_of(name, self.name):
                 raise KeymintError(
-                    f"the identity is named {element.name!r}, but the package {self.name!r}",
+                    f"the identity is named {name!r}, but the package {self.name!r}",
                     where=own.origin,
                     help="give it the name of the package, or none",
                     code="name-mismatch",

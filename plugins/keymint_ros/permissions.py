@@ -18,7 +18,7 @@ from urllib.parse import unquote
 
 from lxml import etree
 
-from comarmor.errors import ComArmorError, Origin
+from comarmor.errors import Origin
 from comarmor.language.attachments import strip
 from comarmor.patterns.expression import parse as parse_expression
 from comarmor.rules import Effect
@@ -35,7 +35,6 @@ if TYPE_CHECKING:
 OLD_FORMAT = "permissions-format"
 """Code of the error for a document in the format of 2018."""
 
-_EFFECTS = {effect.value: effect for effect in Effect}
 _PLACEHOLDER = re.compile(r"@?\{\w+\}")
 _OVERRIDES = ("domains", "subject_name", "validity")
 
@@ -165,7 +164,7 @@ def _rule(element: etree._Element) -> Rule:
         else:
             partitions += [strip(partition.text or "") for partition in part]
     return Rule(
-        effect=_EFFECTS[element.get("qualifier", "").strip()],
+        effect=Effect(element.get("qualifier", "").strip()),
         kind=str(element.tag),
         permissions=tuple(dict.fromkeys(permissions)),
         expressions=tuple(expressions),
@@ -191,13 +190,12 @@ def _check_edited(grant: etree._Element) -> None:
                 )
             try:
                 parse_expression(expression)
-            except (ComArmorError, ValueError) as error:
-                diagnostic = error.diagnostics[0] if isinstance(error, ComArmorError) else None
+            except KeymintError as error:
+                (diagnostic,) = error.diagnostics
                 raise KeymintError(
-                    diagnostic.message if diagnostic else str(error),
+                    diagnostic.message,
                     where=place(element),
-                    help=(diagnostic.help if diagnostic else "")
-                    or "expressions are those of POSIX fnmatch; '\\' escapes",
+                    help=diagnostic.help or "expressions are those of POSIX fnmatch; '\\' escapes",
                     code="expression-invalid",
                 ) from None
 

@@ -1,4 +1,4 @@
-"""Loads the profile of a workspace, and changes its policy path."""
+"""Loads the profile of a workspace, changes its policy path, and returns its settings as options of ``init``."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from comarmor.text import did_you_mean
 from comarmor.xml.reader import line
 from keymint.api import Authority, PolicySource, WorkspaceProfile
 from keymint.errors import KeymintError
-from keymint_ros import bootstrap, certificate, distros, placeholders
+from keymint_ros import bootstrap, certificate, distros, governance, placeholders
 from keymint_ros.certificate import CertificateElement
 from keymint_ros.document import Reader, file_in, place, text
 from keymint_ros.manifest import BUILD_TYPE
@@ -29,6 +29,7 @@ OPEN_GOVERNANCE = "open_governance"
 
 _POLICY_TYPE = "keymint_ros2_comarmor"
 _AUTHORITY_DEFAULTS = "profile.defaults/authorities.xml"
+_GRANT_DEFAULTS = "package.defaults/permissions.xml"
 
 
 @dataclass(frozen=True, slots=True)
@@ -241,3 +242,21 @@ def with_policy(files: Mapping[str, bytes], policy: str) -> Mapping[str, bytes]:
             code="policies-edited",
         )
     return {path.path: bootstrap.policies(policy)}
+
+
+def settings(profile: WorkspaceProfile) -> Mapping[str, str]:
+    """Return the value of each option of ``init``: see :meth:`keymint.api.ProfileSettings.settings`."""
+    content = profile.files.get(_GRANT_DEFAULTS)
+    grant = {} if content is None else _read_grant_settings(content, _GRANT_DEFAULTS)
+    return {"distro": profile.distro, "layout": profile.layout, **grant}
+
+
+def _grant_settings(root: etree._Element) -> Mapping[str, str]:
+    domains = governance.domains(root.find("domains"))
+    subject_name = text(root.find("subject_name")) or ""
+    formats = {name: format_ for format_, name in bootstrap.SUBJECT_NAMES.items()}
+    ranges = (str(each.first) if each.first == each.last else f"{each.first}-{each.last}" for each in domains)
+    return {"domain": ", ".join(ranges), "subject-format": formats.get(subject_name, subject_name)}
+
+
+_read_grant_settings = Reader("defaults_permissions", _grant_settings)
