@@ -217,7 +217,7 @@ def certificate_satisfies(
     Raises:
         KeymintError: as issuing would.
     """
-    form, _ = forms.form(spec, public_key, issuer, authority=authority)
+    form = forms.form(spec, public_key, issuer, authority=authority)
     try:
         certificate = load(pem)
         certificate.verify_directly_issued_by(issuer or certificate)
@@ -269,7 +269,7 @@ def _issue(
     *,
     authority: bool,
 ) -> Issued:
-    form, diagnostics = forms.form(spec, public_key, issuer, authority=authority)
+    form = forms.form(spec, public_key, issuer, authority=authority)
     serial = x509.random_serial_number() if spec.serial is None else spec.serial
     builder = (
         x509.CertificateBuilder()
@@ -292,4 +292,4 @@ def _issue(
             help="correct the value after DER:",
             code="extension-invalid",
         ) from None
-    return Issued(certificate, to_pem(certificate), diagnostics)
+    return Issued(certificate, to_pem(certificate), form.diagnostics)

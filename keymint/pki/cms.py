@@ -7,8 +7,8 @@ SROS2 support: every field is either compared with its one legal value, or cover
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import NamedTuple
 
 from cryptography import x509
 from cryptography.exceptions import InvalidSignature
@@ -32,22 +32,20 @@ def _algorithm(dotted: str) -> tuple[bytes, bytes]:
     return der.tlv(der.SEQUENCE, identifier, der.tlv(der.NULL)), der.tlv(der.SEQUENCE, identifier)
 
 
+class _Digest(NamedTuple):
+    """A digest, and the encodings of its AlgorithmIdentifier alone and with ECDSA."""
+
+    algorithm: hashes.SHA256 | hashes.SHA384 | hashes.SHA512
+    encodings: tuple[bytes, bytes]
+    with_ecdsa: tuple[bytes, bytes]
+
+
 _DIGESTS = {
-    "sha256": _algorithm("2.16.840.1.101.3.4.2.1"),
-    "sha384": _algorithm("2.16.840.1.101.3.4.2.2"),
-    "sha512": _algorithm("2.16.840.1.101.3.4.2.3"),
+    "sha256": _Digest(hashes.SHA256(), _algorithm("2.16.840.1.101.3.4.2.1"), _algorithm("1.2.840.10045.4.3.2")),
+    "sha384": _Digest(hashes.SHA384(), _algorithm("2.16.840.1.101.3.4.2.2"), _algorithm("1.2.840.10045.4.3.3")),
+    "sha512": _Digest(hashes.SHA512(), _algorithm("2.16.840.1.101.3.4.2.3"), _algorithm("1.2.840.10045.4.3.4")),
 }
 """Collision-resistant digests: not SHA-1, although vendors accept it."""
-_ECDSA = {
-    "sha256": _algorithm("1.2.840.10045.4.3.2"),
-    "sha384": _algorithm("1.2.840.10045.4.3.3"),
-    "sha512": _algorithm("1.2.840.10045.4.3.4"),
-}
-_HASHES: Mapping[str, hashes.HashAlgorithm] = {
-    "sha256": hashes.SHA256(),
-    "sha384": hashes.SHA384(),
-    "sha512": hashes.SHA512(),
-}
 # RSA only by rsaEncryption (RFC 3370, 3.2): sha256WithRSAEncryption differs from it by one altered byte.
 _RSA = _algorithm("1.2.840.113549.1.1.1")
 
@@ -97,11 +95,11 @@ def parse(signature: bytes) -> Signature:
     certificate = der.single(certificates, der.CONTEXT_0)
     _inside(certificate, der.SEQUENCE, "one certificate in it, the signer's")
     signer = _inside(der.single(signers, der.SET), der.SEQUENCE, "one signer")
-    signer_version, name, digest, attributes, algorithm, value = _parts(
+    signer_version, issuer_and_serial, digest, attributes, algorithm, value = _parts(
         signer, 6, "a signer with signed attributes, and no unsigned ones"
     )
-    digest_name = next((known for known, forms in _DIGESTS.items() if digest in forms), None)
-    if digest_name is None or der.single(digests, der.SET) not in _DIGESTS[digest_name]:
+    digest_name = next((name for name, known in _DIGESTS.items() if digest in known.encodings), None)
+    if digest_name is None or der.single(digests, der.SET) not in _DIGESTS[digest_name].encodings:
         raise ValueError("its digest is not one of SHA-256, SHA-384 and SHA-512")
     if content != der.tlv(der.SEQUENCE, _DATA):
         raise ValueError("it contains the content, expected a detached signature")
@@ -110,7 +108,7 @@ def parse(signature: bytes) -> Signature:
     return Signature(
         certificate=certificate,
         digest=digest_name,
-        issuer_and_serial=name,
+        issuer_and_serial=issuer_and_serial,
         attributes=der.tlv(der.SET, der.single(attributes, der.CONTEXT_0)),
         algorithm=algorithm,
         value=der.single(value, der.OCTET_STRING),
@@ -134,20 +132,20 @@ def _attributes_match(signature: Signature, text: bytes) -> bool:
         pairs = [_parts(content, 2, "an attribute") for tag, content in der.elements(attributes)]
     except ValueError:
         return False
-    wanted = {
+    required = {
         _CONTENT_TYPE: der.tlv(der.SET, _DATA),
         _MESSAGE_DIGEST: der.tlv(der.SET, der.tlv(der.OCTET_STRING, hashlib.new(signature.digest, text).digest())),
     }
-    return len({kind for kind, _ in pairs}) == len(pairs) and wanted.items() <= {tuple(pair) for pair in pairs}
+    return len({kind for kind, _ in pairs}) == len(pairs) and required.items() <= {tuple(pair) for pair in pairs}
 
 
 def _signed(signature: Signature, certificate: x509.Certificate) -> bool:
-    key = certificate.public_key()
+    key, digest = certificate.public_key(), _DIGESTS[signature.digest]
     try:
-        if isinstance(key, ec.EllipticCurvePublicKey) and signature.algorithm in _ECDSA[signature.digest]:
-            key.verify(signature.value, signature.attributes, ec.ECDSA(_HASHES[signature.digest]))
+        if isinstance(key, ec.EllipticCurvePublicKey) and signature.algorithm in digest.with_ecdsa:
+            key.verify(signature.value, signature.attributes, ec.ECDSA(digest.algorithm))
         elif isinstance(key, rsa.RSAPublicKey) and signature.algorithm in _RSA:
-            key.verify(signature.value, signature.attributes, padding.PKCS1v15(), _HASHES[signature.digest])
+            key.verify(signature.value, signature.attributes, padding.PKCS1v15(), digest.algorithm)
         else:
             return False
     except InvalidSignature:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from datetime import UTC
 from types import MappingProxyType
@@ -17,8 +17,9 @@ from keymint.api import CertificateSpec, Validity
 from keymint.errors import KeymintError
 from keymint.pki import extensions, keys, names
 
-HASHES: Mapping[str, Callable[[], hashes.SHA256 | hashes.SHA384 | hashes.SHA512]] = MappingProxyType(
-    {"SHA256": hashes.SHA256, "SHA384": hashes.SHA384, "SHA512": hashes.SHA512}
+_Hash = hashes.SHA256 | hashes.SHA384 | hashes.SHA512
+HASHES: Mapping[str, _Hash] = MappingProxyType(
+    {"SHA256": hashes.SHA256(), "SHA384": hashes.SHA384(), "SHA512": hashes.SHA512()}
 )
 """Hash algorithms of certificates. All DDS vendors accept SHA256; the others are for keys that only some accept."""
 _MAX_SERIAL = 1 << 159
@@ -32,19 +33,20 @@ _Values = dict[x509.ObjectIdentifier, tuple[bool, x509.ExtensionType]]
 
 @dataclass(frozen=True, slots=True)
 class Form:
-    """All fields of a certificate to issue, except its serial number."""
+    """All fields of a certificate to issue, except its serial number; and a warning if its validity was cut."""
 
     subject: x509.Name
     issuer: x509.Name
     validity: Validity
-    hash_algorithm: hashes.SHA256 | hashes.SHA384 | hashes.SHA512
+    hash_algorithm: _Hash
     extensions: _Values
+    diagnostics: tuple[Diagnostic, ...]
 
 
 def form(
     spec: CertificateSpec, public_key: keys.PublicKey, issuer: x509.Certificate | None, *, authority: bool
-) -> tuple[Form, tuple[Diagnostic, ...]]:
-    """Return the fields of a certificate, and a warning if its validity was cut to the issuer's.
+) -> Form:
+    """Return the fields of a certificate; its validity is cut to the issuer's.
 
     Raises:
         KeymintError: the specification cannot be issued; with its origin.
@@ -60,17 +62,17 @@ def form(
         _check_issuer(issuer, spec.origin, authority=authority)
     subject = names.parse(spec.subject_name, spec.origin)
     validity, diagnostics = _clamp(spec, issuer)
-    made = Form(
+    return Form(
         subject=subject,
         issuer=subject if issuer is None else issuer.subject,
         validity=validity,
         hash_algorithm=_hash(spec),
         extensions=_extensions(spec, extensions.Context(public_key, issuer), authority=authority),
+        diagnostics=diagnostics,
     )
-    return made, diagnostics
 
 
-def _hash(spec: CertificateSpec) -> hashes.SHA256 | hashes.SHA384 | hashes.SHA512:
+def _hash(spec: CertificateSpec) -> _Hash:
     name = spec.hash_algorithm.upper().replace("-", "")
     if name not in HASHES:
         raise KeymintError(
@@ -79,7 +81,7 @@ def _hash(spec: CertificateSpec) -> hashes.SHA256 | hashes.SHA384 | hashes.SHA51
             help=f"known are {', '.join(HASHES)}",
             code="hash-unknown",
         )
-    return HASHES[name]()
+    return HASHES[name]
 
 
 def _clamp(spec: CertificateSpec, issuer: x509.Certificate | None) -> tuple[Validity, tuple[Diagnostic, ...]]:

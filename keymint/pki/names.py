@@ -125,7 +125,8 @@ def render(name: x509.Name, where: Origin | None = None) -> str:
         if value != " ".join(value.split()):
             raise _not_portable(f"has leading, trailing or repeated spaces in {kind}={value!r}", where)
     # In a name without the characters refused above, OpenSSL escapes only these.
-    shown = ",".join(f"{_SHORT[part.oid]}={_escape_for_dds(_string(part))}" for part in reversed(list(name)))
+    escaped = ((_SHORT[part.oid], _DDS_ESCAPES.sub(r"\\\g<0>", _string(part))) for part in reversed(list(name)))
+    shown = ",".join(f"{kind}={value}" for kind, value in escaped)
     tokens = sum(1 for token in re.split(r"[,/]", shown) if token)
     if tokens > MAX_TOKENS:
         raise _not_portable(
@@ -173,6 +174,11 @@ def _not_portable(problem: str, where: Origin | None) -> KeymintError:
     )
 
 
+def _invalid(text: str, problem: str, where: Origin | None, help_: str = "") -> KeymintError:
+    message = f"{quoted(text, 120)} is not a subject name: {problem}"
+    return KeymintError(message, where=where, help=help_, code="name-invalid")
+
+
 def _pairs(text: str, where: Origin | None) -> Iterator[tuple[str, str]]:
     """Yield attribute types, as written, and values, unescaped."""
     position = 1 if text.startswith("/") and _TYPE_THEN_EQUALS.match(text, 1) else 0
@@ -180,13 +186,8 @@ def _pairs(text: str, where: Origin | None) -> Iterator[tuple[str, str]]:
         match = _TYPE_THEN_EQUALS.match(text, position)
         if match is None:
             rest = text[position:].strip()
-            raise KeymintError(
-                f"{quoted(text, 120)} is not a subject name: "
-                + (f"no attribute type and '=' in {quoted(rest, 60)}" if rest else "it ends with a separator"),
-                where=where,
-                help=rf"{_EXAMPLE}; a comma inside a value is written \,",
-                code="name-invalid",
-            )
+            problem = f"no attribute type and '=' in {quoted(rest, 60)}" if rest else "it ends with a separator"
+            raise _invalid(text, problem, where, rf"{_EXAMPLE}; a comma inside a value is written \,")
         value, position = _value(text, match.end(), where)
         yield match.group(1), value
         if position >= len(text):
@@ -210,25 +211,16 @@ def _value(text: str, position: int, where: Origin | None) -> tuple[str, int]:
                 raw += text[position + 1].encode()
                 position += 2
             else:
-                raise KeymintError(
-                    f"{quoted(text, 120)} is not a subject name: expected after '\\' one of "
-                    f"{''.join(sorted(_ESCAPABLE))!r} or two hexadecimal digits",
-                    where=where,
-                    help="write \\\\ for a backslash",
-                    code="name-invalid",
-                )
+                expected = f"one of {''.join(sorted(_ESCAPABLE))!r} or two hexadecimal digits"
+                raise _invalid(text, f"expected after '\\' {expected}", where, "write \\\\ for a backslash")
             kept = len(raw)
             continue
         if character == "," or (character == "/" and _begins_attribute(text, position + 1)):
             break
         if character == '"' or (character == "+" and _begins_attribute(text, position + 1)):
-            raise KeymintError(
-                f"{quoted(text, 120)} is not a supported subject name: "
-                + ("values are not quoted" if character == '"' else "RDNs with several attributes are not supported"),
-                where=where,
-                help=f"separate attributes by ',', or write \\{character} for the character itself",
-                code="name-invalid",
-            )
+            problem = "values are not quoted" if character == '"' else "RDNs with several attributes are not supported"
+            help_ = f"separate attributes by ',', or write \\{character} for the character itself"
+            raise _invalid(text, problem, where, help_)
         raw += character.encode("utf-8", "surrogatepass")
         position += 1
     while len(raw) > kept and raw.endswith(b" "):
@@ -236,11 +228,7 @@ def _value(text: str, position: int, where: Origin | None) -> tuple[str, int]:
     try:
         return raw.decode(), position
     except UnicodeDecodeError:
-        raise KeymintError(
-            f"{quoted(text, 120)} is not a subject name: an escaped value is not UTF-8",
-            where=where,
-            code="name-invalid",
-        ) from None
+        raise _invalid(text, "an escaped value is not UTF-8", where) from None
 
 
 def _begins_attribute(text: str, position: int) -> bool:
@@ -266,12 +254,8 @@ def _attribute(kind: str, value: str, name: str, where: Origin | None) -> x509.N
         problem = "must be ASCII"
     if problem:
         too_long = short == "CN" and size > most
-        raise KeymintError(
-            f"{quoted(name, 120)} is not a subject name: {short} {problem}",
-            where=where,
-            help="OU={unique},CN={common_name} shortens it and keeps it unique" if too_long else _EXAMPLE,
-            code="name-invalid",
-        )
+        help_ = "OU={unique},CN={common_name} shortens it and keeps it unique" if too_long else _EXAMPLE
+        raise _invalid(name, f"{short} {problem}", where, help_)
     return x509.NameAttribute(oid, value)
 
 
@@ -297,10 +281,6 @@ def _type(kind: str, where: Origin | None) -> tuple[x509.ObjectIdentifier, int]:
 
 def _string(part: x509.NameAttribute[str | bytes]) -> str:
     return part.value if isinstance(part.value, str) else part.value.hex()
-
-
-def _escape_for_dds(value: str) -> str:
-    return _DDS_ESCAPES.sub(r"\\\g<0>", value)
 
 
 def _escape(value: str) -> str:
