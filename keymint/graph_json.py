@@ -48,6 +48,26 @@ def recognises(content: bytes) -> bool:
     return content.removeprefix(b"\xef\xbb\xbf").lstrip()[:1] == b"{"
 
 
+def decoded(content: bytes, name: str, code: str) -> str:
+    """Return the text of a file.
+
+    Args:
+        content: the file, UTF-8.
+        name: its name for messages.
+        code: the diagnostic code.
+
+    Raises:
+        KeymintError: the file is too large, or not UTF-8.
+    """
+    if len(content) > MAX_BYTES:
+        raise KeymintError(f"the file has more than the {MAX_BYTES:,} bytes allowed", where=Origin(name), code=code)
+    try:
+        return content.decode("utf-8-sig")
+    except UnicodeDecodeError as error:
+        where = Origin(name, content[: error.start].count(b"\n") + 1)
+        raise KeymintError("the text is not UTF-8", where=where, code=code) from None
+
+
 # -- writing -----------------------------------------------------------------------------------------------------
 
 
@@ -103,13 +123,7 @@ class _GraphReader:
 
     def __init__(self, name: str, content: bytes) -> None:
         self._name = name
-        if len(content) > MAX_BYTES:
-            raise self._error(f"the file has more than the {MAX_BYTES:,} bytes allowed", 0)
-        try:
-            self._text = content.decode("utf-8-sig")
-        except UnicodeDecodeError as error:
-            line = content[: error.start].count(b"\n") + 1
-            raise self._error("the text is not UTF-8", line) from None
+        self._text = decoded(content, name, "graph-invalid")
         try:
             self._document: Any = json.loads(self._text, parse_constant=_refuse_constant, object_pairs_hook=_unique)
         except json.JSONDecodeError as error:

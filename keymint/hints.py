@@ -11,7 +11,7 @@ A column ``partition`` is optional. In a graph every edge counts once.
 from __future__ import annotations
 
 import csv
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 
 from comarmor.errors import Diagnostic, Origin, Severity
 from comarmor.rules import KIND_OF
@@ -25,6 +25,7 @@ from keymint.graph_json import legal_subject, legal_text
 COLUMNS = ("subject", "permission", "object", "count")
 OPTIONAL = ("partition",)
 MAX_COUNT = 2**63
+_INVALID = "hints-invalid"
 
 
 def load_hints(content: bytes, name: str) -> tuple[Hint, ...]:
@@ -39,13 +40,7 @@ def load_hints(content: bytes, name: str) -> tuple[Hint, ...]:
     """
     if graph_json.recognises(content):
         return tuple(Hint(edge, 1) for edge in graph_json.load(content, name).edges)
-    if len(content) > graph_json.MAX_BYTES:
-        raise _error(name, 0, f"the file has more than the {graph_json.MAX_BYTES:,} bytes allowed")
-    try:
-        lines = content.decode("utf-8-sig").splitlines()
-    except UnicodeDecodeError as error:
-        raise _error(name, content[: error.start].count(b"\n") + 1, "the text is not UTF-8") from None
-    rows = csv.reader(lines, strict=True)
+    rows = csv.reader(graph_json.decoded(content, name, _INVALID).splitlines(), strict=True)
     counts: dict[Edge, int] = {}
     problems: list[Diagnostic] = []
     try:
@@ -53,9 +48,7 @@ def load_hints(content: bytes, name: str) -> tuple[Hint, ...]:
         for row in rows:
             if row:
                 try:
-                    edge, times = _counted(
-                        dict(zip(columns, row, strict=False)), len(columns), row, name, rows.line_num
-                    )
+                    edge, times = _counted(columns, row, name, rows.line_num)
                 except KeymintError as error:
                     problems += error.diagnostics
                 else:
@@ -93,9 +86,10 @@ def _columns(header: Sequence[str], name: str) -> list[str]:
     return columns
 
 
-def _counted(row: Mapping[str, str], width: int, cells: Sequence[str], name: str, line: int) -> tuple[Edge, int]:
-    if len(cells) != width:
-        raise _error(name, line, f"has {counted(len(cells), 'field')} instead of {width}")
+def _counted(columns: Sequence[str], fields: Sequence[str], name: str, line: int) -> tuple[Edge, int]:
+    if len(fields) != len(columns):
+        raise _error(name, line, f"has {counted(len(fields), 'field')} instead of {len(columns)}")
+    row = dict(zip(columns, fields, strict=True))
     subject, permission, text = (row[column].strip() for column in ("subject", "permission", "object"))
     if not legal_subject(subject):
         raise _error(name, line, f"{subject!r} is not a subject name", "write the full name, e.g. '/robot/arm'")
@@ -115,4 +109,4 @@ def _counted(row: Mapping[str, str], width: int, cells: Sequence[str], name: str
 
 
 def _error(name: str, line: int, message: str, help_: str = "") -> KeymintError:
-    return KeymintError(message, where=Origin(name, line), help=help_, code="hints-invalid")
+    return KeymintError(message, where=Origin(name, line), help=help_, code=_INVALID)

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 from collections import defaultdict
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
 
 from comarmor.errors import Diagnostic
 from comarmor.patterns.glob import Glob, literal, parse
@@ -76,13 +75,8 @@ def _copied(profiles: Iterable[WrittenProfile]) -> Iterator[Diagnostic]:
             )
 
 
-@dataclass(frozen=True, slots=True)
-class _GrantedRight:
-    """A right by a rule in the profile itself: kind, permission, and expression."""
-
-    kind: str
-    permission: str
-    expression: str
+_GrantedRight = tuple[str, str]
+"""Permission and expression of a rule in the profile itself."""
 
 
 def _wide(profiles: Sequence[WrittenProfile], clauses: Iterable[WrittenRule]) -> Iterator[Diagnostic]:
@@ -112,12 +106,12 @@ def _wide(profiles: Sequence[WrittenProfile], clauses: Iterable[WrittenRule]) ->
             )
             continue
         if gaining:
-            subject, own, right = gaining[0]
+            subject, own, (permission, expression) = gaining[0]
             more = f" and {len(gaining) - 1:,} more" if len(gaining) > 1 else ""
             yield warning(
                 "profile-wide",
                 f"profile {each.name!r} applies to {subject}{more} by {text!r}, and gives rights that its own profile "
-                f"{own.name!r} ({own.where.alone()}) does not have, e.g. {right.permission} on {right.expression!r}",
+                f"{own.name!r} ({own.where.alone()}) does not have, e.g. {permission} on {expression!r}",
                 each.where,
                 f"if intended, nest profile {own.name!r} in profile {each.name!r}, or move common rules to a file that "
                 "both include; else attach it to the intended subjects only",
@@ -131,22 +125,16 @@ def _gaining(
     rights: Mapping[_Chain, Mapping[_GrantedRight, None]],
 ) -> Iterator[tuple[str, WrittenProfile, _GrantedRight]]:
     """Yield subjects that gain rights by a wide profile, each once, with their own profile and such a right."""
-    chain = profile_chain(wide)
     own: dict[str, list[WrittenProfile]] = defaultdict(list)
     for glob, profile in near:
         # Only siblings: for nested profiles, the outer ones are checked.
-        if profile.around == wide.around and _texts(profile) != chain[-1] and not _texts_meet(profile, wide):
+        if profile.around == wide.around and set(_texts(profile)).isdisjoint(_texts(wide)):
             own[literal(glob) or ""].append(profile)
     for subject, its_profiles in own.items():
         existing = {right for each in its_profiles for right in rights.get(profile_chain(each), {})}
         missing = next((right for right in granted if right not in existing), None)
         if missing is not None:
             yield subject, its_profiles[0], missing
-
-
-def _texts_meet(profile: WrittenProfile, wide: WrittenProfile) -> bool:
-    """Return True if two profiles share an attachment, so that both target the same subjects."""
-    return not set(_texts(profile)).isdisjoint(_texts(wide))
 
 
 def _rights(clauses: Iterable[WrittenRule]) -> dict[_Chain, dict[_GrantedRight, None]]:
@@ -160,9 +148,7 @@ def _rights(clauses: Iterable[WrittenRule]) -> dict[_Chain, dict[_GrantedRight, 
         if rule.effect is not Effect.ALLOW or clause.included:
             continue
         for expression in fixed_expressions(clause):
-            rights[clause.profiles] |= dict.fromkeys(
-                _GrantedRight(rule.kind, each, expression) for each in rule.permissions
-            )
+            rights[clause.profiles] |= dict.fromkeys((permission, expression) for permission in rule.permissions)
     return rights
 
 

@@ -55,18 +55,17 @@ def lint(policy: LoadedPolicy) -> list[Diagnostic]:
         findings += RedundantRules(subjects, attachments, written).findings()
     else:
         given_up.append(f"there are more than {MOST_PAIRS:,} pairs of a subject and a rule")
-    findings += map(_incomplete, given_up)
+    findings += [
+        undecided(
+            f"not every rule was checked for every subject: {reason}",
+            None,
+            "findings may not hold for some subjects, and some may be missing; lint parts of the policy",
+        )
+        for reason in given_up
+    ]
     findings += similar_names({subject: subjects[subject] for subject in named if subject in subjects}, attachments)
     findings += (*similar_subjects(written), *attachment_mistakes(written)) if written else ()
     return sorted_diagnostics(findings)
-
-
-def _incomplete(reason: str) -> Diagnostic:
-    return undecided(
-        f"not every rule was checked for every subject: {reason}",
-        None,
-        "findings may not hold for some subjects, and some may be missing; lint parts of the policy",
-    )
 
 
 def sorted_diagnostics(diagnostics: Iterable[Diagnostic]) -> list[Diagnostic]:

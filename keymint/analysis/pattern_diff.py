@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections import defaultdict
 from collections.abc import Iterable, Iterator, Sequence
+from functools import cache
 from itertools import product
 
 from comarmor.patterns.decision_lists import Equal, Unknown
@@ -80,10 +81,10 @@ class _PatternComparison:
         self._gains = gains
         self._policies = policies
         self._before, self._after = rules
-        self._named = named
         self._budget = budget
         self._reported: dict[Glob, dict[str, None]] = defaultdict(dict)
-        self._known_matches: dict[Glob, frozenset[str]] = {}
+        # Returns the named subjects that match a pattern.
+        self._matching_named = cache(lambda pattern: frozenset(name for name in named if matches(pattern, name)))
 
     def of(self, key: PermissionKey) -> Iterator[tuple[Glob, str | PermissionChange]]:
         """Yield the differences for a kind and permission, at most one for each rule and pattern of its subjects."""
@@ -136,12 +137,6 @@ class _PatternComparison:
     def _example(self, subjects: Glob) -> tuple[str, ...]:
         example = example_subject(subjects)
         return () if example is None or example in self._matching_named(subjects) else (example,)
-
-    def _matching_named(self, subjects: Glob) -> frozenset[str]:
-        """Return the named subjects that match a pattern."""
-        if subjects not in self._known_matches:
-            self._known_matches[subjects] = frozenset(name for name in self._named if matches(subjects, name))
-        return self._known_matches[subjects]
 
     def _not_allowed_before(self, key: PermissionKey, rule: SymbolicRule, subjects: Glob) -> _AlternativeSearches:
         """Return the search for what a rule allows and no rule allowed before."""

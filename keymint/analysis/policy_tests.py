@@ -63,9 +63,8 @@ class ExpectationChecker:
 
     def __init__(self, policy: LoadedPolicy) -> None:
         self._policy = policy
-        self._named = policy.subjects()
         self._rules: Mapping[str, tuple[Rule, ...]] = {
-            subject: rules_of(policy, subject) for subject in (*self._named, *pattern_examples(policy))
+            subject: rules_of(policy, subject) for subject in (*policy.subjects(), *pattern_examples(policy))
         }
 
     def rules(self) -> dict[Spot, Rule]:

@@ -26,6 +26,7 @@ from keymint.analysis.rule_lists import (
     find_permitted,
     legal_names,
     permission_keys,
+    restrict_allowed,
     rule_patterns,
     universe,
 )
@@ -195,7 +196,7 @@ class RedundantRules:
                 )
                 if not others:
                     return False
-                legal = (*(block for block in legal_names(key[0]) if not block.allows), Block(True, (pattern,)))
+                legal = restrict_allowed(pattern, legal_names(key[0]))
                 if not _is_proven(implies(legal, (Block(True, others),), universe(key[0]))):
                     return False
         return True

@@ -160,23 +160,17 @@ def _filled(pattern: Glob, filling: str) -> str:
     )
 
 
-def _with_overlaps(wild: Sequence[Glob], given_up: list[str]) -> Iterator[Glob]:
-    """Yield patterns and the overlaps of two of them, up to :data:`MOST_EXAMPLES` overlaps."""
-    yield from wild
-    reason = f"more than {MOST_EXAMPLES} patterns of subjects overlap"
-    left = MOST_EXAMPLES
+def _with_overlaps(wild: Sequence[Glob], given_up: list[str]) -> list[Glob]:
+    """Return patterns and the overlaps of two of them, up to :data:`MOST_EXAMPLES` overlaps."""
     known = set(wild)
     try:
-        for each in _overlaps(wild):
-            if each not in known:
-                known.add(each)
-                if not left:
-                    given_up.append(reason)
-                    return
-                left -= 1
-                yield each
+        overlaps = [each for each in _overlaps(wild) if each not in known]
     except (StepLimitError, TooComplexError):
         given_up.append("patterns of subjects overlap in too many ways")
+        return [*wild]
+    if len(overlaps) > MOST_EXAMPLES:
+        given_up.append(f"more than {MOST_EXAMPLES} patterns of subjects overlap")
+    return [*wild, *overlaps[:MOST_EXAMPLES]]
 
 
 def _overlaps(wild: Sequence[Glob]) -> list[Glob]:

@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import lru_cache
+from itertools import cycle
 
 from comarmor.patterns.glob import Glob, literal, normalise, units
 from comarmor.patterns.relations import disjoint
@@ -24,6 +25,8 @@ NAME = "\x02"
 PLACEHOLDERS = (NAMESPACE, NAME)
 _MOST_PIECES = 256
 _Tokens = tuple[Token, ...]
+_Piece = tuple[tuple[Glob, ...], tuple[Glob, ...], Glob]
+"""Limits of the namespace, limits of the name, and pattern of symbolic words."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -31,11 +34,11 @@ class FittedPattern:
     """A pattern, rewritten for symbolic words with the placeholders of another pattern.
 
     Attributes:
-        pieces: limits of the namespace, limits of the name, and pattern of symbolic words, for each piece.
+        pieces: the pieces.
         exact: the pieces match a symbolic word and a subject if and only if the pattern matches the word they yield.
     """
 
-    pieces: tuple[tuple[tuple[Glob, ...], tuple[Glob, ...], Glob], ...]
+    pieces: tuple[_Piece, ...]
     exact: bool
 
 
@@ -103,57 +106,32 @@ def fit_pattern(pattern: Glob, shape: Glob, namespace: Glob, name: Glob, *, wide
         own[head:end][::-1], other[head:end2][::-1]
     ):
         return FittedPattern((), exact=True)
-    exact = True
     middle, others = own[head:end], other[head:end2]
-    if _has_placeholder(middle) and not _has_placeholder(others):
-        return _fit_concrete_shape(own[:head], middle, others, own[end:], {NAMESPACE: namespace, NAME: name}, wide=wide)
-    if _has_placeholder(middle):
-        exact = False
-        if wide:
+    values = {NAMESPACE: namespace, NAME: name}
+    exact = not _has_placeholder(middle)
+    splits_shape = not exact and not _has_placeholder(others)
+    if splits_shape:
+        # Exact for a single word; else the subject and the word depend on each other.
+        exact = literal(normalise(others)) is not None
+        if not (exact or wide):
+            return FittedPattern((), exact=False)
+        split, segments = others, _segments(middle)
+    else:
+        if not exact and wide:
             middle = units(fill_placeholders(normalise(middle), namespace, name))
-    segments = _segments(other[head:end2])
-    pieces: dict[tuple[tuple[Glob, ...], tuple[Glob, ...], Glob], None] = {}
-    for parts in _splits(middle, segments, {NAMESPACE: namespace, NAME: name}):
+        split, segments = middle, _segments(others)
+    pieces: dict[_Piece, None] = {}
+    for parts in _splits(split, segments, values):
         if len(pieces) == _MOST_PIECES:
             everything = ((), (), shape)
             return FittedPattern((everything,) if wide else tuple(pieces), exact=False)
         limits: dict[str, list[Glob]] = {NAMESPACE: [], NAME: []}
         tokens: list[Token] = [*own[:head]]
-        for at, part in enumerate(parts):
-            if at % 2 == 0:
-                tokens += part
-                continue
-            placeholder = segments[at][0]
-            tokens.append(placeholder)
-            limit = normalise(part)
-            if limit not in ((placeholder,), (STAR,)):
-                limits[str(placeholder)].append(limit)
-        pattern_ = normalise((*tokens, *own[end:]))
-        pieces[tuple(limits[NAMESPACE]), tuple(limits[NAME]), pattern_] = None
-    return FittedPattern(tuple(pieces), exact)
-
-
-def _fit_concrete_shape(
-    head: _Tokens, middle: _Tokens, shape: _Tokens, tail: _Tokens, values: dict[str, Glob], *, wide: bool
-) -> FittedPattern:
-    """Rewrite a pattern with placeholders to a shape without: split the shape at the placeholders to get their limits.
-
-    This is exact if the shape is a single word; else the subject and the word depend on each other.
-    """
-    exact = literal(normalise(shape)) is not None
-    if not (exact or wide):
-        return FittedPattern((), exact=False)
-    segments = _segments(middle)
-    pieces: dict[tuple[tuple[Glob, ...], tuple[Glob, ...], Glob], None] = {}
-    for parts in _splits(shape, segments, values):
-        if len(pieces) == _MOST_PIECES:
-            everything = ((), (), normalise((*head, *shape, *tail)))
-            return FittedPattern((everything,) if wide else tuple(pieces), exact=False)
-        limits: dict[str, list[Glob]] = {NAMESPACE: [], NAME: []}
-        for at in range(1, len(parts), 2):
-            limits[str(segments[at][0])].append(normalise(parts[at]))
-        word = normalise((*head, *(token for part in parts for token in part), *tail))
-        pieces[tuple(limits[NAMESPACE]), tuple(limits[NAME]), word] = None
+        for part, segment, is_placeholder in zip(parts, segments, cycle((False, True)), strict=False):
+            tokens += part if splits_shape or not is_placeholder else segment
+            if is_placeholder and part not in (segment, (STAR,)):
+                limits[str(segment[0])].append(normalise(part))
+        pieces[tuple(limits[NAMESPACE]), tuple(limits[NAME]), normalise((*tokens, *own[end:]))] = None
     return FittedPattern(tuple(pieces), exact)
 
 

@@ -246,11 +246,7 @@ class _Search:
             yield normalise((STAR, *((each, STAR) * (used.count(each) + 1))))
 
     def _subject(self, subject: str) -> Glob:
-        return _word(*exact_halves(subject), self._rest)
-
-    @property
-    def _rest(self) -> Glob:
-        return (STAR, SEPARATOR, STAR) if self._kind == RAW else (STAR,)
+        return _word(*exact_halves(subject), _any_object(self._kind))
 
 
 def _text(text: str) -> Glob:
@@ -259,6 +255,10 @@ def _text(text: str) -> Glob:
 
 def _word(namespace: Glob, name: Glob, object_: Glob) -> Glob:
     return normalise((*namespace, SEPARATOR, *name, SEPARATOR, *object_))
+
+
+def _any_object(kind: str) -> Glob:
+    return (STAR, SEPARATOR, STAR) if kind == RAW else (STAR,)
 
 
 def _narrowed(pattern: Glob, limits: Sequence[Glob], *, wide: bool) -> tuple[Glob, ...]:
@@ -285,7 +285,7 @@ def _illegal(kind: str) -> tuple[Glob, ...]:
 
     See :mod:`keymint.names` for subjects and :func:`keymint.analysis.rule_lists.legal_names` for objects.
     """
-    rest = (STAR, SEPARATOR, STAR) if kind == RAW else (STAR,)
+    rest = _any_object(kind)
     digit = parse(_DIGITS)
     namespaces = (
         ("/", STAR),

@@ -6,7 +6,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 from comarmor.errors import Origin
-from comarmor.patterns.decision_lists import Equal, Unknown, Witness
+from comarmor.patterns.decision_lists import ProofResult, Unknown, Witness
 from comarmor.patterns.glob import Glob, literal
 from comarmor.patterns.matching import matches
 from comarmor.patterns.relations import TooComplexError, intersection
@@ -66,110 +66,91 @@ def who_can(policy: LoadedPolicy, within: Glob, kind: str, permission: str, name
         [subject for subject in rules.singles if matches(within, subject) and can_exist((subject,))] if rules else []
     )
     named = (exact,) if exact is not None else tuple(dict.fromkeys((*named_subjects(policy, within), *singles)))
+    search = _HolderSearch(policy, kind, permission, name)
     for subject in named:
-        outcome = shortest_granted(rules_of(policy, subject), kind, permission, name)
-        if outcome is not None:
-            yield _holder_of(subject, "", outcome, policy, kind, permission)
+        yield from search.holder(subject)
     if rules is not None:
-        search = _HolderSearch(policy, rules, kind, permission, name, frozenset(named))
-        yield from search.others(within)
-
-
-def shortest_granted(
-    rules: Sequence[Rule], kind: str, permission: str, name: Glob, budget: QueryBudget | None = None
-) -> Witness | Unknown | None:
-    """Return the shortest of the names on which rules grant a permission, or None."""
-    lists = part_lists(rules, kind, permission)
-    outcome = find_permitted(kind, allow_only(name), *lists, budget=budget.next_query(len(lists)) if budget else None)
-    return None if isinstance(outcome, Equal) else outcome
-
-
-def _holder_of(
-    subject: str, like: str, outcome: Witness | Unknown, policy: LoadedPolicy, kind: str, permission: str
-) -> PermissionHolder:
-    if isinstance(outcome, Unknown):
-        return PermissionHolder(subject, like, "", None, outcome.reason)
-    rule = matching_rule(rules_of(policy, subject), Effect.ALLOW, kind, permission, outcome.word)
-    return PermissionHolder(subject, like, outcome.word, rule.origin if rule else None)
+        yield from search.others(within, rules, frozenset(named))
 
 
 class _HolderSearch:
-    """Finds subjects with a permission among those that a policy does not name.
+    """Finds subjects with a permission.
 
     Args:
         policy: the policy.
-        rules: its symbolic rules.
         kind: kind of the objects.
         permission: the permission.
         name: pattern of the objects.
-        named: subjects that are already checked.
     """
 
-    def __init__(
-        self,
-        policy: LoadedPolicy,
-        rules: SymbolicRules,
-        kind: str,
-        permission: str,
-        name: Glob,
-        named: frozenset[str],
-    ) -> None:
+    def __init__(self, policy: LoadedPolicy, kind: str, permission: str, name: Glob) -> None:
         self._policy = policy
-        self._rules = rules
         self._kind, self._permission, self._name = kind, permission, name
-        self._named = named
         self._budget = QueryBudget()
 
-    def others(self, within: Glob) -> Iterator[PermissionHolder]:
-        """Yield an example for each pattern of subjects with the permission."""
+    def holder(self, subject: str, like: str = "") -> Iterator[PermissionHolder]:
+        """Yield a subject if it has, or may have, the permission."""
+        rules = rules_of(self._policy, subject)
+        outcome = self._shortest_granted(rules)
+        if isinstance(outcome, Unknown):
+            yield PermissionHolder(subject, like, "", None, outcome.reason)
+        elif isinstance(outcome, Witness):
+            rule = matching_rule(rules, Effect.ALLOW, self._kind, self._permission, outcome.word)
+            yield PermissionHolder(subject, like, outcome.word, rule.origin if rule else None)
+
+    def _shortest_granted(self, rules: Sequence[Rule], budget: QueryBudget | None = None) -> ProofResult:
+        """Find the shortest of the names on which rules grant the permission."""
+        lists = part_lists(rules, self._kind, self._permission)
+        limit = budget.next_query(len(lists)) if budget else None
+        return find_permitted(self._kind, allow_only(self._name), *lists, budget=limit)
+
+    def others(self, within: Glob, rules: SymbolicRules, named: frozenset[str]) -> Iterator[PermissionHolder]:
+        """Yield an example for each pattern of subjects with the permission, other than the named subjects."""
         (kind, part, suffix), *_ = parts(self._kind, self._permission)
         reported: set[Glob] = set()
         unknown: dict[Glob, str] = {}
-        for rule in self._rules.all((kind, part), Effect.ALLOW).values():
+        for rule in rules.all((kind, part), Effect.ALLOW).values():
             for subjects in (piece for one in rule.reach.subjects for piece in _both(one, within)):
                 if subjects in reported:
                     continue
                 for shape in _before(rule.object, suffix):
-                    answer = self._holder(subjects, shape, rule)
+                    answer = self._example(subjects, shape, rule, rules, named)
                     if isinstance(answer, Unknown):
                         unknown.setdefault(subjects, answer.reason)
                     elif answer is not None:
                         reported.add(subjects)
-                        yield from self._example(answer, subjects)
+                        yield from self.holder(answer, pattern_text(subjects))
                         break
         for subjects, reason in unknown.items():
             if subjects not in reported:
                 yield PermissionHolder("", pattern_text(subjects), "", None, reason)
 
-    def _holder(self, subjects: Glob, shape: Glob, rule: SymbolicRule) -> str | Unknown | None:
+    def _example(
+        self, subjects: Glob, shape: Glob, rule: SymbolicRule, rules: SymbolicRules, named: frozenset[str]
+    ) -> str | Unknown | None:
         first = example_subject(subjects)
-        tried = [] if first is None or first in self._named else [first]
+        tried = () if first is None or first in named else (first,)
         for subject in tried:
             if self._check(subject) is True:
                 return subject
-        excluded = {subject for subject in self._named if matches(subjects, subject)}
-        conditions = (*rule.reach.conditions, *self._conditions(subjects))
+        excluded = {subject for subject in named if matches(subjects, subject)}
+        conditions = (*rule.reach.conditions, *self._conditions(rules, subjects))
         return find_subject(self._kind, subjects, shape, conditions, self._check, (*excluded, *tried), self._budget)
 
-    def _conditions(self, subjects: Glob) -> Iterator[SymbolicCondition]:
+    def _conditions(self, rules: SymbolicRules, subjects: Glob) -> Iterator[SymbolicCondition]:
         """Yield the conditions of the rules; a composite permission requires all its parts."""
         yield SymbolicCondition(some=(SymbolicEntry((EVERYBODY,), self._name),))
         for number, (kind, part, suffix) in enumerate(parts(self._kind, self._permission)):
             key = (kind, part)
-            yield SymbolicCondition(tuple(_without(self._rules.surely(key, Effect.DENY, subjects), suffix)))
+            yield SymbolicCondition(tuple(_without(rules.surely(key, Effect.DENY, subjects), suffix)))
             if number:
-                yield SymbolicCondition(some=tuple(_without(self._rules.perhaps(key, Effect.ALLOW, subjects), suffix)))
+                yield SymbolicCondition(some=tuple(_without(rules.perhaps(key, Effect.ALLOW, subjects), suffix)))
 
     def _check(self, subject: str) -> bool | Unknown:
-        outcome = shortest_granted(
-            rules_of(self._policy, subject), self._kind, self._permission, self._name, self._budget
-        )
-        return Unknown(self._budget.reason(outcome.reason)) if isinstance(outcome, Unknown) else outcome is not None
-
-    def _example(self, subject: str, subjects: Glob) -> Iterator[PermissionHolder]:
-        outcome = shortest_granted(rules_of(self._policy, subject), self._kind, self._permission, self._name)
-        if outcome is not None:
-            yield _holder_of(subject, pattern_text(subjects), outcome, self._policy, self._kind, self._permission)
+        outcome = self._shortest_granted(rules_of(self._policy, subject), self._budget)
+        if isinstance(outcome, Unknown):
+            return Unknown(self._budget.reason(outcome.reason))
+        return isinstance(outcome, Witness)
 
 
 def _both(one: Glob, other: Glob) -> tuple[Glob, ...]:

@@ -109,7 +109,8 @@ def draw(labelled: LabelledGraph, options: DrawingOptions, number: NodeNumber | 
                     "x": _number(left + x),
                     "y": _number(panel_top + y),
                     "lines": [
-                        _line(line, labelled, options, drawn, number) for line in _by_priority(panel.lines, options)
+                        _line(line, labelled, options, drawn, number)
+                        for line in sorted(panel.lines, key=lambda line: -priority(line.labelled, options.transport))
                     ],
                     "boxes": [_box(box, labelled, drawn, number) for box in panel.boxes],
                 }
@@ -117,11 +118,6 @@ def draw(labelled: LabelledGraph, options: DrawingOptions, number: NodeNumber | 
             ],
         )
     )
-
-
-def _by_priority(lines: Sequence[EdgeLine], options: DrawingOptions) -> list[EdgeLine]:
-    """Return lines sorted so that the most important ones are drawn on top."""
-    return sorted(lines, key=lambda line: -priority(line.labelled, options.transport))
 
 
 def _parts(drawn: SimplifiedGraph, split: Split) -> Iterator[tuple[str, tuple[LabelledEdge, ...], tuple[str, ...]]]:
