@@ -6,13 +6,12 @@ from collections.abc import Generator, Iterable, Iterator
 from dataclasses import replace
 from datetime import UTC, datetime, timedelta
 
-from cryptography import x509
-
 from comarmor.errors import Diagnostic, Origin, Severity
 from keymint.api import DomainRange, Inspection
 from keymint.errors import KeymintError
 from keymint.pki import certificates, keys, names, smime, verify
-from keymint_ros2_dds import check_governance, revocation, vendor_limits
+from keymint_ros2_dds import check_governance, vendor_limits
+from keymint_ros2_dds.credentials import CredentialCheck, revocation_period
 from keymint_ros2_dds.documents import dds_xml
 from keymint_ros2_dds.domains import in_words, uncovered
 from keymint_ros2_dds.emission import is_form_of
@@ -39,15 +38,17 @@ SLACK = timedelta(days=1)
 
 def check(inspection: Inspection) -> tuple[Diagnostic, ...]:
     """Return findings on one installed enclave; codes are stable."""
-    return tuple(_Enclave(inspection).findings())
+    return tuple(_EnclaveCheck(inspection).findings())
 
 
-class _Enclave:
+class _EnclaveCheck(CredentialCheck):
     """One enclave under inspection."""
 
     def __init__(self, inspection: Inspection) -> None:
+        package = inspection.package
+        restore = f"'keymint install {package.name}' writes it again"
+        super().__init__(inspection.files, inspection.folder, restore, package.subject)
         self._inspection = inspection
-        self._files = inspection.files
         self._names = FILES.get(inspection.layout, ())
 
     def findings(self) -> Iterator[Diagnostic]:
@@ -66,43 +67,28 @@ class _Enclave:
             yield from check_governance.findings(self._inspection)
         plain = self._files.get(PERMISSIONS_XML)
         if plain is not None and PERMISSIONS_XML in self._names and plain != self._content(PERMISSIONS):
-            yield self._error(
-                "document-differs", PERMISSIONS_XML, "is not the document that permissions.p7s signs", self._reinstall
-            )
-
-    @property
-    def _reinstall(self) -> str:
-        return f"'keymint install {self._inspection.package.name}' writes it again"
-
-    def _where(self, name: str) -> Origin:
-        return Origin(f"{self._inspection.folder}/{name}")
-
-    def _error(self, code: str, name: str, message: str, help_: str) -> Diagnostic:
-        return Diagnostic(code, Severity.ERROR, message, self._where(name), help_, self._inspection.package.subject)
+            yield self._error("document-differs", PERMISSIONS_XML, "is not the document that permissions.p7s signs")
 
     def _warning(self, code: str, name: str, message: str, help_: str) -> Diagnostic:
-        return Diagnostic(code, Severity.WARNING, message, self._where(name), help_, self._inspection.package.subject)
+        return Diagnostic(code, Severity.WARNING, message, self._where(name), help_, self._subject)
 
     def _for_subject(self, diagnostic: Diagnostic) -> Diagnostic:
         where = diagnostic.where or self._where("")
-        return replace(diagnostic, where=where, subject=self._inspection.package.subject)
+        return replace(diagnostic, where=where, subject=self._subject)
 
     def _inventory(self) -> Iterator[Diagnostic]:
         for name in self._names:
             if name not in self._files:
-                yield self._error("file-missing", name, "is missing", self._reinstall)
+                yield self._error("file-missing", name, "is missing")
         for name in sorted(self._files.keys() - {*self._names, CRL}):
             message = f"does not belong to the layout {self._inspection.layout!r}"
             yield self._warning("file-unexpected", name, message, "remove it")
 
     def _revocations(self) -> Iterator[Diagnostic]:
         """Check the revocation list, which Keymint does not write."""
-        pem = self._files.get(CRL)
-        if pem is None:
-            return
-        if problem := revocation.problem(pem, self._files.get(CERTIFICATE, b""), self._inspection.identity_ca):
-            yield self._error("revocation-list", CRL, problem, "install a valid list, or remove it")
-        elif period := revocation.period(pem):
+        problems = [*self._revocation_list(self._inspection.identity_ca, "install a valid list, or remove it")]
+        yield from problems
+        if not problems and (period := revocation_period(self._files.get(CRL, b""))):
             yield from self._validity("revocation list", CRL, *period, slack=timedelta(0))
 
     def _identity(self) -> Iterator[Diagnostic]:
@@ -118,32 +104,15 @@ class _Enclave:
             return  # verify_chain reports it
         if not certificates.is_canonical(pem):
             message = "is not the canonical encoding of its certificate"
-            yield self._error("pem-altered", CERTIFICATE, message, self._reinstall)
-        expected = names.parse(self._inspection.package.identity.subject_name)
-        if certificate.subject != expected:
-            message = f"is for {names.to_text(certificate.subject)!r}, not {names.to_text(expected)!r}"
-            yield self._error("certificate-subject", CERTIFICATE, message, self._reinstall)
+            yield self._error("pem-altered", CERTIFICATE, message)
+        yield from self._subject_name(certificate, names.parse(self._inspection.package.identity.subject_name))
         if not any(item.code in {"certificate-expired", "certificate-not-yet-valid"} for item in chain_findings):
             period = certificate.not_valid_before_utc, certificate.not_valid_after_utc
             yield from self._validity("certificate", CERTIFICATE, *period, slack=timedelta(0))
-        key = self._files.get(KEY)
-        if key is not None:
-            yield from self._key(key, certificate)
-
-    def _key(self, pem: bytes, certificate: x509.Certificate) -> Iterator[Diagnostic]:
-        where = self._where(KEY)
-        if not keys.is_canonical(pem):
-            yield self._error("pem-altered", KEY, "is not the canonical encoding of a private key", self._reinstall)
-        if self._inspection.package.identity.key.password_env:
-            return  # it cannot be read without its password
-        try:
-            key = keys.from_pem(pem, None, where)
-        except KeymintError as error:
-            yield from map(self._for_subject, error.diagnostics)
-            return
-        if not keys.matches(key, certificate):
-            message = "is not the key of the certificate beside it"
-            yield self._error("key-mismatch", KEY, message, self._reinstall)
+        if KEY in self._files and not keys.is_canonical(self._files[KEY]):
+            yield self._error("pem-altered", KEY, "is not the canonical encoding of a private key")
+        if not self._inspection.package.identity.key.password_env:  # else it cannot be read
+            yield from map(self._for_subject, self._key(certificate))
 
     def _authorities(self) -> Iterator[Diagnostic]:
         trusted = {
@@ -153,9 +122,7 @@ class _Enclave:
         }
         for name in (IDENTITY_CA, PERMISSIONS_CA, CA):
             if name in self._names and name in self._files and self._files[name] != trusted[name]:
-                yield self._error(
-                    "authority-differs", name, "is not the certificate of the workspace's authority", self._reinstall
-                )
+                yield self._error("authority-differs", name, "is not the certificate of the workspace's authority")
         try:
             problem = certificates.can_sign_documents(
                 certificates.load_bundle(self._inspection.permissions_ca)[0],
@@ -195,7 +162,7 @@ class _Enclave:
             yield from map(self._for_subject, error.diagnostics)
             return None
         for hazard in dds_xml.hazards(content, root):
-            yield self._warning("document-hazard", name, hazard, f"build it instead of editing it; {self._reinstall}")
+            yield self._warning("document-hazard", name, hazard, f"build it instead of editing it; {self._restore}")
         return content
 
     def _as_built(self, kind: str, content: bytes) -> bool:
@@ -229,7 +196,7 @@ class _Enclave:
         expected = self._certificate_subject()
         if expected is not None and grant.subject_name != expected:
             message = f"grants to {grant.subject_name!r}, but the certificate is for {expected!r}"
-            yield self._error("grant-subject", PERMISSIONS_P7S, message, self._reinstall)
+            yield self._error("grant-subject", PERMISSIONS_P7S, message)
         if grant.allows:
             message = "allows by default on Cyclone DDS and OpenDDS, and denies on Fast DDS"
             yield self._error("grant-default", PERMISSIONS_P7S, message, "make the default DENY")

@@ -48,7 +48,7 @@ def findings(inspection: Inspection) -> Iterator[Diagnostic]:
 def _weaker_protection(inspection: Inspection, governing: EnclaveGovernance) -> Iterator[Diagnostic]:
     subject, document = inspection.package.subject, governing.document
     help_ = f"'keymint install {inspection.package.name}' signs what the sources build"
-    for domains in cuts(document, governing.sources):
+    for domains in cuts(governing.domains()):
         rule = DomainAccess.of(document, domains.first, STANDARD).rule
         if rule is None:
             continue

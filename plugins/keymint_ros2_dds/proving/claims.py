@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from itertools import pairwise
 from types import MappingProxyType
 
 from comarmor.errors import Reason
@@ -28,7 +27,7 @@ from keymint_ros2_dds.decision.access import DomainAccess
 from keymint_ros2_dds.domains import merged
 from keymint_ros2_dds.lowering.lower import Lowered
 from keymint_ros2_dds.proving import octets, permission_lists, policy_evaluator, protection
-from keymint_ros2_dds.proving.enclave_governance import ACTIONS, LAST_DOMAIN, EnclaveGovernance, cuts
+from keymint_ros2_dds.proving.enclave_governance import ACTIONS, EnclaveGovernance, cuts
 from keymint_ros2_dds.proving.governance_lists import (
     NOTHING,
     REFUSED,
@@ -39,7 +38,7 @@ from keymint_ros2_dds.proving.governance_lists import (
 )
 from keymint_ros2_dds.proving.governance_lists import difference as governed_difference
 from keymint_ros2_dds.proving.grant_periods import GrantPeriod, grant_periods
-from keymint_ros2_dds.reading.signed_permissions import DocumentGrant, PermissionsDocument
+from keymint_ros2_dds.reading.signed_permissions import DocumentDomains, DocumentGrant, PermissionsDocument
 
 _ALWAYS = (
     "only the governance in the subject's own enclave applies: a participant's local checks read no other",
@@ -232,17 +231,13 @@ class _Model:
         wanted = self._question.spec.domains
         grants = [era.grant for era in self._eras]
         rules = [rule for grant in grants for rule in grant.rules]
-        edges = {0, *(d.first for d in wanted), *(d.last + 1 for d in wanted)}
-        for each in (each for rule in rules for each in rule.domains):
-            first = each.first or 0
-            edges |= {first, first + 1, *(() if each.last is None else (each.last + 1,))}
-        if self._governing is not None:
-            documents = (self._governing.document, self._governing.sources)
-            edges |= {each.first for each in cuts(*documents)}
-        steps = [*sorted(edge for edge in edges if 0 <= edge <= LAST_DOMAIN), LAST_DOMAIN + 1]
+        ranges = [DocumentDomains(domains.first, domains.last) for domains in wanted]
+        ranges += (domains for rule in rules for domains in rule.domains)
+        ranges += () if self._governing is None else self._governing.domains()
         permits_more = self._semantics.default_counts and any(grant.allows for grant in grants)
         groups: dict[tuple[object, ...], list[DomainRange]] = {}
-        for first, following in pairwise(steps):
+        for domains in cuts(ranges):
+            first = domains.first
             inside = any(d.first <= first <= d.last for d in wanted)
             applying = [self._semantics.applies(rule, first) for rule in rules]
             governed = self._rule(first)
@@ -253,9 +248,9 @@ class _Model:
             # Without rules in the policy or the document there is nothing to compare.
             if inside or opens or (self._semantics.domains_count and (permits_more or any(applying))):
                 accepted = None if self._governing is None else self._governing.accepted_rule(first)
-                groups.setdefault((inside, rule, accepted, *applying), []).append(DomainRange(first, following - 1))
-        for kind, domains in groups.items():
-            yield tuple(merged(domains)), bool(kind[0])
+                groups.setdefault((inside, rule, accepted, *applying), []).append(domains)
+        for (applies, *_), group in groups.items():
+            yield tuple(merged(group)), bool(applies)
 
     def _claim(self, action: str, domains: tuple[DomainRange, ...], *, inside: bool) -> Claim:
         universe = octets.PAIRS if self._comparison.pairs else octets.TOPICS

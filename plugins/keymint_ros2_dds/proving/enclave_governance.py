@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from itertools import pairwise
 
@@ -20,6 +20,7 @@ from keymint_ros2_dds.reading.signed_governance import (
     DocumentDomainRule,
     GovernanceDocument,
 )
+from keymint_ros2_dds.reading.signed_permissions import DocumentDomains
 
 ACTIONS = ("publish", "subscribe")
 LAST_DOMAIN = 232
@@ -67,6 +68,12 @@ class EnclaveGovernance:
         key = hashlib.sha256(repr((content, place, built, accepted)).encode()).digest()
         own = signed_governance.read(built) if built else None
         return cls(signed_governance.read(content, *place), own, accepted, key, content != built)
+
+    def domains(self) -> Iterator[DocumentDomains]:
+        """Yield the ranges of domains of both documents."""
+        for document in filter(None, (self.document, self.sources)):
+            for rule in document.domain_rules:
+                yield from rule.domains
 
     def source_rule(self, domain: int) -> DocumentDomainRule | None:
         """Return the rule of the sources that applies in a domain."""
@@ -137,12 +144,11 @@ class EnclaveGovernance:
             yield f"participants without identity{where or ' in domain 0'} ({place}: {UNAUTHENTICATED} is true)"
 
 
-def cuts(*documents: GovernanceDocument | None) -> Iterator[DomainRange]:
-    """Yield ranges of domains in each of which the same rules of all documents apply."""
+def cuts(ranges: Iterable[DocumentDomains]) -> Iterator[DomainRange]:
+    """Yield ranges of domains so that each given range has all or none of the domains of each."""
     edges = {0, LAST_DOMAIN + 1}
-    for document in documents:
-        for each in (each for rule in (document.domain_rules if document else ()) for each in rule.domains):
-            first = each.first or 0
-            edges |= {first, first + 1, *(() if each.last is None else (each.last + 1,))}
+    for each in ranges:
+        first = each.first or 0
+        edges |= {first, first + 1, *(() if each.last is None else (each.last + 1,))}
     for begin, end in pairwise(sorted(edge for edge in edges if 0 <= edge <= LAST_DOMAIN + 1)):
         yield DomainRange(begin, end - 1)

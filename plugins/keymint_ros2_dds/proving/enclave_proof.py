@@ -11,7 +11,7 @@ from keymint.pki import smime
 from keymint_ros2_dds import decision
 from keymint_ros2_dds.enclave_layout import CERTIFICATE, GOVERNANCE_P7S, PERMISSIONS_P7S, PERMISSIONS_XML
 from keymint_ros2_dds.proving import validity_terms
-from keymint_ros2_dds.proving.anchor_check import differences
+from keymint_ros2_dds.proving.anchor_check import differences, enclave_file
 from keymint_ros2_dds.proving.claims import ProofSpec
 from keymint_ros2_dds.proving.enclave_governance import EnclaveGovernance
 from keymint_ros2_dds.proving.proof_cache import prove_content
@@ -32,8 +32,8 @@ def prove(task: ProofTask, *, models: Sequence[str] | None = None) -> tuple[Clai
             the policy cannot be mapped.
     """
     files, folder = task.files, task.folder
-    if found := differences(files, folder, task.anchors):
-        raise KeymintError.of(found)
+    if findings := differences(files, folder, task.anchors):
+        raise KeymintError.of(findings)
     content, place = _document(files, folder, task.anchors)
     spec = ProofSpec(
         _subject_name(files, folder),
@@ -60,7 +60,7 @@ def terms(files: Mapping[str, bytes], folder: str, anchors: TrustAnchors) -> tup
 
 def _document(files: Mapping[str, bytes], folder: str, anchors: TrustAnchors) -> tuple[bytes, tuple[str, int]]:
     """Return the signed permissions document, its file, and the number of lines before it there."""
-    file, where = _file(files, folder, PERMISSIONS_P7S), Origin(f"{folder}/{PERMISSIONS_P7S}")
+    file, where = enclave_file(files, folder, PERMISSIONS_P7S), Origin(f"{folder}/{PERMISSIONS_P7S}")
     signed = smime.read(file, anchors.permissions.chain, where=where)
     same = files.get(PERMISSIONS_XML) == signed.content
     name, offset = (PERMISSIONS_XML, 0) if same else (PERMISSIONS_P7S, signed.lines_before)
@@ -70,20 +70,11 @@ def _document(files: Mapping[str, bytes], folder: str, anchors: TrustAnchors) ->
 def _governing(task: ProofTask) -> EnclaveGovernance:
     """Read the signed governance, and the one of the sources."""
     file = f"{task.folder}/{GOVERNANCE_P7S}"
-    document = _file(task.files, task.folder, GOVERNANCE_P7S)
+    document = enclave_file(task.files, task.folder, GOVERNANCE_P7S)
     signed = smime.read(document, task.anchors.permissions.chain, where=Origin(file))
     place = (file, signed.lines_before)
     return EnclaveGovernance.of(signed.content, place, task.governance, task.rules.subject, task.distro)
 
 
 def _subject_name(files: Mapping[str, bytes], folder: str) -> str:
-    return subject_name(_file(files, folder, CERTIFICATE), Origin(f"{folder}/{CERTIFICATE}"))
-
-
-def _file(files: Mapping[str, bytes], folder: str, name: str) -> bytes:
-    content = files.get(name)
-    if content is None:
-        raise KeymintError(
-            "is missing", where=Origin(f"{folder}/{name}"), help="run 'keymint install'", code="file-missing"
-        )
-    return content
+    return subject_name(enclave_file(files, folder, CERTIFICATE), Origin(f"{folder}/{CERTIFICATE}"))

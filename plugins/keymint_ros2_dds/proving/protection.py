@@ -90,7 +90,7 @@ def claims(
         universe: names of topics.
         budget: limits of each search.
     """
-    for domains in cuts(governing.document, governing.sources):
+    for domains in cuts(governing.domains()):
         rule = DomainAccess.of(governing.document, domains.first, semantics).rule
         if rule is None:
             continue

@@ -11,7 +11,7 @@ from comarmor.errors import Origin
 from keymint.api import ValidityTerm
 from keymint.errors import KeymintError
 from keymint.pki import certificates, names
-from keymint_ros2_dds import revocation
+from keymint_ros2_dds.credentials import revocation_period
 from keymint_ros2_dds.decision import VARIATIONS, PermissionsDocument
 from keymint_ros2_dds.enclave_layout import CA, CERTIFICATE, CRL, IDENTITY_CA, PERMISSIONS_CA
 
@@ -36,7 +36,7 @@ def of_certificates(files: Mapping[str, bytes], folder: str) -> Iterator[Validit
                 raise KeymintError.of([replace(each, where=where) for each in error.diagnostics]) from None
             for subject, period in found:
                 yield ValidityTerm(code, f"the certificate of {subject!r}", where, (period,))
-    if CRL in files and (listed := revocation.period(files[CRL])):
+    if CRL in files and (listed := revocation_period(files[CRL])):
         yield ValidityTerm("revocation-list", "the revocation list", Origin(f"{folder}/{CRL}"), (listed,))
 
 
