@@ -50,18 +50,6 @@ def test_a_list_is_compared_with_a_conjunction(a, b, c):
 
 
 @settings(max_examples=300, deadline=None)
-@given(lists, lists, lists)
-def test_the_engines_agree(a, b, c):
-    found = difference(a, b, c, universe=UNIVERSE)
-    derivatives = Derivatives(patterns_of(a, b, c), UNIVERSE)
-    other = ProductSearch((b, c), a, UNIVERSE, derivatives, SearchBudget().state_counter()).shortest()
-    assert (other is None) == isinstance(found, Equal)
-    if isinstance(found, Witness):
-        assert other is not None
-        assert len(other) == len(found.word)
-
-
-@settings(max_examples=300, deadline=None)
 @given(lists, lists)
 def test_implication_and_intersection(a, b):
     escaping = next((word for word in WORDS if permits(a, word) and not permits(b, word)), None)
