@@ -78,10 +78,13 @@ def read_bounded(folder: Path, real: Path, size: int) -> bytes:
         file = os.open(last, os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK | os.O_CLOEXEC, dir_fd=here)
     finally:
         os.close(here)
-    with os.fdopen(file, "rb") as stream:
-        if not stat.S_ISREG(os.fstat(file).st_mode):
-            raise OSError(errno.EINVAL, "it is not a regular file")
-        return stream.read(size)
+    try:
+        with os.fdopen(file, "rb", closefd=False) as stream:  # it raises an error for a folder, and leaves it open
+            if not stat.S_ISREG(os.fstat(file).st_mode):
+                raise OSError(errno.EINVAL, "it is not a regular file")
+            return stream.read(size)
+    finally:
+        os.close(file)
 
 
 def similar_file(folder: SandboxedFolder, relative: str, including: str = "") -> str:

@@ -101,3 +101,14 @@ def test_reasons_why_a_file_cannot_be_read() -> None:
     assert unreadable(FileNotFoundError(2, "No such file"), "the file") == "the file does not exist"
     assert unreadable(PermissionError(13, "Permission denied"), "it") == "it cannot be read: Permission denied"
     assert unreadable(ValueError("embedded null byte"), "it") == "it cannot be read: embedded null byte"
+
+
+def test_no_file_stays_open(sandbox: SandboxedFolder) -> None:
+    (sandbox.real / "link.xml").symlink_to("a.xml")
+    before = len(list(Path("/proc/self/fd").iterdir()))
+    for name in ("a.xml", "sub/b.xml", "sub", "link.xml", "none.xml", "none/b.xml"):
+        try:
+            read_bounded(sandbox.real, sandbox.real / name, 10)
+        except OSError:
+            continue
+    assert len(list(Path("/proc/self/fd").iterdir())) == before
