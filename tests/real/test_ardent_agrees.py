@@ -12,9 +12,9 @@ from hypothesis import strategies as st
 from keymint_ros2_dds import build_type
 
 from keymint.api import BuildOptions, Validity
-from tests.plugins.keymint_ros2_dds.compiling.test_decisions import built_or_refused
+from tests.plugins.keymint_ros2_dds.compiling.test_compile import built_or_refused
+from tests.plugins.keymint_ros2_dds.lowering.test_ardent_names import ASKED, TOPICS, drawn_rules, permitted
 from tests.plugins.keymint_ros2_dds.packages import package
-from tests.plugins.keymint_ros2_dds.test_ardent import ASKED, TOPICS, drawn_rules, permitted
 
 from .agreement import access, participant
 

@@ -21,7 +21,7 @@ from keymint.errors import KeymintError
 from keymint.graph import Edge, Object
 from tests.plugins.keymint_ros2_dds.packages import domain_rule, package, rule
 
-from .compiling.test_decisions import ASKED, DENIED, FEW, PARTITIONS, ROS, TOPICS, differences, rules
+from .compiling.test_compile import ASKED, DENIED, FEW, PARTITIONS, ROS, TOPICS, differences, rules
 
 USUAL, PLAIN = BuildOptions(), BuildOptions(optimise=False)
 TOPIC = ("ros_topic", "ros_publish")

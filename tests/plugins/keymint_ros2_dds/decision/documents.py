@@ -53,3 +53,12 @@ def grant(
 
 def document(*grants: str) -> bytes:
     return f"<dds><permissions>{''.join(grants)}</permissions></dds>".encode()
+
+
+PLAIN = document(
+    grant(
+        rule("allow", criteria("publish", "rt/x", "rt/y"), criteria("subscribe", "rt/s", partitions=("a",))),
+        rule("deny", criteria("publish", "rt/*", tags="t")),
+        rule("allow", domains="<id_range><min>0</min><max>7</max></id_range>"),
+    )
+)

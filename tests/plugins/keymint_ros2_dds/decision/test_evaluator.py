@@ -14,8 +14,6 @@ from keymint_ros2_dds.decision import (
     read,
 )
 
-from keymint.errors import KeymintError
-
 from .. import oracles  # noqa: TID252 - helpers of the folder above
 from .documents import NOW, SUBJECT, criteria, decide, document, grant, rule
 
@@ -99,17 +97,6 @@ def test_allow_needs_every_data_tag_and_deny_one() -> None:
     deny = document(grant(rule("deny", criteria("publish", "rt/chatter", tags="a")), rule("allow", PUBLISH)))
     assert outcome(deny, tags=[("a", "v"), ("b", "v")]) is DecisionOutcome.DENIED
     assert outcome(deny) is DecisionOutcome.ALLOWED
-
-
-@pytest.mark.parametrize("content", [b"", b"<dds/>", b"<dds><permissions>", b"<!DOCTYPE dds><dds><permissions/></dds>"])
-def test_what_is_no_permissions_document_is_refused(content: bytes) -> None:
-    with pytest.raises(KeymintError):
-        read(content)
-
-
-def test_a_domain_that_is_no_number_is_refused_with_its_line() -> None:
-    with pytest.raises(KeymintError, match=r"permissions.xml:3: 'x' is no domain id"):
-        read(document(grant(rule("allow", PUBLISH, domains="<id>x</id>"))))
 
 
 TOPICS = st.sampled_from(["rt/a", "rt/b", "rt/ab", "rt/*", "rt/?", "rt/[a-a]*", "*", "rt/[!a-a]", "r?/a"])

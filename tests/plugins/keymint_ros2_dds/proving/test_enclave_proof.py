@@ -16,7 +16,7 @@ from comarmor.errors import Origin
 from keymint.api import BuildOptions, DomainRange, Proof, ProofTask
 from keymint.errors import KeymintError
 from keymint.pki import certificates, keys, smime
-from tests.plugins.keymint_ros2_dds.compiling.test_decisions import DENIED, PARTITIONS, rules
+from tests.plugins.keymint_ros2_dds.compiling.test_compile import DENIED, PARTITIONS, rules
 from tests.plugins.keymint_ros2_dds.enclaves import anchors, authority, installed
 from tests.plugins.keymint_ros2_dds.oracles import policy as oracle
 from tests.plugins.keymint_ros2_dds.packages import DOMAIN, package, rule

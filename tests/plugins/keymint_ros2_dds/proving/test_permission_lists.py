@@ -19,7 +19,7 @@ from comarmor.patterns.evaluate import permits
 from comarmor.patterns.matching import matches
 from comarmor.patterns.tokens import PatternError
 from keymint.ir import SubjectRules
-from tests.plugins.keymint_ros2_dds.compiling.test_decisions import DENIED, PARTITIONS, rules
+from tests.plugins.keymint_ros2_dds.compiling.test_compile import DENIED, PARTITIONS, rules
 from tests.plugins.keymint_ros2_dds.decision import documents as xml
 from tests.plugins.keymint_ros2_dds.decision.cyclone_reference import cyclone_regex
 from tests.plugins.keymint_ros2_dds.oracles import policy as oracle

@@ -2,24 +2,21 @@
 
 from __future__ import annotations
 
-import re
-from collections.abc import Callable
 from dataclasses import replace
-from pathlib import Path
 from unittest import mock
 
 import pytest
+import xmlschema
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from keymint_ros2_dds import build_type, vendor_limits
+from keymint_ros2_dds import build_type
 from keymint_ros2_dds.documents import dds_xml
 from lxml import etree
 
-from benchmarks import navigation
+from comarmor.data import locate
 from keymint.api import BuildOptions
-from keymint.pki import mime
-
-from .packages import package, rule
+from tests.plugins.keymint_ros2_dds.builds import CHATTER, build
+from tests.plugins.keymint_ros2_dds.packages import package, rule
 
 NAMES = st.lists(st.from_regex(r"/[a-z][a-z0-9_]{0,30}(/[a-z][a-z0-9_]{0,30}){0,2}", fullmatch=True), max_size=30)
 
@@ -64,30 +61,30 @@ def test_the_limit() -> None:
     assert [any(line.startswith(b" ") for line in content.splitlines()) for _, content in sizes] == [True, True, False]
 
 
-@pytest.fixture(scope="module")
-def policy(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    path = tmp_path_factory.mktemp("navigation") / "policy.xml"
-    path.write_text(navigation.policy())
-    return path
+def test_the_documents_hold_nothing_that_a_vendor_refuses():
+    built = build(CHATTER, rule("ALLOW", "topic", "publish", "x", partitions=["", "p"]))
+    for content in built.documents.values():
+        text = content.decode()
+        assert "<!--" not in text
+        assert "\r" not in text
+        assert text.startswith('<?xml version="1.0" encoding="UTF-8"?>\n<dds ')
+        root = etree.fromstring(content)
+        assert {name for item in root.iter() for name in item.attrib} <= {
+            "name",
+            "{http://www.w3.org/2001/XMLSchema-instance}noNamespaceSchemaLocation",
+        }
+        leaves = [item.text or "" for item in root.iter() if not len(item)]
+        assert all(text == text.strip() for text in leaves)
 
 
-def test_the_policy_of_a_navigation_stack_fits(keymint: Callable, policy: Path, tmp_path: Path) -> None:
-    """One enclave for a dozen nodes: 70 kB before, and vendors were seen to fail at 67 kB."""
-    outcome = keymint("provision", policy, "-w", "ws", "--json")
-    assert outcome.code == 0
-    assert {"compile-unproven", "rewriting-unproven"}.isdisjoint(outcome.codes())
-    enclave = tmp_path / "ws/install/enclaves/navigation"
-    signed, content = ((enclave / name).read_bytes() for name in ("permissions.p7s", "permissions.xml"))
-    assert len(set(re.findall(b"<topic>(.*)</topic>", content))) > 600
-    assert len(signed) < 60_000
-    assert mime.unwrap(signed).content == content, "what is signed is what lies beside it"
-    assert content.count(b"\n") > content.count(b"<topic>"), "a line for each"
-    (said,) = (found for found in outcome.document["diagnostics"] if found["code"] == "size-permissions")
-    (size,) = re.findall(r"about ([\d,]+) bytes", said["message"])
-    assert abs(int(size.replace(",", "")) - len(signed)) < 200
-    assert vendor_limits.TIGHT < len(signed) < vendor_limits.BROKEN
-
-    why = keymint("why", "/navigation", "ros_publish", "/cmd_vel_smoothed", "-w", "ws", "-t", "omg", "--json")
-    (transport,) = why.document["result"]["transports"]
-    line = content.splitlines()[transport["rule"]["line"] - 1]
-    assert line == b"<publish>", "the criterion that decides, as in a document with blanks"
+@pytest.mark.parametrize("kind", ["permissions", "governance"])
+def test_the_schemas_are_accepted_by_both_validators(kind):
+    path = locate("keymint_ros2_dds", "schemas") / f"{kind}.xsd"
+    independent = xmlschema.XMLSchema(str(path))
+    content = build(CHATTER).documents[f"{kind}.xml"]
+    root = etree.fromstring(content)
+    assert etree.XMLSchema(file=str(path)).validate(root)
+    independent.validate(content.decode())
+    root[0].append(etree.Element("surprise"))
+    assert not etree.XMLSchema(file=str(path)).validate(root)
+    assert not independent.is_valid(etree.tostring(root).decode())

@@ -8,8 +8,10 @@ from hypothesis import event, example, given, settings
 from hypothesis import strategies as st
 from keymint_ros2_dds import build_type
 
+from comarmor.errors import Severity
 from keymint.api import BuildOptions
 from keymint.errors import KeymintError
+from tests.plugins.keymint_ros2_dds.builds import CHATTER, LENIENT, build, codes, refusal, shape
 from tests.plugins.keymint_ros2_dds.oracles import cyclone, fastdds, omg, policy
 from tests.plugins.keymint_ros2_dds.packages import package, rule
 
@@ -98,3 +100,37 @@ def test_partitions_are_decided_as_the_policy_does_or_refused(drawn):
     loaded = package(*drawn)
     document = built_or_refused(loaded)
     assert document is None or list(differences(loaded, document, FEW, ASKED)) == []
+
+
+def test_a_subject_without_permissions_gets_no_rules_and_a_note():
+    assert shape() == []
+    assert shape(rule("ALLOW", "ros_topic", "ros_publish", "/a"), rule("DENY", "ros_topic", "ros_publish", "*")) == []
+    assert codes(build().diagnostics) == ["no-permissions"]
+
+
+def test_every_rule_that_cannot_be_said_is_reported_with_its_place():
+    bad = [
+        rule("ALLOW", "ros_topic", "ros_publish", r"/a\*", line=3),
+        rule("ALLOW", "ros_topic", "ros_publish", "/Caf\xe9", line=4),
+        CHATTER,
+        rule("ALLOW", "ros_topic", "ros_publish", "/[a-z][a-z]*", line=5),
+    ]
+    found = refusal(*bad)
+    assert [(item.code, item.where.line) for item in sorted(found, key=lambda item: item.where.line)] == [
+        ("portability-expression", 3),
+        ("portability-expression", 4),
+        ("portability-expression", 5),
+    ]
+    assert all(item.severity is Severity.ERROR and item.help and item.subject == "/talker" for item in found)
+    lenient = build(*bad, options=LENIENT)
+    assert {item.severity for item in lenient.diagnostics if item.code == "portability-expression"} == {
+        Severity.WARNING
+    }
+    assert all("Cyclone DDS and Fast DDS" in i.message for i in lenient.diagnostics if i.code.startswith("portability"))
+    assert r"rt/a\*" in lenient.documents["permissions.xml"].decode()
+
+
+def test_wildcards_before_the_end_are_one_note():
+    built = build(rule("ALLOW", "ros_service", "ros_call", "/a*", "/b*"))
+    (found,) = built.diagnostics
+    assert (found.code, found.severity) == ("vendor-wildcard", Severity.NOTE)

@@ -22,10 +22,9 @@ from comarmor.rules import Effect
 from keymint.api import BuildOptions
 from keymint.errors import KeymintError
 from keymint.graph import Edge, Object
-
-from .compiling.test_decisions import built_or_refused
-from .oracles import cyclone, fastdds, omg
-from .packages import domain_rule, package, protection, rule
+from tests.plugins.keymint_ros2_dds.compiling.test_compile import built_or_refused
+from tests.plugins.keymint_ros2_dds.oracles import cyclone, fastdds, omg
+from tests.plugins.keymint_ros2_dds.packages import domain_rule, package, protection, rule
 
 TOPIC = DDS_TOPICS["ros_publish"][0]
 

@@ -4,21 +4,13 @@ from __future__ import annotations
 
 import pytest
 from keymint_ros2_dds.decision import CYCLONEDDS_0_10, FASTDDS_2_9, OMG, PermissionsDocument, read
-from keymint_ros2_dds.reading import dates
 from lxml import etree
 
 from keymint.errors import KeymintError
 
-from .documents import criteria, document, grant, rule
+from .documents import PLAIN
 
 READS, REFUSES, UNKNOWN = "reads", "refuses", "unknown"
-PLAIN = document(
-    grant(
-        rule("allow", criteria("publish", "rt/x", "rt/y"), criteria("subscribe", "rt/s", partitions=("a",))),
-        rule("deny", criteria("publish", "rt/*", tags="t")),
-        rule("allow", domains="<id_range><min>0</min><max>7</max></id_range>"),
-    )
-)
 NAMESPACE = b' xmlns:xsi="http://www.w3.org/2001/XMLSchema-instance"'
 
 
@@ -97,22 +89,6 @@ def test_what_is_not_plain(old: bytes, new: bytes, cyclone: str, fast: str) -> N
     assert does(found, OMG) == (REFUSES if found.defects else READS)
 
 
-@pytest.mark.parametrize(
-    ("old", "new"),
-    [
-        (b"<domains><id>0</id></domains>", b""),
-        (b"<id>0</id>", b"<id_range/>"),
-        (b"<id>0</id>", b"<id_range><max>3</max></id_range>"),
-        (b"<topic>rt/x</topic>", b"<topic> </topic>"),
-        (b"<topic>rt/x</topic>", b"<topic/>"),
-        (b"<default>DENY</default>", b"<default/>"),
-    ],
-)
-def test_what_crashes_cyclone_dds_is_found_in_any_document(old: bytes, new: bytes) -> None:
-    assert read(PLAIN).crash is None
-    assert read(PLAIN.replace(old, new, 1)).crash is not None
-
-
 def test_what_is_written_in_another_encoding() -> None:
     text = '<?xml version="1.0" encoding="UTF-16"?>' + PLAIN.decode()
     latin = '<?xml version="1.0" encoding="ISO-8859-1"?>' + PLAIN.decode().replace("rt/x", "rt/\u00e9")
@@ -167,35 +143,3 @@ def test_a_reason_names_the_line_of_the_file() -> None:
     line = content[: content.index(b"</publish >")].count(b"\n") + 1
     reason = CYCLONEDDS_0_10.semantics.refusal(read(content, "p.p7s", 10))
     assert reason == f"p.p7s:{line + 10}: Cyclone DDS refuses white space in an end tag"
-
-
-@pytest.mark.parametrize(
-    ("text", "standard", "cyclone", "fast"),
-    [
-        ("2030-01-01T00:00:00", "2030-01-01T00", "2030-01-01T00", "2030-01-01T00"),
-        ("2030-01-01T00:00:00+02:00", "2029-12-31T22", "2029-12-31T22", "2030-01-01T00"),
-        ("2030-01-01T00:00:00+13:00", "2029-12-31T11", None, "2030-01-01T00"),
-        ("2030-01-01T24:00:00", "2030-01-02T00", None, None),
-        ("2030-02-30T00:00:00", None, None, None),
-        ("2262-04-11T23:47:17", "2262-04-11T23", None, "2262-04-11T23"),
-        ("2262-04-11T23:47:16.9", "2262-04-11T23", "2262-04-11T23", "2262-04-11T23"),
-        ("12030-01-01T00:00:00", "9999-12-31T23", None, None),
-        ("2030-01-01T00:00:00 and so on", None, None, "2030-01-01T00"),
-        ("2030-01-01", None, None, None),
-    ],
-)
-def test_dates(text: str, standard: str | None, cyclone: str | None, fast: str | None) -> None:
-    found = [each(text) for each in (dates.standard, dates.cyclone, dates.fast)]
-    assert [each and f"{each:%Y-%m-%dT%H}" for each in found] == [standard, cyclone, fast]
-
-
-@pytest.mark.parametrize(
-    ("old", "new", "message"),
-    [
-        (b"<topic>rt/x</topic>", b"<topic/>", "<topic> is empty"),
-        (b"<default>DENY</default>", b"",
-         "<grant> is not complete, expected <default>"),
-    ],
-)  # fmt: skip
-def test_what_the_schema_says_is_said_in_words(old: bytes, new: bytes, message: str) -> None:
-    assert [each.message for each in read(PLAIN.replace(old, new, 1)).defects] == [message]

@@ -1,0 +1,86 @@
+"""What makes vendors read a document differently from a plain one."""
+
+from __future__ import annotations
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from keymint_ros2_dds.reading import quirks
+from keymint_ros2_dds.reading.quirks import PLAIN, REFUSES, UNMODELLED
+from lxml import etree
+
+from tests.plugins.keymint_ros2_dds.decision import documents
+
+CONTENT = documents.PLAIN
+PARTS = CONTENT.split(b"\n")
+
+
+def summary(content: bytes, **options: int) -> list[tuple[int, str]]:
+    return [(each.line, each.text) for each in quirks.of_bytes(content, **options)]
+
+
+def test_a_plain_document_has_none() -> None:
+    root = etree.fromstring(CONTENT)
+    assert summary(CONTENT) == []
+    assert list(quirks.of_domain_ids(root)) == []
+    assert quirks.of_schema(root, "permissions", "p.xml") == (None, ())
+
+
+@given(st.lists(st.sampled_from([b"<!-- c -->", b"<!-- <x > &#1; -->", b"\n", b" "]), max_size=4), st.integers(0, 99))
+def test_comments_between_elements_only_move_lines(blanks: list[bytes], at: int) -> None:
+    between = at % len(PARTS)
+    odd = [part.replace(b"</publish>", b"</publish >") for part in PARTS]
+    content = b"\n".join([*odd[:between], b"".join(blanks), *odd[between:]])
+    line = content[: content.index(b"</publish >")].count(b"\n") + 1
+    assert summary(content) == [(line, "white space in an end tag")]
+
+
+def test_comments_count_from_an_offset_on() -> None:
+    content = CONTENT.replace(b"</permissions>", b"<!-- c -->\n</permissions>")
+    assert summary(content) == summary(content, comments_until=len(content)) == []
+    (found,) = summary(content, comments_until=10)
+    assert found == (
+        content[: content.index(b"<!--")].count(b"\n") + 1,
+        "a comment in a text, a CDATA section or a processing instruction",
+    )
+
+
+@pytest.mark.parametrize(
+    ("declaration", "known"),
+    [
+        (b'<?xml version="1.0"?>', True),
+        (b"<?xml version='1.0' encoding='us-ascii'?>", True),
+        (b'<?xml version="1.0" encoding="windows-1252"?>', True),
+        (b'<?xml version="1.0" encoding="EBCDIC"?>', False),
+    ],
+)
+def test_encodings(declaration: bytes, known: bool) -> None:
+    found = list(quirks.of_bytes(declaration + CONTENT))
+    assert [(each.cyclone, each.fast) for each in found] == ([] if known else [(UNMODELLED, UNMODELLED)])
+
+
+def test_the_declaration_may_have_lines() -> None:
+    content = b'<?xml version="1.0"\n\n?>' + CONTENT.replace(b"</publish>", b"</publish >")
+    ((line, _),) = summary(content)
+    assert line == content[: content.index(b"</publish >")].count(b"\n") + 1
+
+
+@pytest.mark.parametrize(
+    ("text", "cyclone", "fast"),
+    [("0", None, None), (" 230\n", None, None), ("231", REFUSES, PLAIN), ("+1", UNMODELLED, UNMODELLED)],
+)
+@pytest.mark.parametrize("tag", ["id", "min", "max"])
+def test_domain_ids(tag: str, text: str, cyclone: object, fast: object) -> None:
+    root = etree.fromstring(f"<domains>\n<{tag}>{text}</{tag}></domains>")
+    found = [(each.line, each.cyclone, each.fast) for each in quirks.of_domain_ids(root)]
+    assert found == ([] if cyclone is None else [(2, cyclone, fast)])
+
+
+def test_what_the_schema_does_not_allow_is_an_error_and_a_quirk() -> None:
+    root = etree.fromstring(CONTENT.replace(b"<default>DENY</default>", b"\n<default>MAYBE</default>"))
+    error, (quirk,) = quirks.of_schema(root, "permissions", "p.xml")
+    assert error is not None
+    assert str(error.diagnostics[0].where) == f"p.xml:{quirk.line}"
+    assert error.diagnostics[0].message in quirk.text
+    assert (quirk.cyclone, quirk.fast) == (UNMODELLED, UNMODELLED)
+    assert quirks.of_schema(root, "governance", "g.xml")[0] is not None

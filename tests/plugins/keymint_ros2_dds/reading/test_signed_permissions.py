@@ -1,0 +1,111 @@
+"""A permissions document as data types that know their lines."""
+
+from __future__ import annotations
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from keymint_ros2_dds.decision import (
+    read,
+)
+
+from keymint.errors import KeymintError
+from tests.plugins.keymint_ros2_dds.decision.documents import PLAIN, criteria, document, grant, rule
+
+
+@pytest.mark.parametrize(
+    ("old", "new"),
+    [
+        (b"<domains><id>0</id></domains>", b""),
+        (b"<id>0</id>", b"<id_range/>"),
+        (b"<id>0</id>", b"<id_range><max>3</max></id_range>"),
+        (b"<topic>rt/x</topic>", b"<topic> </topic>"),
+        (b"<topic>rt/x</topic>", b"<topic/>"),
+        (b"<default>DENY</default>", b"<default/>"),
+    ],
+)
+def test_what_crashes_cyclone_dds_is_found_in_any_document(old: bytes, new: bytes) -> None:
+    assert read(PLAIN).crash is None
+    assert read(PLAIN.replace(old, new, 1)).crash is not None
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "message"),
+    [
+        (b"<topic>rt/x</topic>", b"<topic/>", "<topic> is empty"),
+        (b"<default>DENY</default>", b"",
+         "<grant> is not complete, expected <default>"),
+    ],
+)  # fmt: skip
+def test_what_the_schema_says_is_said_in_words(old: bytes, new: bytes, message: str) -> None:
+    assert [each.message for each in read(PLAIN.replace(old, new, 1)).defects] == [message]
+
+
+@pytest.mark.parametrize("content", [b"", b"<dds/>", b"<dds><permissions>", b"<!DOCTYPE dds><dds><permissions/></dds>"])
+def test_what_is_no_permissions_document_is_refused(content: bytes) -> None:
+    with pytest.raises(KeymintError):
+        read(content)
+
+
+def test_a_domain_that_is_no_number_is_refused_with_its_line() -> None:
+    with pytest.raises(KeymintError, match=r"permissions.xml:3: 'x' is no domain id"):
+        read(document(grant(rule("allow", criteria("publish", "rt/x"), domains="<id>x</id>"))))
+
+
+def test_every_part_knows_its_line_and_place() -> None:
+    found = read(b"\n\n" + PLAIN, "p.p7s", 10)
+    lines = PLAIN.splitlines()
+    (only_grant,) = found.grants
+    assert lines[only_grant.line - 3].startswith(b"<grant")
+    assert [lines[each.line - 3].split(b">")[0] for each in only_grant.rules] == [
+        b"<allow_rule",
+        b"<deny_rule",
+        b"<allow_rule",
+    ]
+    assert [lines[each.line - 3].split(b">")[0] for each in only_grant.rules[0].criteria] == [
+        b"<publish",
+        b"<subscribe",
+    ]
+    assert str(found.place(only_grant.line)) == f"p.p7s:{only_grant.line + 10}"
+
+
+def test_the_content_is_read_as_it_is_written() -> None:
+    texts = criteria("publish", " rt/x ", "a&b", partitions=("", "p*"), tags="t")
+    (only_grant,) = read(document(grant(rule("deny", texts), subject=" CN=/a "))).grants
+    assert (only_grant.subject_name, only_grant.not_before, only_grant.not_after) == (
+        " CN=/a ",
+        "2026-01-01T00:00:00",
+        "2027-01-01T00:00:00",
+    )
+    (only,) = only_grant.rules
+    (part,) = only.criteria
+    assert (only.allows, only_grant.allows) == (False, False)
+    assert (part.topics, part.partitions, part.tags) == ((" rt/x ", "a&b"), ("", "p*"), (("t", "v"),))
+
+
+def test_without_partitions_or_tags_there_are_none() -> None:
+    (only_grant,) = read(document(grant(rule("allow", criteria("relay", "x")), default="ALLOW"))).grants
+    (part,) = only_grant.rules[0].criteria
+    assert (part.action, part.partitions, part.tags) == ("relay", None, None)
+    assert only_grant.allows
+
+
+@given(st.integers(0, 230), st.integers(0, 230), st.integers(0, 230))
+def test_domains_contain_their_range(first: int, last: int, domain: int) -> None:
+    ends = f"<id>{first}</id><id_range><min>{first}</min><max>{last}</max></id_range>"
+    open_ = f"<id_range><min>{first}</min></id_range><id_range><max>{last}</max></id_range>"
+    (only_grant,) = read(document(grant(rule("allow", criteria("publish", "x"), domains=ends + open_)))).grants
+    for exact in (True, False):
+        answers = [each.contain(domain, min_only_is_exact=exact) for each in only_grant.rules[0].domains]
+        from_first = domain == first if exact else domain >= first
+        assert answers == [domain == first, first <= domain <= last, from_first, domain <= last]
+
+
+def test_errors_have_the_line_in_the_file() -> None:
+    for content, line in ((b"<dds><permissions>\n</dds>", 12), (b"\n\n<other/>", 13)):
+        with pytest.raises(KeymintError) as caught:
+            read(content, "p.p7s", 10)
+        assert str(caught.value.diagnostics[0].where) == f"p.p7s:{line}"
+    broken = PLAIN.replace(b"<default>DENY</default>", b"")
+    assert read(broken, "p.p7s", 10).defect.startswith("the schema refuses it: p.p7s:12:")
+    assert read(PLAIN).defect == ""
