@@ -83,13 +83,13 @@ def _unexpected(match: re.Match[str], vocabulary: SchemaVocabulary, element: etr
         expected = vocabulary.allowed_in(parent)
         if match[1] in expected:
             return f"<{match[1]}> is not expected here", "move it, or remove it if it occurs more often than allowed"
-    what = f"expected {_one_of(expected)}" if expected else "expected nothing more"
+    expectation = f"expected {_one_of(expected)}" if expected else "expected nothing more"
     help_ = did_you_mean(match[1], expected)
     if match[1].endswith("}include"):
         help_ = f'the namespace of xi:include is "{XINCLUDE}"'
     if not help_ and match[1] not in vocabulary.names and (hint := did_you_mean(match[1], vocabulary.names)):
         return f"<{match[1]}> is not expected here", hint
-    return f"<{match[1]}> is not expected here, {what}", help_
+    return f"<{match[1]}> is not expected here, {expectation}", help_
 
 
 def _missing(match: re.Match[str], vocabulary: SchemaVocabulary, element: etree._Element | None) -> tuple[str, str]:

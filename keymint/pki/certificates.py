@@ -142,6 +142,15 @@ def to_pem(certificate: x509.Certificate) -> bytes:
     return certificate.public_bytes(serialization.Encoding.PEM)
 
 
+def is_issued_by(certificate: x509.Certificate, issuer: x509.Certificate) -> bool:
+    """Return whether a certificate names an issuer and has the signature of its key."""
+    try:
+        certificate.verify_directly_issued_by(issuer)
+    except (ValueError, TypeError, InvalidSignature):
+        return False
+    return True
+
+
 def is_canonical(pem: bytes) -> bool:
     """Return whether a file is exactly the PEM encoding of its certificates."""
     try:
@@ -220,12 +229,12 @@ def certificate_satisfies(
     form = forms.form(spec, public_key, issuer, authority=authority)
     try:
         certificate = load(pem)
-        certificate.verify_directly_issued_by(issuer or certificate)
-    except (KeymintError, ValueError, TypeError, InvalidSignature):
+    except KeymintError:
         return False
     hash_algorithm = certificate.signature_hash_algorithm
     return (
-        to_pem(certificate) == pem
+        is_issued_by(certificate, issuer or certificate)
+        and to_pem(certificate) == pem
         and certificate.public_key() == public_key
         and certificate.subject == form.subject
         and certificate.not_valid_before_utc == form.validity.not_before

@@ -239,16 +239,16 @@ def _subject_key_identifier(text: str, context: Context) -> x509.SubjectKeyIdent
 def _authority_key_identifier(text: str, context: Context) -> x509.AuthorityKeyIdentifier | None:
     if text == "none":
         return None
-    wanted = {item.removesuffix(":always") for item in _items(text)}
-    if not wanted <= {"keyid", "issuer"}:
+    identifiers = {item.removesuffix(":always") for item in _items(text)}
+    if not identifiers <= {"keyid", "issuer"}:
         raise ValueError("expected keyid, issuer (each perhaps with :always) or none")
     if context.issuer is None:
         return x509.AuthorityKeyIdentifier.from_issuer_public_key(context.public_key)
     identifier = authority_key_identifier(context.issuer).key_identifier
-    if "issuer" not in wanted:
+    if "issuer" not in identifiers:
         return x509.AuthorityKeyIdentifier(identifier, None, None)
     return x509.AuthorityKeyIdentifier(
-        identifier if "keyid" in wanted else None,
+        identifier if "keyid" in identifiers else None,
         [x509.DirectoryName(context.issuer.issuer)],
         context.issuer.serial_number,
     )

@@ -88,29 +88,29 @@ def _clamp(spec: CertificateSpec, issuer: x509.Certificate | None) -> tuple[Vali
     """Cut the validity to the issuer's, and to whole seconds (RFC 5280, 4.1.2.5)."""
     first = spec.validity.not_before.astimezone(UTC).replace(microsecond=0)
     last = spec.validity.not_after.astimezone(UTC).replace(microsecond=0)
-    wanted = Validity(first, last)
+    requested = Validity(first, last)
     if issuer is not None:
         first = max(first, issuer.not_valid_before_utc)
         last = min(last, issuer.not_valid_after_utc)
     if first >= last:
-        beyond = f", within that of its issuer {names.to_text(issuer.subject)!r}" if issuer is not None else ""
+        beyond = f", within the validity of its issuer {names.to_text(issuer.subject)!r}" if issuer is not None else ""
         raise KeymintError(
-            f"the validity is empty: {_period(wanted)}{beyond}",
+            f"the validity is empty: {_period(requested)}{beyond}",
             where=spec.origin,
             help="change its dates, or renew the issuer",
             code="validity-empty",
         )
-    given = Validity(first, last)
-    if given == wanted or issuer is None:
-        return given, ()
+    clamped = Validity(first, last)
+    if clamped == requested or issuer is None:
+        return clamped, ()
     warning = Diagnostic(
         "validity-clamped",
         Severity.WARNING,
-        f"the validity of the certificate, {_period(wanted)}, is cut to its issuer's: {_period(given)}",
+        f"the validity of the certificate, {_period(requested)}, is cut to its issuer's: {_period(clamped)}",
         spec.validity.origin or spec.origin,
         "keep it within the issuer's validity, or renew the issuer",
     )
-    return given, (warning,)
+    return clamped, (warning,)
 
 
 def _period(validity: Validity) -> str:
@@ -140,14 +140,14 @@ def _check_issuer(issuer: x509.Certificate, where: Origin, *, authority: bool) -
 def _extensions(spec: CertificateSpec, context: extensions.Context, *, authority: bool) -> _Values:
     """Return the role's defaults, replaced by the extensions of the specification."""
     values = _defaults(context, authority=authority)
-    given: set[x509.ObjectIdentifier] = set()
+    replaced: set[x509.ObjectIdentifier] = set()
     for extension in spec.extensions:
         oid, critical, value = extensions.parse(extension, context)
-        if oid in given:
+        if oid in replaced:
             raise KeymintError(
                 f"the extension {extension.name} occurs twice", where=extension.origin, code="extension-invalid"
             )
-        given.add(oid)
+        replaced.add(oid)
         if value is None:
             values.pop(oid, None)
         else:

@@ -9,7 +9,7 @@ import base64
 import binascii
 import hashlib
 import re
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from types import MappingProxyType
 
 from cryptography import x509
@@ -27,8 +27,8 @@ PrivateKey = ec.EllipticCurvePrivateKey | rsa.RSAPrivateKey
 PublicKey = ec.EllipticCurvePublicKey | rsa.RSAPublicKey
 
 # Spelled out: no text from a file ever names an attribute of a library.
-CURVES: Mapping[str, Callable[[], ec.EllipticCurve]] = MappingProxyType(
-    {"SECP256R1": ec.SECP256R1, "SECP384R1": ec.SECP384R1, "SECP521R1": ec.SECP521R1}
+CURVES: Mapping[str, ec.EllipticCurve] = MappingProxyType(
+    {"SECP256R1": ec.SECP256R1(), "SECP384R1": ec.SECP384R1(), "SECP521R1": ec.SECP521R1()}
 )
 """Curves by their SEC 2 names."""
 _CURVE_ALIASES = {
@@ -76,26 +76,16 @@ def generate(spec: KeySpec, where: Origin | None = None) -> PrivateKey:
     Raises:
         KeymintError: the algorithm, the curve or the size is not supported.
     """
-    if _is_ec(spec, where):
-        return ec.generate_private_key(CURVES[curve_name(spec.curve, where)]())
-    return rsa.generate_private_key(_PUBLIC_EXPONENT, spec.size)
-
-
-def check(spec: KeySpec, where: Origin | None = None) -> None:
-    """Check that keys of a specification can be generated, without generating one.
-
-    Raises:
-        KeymintError: as :func:`generate` does.
-    """
-    if _is_ec(spec, where):
-        curve_name(spec.curve, where)
+    curve = _curve(spec, where)
+    return ec.generate_private_key(curve) if curve else rsa.generate_private_key(_PUBLIC_EXPONENT, spec.size)
 
 
 def fits(key: PrivateKey | PublicKey, spec: KeySpec) -> bool:
     """Return whether a key has the algorithm and the curve or size of a specification."""
+    curve = _curve(spec, None)
     if isinstance(key, ec.EllipticCurvePrivateKey | ec.EllipticCurvePublicKey):
-        return _is_ec(spec, None) and key.curve.name.upper() == curve_name(spec.curve)
-    return not _is_ec(spec, None) and key.key_size == spec.size
+        return curve is not None and key.curve.name == curve.name
+    return curve is None and key.key_size == spec.size
 
 
 def to_pem(key: PrivateKey, password: bytes | None = None) -> bytes:
@@ -127,9 +117,10 @@ def from_pem(pem: bytes, password: bytes | None = None, where: Origin | None = N
         # The library rejects a password for an unencrypted key; for the user that is not an error.
         key = serialization.load_pem_private_key(pem, password if encrypted else None)
     except (ValueError, TypeError, UnsupportedAlgorithm):
-        problem = "the password of the private key is wrong" if encrypted else "not a private key in PEM"
         raise KeymintError(
-            problem + (", or its file is damaged" if encrypted else ", or a damaged one"),
+            "the password of the private key is wrong, or its file is damaged"
+            if encrypted
+            else "not a private key in PEM, or a damaged one",
             where=where,
             help="restore the file from a backup",
             code="key-password" if encrypted else "key-invalid",
@@ -171,33 +162,25 @@ def is_canonical(pem: bytes, password: bytes | None = None) -> bool:
             return to_pem(from_pem(pem)) == pem
         if password:
             from_pem(pem, password)
-    except KeymintError:
+        frame = _PEM.fullmatch(pem)
+        return frame is not None and der.base64_lines(base64.b64decode(frame[2])) == frame[2]
+    except (KeymintError, binascii.Error):
         return False
-    return _is_canonical_frame(pem)
 
 
 def _is_encrypted(pem: bytes) -> bool:
     return b"-----BEGIN ENCRYPTED PRIVATE KEY-----" in pem or b"Proc-Type: 4,ENCRYPTED" in pem
 
 
-def _is_canonical_frame(pem: bytes) -> bool:
-    """Return whether the bytes are exactly one PEM block with base64 in full lines."""
-    frame = _PEM.fullmatch(pem)
-    try:
-        return frame is not None and der.base64_lines(base64.b64decode(frame[2])) == frame[2]
-    except binascii.Error:
-        return False
-
-
-def _is_ec(spec: KeySpec, where: Origin | None) -> bool:
-    """Return whether the key is EC; otherwise it is RSA.
+def _curve(spec: KeySpec, where: Origin | None) -> ec.EllipticCurve | None:
+    """Return the curve of an EC key, or None for an RSA key.
 
     Raises:
-        KeymintError: the algorithm is neither, or an RSA key would be too small or too large.
+        KeymintError: the algorithm is neither, the curve is not known, or an RSA key would be too small or too large.
     """
     algorithm = spec.algorithm.lower()
     if algorithm == "ec":
-        return True
+        return CURVES[curve_name(spec.curve, where)]
     if algorithm != "rsa":
         raise KeymintError(
             f"{spec.algorithm!r} is not a supported key algorithm",
@@ -212,4 +195,4 @@ def _is_ec(spec: KeySpec, where: Origin | None) -> bool:
             help="2048 is what every DDS vendor accepts",
             code="key-type-unknown",
         )
-    return False
+    return None

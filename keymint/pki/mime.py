@@ -199,9 +199,9 @@ def _require_line_ends(lines: Sequence[bytes], text_part: range, encoded: range,
     """Refuse a document unless the frame, the text part and the base64 each have one kind of line end."""
     for line, text in enumerate(lines[:-1]):
         like = next((part.start for part in (text_part, encoded) if line in part), 0)
-        wanted = lines[like].endswith(b"\r")
-        if text.endswith(b"\r") != wanted:
-            actual, expected = ("LF", "CRLF") if wanted else ("CRLF", "LF")
+        crlf = lines[like].endswith(b"\r")
+        if text.endswith(b"\r") != crlf:
+            actual, expected = ("LF", "CRLF") if crlf else ("CRLF", "LF")
             refuse(where, line + 1, f"the line ends with {actual}, expected {expected} as in line {like + 1}")
 
 

@@ -10,7 +10,6 @@ from collections.abc import Iterator, Sequence
 from datetime import datetime
 
 from cryptography import x509
-from cryptography.exceptions import InvalidSignature
 
 from comarmor.errors import Diagnostic, Origin, Severity
 from keymint.errors import KeymintError
@@ -68,9 +67,9 @@ def _path(
     while len(path) <= _MAX_PATH:
         last = path[-1]
         if last.subject == last.issuer and (last in bundle or len(path) > 1):
-            return path, None if _issued_by(last, last) else _signature(last)
+            return path, None if certificates.is_issued_by(last, last) else _signature(last)
         named = [each for each in bundle if each.subject == last.issuer and each not in path]
-        issuer = next((each for each in named if _issued_by(last, each)), None)
+        issuer = next((each for each in named if certificates.is_issued_by(last, each)), None)
         if issuer is None:
             if named:
                 return path, _signature(last)
@@ -81,14 +80,6 @@ def _path(
         f"the issuer {_shown(path[-1].issuer)} of {_shown(path[-1].subject)} is not among the authorities",
         "install it again, or add the missing authority",
     )
-
-
-def _issued_by(certificate: x509.Certificate, issuer: x509.Certificate) -> bool:
-    try:
-        certificate.verify_directly_issued_by(issuer)
-    except (ValueError, TypeError, InvalidSignature):
-        return False
-    return True
 
 
 def _signature(certificate: x509.Certificate) -> _Problem:

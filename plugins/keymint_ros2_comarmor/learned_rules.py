@@ -67,7 +67,7 @@ def fold(needs: Iterable[Need]) -> tuple[ProfileRule, ...]:
 def _order(item: tuple[tuple[str, tuple[str, ...], tuple[str, ...]], set[str]]) -> tuple[object, ...]:
     (kind, permissions, partitions), attachments = item
     known = PERMISSIONS[kind]
-    return _KINDS.index(kind), partitions, [known.index(one) for one in permissions], sorted(attachments)
+    return _KINDS.index(kind), partitions, [known.index(permission) for permission in permissions], sorted(attachments)
 
 
 def _rule(kind: str, permissions: tuple[str, ...], partitions: tuple[str, ...], attachments: list[str]) -> ProfileRule:

@@ -12,13 +12,14 @@ from comarmor.text import quoted
 from keymint.graph import Edge, Graph
 
 _Need = tuple[str, str, str, tuple[str, ...]]
+"""Kind, permission, name and partitions of an elementary request."""
 _Unit = tuple[Spot, str]
 """Place of an attachment, and a permission. The place, because the expanded text depends on the subject."""
 
 
 def conflict(edge: Edge, decision: comarmor.Decision) -> Diagnostic | None:
     """Return a warning if a DENY rule denies an edge, or None if only an ALLOW rule is missing."""
-    denied = next((one for one in decision.parts or (decision,) if not one.allowed and one.rule), None)
+    denied = next((part for part in decision.parts or (decision,) if not part.allowed and part.rule), None)
     if denied is None or denied.where is None:
         return None
     return Diagnostic(
@@ -68,7 +69,7 @@ def _used(rule: comarmor.ProfileRule, subject: str, needs: Iterable[_Need]) -> I
         for attachment in rule.attachments:
             expression = attachment.expanded(subject)
             used = any(
-                matches(expression, name) and any(_in_partition(rule, one) for one in partitions)
+                matches(expression, name) and any(_in_partition(rule, partition) for partition in partitions)
                 for name, partitions in candidates
             )
             yield (attachment.where.spot, permission), used

@@ -52,11 +52,10 @@ def test_a_key_of_another_kind_does_not_fit() -> None:
         (KeySpec("dsa", size=2048), "known are ec"),
     ],
 )
-def test_unknown_keys_are_refused_before_any_is_made(spec: KeySpec, message: str) -> None:
-    for function in (keys.check, keys.generate):
-        with pytest.raises(KeymintError, match=message) as caught:
-            function(spec, HERE)
-        assert caught.value.diagnostics[0].where == HERE
+def test_unknown_keys_are_refused(spec: KeySpec, message: str) -> None:
+    with pytest.raises(KeymintError, match=message) as caught:
+        keys.generate(spec, HERE)
+    assert caught.value.diagnostics[0].where == HERE
 
 
 def test_passwords_are_asked_for_and_never_shown() -> None:
