@@ -210,13 +210,13 @@ class _GraphReader:
 
     def _object(self, path: Path, entry: Mapping[str, Any], kind: str) -> Object:
         name = self._text_of((*path, "object"), entry["object"])
-        listed = entry.get("partitions", [])
-        if not isinstance(listed, list):
-            self._refuse((*path, "partitions"), f"is {_shown(listed)}, expected an array of DDS partitions")
-        names = {self._text_of((*path, "partitions", at), item, empty=True) for at, item in enumerate(listed)}
+        items = entry.get("partitions", [])
+        if not isinstance(items, list):
+            self._refuse((*path, "partitions"), f"is {_shown(items)}, expected an array of DDS partitions")
+        names = {self._text_of((*path, "partitions", at), item, empty=True) for at, item in enumerate(items)}
         if kind == "topic":
             return Object(kind, name, partitions(names))
-        if listed:
+        if items:
             self._refuse((*path, "partitions"), f"a {kind} has no partitions", "only DDS topics have")
         if not name.startswith("/"):
             self._refuse((*path, "object"), f"{_shown(name)} does not begin with '/'", "write the absolute ROS name")

@@ -7,15 +7,13 @@ from dataclasses import dataclass
 
 from comarmor.errors import Origin
 from comarmor.patterns.decision_lists import Equal
-from comarmor.patterns.glob import parse
 from comarmor.patterns.relations import disjoint
 from comarmor.rules import Effect, parts
 from keymint.analysis.rule_lists import (
-    RAW,
     allow_only,
     find_permitted,
-    in_partition,
     part_lists,
+    query_pattern,
     rule_patterns,
 )
 from keymint.ir import Rule
@@ -51,9 +49,7 @@ def effective_permissions(rules: Sequence[Rule]) -> Iterator[EffectivePermission
         for permission in rule.permissions:
             lists = part_lists(rules, rule.kind, permission)
             for expression in rule.expressions:
-                words = [parse(expression)]
-                if rule.kind == RAW:
-                    words = [in_partition(each, words[0]) for each in rule.partitions or ("",)]
+                words = [query_pattern(rule.kind, expression, partition) for partition in rule.partitions or ("",)]
                 if all(isinstance(find_permitted(rule.kind, allow_only(one), *lists), Equal) for one in words):
                     continue
                 but = _denied_expressions(rule, expression, permission, denials)

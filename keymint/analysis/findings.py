@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 from comarmor.errors import Diagnostic, Origin, Severity
+from comarmor.text import first_few
 
 
 def warning(code: str, message: str, where: Origin, help_: str, subject: str = "") -> Diagnostic:
@@ -13,3 +16,8 @@ def warning(code: str, message: str, where: Origin, help_: str, subject: str = "
 def undecided(message: str, where: Origin | None, help_: str) -> Diagnostic:
     """Return a note that a check ended at its limit of steps."""
     return Diagnostic("lint-unknown", Severity.NOTE, message, where, help_)
+
+
+def quoted_list(expressions: Sequence[str]) -> str:
+    """Return the first expressions for a message."""
+    return first_few([repr(each) for each in expressions], 3)

@@ -6,15 +6,18 @@ example of each pattern of subjects that its profiles match.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from functools import partial
 
 from comarmor.errors import Diagnostic, Origin, Spot
+from comarmor.patterns.glob import parse
 from comarmor.patterns.possible_names import advice
+from comarmor.patterns.relations import TooComplexError
+from comarmor.text import did_you_mean
 from keymint.analysis.attachment_mistakes import CODES as SLIPS
 from keymint.analysis.attachment_mistakes import attachment_mistakes
 from keymint.analysis.expression_origins import ExpressionOrigins
-from keymint.analysis.findings import undecided, warning
+from keymint.analysis.findings import quoted_list, undecided, warning
 from keymint.analysis.name_similarity import similar_names, similar_subjects
 from keymint.analysis.redundant_rules import (
     MOST_PAIRS,
@@ -22,9 +25,8 @@ from keymint.analysis.redundant_rules import (
     can_name_exist,
     within_bounds,
 )
-from keymint.analysis.subject_patterns import pattern_examples, rules_of, structure
-from keymint.analysis.unreachable_profiles import unreachable_profiles
-from keymint.api import LoadedPolicy
+from keymint.analysis.subject_patterns import can_exist, pattern_examples, profile_subjects, rules_of, structure
+from keymint.api import LoadedPolicy, PolicyStructure
 from keymint.ir import Rule
 
 CODES: Mapping[str, str] = {
@@ -50,7 +52,7 @@ def lint(policy: LoadedPolicy) -> list[Diagnostic]:
     given_up: list[str] = []
     subjects, complete = within_bounds((*named, *pattern_examples(policy, given_up)), partial(rules_of, policy))
     attachments = ExpressionOrigins(written)
-    findings = [*_names(subjects, attachments), *(unreachable_profiles(written) if written else ())]
+    findings = [*_names(subjects, attachments), *(_profiles(written) if written else ())]
     if complete:
         findings += RedundantRules(subjects, attachments, written).findings()
     else:
@@ -91,3 +93,38 @@ def _names(subjects: Mapping[str, tuple[Rule, ...]], attachments: ExpressionOrig
             help_ = "remove it" if rule.kind == "topic" else advice(expression)
             message = f"no legal object name matches {expression!r} in this {rule.effect} {rule.kind} rule"
             yield warning("object-never", message, attachments.of(rule, subject)[expression].where, help_)
+
+
+def _profiles(written: PolicyStructure) -> Iterator[Diagnostic]:
+    """Yield profiles that never apply, attachments that no subject matches, and unused tunables."""
+    for name, where in written.unused:
+        yield warning("tunable-unused", f"the tunable @{{{name}}} is never used", where, "remove it")
+    for profile in written.profiles:
+        applies = False
+        for expression, where in profile.attachments:
+            if not can_exist(parse(expression)):
+                message = f"no subject name matches the attachment {expression!r} of profile {profile.name!r}"
+                yield warning("subject-never", message, where, "subject names look like /robot1/talker")
+                continue
+            try:
+                reachable = any(can_exist(one) for one in profile_subjects((*profile.around, (expression,))))
+            except TooComplexError:
+                reachable = True
+            applies = applies or reachable
+            if not reachable and len(profile.attachments) > 1:
+                message = (
+                    f"profile {profile.name!r} never applies to {expression!r}: "
+                    f"the profiles around it apply only to {quoted_list(profile.around[-1])}"
+                )
+                yield warning("profile-never", message, where, _attachment_advice(expression, profile.around[-1]))
+        if not applies and profile.around and len(profile.attachments) == 1:
+            ((expression, where),) = profile.attachments
+            message = (
+                f"profile {profile.name!r} never applies: no subject matches both its attachment "
+                f"{expression!r} and the profiles around it ({quoted_list(profile.around[-1])})"
+            )
+            yield warning("profile-never", message, where, _attachment_advice(expression, profile.around[-1]))
+
+
+def _attachment_advice(attachment: str, around: Sequence[str]) -> str:
+    return did_you_mean(attachment, around, "fix the attachment, or move the profile out", similarity=0.8)

@@ -19,7 +19,7 @@ from comarmor.patterns.steps import StepLimitError, step_limit
 from comarmor.rules import Effect
 from keymint.analysis.deny_overlap import may_deny_something
 from keymint.analysis.expression_origins import ExpressionOrigin, ExpressionOrigins
-from keymint.analysis.findings import undecided, warning
+from keymint.analysis.findings import quoted_list, undecided, warning
 from keymint.analysis.rule_lists import (
     PermissionKey,
     allow_only,
@@ -31,7 +31,6 @@ from keymint.analysis.rule_lists import (
     universe,
 )
 from keymint.analysis.subject_patterns import with_distinct_rules
-from keymint.analysis.unreachable_profiles import quoted_list
 from keymint.api import PolicyStructure
 from keymint.ir import Rule
 

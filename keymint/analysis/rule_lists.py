@@ -125,13 +125,16 @@ def strip_suffix(decided: DecisionList, suffix: str) -> DecisionList:
     if not suffix:
         return decided
     return tuple(
-        Block(block.allows, tuple(left for pattern in block.patterns for left in _before(pattern, suffix)))
+        Block(block.allows, tuple(left for pattern in block.patterns for left in before_suffix(pattern, suffix)))
         for block in decided
     )
 
 
 @lru_cache(maxsize=1 << 14)
-def _before(pattern: Glob, suffix: str) -> tuple[Glob, ...]:
+def before_suffix(pattern: Glob, suffix: str) -> tuple[Glob, ...]:
+    """Return patterns of the words that a pattern matches with the suffix appended."""
+    if not suffix:
+        return (pattern,)
     name = literal(pattern)
     if name is not None:
         left = name.removesuffix(suffix)

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Iterator
 from dataclasses import dataclass
+from functools import cache
 
 from comarmor.errors import Origin
 from comarmor.patterns.glob import Glob, literal, parse, prefix
@@ -87,7 +87,7 @@ class SymbolicRules:
     def __init__(self, written: PolicyStructure) -> None:
         self.singles: dict[str, None] = {}
         self._by_key: dict[tuple[PermissionKey, Effect], dict[tuple[_Profiles, Glob], SymbolicRule]] = defaultdict(dict)
-        self._indexes: dict[tuple[PermissionKey, Effect], _ProfileIndex] = {}
+        self._index = cache(lambda key, effect: _ProfileIndex(self.all(key, effect)))
         reaches: dict[_Profiles, ProfileReach] = {}
         for clause in written.clauses:
             if clause.profiles not in reaches:
@@ -113,10 +113,8 @@ class SymbolicRules:
         """Return entries of the rules that may apply to some subjects, over-approximated where they are too complex."""
         return tuple(one.entry() for one in self._applying(key, effect, subjects))
 
-    def _applying(self, key: PermissionKey, effect: Effect, subjects: Glob) -> Iterator[SymbolicRule]:
-        if (key, effect) not in self._indexes:
-            self._indexes[key, effect] = _ProfileIndex(self.all(key, effect))
-        yield from self._indexes[key, effect].of(subjects)
+    def _applying(self, key: PermissionKey, effect: Effect, subjects: Glob) -> tuple[SymbolicRule, ...]:
+        return self._index(key, effect).of(subjects)
 
 
 class _ProfileIndex:
@@ -129,25 +127,23 @@ class _ProfileIndex:
             self._by_profiles[rule.profiles].append(rule)
             for one in rule.reach.subjects:
                 self._by_head[prefix(one)][rule.profiles] = None
-        self._known: dict[Glob, tuple[SymbolicRule, ...]] = {}
+        self.of = cache(self._of)
 
-    def of(self, subjects: Glob) -> tuple[SymbolicRule, ...]:
+    def _of(self, subjects: Glob) -> tuple[SymbolicRule, ...]:
         """Return the rules that may apply to subjects that a pattern matches."""
-        if subjects not in self._known:
-            head = prefix(subjects)
-            near = dict.fromkeys(
-                profiles
-                for text, nested in self._by_head.items()
-                if text.startswith(head) or head.startswith(text)
-                for profiles in nested
-            )
-            self._known[subjects] = tuple(
-                rule
-                for profiles in near
-                if any(not disjoint(one, subjects) for one in self._by_profiles[profiles][0].reach.subjects)
-                for rule in self._by_profiles[profiles]
-            )
-        return self._known[subjects]
+        head = prefix(subjects)
+        near = dict.fromkeys(
+            profiles
+            for text, nested in self._by_head.items()
+            if text.startswith(head) or head.startswith(text)
+            for profiles in nested
+        )
+        return tuple(
+            rule
+            for profiles in near
+            if any(not disjoint(one, subjects) for one in self._by_profiles[profiles][0].reach.subjects)
+            for rule in self._by_profiles[profiles]
+        )
 
 
 def profile_reach(profiles: _Profiles) -> tuple[ProfileReach, tuple[str, ...]]:

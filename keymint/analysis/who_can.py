@@ -14,11 +14,11 @@ from comarmor.rules import Effect, parts
 from keymint.analysis.query_budget import QueryBudget
 from keymint.analysis.rule_lists import (
     allow_only,
+    before_suffix,
     find_permitted,
     matching_rule,
     part_lists,
     pattern_text,
-    strip_suffix,
 )
 from keymint.analysis.subject_patterns import can_exist, example_subject, named_subjects, rules_of, structure
 from keymint.analysis.symbolic_rules import SymbolicRule, SymbolicRules
@@ -113,7 +113,7 @@ class _HolderSearch:
             for subjects in (piece for one in rule.reach.subjects for piece in _both(one, within)):
                 if subjects in reported:
                     continue
-                for shape in _before(rule.object, suffix):
+                for shape in before_suffix(rule.object, suffix):
                     answer = self._example(subjects, shape, rule, rules, named)
                     if isinstance(answer, Unknown):
                         unknown.setdefault(subjects, answer.reason)
@@ -161,11 +161,6 @@ def _both(one: Glob, other: Glob) -> tuple[Glob, ...]:
         return (one,)
 
 
-def _before(pattern: Glob, suffix: str) -> tuple[Glob, ...]:
-    """Return patterns of the words that a pattern matches with the suffix appended."""
-    return strip_suffix(allow_only(pattern), suffix)[0].patterns
-
-
 def _without(entries: Sequence[SymbolicEntry], suffix: str) -> Iterator[SymbolicEntry]:
     for entry in entries:
-        yield from (SymbolicEntry(entry.subjects, pattern) for pattern in _before(entry.object, suffix))
+        yield from (SymbolicEntry(entry.subjects, pattern) for pattern in before_suffix(entry.object, suffix))
