@@ -243,7 +243,7 @@ def claims_of(case: Case, permissions: bytes, subject: str) -> tuple[Claim, ...]
     """Return the claims about the documents of a case."""
     rules = rules_of(case, "/robot")
     spec = ProofSpec(subject, rules, "humble", (DomainRange(0, 0),), 50_000, lambda: True)
-    governing = EnclaveGovernance.of(governance_of(case), ("governance.p7s", 0), None, "/robot", "humble")
+    governing = EnclaveGovernance(governance_of(case), ("governance.p7s", 0), None, "/robot", "humble")
     return prove_document(ProofQuestion(decision.read(permissions), spec, lower(rules, "humble"), governing))
 
 
@@ -334,7 +334,7 @@ class Bench:
             variation = VARIATIONS[model]
             for domain in DOMAINS:
                 evaluator = DocumentEvaluator(document, self.subject, self.now, domain, variation)
-                access = DomainAccess.of(governance, domain, evaluator.semantics)
+                access = DomainAccess(governance, domain, evaluator.semantics)
                 for action, name, partitions in _requests():
                     decided = access.decide(evaluator, action, name, partitions)
                     expected = by_documents(case, model, action, name, partitions, domain)

@@ -40,7 +40,7 @@ def findings(inspection: Inspection) -> Iterator[Diagnostic]:
     except KeymintError:
         return  # the check of signatures reports it
     place = (file, signed.lines_before)
-    governing = EnclaveGovernance.of(signed.content, place, package.governance, package.subject, package.distro)
+    governing = EnclaveGovernance(signed.content, place, package.governance, package.subject, package.distro)
     if governing.differs:
         yield from dict.fromkeys(_weaker_protection(inspection, governing))
 
@@ -49,7 +49,7 @@ def _weaker_protection(inspection: Inspection, governing: EnclaveGovernance) -> 
     subject, document = inspection.package.subject, governing.document
     help_ = f"'keymint install {inspection.package.name}' signs what the sources build"
     for domains in cuts(governing.domains()):
-        rule = DomainAccess.of(document, domains.first, STANDARD).rule
+        rule = DomainAccess(document, domains.first, STANDARD).rule
         if rule is None:
             continue
         expected = governing.source_rule(domains.first) or STRICT

@@ -17,7 +17,7 @@ from keymint.pki import names
 from keymint_ros2_dds.compiling.compile import Compiled, compile_rules, vendor_notes
 from keymint_ros2_dds.decision import OMG
 from keymint_ros2_dds.documents import dds_xml
-from keymint_ros2_dds.documents.permissions_document import document_tree, render
+from keymint_ros2_dds.documents.permissions_document import document_tree
 from keymint_ros2_dds.enclave_layout import PERMISSIONS, PERMISSIONS_XML
 from keymint_ros2_dds.lowering.dds_topics import TopicAction
 from keymint_ros2_dds.lowering.grant_rules import GrantRule
@@ -63,7 +63,7 @@ def _smallest_proven(package: Package, options: BuildOptions, compiled: Compiled
     """Return the document in its first form that is proven, else in its plain form."""
     diagnostics: list[Diagnostic] = []
     for rules in _forms(compiled, optimise=options.optimise):
-        document = render(package.permissions, rules)
+        document = dds_xml.render(document_tree(package.permissions, rules), PERMISSIONS)
         open_claims = _open_claims(package, compiled.lowered, document, _models(compiled))
         if not open_claims or rules is compiled.plain:
             diagnostics += compiled.diagnostics
@@ -94,7 +94,8 @@ def is_form_of(package: Package, document: bytes) -> bool:
         KeymintError: the document cannot be read, or the rules cannot be compiled.
     """
     compiled = compile_rules(package.permissions, package.distro, BuildOptions(allow_vendor_specific=True))
-    forms = [render(package.permissions, rules) for rules in (*compiled.forms, compiled.plain)]
+    trees = (document_tree(package.permissions, rules) for rules in (*compiled.forms, compiled.plain))
+    forms = [dds_xml.render(tree, PERMISSIONS) for tree in trees]
     if document in forms:
         return True
     if _not_proven(document) not in map(_not_proven, forms):

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import re
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 from comarmor.errors import Origin
 from keymint_ros2_dds.decision import fnmatch
@@ -22,30 +21,21 @@ from keymint_ros2_dds.reading.signed_governance import (
 )
 
 
-@dataclass(frozen=True, slots=True)
 class DomainAccess:
     """Access control in one domain, as an implementation reads a governance document.
 
     Attributes:
-        document: the document.
-        domain: DDS domain id.
-        semantics: how documents are read.
         refusal: why the document is refused or not modelled, or an empty text.
         rule: the domain rule that applies, or None.
     """
 
-    document: GovernanceDocument
-    domain: int
-    semantics: Semantics
-    refusal: str
-    rule: DocumentDomainRule | None
-
-    @classmethod
-    def of(cls, document: GovernanceDocument, domain: int, semantics: Semantics) -> DomainAccess:
-        """Read a document for a domain."""
-        refusal = semantics.refusal(document) or semantics.unmodelled(document)
-        rule = None if refusal else document.rule(domain, min_only_is_exact=semantics.min_only_is_exact)
-        return cls(document, domain, semantics, refusal, rule)
+    def __init__(self, document: GovernanceDocument, domain: int, semantics: Semantics) -> None:
+        self._document = document
+        self._domain = domain
+        self._semantics = semantics
+        self.refusal = semantics.refusal(document) or semantics.unmodelled(document)
+        exact = semantics.min_only_is_exact
+        self.rule = None if self.refusal else document.rule(domain, min_only_is_exact=exact)
 
     def admits(self, *, joins: bool) -> bool:
         """Tell whether the participant may join.
@@ -55,7 +45,7 @@ class DomainAccess:
         """
         if joins or self.rule is None:
             return joins and not self.refusal
-        return not self.semantics.needs_rule_to_join and self.rule.joins_without_rule
+        return not self._semantics.needs_rule_to_join and self.rule.joins_without_rule
 
     def decide(
         self, evaluator: DocumentEvaluator, action: str, topic: str, partitions: Sequence[str] = ()
@@ -73,10 +63,10 @@ class DomainAccess:
         if evaluator.refusal is not None:
             return evaluator.refusal
         if self.rule is None:
-            reason = f"the governance does not apply to domain {self.domain}"
-            return EndpointDecision(DecisionOutcome.DENIED, 0, reason, Origin(self.document.file))
+            reason = f"the governance does not apply to domain {self._domain}"
+            return EndpointDecision(DecisionOutcome.DENIED, 0, reason, Origin(self._document.file))
         if not self.admits(joins=evaluator.joins):
-            reason = f"the permissions allow nothing in domain {self.domain}, so that there is no participant"
+            reason = f"the permissions allow nothing in domain {self._domain}, so that there is no participant"
             return EndpointDecision(DecisionOutcome.DENIED, 0, reason)
         return self._by_topic(self.rule, evaluator, action, topic, partitions)
 
@@ -91,10 +81,10 @@ class DomainAccess:
         """Decide by the topic rule, and by the permissions if it controls access."""
         rule = self._topic_rule(domain_rule, topic)
         if rule is None:
-            where = self.document.place(domain_rule.line)
+            where = self._document.place(domain_rule.line)
             return EndpointDecision(DecisionOutcome.DENIED, 0, f"no topic rule matches {topic!r}", where)
         if not rule.controls(action):
-            where = self.document.place(rule.line)
+            where = self._document.place(rule.line)
             reason = f"{ACCESS[action]} is false for {rule.expression!r}"
             return EndpointDecision(DecisionOutcome.ALLOWED, 0, reason, where)
         checked = rule.read_controlled and rule.write_controlled
@@ -102,12 +92,12 @@ class DomainAccess:
 
     def _topic_rule(self, domain_rule: DocumentDomainRule, topic: str) -> DocumentTopicRule | None:
         """Return the first rule that matches a topic; see :attr:`Semantics.topic_rules_both_ways`."""
-        name, dialect = fnmatch.in_bytes(topic), self.semantics.fnmatch
+        name, dialect = fnmatch.in_bytes(topic), self._semantics.fnmatch
         for rule in domain_rule.topic_rules:
             expression = fnmatch.in_bytes(rule.expression)
             if expression == "*" or re.fullmatch(fnmatch.translate(expression, dialect), name, re.DOTALL):
                 return rule
-            if self.semantics.topic_rules_both_ways and re.fullmatch(
+            if self._semantics.topic_rules_both_ways and re.fullmatch(
                 fnmatch.translate(name, dialect), expression, re.DOTALL
             ):
                 return rule

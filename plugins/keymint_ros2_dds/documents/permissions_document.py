@@ -20,17 +20,8 @@ _MAX_YEAR = 2261
 """Cyclone DDS counts time in nanoseconds of 64 bits, and reads later years as expired."""
 
 
-def render(permissions: Permissions, rules: Iterable[GrantRule[str]]) -> bytes:
-    """Return the permissions document, valid against its schema; a pure function of its arguments.
-
-    Raises:
-        KeymintError: as :func:`document_tree` does.
-    """
-    return dds_xml.render(document_tree(permissions, rules), PERMISSIONS)
-
-
 def document_tree(permissions: Permissions, rules: Iterable[GrantRule[str]]) -> etree._Element:
-    """Return the root element of the permissions document.
+    """Return the root element of the permissions document; a pure function of its arguments.
 
     Raises:
         KeymintError: the subject's name, a date or a domain cannot be expressed portably across DDS vendors.

@@ -223,7 +223,7 @@ class _Model:
             return None
         found = self._governed.get(domain)
         if found is None:
-            found = self._governed[domain] = DomainAccess.of(self._governing.document, domain, self._semantics)
+            found = self._governed[domain] = DomainAccess(self._governing.document, domain, self._semantics)
         return found
 
     def _domains(self) -> Iterator[tuple[tuple[DomainRange, ...], bool]]:
@@ -376,7 +376,7 @@ class _Model:
             partitions = (partition,) if partition else ()
             if self._governing is None:
                 return evaluator.decide(action, topic, partitions)
-            governed = DomainAccess.of(self._governing.document, domain, variation.semantics)
+            governed = DomainAccess(self._governing.document, domain, variation.semantics)
             found = governed.decide(evaluator, action, topic, partitions)
             if not found.allowed and permitted and (alone := evaluator.decide(action, topic, partitions)).allowed:
                 reason = f"{alone.reason}; only the governance of this enclave refuses it: peers evaluate their own"

@@ -4,13 +4,12 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass
 from itertools import pairwise
 
 from comarmor.patterns.tokens import PatternError
 from keymint.api import DomainRange, Governance
 from keymint_ros2_dds.decision.semantics import STANDARD
-from keymint_ros2_dds.documents import governance_document as sources
+from keymint_ros2_dds.documents import governance_document
 from keymint_ros2_dds.proving.governance_lists import regions
 from keymint_ros2_dds.reading import signed_governance
 from keymint_ros2_dds.reading.signed_governance import (
@@ -18,7 +17,6 @@ from keymint_ros2_dds.reading.signed_governance import (
     JOIN,
     UNAUTHENTICATED,
     DocumentDomainRule,
-    GovernanceDocument,
 )
 from keymint_ros2_dds.reading.signed_permissions import DocumentDomains
 
@@ -27,47 +25,37 @@ LAST_DOMAIN = 232
 """The highest domain id whose ports exist for any participant (DDSI-RTPS 2.3, 9.6.1.1)."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
 class EnclaveGovernance:
     """A signed governance document, and the one that the sources compile to.
+
+    Args:
+        content: the document, unsigned.
+        place: its file, and the number of lines before it there.
+        governance: the governance of the sources, if there are sources.
+        subject: the subject of the enclave.
+        distro: ROS 2 distribution whose mapping of names applies.
 
     Attributes:
         document: the document.
         sources: what the sources compile to; None if there are no sources.
-        accepted: the profile accepts what the sources leave open.
         key: digest of all that claims depend on.
         differs: the document differs from what the sources compile to, in any byte.
+
+    Raises:
+        KeymintError: the document cannot be read, or the sources cannot be expressed as a document.
     """
 
-    document: GovernanceDocument
-    sources: GovernanceDocument | None
-    accepted: bool
-    key: bytes
-    differs: bool
-
-    @classmethod
-    def of(
-        cls, content: bytes, place: tuple[str, int], said: Governance | None, subject: str, distro: str
-    ) -> EnclaveGovernance:
-        """Read a signed governance document.
-
-        Args:
-            content: the document, unsigned.
-            place: its file, and the number of lines before it there.
-            said: the governance of the sources.
-            subject: the subject of the enclave.
-            distro: ROS 2 distribution whose mapping of names applies.
-
-        Raises:
-            KeymintError: the document cannot be read, or the sources cannot be expressed as a document.
-        """
+    def __init__(
+        self, content: bytes, place: tuple[str, int], governance: Governance | None, subject: str, distro: str
+    ) -> None:
         built = b""
-        if said is not None:
-            built, _ = sources.build(said, subject, distro, allow_vendor_specific=True)
-        accepted = said is not None and said.accepts_open
-        key = hashlib.sha256(repr((content, place, built, accepted)).encode()).digest()
-        own = signed_governance.read(built) if built else None
-        return cls(signed_governance.read(content, *place), own, accepted, key, content != built)
+        if governance is not None:
+            built, _ = governance_document.build(governance, subject, distro, allow_vendor_specific=True)
+        self._accepted = governance is not None and governance.accepts_open
+        self.document = signed_governance.read(content, *place)
+        self.sources = signed_governance.read(built) if built else None
+        self.key = hashlib.sha256(repr((content, place, built, self._accepted)).encode()).digest()
+        self.differs = content != built
 
     def domains(self) -> Iterator[DocumentDomains]:
         """Yield the ranges of domains of both documents."""
@@ -81,7 +69,7 @@ class EnclaveGovernance:
 
     def accepted_rule(self, domain: int) -> DocumentDomainRule | None:
         """Return the rule whose openings are accepted in a domain."""
-        return self.source_rule(domain) if self.accepted else None
+        return self.source_rule(domain) if self._accepted else None
 
     def transparent(self, domains: tuple[DomainRange, ...]) -> bool:
         """Tell whether the permissions alone decide, as every implementation reads the document.

@@ -73,7 +73,7 @@ def _governing(task: ProofTask) -> EnclaveGovernance:
     document = enclave_file(task.files, task.folder, GOVERNANCE_P7S)
     signed = smime.read(document, task.anchors.permissions.chain, where=Origin(file))
     place = (file, signed.lines_before)
-    return EnclaveGovernance.of(signed.content, place, task.governance, task.rules.subject, task.distro)
+    return EnclaveGovernance(signed.content, place, task.governance, task.rules.subject, task.distro)
 
 
 def _subject_name(files: Mapping[str, bytes], folder: str) -> str:

@@ -91,7 +91,7 @@ def claims(
         budget: limits of each search.
     """
     for domains in cuts(governing.domains()):
-        rule = DomainAccess.of(governing.document, domains.first, semantics).rule
+        rule = DomainAccess(governing.document, domains.first, semantics).rule
         if rule is None:
             continue
         own, accepted = governing.source_rule(domains.first), governing.accepted_rule(domains.first)

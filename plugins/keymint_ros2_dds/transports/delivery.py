@@ -11,7 +11,7 @@ its endpoints are created last, and when its sample arrives, all others have bee
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, replace
 from itertools import groupby, islice
 from typing import cast
 
@@ -21,7 +21,7 @@ from keymint.graph import Edge
 from keymint_ros2_dds.decision import Variation
 from keymint_ros2_dds.lowering.endpoints import endpoints
 from keymint_ros2_dds.transports import admission
-from keymint_ros2_dds.transports.enclave_model import EnclaveModel, EnclaveModels
+from keymint_ros2_dds.transports.enclave_model import EnclaveModels
 from keymint_ros2_dds.vendors.participants import (
     DeniedError,
     ProbeEndpoint,
@@ -50,75 +50,39 @@ class _Trial:
 
     endpoint: Edge
     admitted: bool
-    said: str
+    answer: str
     peer: Enclave | None
     delivered: bool = False
 
 
-@dataclass(slots=True)
-class _Peers:
-    """Finds an enclave that may be the other end of an endpoint, by the model of the vendor."""
-
-    models: EnclaveModels
-    enclaves: Sequence[Enclave]
-    model: Variation
-    kept: dict[tuple[str, int], EnclaveModel] = field(default_factory=dict)
-
-    def of(self, endpoint: Edge) -> Enclave | None:
-        """Return the first other enclave, by name, that may be the other end."""
-        wildcards = set("*?[")
-        if endpoint.permission not in _OTHER_END or any(wildcards & set(p) for p in endpoint.object.partitions):
-            return None  # two expressions never match each other (DDS 1.4, 2.2.3.13)
-        action = _OTHER_END[endpoint.permission]
-        for enclave in self.enclaves:
-            if enclave.subject == endpoint.subject:
-                continue
-            other = Edge(enclave.subject, action, endpoint.object, endpoint.domain)
-            if self._model(enclave, endpoint.domain).decide(self.model, other).allowed:
-                return enclave
-        return None
-
-    def _model(self, enclave: Enclave, domain: int) -> EnclaveModel:
-        key = (enclave.subject, domain)
-        if key not in self.kept:
-            self.kept[key] = self.models.fresh(enclave, domain)
-        return self.kept[key]
-
-
 def exchange(
-    vendor: Vendor, model: Variation, models: EnclaveModels, enclaves: Sequence[Enclave], edges: Iterable[Edge]
+    vendor: Vendor, model: Variation, models: EnclaveModels, edges: Iterable[Edge]
 ) -> Iterator[tuple[Edge, Verdict]]:
     """Yield whether data is delivered for each edge.
 
     Args:
         vendor: the vendor, with its probe and the library for participants that do not conform.
         model: the model of the vendor.
-        models: the enclaves.
-        enclaves: the same; each may be the other end.
+        models: the enclaves; each may be the other end.
         edges: grouped by subject.
 
     Raises:
         KeymintError: an enclave is missing, or a process of the vendor fails.
     """
-    peers = _Peers(models, sorted(enclaves, key=lambda enclave: enclave.subject), model)
-    for (subject, domain), group in groupby(edges, key=lambda edge: (edge.subject, edge.domain)):
-        enclave = models.enclave(subject)
+    for (subject, _), group in groupby(edges, key=lambda edge: (edge.subject, edge.domain)):
         while batch := list(islice(group, BATCH)):
             try:
-                yield from _batch(vendor, model, models.of(subject, domain), enclave, peers, batch)
+                yield from _batch(vendor, model, models, batch)
             except ProbeError as error:
                 raise KeymintError(f"{subject}: {error}", code="transport-failed") from None
 
 
 def _batch(
-    vendor: Vendor,
-    model: Variation,
-    enclave_model: EnclaveModel,
-    enclave: Enclave,
-    peers: _Peers,
-    batch: Sequence[Edge],
+    vendor: Vendor, model: Variation, models: EnclaveModels, batch: Sequence[Edge]
 ) -> Iterator[tuple[Edge, Verdict]]:
-    trials = _admitted(vendor, enclave, peers, batch)
+    subject, domain = batch[0].subject, batch[0].domain
+    enclave, enclave_model = models.enclave(subject), models.of(subject, domain)
+    trials = _admitted(vendor, model, models, batch)
     with_peer: dict[str, list[_Trial]] = {}
     for trial in trials.values():
         if trial.peer is not None:
@@ -131,10 +95,24 @@ def _batch(
         yield edge, admission.verdict(enclave_model, model, needed, (_answer(trials[endpoint]) for endpoint in needed))
 
 
-def _admitted(vendor: Vendor, enclave: Enclave, peers: _Peers, batch: Sequence[Edge]) -> dict[Edge, _Trial]:
+def _peer(endpoint: Edge, models: EnclaveModels, model: Variation) -> Enclave | None:
+    """Return the first other enclave, by name, that may be the other end by the model of the vendor."""
+    wildcards = set("*?[")
+    if endpoint.permission not in _OTHER_END or any(wildcards & set(p) for p in endpoint.object.partitions):
+        return None  # two expressions never match each other (DDS 1.4, 2.2.3.13)
+    for subject in models.subjects():
+        if subject != endpoint.subject:
+            other = replace(endpoint, subject=subject, permission=_OTHER_END[endpoint.permission])
+            if models.of(subject, endpoint.domain).decide(model, other).allowed:
+                return models.enclave(subject)
+    return None
+
+
+def _admitted(vendor: Vendor, model: Variation, models: EnclaveModels, batch: Sequence[Edge]) -> dict[Edge, _Trial]:
     """Return all endpoints of the edges, and whether the vendor admits them to a participant of the subject."""
+    enclave = models.enclave(batch[0].subject)
     needed = dict.fromkeys(endpoint for edge in batch for endpoint in endpoints(enclave.distro, edge))
-    found: dict[Edge, _Trial] = {}
+    trials: dict[Edge, _Trial] = {}
     with System(vendor) as system:
         try:
             participant: ProbeParticipant | None = system.open(enclave.folder, batch[0].domain)
@@ -144,11 +122,14 @@ def _admitted(vendor: Vendor, enclave: Enclave, peers: _Peers, batch: Sequence[E
         for endpoint in needed:
             reason = admission.unsayable(endpoint)
             if participant is None or reason:
-                admitted, said = False, refusal or reason
+                admitted, answer = False, refusal or reason
             else:
-                admitted, said = participant.ask(endpoint.permission, endpoint.object.name, endpoint.object.partitions)
-            found[endpoint] = _Trial(endpoint, admitted, said, None if reason else peers.of(endpoint))
-    return found
+                admitted, answer = participant.ask(
+                    endpoint.permission, endpoint.object.name, endpoint.object.partitions
+                )
+            peer = None if reason else _peer(endpoint, models, model)
+            trials[endpoint] = _Trial(endpoint, admitted, answer, peer)
+    return trials
 
 
 def _deliver(vendor: Vendor, enclave: Enclave, trials: Sequence[_Trial]) -> None:
@@ -186,8 +167,8 @@ class _SentSample:
 
     def arrives(self, seconds: float) -> bool:
         """Wait until the sample arrives; skip samples of other writers on the topic."""
-        while (found := self.reader.read(seconds)) is not None:
-            if found == self.text:
+        while (sample := self.reader.read(seconds)) is not None:
+            if sample == self.text:
                 return True
         return False
 
@@ -197,7 +178,7 @@ def _pairs(
 ) -> list[tuple[_Trial, _SentSample | None]]:
     """Create both ends of each endpoint, in order, and write a sample; None if an end cannot be created."""
     domain, peer = trials[0].endpoint.domain, trials[0].peer
-    found: list[tuple[_Trial, _SentSample | None]] = []
+    pairs: list[tuple[_Trial, _SentSample | None]] = []
     try:
         other = system.open(cast("Enclave", peer).folder, domain)
         own = system.open(enclave.folder, domain, conforming=conforming)
@@ -210,20 +191,20 @@ def _pairs(
             far = other.edge("subscribe" if publishes else "publish", name, partitions)
             near = own.edge("publish" if publishes else "subscribe", name, partitions)
         except DeniedError:
-            found.append((trial, None))
+            pairs.append((trial, None))
             continue
         writer, reader = (near, far) if publishes else (far, near)
         text = f"{trial.endpoint.subject} {number}"
         writer.write(text)
-        found.append((trial, _SentSample(reader, text)))
-    return found
+        pairs.append((trial, _SentSample(reader, text)))
+    return pairs
 
 
 def _answer(trial: _Trial) -> tuple[bool, str]:
     peer = trial.peer
     if peer is None:
         ending = "no other enclave may be the other end, so nothing was sent"
-        return trial.admitted, f"it is admitted; {ending}" if trial.admitted else f"{trial.said}; {ending}"
+        return trial.admitted, f"it is admitted; {ending}" if trial.admitted else f"{trial.answer}; {ending}"
     if trial.admitted:
         reason = f"a sample was delivered with {peer.subject}"
         return (
@@ -232,4 +213,4 @@ def _answer(trial: _Trial) -> tuple[bool, str]:
         )
     if trial.delivered:
         return True, f"its own side denies it, but {peer.subject} accepts it from a participant that ignores its policy"
-    return False, f"{trial.said}; {peer.subject} refuses it as well"
+    return False, f"{trial.answer}; {peer.subject} refuses it as well"

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable
 
 from keymint.api import Enclave, Environment
 from keymint.errors import KeymintError
@@ -49,7 +49,7 @@ class EnclaveModel:
         if evaluators is None:
             permissions, governance, subject_name = self.documents
             evaluator = DocumentEvaluator(permissions, subject_name, self._now, self._domain, variation)
-            access = DomainAccess.of(governance, self._domain, evaluator.semantics)
+            access = DomainAccess(governance, self._domain, evaluator.semantics)
             evaluators = self._evaluators[variation.name] = evaluator, access
         evaluator, access = evaluators
         topic = endpoint.object
@@ -72,13 +72,23 @@ class EnclaveModel:
 
 
 class EnclaveModels:
-    """The models of the subjects of edges; edges come grouped by subject, so only those of one subject are kept."""
+    """The models of enclaves.
 
-    def __init__(self, enclaves: Sequence[Enclave], environment: Environment) -> None:
+    Args:
+        enclaves: the enclaves.
+        environment: the clock, and what was read before in this run.
+        keep_all: keep the models of all subjects; otherwise of one, because edges come grouped by subject.
+    """
+
+    def __init__(self, enclaves: Iterable[Enclave], environment: Environment, *, keep_all: bool = False) -> None:
         self._enclaves = {enclave.subject: enclave for enclave in enclaves}
         self._environment = environment
-        self._subject = ""
-        self._models: dict[int, EnclaveModel] = {}
+        self._keep_all = keep_all
+        self._models: dict[tuple[str, int], EnclaveModel] = {}
+
+    def subjects(self) -> list[str]:
+        """Return the subjects of the enclaves in alphabetical order."""
+        return sorted(self._enclaves)
 
     def enclave(self, subject: str) -> Enclave:
         """Return the enclave of a subject.
@@ -99,12 +109,9 @@ class EnclaveModels:
             KeymintError: the subject has no enclave.
         """
         enclave = self.enclave(subject)
-        if subject != self._subject:
-            self._subject, self._models = subject, {}
-        if domain not in self._models:
-            self._models[domain] = self.fresh(enclave, domain)
-        return self._models[domain]
-
-    def fresh(self, enclave: Enclave, domain: int) -> EnclaveModel:
-        """Return a new model, which the caller keeps."""
-        return EnclaveModel(enclave, self._environment, domain)
+        key = subject, domain
+        if key not in self._models:
+            if not self._keep_all and any(kept != subject for kept, _ in self._models):
+                self._models.clear()
+            self._models[key] = EnclaveModel(enclave, self._environment, domain)
+        return self._models[key]

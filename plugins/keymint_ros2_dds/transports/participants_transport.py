@@ -63,7 +63,7 @@ class RealTransport:
             reason = usable.reason or f"it has no tier {tier}"
             message = f"the transport {self.NAME!r} cannot be used at tier {tier}: {reason}"
             raise KeymintError(message, help=usable.help, code="transport-unusable")
-        models = EnclaveModels(enclaves, self._environment)
+        models = EnclaveModels(enclaves, self._environment, keep_all=tier is Tier.EXCHANGE)
         if tier is Tier.DECISION:
             return self._decision(models, edges)
         vendor = self._vendor(nonconforming=tier is Tier.EXCHANGE)
@@ -71,7 +71,7 @@ class RealTransport:
             return admission.admission(vendor, self.MODEL, models, edges)
         for enclave in enclaves:
             enclave_files.refuse_encrypted_key(enclave)
-        return exchange(vendor, self.MODEL, models, enclaves, edges)
+        return exchange(vendor, self.MODEL, models, edges)
 
     def _decision(self, models: EnclaveModels, edges: Iterable[Edge]) -> Iterator[tuple[Edge, Verdict]]:
         """Decide without data exchange; a vendor that needs a participant for that does so by admission."""

@@ -248,7 +248,7 @@ class TestWhatIsNotProven:
 
     def test_a_document_that_is_refuted_is_an_error(self) -> None:
         with (
-            mock.patch.object(emission, "render", return_value=document(package(rule("ALLOW", *TOPIC, "/c")))),
+            mock.patch.object(emission.dds_xml, "render", return_value=document(package(rule("ALLOW", *TOPIC, "/c")))),
             pytest.raises(KeymintError) as caught,
         ):
             build_type.build(self.LOADED, BuildOptions())

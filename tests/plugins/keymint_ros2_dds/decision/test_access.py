@@ -55,7 +55,7 @@ def allowing(text: str, action: str = "publish", name: str = "rt/x", content: by
 def allows(variation, text: str, action: str, name: str, content: bytes = PERMISSIONS) -> bool:
     evaluator = DocumentEvaluator(read(content), SUBJECT, NOW, 0, variation)
     return (
-        DomainAccess.of(signed_governance.read(text.encode()), 0, variation.semantics)
+        DomainAccess(signed_governance.read(text.encode()), 0, variation.semantics)
         .decide(evaluator, action, name)
         .allowed
     )
@@ -105,6 +105,6 @@ def test_lines_count_from_the_beginning_of_the_file() -> None:
     found = signed_governance.read(text.encode(), "g.p7s", 10)
     assert str(found.place(found.domain_rules[0].topic_rules[0].line)) == "g.p7s:12"
     evaluator = DocumentEvaluator(read(PERMISSIONS), SUBJECT, NOW, 0, OMG)
-    decision = DomainAccess.of(found, 0, OMG.semantics).decide(evaluator, "publish", "rt/x")
+    decision = DomainAccess(found, 0, OMG.semantics).decide(evaluator, "publish", "rt/x")
     assert decision.allowed
     assert str(decision.where) == "g.p7s:12"
