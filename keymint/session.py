@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from datetime import datetime
+from pathlib import Path
 from typing import Self
 
 from comarmor.errors import Origin
@@ -97,6 +98,11 @@ class Session(Inputs):
     profile: WorkspaceProfile
     profile_digest: str
     _packages: dict[tuple[str, str], Package] = field(default_factory=dict, repr=False, compare=False)
+
+    @property
+    def enclaves(self) -> Path:
+        """The folder that contains the enclaves."""
+        return self.workspace.enclaves(self.profile.layout)
 
     def package_files(self, name: str) -> dict[str, bytes]:
         """Return the XML files of a package; empty if there is no such package."""

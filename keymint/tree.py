@@ -8,7 +8,7 @@ from __future__ import annotations
 import errno
 import os
 import stat
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import TypeVar
 
@@ -248,23 +248,33 @@ class Tree:
         gone = self._gone.get(folder, ())
         return [(name, is_folder) for name, is_folder in entries.items() if name not in gone]
 
-    def files(self, folder: Path, *, suffix: str = "") -> dict[str, bytes]:
-        """Return the files directly in a folder whose names end with ``suffix``, by name."""
-        contents = {}
-        for name, is_folder in self.names(folder):
-            if not is_folder and name.endswith(suffix):
-                content = self.read(folder / name)
-                if content is not None:
-                    contents[name] = content
-        return contents
+    def walk(self, folder: Path, skipped: str = ".git") -> Iterator[tuple[Path, bool]]:
+        """Yield everything below a folder, each with whether it is a folder; links are not followed.
 
-    def files_below(self, folder: Path, *, suffix: str = "", depth: int = 8) -> dict[str, bytes]:
-        """Return the files in a folder and its sub-folders by relative path, ``depth`` levels deep."""
+        Folders that cannot be read are yielded, but not what is in them.
+
+        Args:
+            folder: absolute path.
+            skipped: name of folders that are left out.
+        """
+        try:
+            entries = self.names(folder)
+        except KeymintError:
+            return
+        for name, is_folder in entries:
+            if not is_folder:
+                yield folder / name, False
+            elif name != skipped:
+                yield folder / name, True
+                yield from self.walk(folder / name, skipped)
+
+    def files(self, folder: Path, *, suffix: str = "", depth: int = 1) -> dict[str, bytes]:
+        """Return the files whose names end with ``suffix`` by relative path, from ``depth`` levels of folders."""
         contents: dict[str, bytes] = {}
         for name, is_folder in self.names(folder):
             if is_folder:
                 if depth > 1 and not name.startswith("."):
-                    below = self.files_below(folder / name, suffix=suffix, depth=depth - 1)
+                    below = self.files(folder / name, suffix=suffix, depth=depth - 1)
                     contents |= {f"{name}/{inner}": content for inner, content in below.items()}
             elif name.endswith(suffix):
                 content = self.read(folder / name)

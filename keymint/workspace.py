@@ -190,6 +190,6 @@ def profile_files(tree: Tree, profile: Path) -> dict[str, bytes]:
     """Return the XML files of a profile space by relative path, without those of the policy."""
     return {
         name: content
-        for name, content in tree.files_below(profile, suffix=".xml", depth=2).items()
+        for name, content in tree.files(profile, suffix=".xml", depth=2).items()
         if "/" not in name or name.split("/")[0].endswith(".defaults")
     }

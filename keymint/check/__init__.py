@@ -11,7 +11,7 @@ from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace
 from datetime import timedelta
 
-from comarmor.errors import Diagnostic, Origin, Severity
+from comarmor.errors import Diagnostic
 from keymint.api import Inspection
 from keymint.check.authorities import authorities, authority_keys, in_defect
 from keymint.check.enclaves import identity_key, inspection, on_disk
@@ -20,7 +20,7 @@ from keymint.check.git_exposure import git_exposure
 from keymint.check.install_space import shared_files
 from keymint.errors import KeymintError
 from keymint.plan import identity_keys
-from keymint.plan.enclaves import unaccounted
+from keymint.plan.enclaves import not_installed, unaccounted
 from keymint.plan.identity_keys import Keyring
 from keymint.session import Session
 
@@ -45,30 +45,21 @@ def check(session: Session, names: Sequence[str], within: timedelta) -> tuple[Di
         except KeymintError as error:
             findings += error.diagnostics
             continue
-        fingerprint, found = identity_key(session, package, keyring)
-        findings += found
+        fingerprint, key_findings = identity_key(session, package, keyring)
+        findings += key_findings
         if fingerprint:
             fingerprints[name] = fingerprint
         findings += unread
         if not seen.files and not unread:
-            findings.append(
-                Diagnostic(
-                    "enclave-missing",
-                    Severity.ERROR,
-                    f"the enclave /{name} is not installed",
-                    Origin(seen.folder),
-                    f"run 'keymint install {name}'",
-                    f"/{name}",
-                )
-            )
+            findings.append(not_installed(name, seen.folder))
             continue
         findings += on_disk(session, name, seen.files)
-        judged = session.plugins.build_type(package.build_type, session.package_marker(package.name)).check(seen)
-        there = {found.where for found in unread}
-        findings += (found for found in judged if found.code != "file-missing" or found.where not in there)
+        defects = session.plugins.build_type(package.build_type, session.package_marker(package.name)).check(seen)
+        unread_places = {each.where for each in unread}
+        findings += (each for each in defects if each.code != "file-missing" or each.where not in unread_places)
         inspections.setdefault(package.build_type, []).append(seen)
-    for build_type, together in sorted(inspections.items()):
-        findings += session.plugins.build_type(build_type).check_all(together)
+    for build_type, of_type in sorted(inspections.items()):
+        findings += session.plugins.build_type(build_type).check_all(of_type)
     findings += unaccounted(session)
     findings += identity_keys.shared_keys(session, fingerprints)
     findings += shared_files(session)
@@ -78,9 +69,9 @@ def check(session: Session, names: Sequence[str], within: timedelta) -> tuple[Di
 
 def _without_install_hints(findings: Iterable[Diagnostic], defect: Diagnostic | None) -> Iterator[Diagnostic]:
     """Yield findings without the hint to install, if a defect of an authority must be fixed first."""
-    for found in findings:
-        installs = defect is not None and _INSTALLS.search(found.help)
-        yield replace(found, help=f"fix {defect.where} first") if installs and defect else found
+    for finding in findings:
+        installs = defect is not None and _INSTALLS.search(finding.help)
+        yield replace(finding, help=f"fix {defect.where} first") if installs and defect else finding
 
 
 _INSTALLS = re.compile(r"'keymint (install|provision)")

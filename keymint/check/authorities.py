@@ -26,8 +26,8 @@ def authorities(session: Session, within: timedelta) -> Iterator[Diagnostic]:
     fingerprints: dict[str, str] = {}
     for authority in authority_files.in_order(session.profile.authorities):
         files = authority_files.read_files(session, authority, deployed)
-        key, found = _key(session, files)
-        yield from found
+        key, key_findings = _key(session, files)
+        yield from key_findings
         if key is not None:
             fingerprints[authority.name] = keys.fingerprint(key)
         if files.content is None:
@@ -62,7 +62,7 @@ def authority_keys(session: Session) -> Mapping[str, str]:
 
 def in_defect(findings: tuple[Diagnostic, ...]) -> Diagnostic | None:
     """Return a finding that makes installing fail until a person decides, or None."""
-    return next((found for found in findings if found.code in _DECIDED_BY_A_PERSON), None)
+    return next((finding for finding in findings if finding.code in _DECIDED_BY_A_PERSON), None)
 
 
 _DECIDED_BY_A_PERSON = frozenset(
@@ -97,7 +97,7 @@ def _unreadable(files: AuthorityFiles) -> Iterator[Diagnostic]:
     try:
         certificates.public_key(certificates.load(files.content or b"", where), where)
     except KeymintError as error:
-        yield from (replace(found, help=help_) for found in error.diagnostics)
+        yield from (replace(defect, help=help_) for defect in error.diagnostics)
 
 
 def _refused(require: Callable[[], None]) -> Iterator[Diagnostic]:
@@ -116,13 +116,13 @@ def _certificate(
 ) -> Iterator[Diagnostic]:
     """Check a certificate against its key, the certificates in use, and the profile."""
     spec, public = files.authority.certificate, certificates.public_key(certificate)
-    found = [
+    defects = [
         *(_refused(lambda: authority_files.require_fit(files, key)) if key is not None else ()),
         *_refused(lambda: authority_files.require_name(files)),
     ]
-    found += () if found else _refused(lambda: authority_files.require_known(files, public))
-    yield from found
-    if not found and not authority_files.satisfies(files.content or b"", spec, public, issuers.get(spec.issuer)):
+    defects += () if defects else _refused(lambda: authority_files.require_known(files, public))
+    yield from defects
+    if not defects and not authority_files.satisfies(files.content or b"", spec, public, issuers.get(spec.issuer)):
         yield Diagnostic(
             "authority-drift",
             Severity.ERROR,

@@ -7,6 +7,7 @@ from datetime import timedelta
 
 from comarmor.errors import Diagnostic, Origin, Severity
 from keymint.api import BuildOptions, Inspection, Package
+from keymint.changes import file_mode
 from keymint.check.file_status import linked_twice, modes
 from keymint.errors import KeymintError
 from keymint.pki import keys
@@ -20,26 +21,24 @@ from keymint.state import digest
 
 def inspection(session: Session, package: Package, within: timedelta) -> tuple[Inspection, tuple[Diagnostic, ...]]:
     """Return what a build type needs to check the enclave of a package, and a finding for each unreadable file."""
-    workspace = session.workspace
-    folder = workspace.enclaves(session.profile.layout) / package.name
     chains = trusted_chains(session)
     # Differences between vendors were reported and accepted when the package was built.
     built = session.plugins.build_type(package.build_type, session.package_marker(package.name)).build(
         package, BuildOptions(allow_vendor_specific=True)
     )
-    files, unread = enclave_files(session, folder, f"/{package.name}")
+    files, unread = enclave_files(session, package.name)
     seen = Inspection(
         package=package,
         documents=built.documents,
         files=files,
-        folder=workspace.shown(folder),
+        folder=session.workspace.shown(session.enclaves / package.name),
         layout=session.profile.layout,
         identity_ca=chains.get(package.identity.issuer, b""),
         permissions_ca=chains.get(package.permissions.issuer, b""),
         now=session.now,
         within_days=within / timedelta(days=1),
     )
-    return seen, tuple(found for found in unread if found.code != "symlink-refused")  # reported with the modes
+    return seen, tuple(each for each in unread if each.code != "symlink-refused")  # reported with the modes
 
 
 def identity_key(
@@ -70,15 +69,13 @@ def identity_key(
 
 def on_disk(session: Session, name: str, files: Mapping[str, bytes]) -> Iterator[Diagnostic]:
     """Check modes, links and recorded digests of one enclave."""
-    workspace = session.workspace
-    folder = workspace.enclaves(session.profile.layout) / name
+    folder = session.enclaves / name
     stamp = session.state.stamp(install.STAGE, name)
     secret = stamp.secret if stamp else ("key.pem",)
     yield from modes(session, folder, 0o700, f"/{name}")
     for file, is_folder in session.tree.names(folder):
         if not is_folder:
-            mode = 0o600 if file in secret else 0o644
-            yield from modes(session, folder / file, mode, f"/{name}")
+            yield from modes(session, folder / file, file_mode(secret=file in secret), f"/{name}")
             if file in secret:
                 yield from linked_twice(session, folder / file, f"/{name}")
     if stamp is None:
@@ -97,7 +94,7 @@ def on_disk(session: Session, name: str, files: Mapping[str, bytes]) -> Iterator
                 "file-changed",
                 Severity.ERROR,
                 "was changed after it was installed",
-                Origin(workspace.shown(folder / file)),
+                Origin(session.workspace.shown(folder / file)),
                 f"'keymint install {name}' restores it",
                 f"/{name}",
             )

@@ -16,7 +16,6 @@ from functools import lru_cache
 from pathlib import Path
 
 from comarmor.errors import Diagnostic, Origin, Severity
-from keymint.errors import KeymintError
 from keymint.session import Inputs
 
 _GROUP, _OTHERS = stat.S_IWGRP, stat.S_IWOTH
@@ -38,15 +37,15 @@ def file_status(inputs: Inputs) -> Iterator[Diagnostic]:
     if root is not None:
         yield from _open_to_others(inputs, [_Entry(workspace.root, root)])
     for space in (workspace.private, workspace.install):
-        found = list(_walk(inputs, space))
-        yield from _kinds(inputs, found)
-        yield from _each_folder(inputs, found)
-        yield from _owned_by_others(inputs, found, owners)
+        entries = list(_walk(inputs, space))
+        yield from _kinds(inputs, entries)
+        yield from _each_folder(inputs, entries)
+        yield from _owned_by_others(inputs, entries, owners)
     yield from _private(inputs)
     for space in (workspace.build, workspace.public, workspace.state, workspace.profile, workspace.src):
-        found = [each for each in _walk(inputs, space) if not stat.S_ISLNK(each.status.st_mode)]
-        yield from _open_to_others(inputs, found)
-        yield from _owned_by_others(inputs, found, owners)
+        entries = [each for each in _walk(inputs, space) if not stat.S_ISLNK(each.status.st_mode)]
+        yield from _open_to_others(inputs, entries)
+        yield from _owned_by_others(inputs, entries, owners)
 
 
 def modes(inputs: Inputs, path: Path, mode: int, subject: str) -> Iterator[Diagnostic]:
@@ -54,8 +53,8 @@ def modes(inputs: Inputs, path: Path, mode: int, subject: str) -> Iterator[Diagn
     status, shown = inputs.tree.status(path), inputs.workspace.shown(path)
     if status is None:
         return
-    found = status.st_mode
-    if stat.S_ISLNK(found):
+    existing = stat.S_IMODE(status.st_mode)
+    if stat.S_ISLNK(status.st_mode):
         yield Diagnostic(
             "file-link",
             Severity.ERROR,
@@ -64,11 +63,11 @@ def modes(inputs: Inputs, path: Path, mode: int, subject: str) -> Iterator[Diagn
             "remove it and run 'keymint install'",
             subject,
         )
-    elif stat.S_IMODE(found) != mode:
+    elif existing != mode:
         yield Diagnostic(
             "file-mode",
-            Severity.ERROR if stat.S_IMODE(found) & ~mode & 0o077 else Severity.WARNING,
-            f"has mode {stat.S_IMODE(found):04o}, expected {mode:04o}",
+            Severity.ERROR if existing & ~mode & 0o077 else Severity.WARNING,
+            f"has mode {existing:04o}, expected {mode:04o}",
             Origin(shown),
             f"chmod {mode:o} {shown}",
             subject,
@@ -91,8 +90,7 @@ def linked_twice(inputs: Inputs, path: Path, subject: str) -> Iterator[Diagnosti
 
 def _private(inputs: Inputs) -> Iterator[Diagnostic]:
     """Check modes and links of all private keys and their folders."""
-    workspace = inputs.workspace
-    for each in _walk(inputs, workspace.private):
+    for each in _walk(inputs, inputs.workspace.private):
         if stat.S_ISDIR(each.status.st_mode) or stat.S_ISLNK(each.status.st_mode):
             yield from modes(inputs, each.path, 0o700, "")
         elif each.path.suffix == ".pem":
@@ -100,9 +98,9 @@ def _private(inputs: Inputs) -> Iterator[Diagnostic]:
             yield from linked_twice(inputs, each.path, "")
 
 
-def _kinds(inputs: Inputs, found: list[_Entry]) -> Iterator[Diagnostic]:
+def _kinds(inputs: Inputs, entries: list[_Entry]) -> Iterator[Diagnostic]:
     """Report entries that are neither files nor folders; links are reported with the modes."""
-    for each in found:
+    for each in entries:
         mode = each.status.st_mode
         if not (stat.S_ISREG(mode) or stat.S_ISDIR(mode) or stat.S_ISLNK(mode)):
             yield Diagnostic(
@@ -119,9 +117,9 @@ def _kind(mode: int) -> str:
     return next((name for is_kind, name in kinds if is_kind(mode)), "a device")
 
 
-def _each_folder(inputs: Inputs, found: list[_Entry]) -> Iterator[Diagnostic]:
+def _each_folder(inputs: Inputs, entries: list[_Entry]) -> Iterator[Diagnostic]:
     """Report folders of a space created by Keymint that others can write to."""
-    for each in found:
+    for each in entries:
         mode, shown = each.status.st_mode, inputs.workspace.shown(each.path)
         if stat.S_ISDIR(mode) and mode & (_GROUP | _OTHERS):
             yield Diagnostic(
@@ -133,27 +131,27 @@ def _each_folder(inputs: Inputs, found: list[_Entry]) -> Iterator[Diagnostic]:
             )
 
 
-def _open_to_others(inputs: Inputs, found: list[_Entry]) -> Iterator[Diagnostic]:
+def _open_to_others(inputs: Inputs, entries: list[_Entry]) -> Iterator[Diagnostic]:
     """Yield one finding for all files and folders of a space that others can write to."""
-    listed = [each for each in found if _writable_by_others(each.status)]
-    if listed:
-        first = inputs.workspace.shown(listed[0].path)
-        more = f", and {len(listed) - 1} more below it or beside it" if len(listed) > 1 else ""
+    writable = [each for each in entries if _writable_by_others(each.status)]
+    if writable:
+        first = inputs.workspace.shown(writable[0].path)
+        more = f", and {len(writable) - 1} more below it or beside it" if len(writable) > 1 else ""
         yield Diagnostic(
             "place-writable",
             Severity.WARNING,
             f"others can write this{more}, and with it decide what the robots may do",
             Origin(first),
-            f"chmod -R go-w {inputs.workspace.shown(found[0].path)}" if more else f"chmod go-w {first}",
+            f"chmod -R go-w {inputs.workspace.shown(entries[0].path)}" if more else f"chmod go-w {first}",
         )
 
 
-def _owned_by_others(inputs: Inputs, found: list[_Entry], owners: frozenset[int]) -> Iterator[Diagnostic]:
+def _owned_by_others(inputs: Inputs, entries: list[_Entry], owners: frozenset[int]) -> Iterator[Diagnostic]:
     """Yield one finding for all files and folders of a space that belong to others, and one for each such key."""
-    listed = [each for each in found if each.status.st_uid not in owners]
-    keys = [each for each in listed if each.path.suffix == ".pem"]
-    for each in keys or listed[:1]:
-        more = "" if keys or len(listed) == 1 else f", like {len(listed) - 1} more below it or beside it"
+    foreign = [each for each in entries if each.status.st_uid not in owners]
+    keys = [each for each in foreign if each.path.suffix == ".pem"]
+    for each in keys or foreign[:1]:
+        more = "" if keys or len(foreign) == 1 else f", like {len(foreign) - 1} more below it or beside it"
         yield Diagnostic(
             "file-owner",
             Severity.ERROR,
@@ -164,23 +162,14 @@ def _owned_by_others(inputs: Inputs, found: list[_Entry], owners: frozenset[int]
 
 
 def _walk(inputs: Inputs, folder: Path) -> Iterator[_Entry]:
-    """Yield a folder and everything below it, without following links; unreadable entries are skipped."""
+    """Yield a folder and everything below it; unreadable folders are reported where their content is checked."""
     status = inputs.tree.status(folder)
     if status is None:
         return
     yield _Entry(folder, status)
-    if not stat.S_ISDIR(status.st_mode):
-        return
-    try:
-        entries = inputs.tree.names(folder)
-    except KeymintError:
-        return  # reported where its content is checked
-    for name, is_folder in entries:
-        if is_folder:
-            if name != ".git":
-                yield from _walk(inputs, folder / name)
-        elif (found := inputs.tree.status(folder / name)) is not None:
-            yield _Entry(folder / name, found)
+    for path, _ in inputs.tree.walk(folder) if stat.S_ISDIR(status.st_mode) else ():
+        if (status := inputs.tree.status(path)) is not None:
+            yield _Entry(path, status)
 
 
 def _owners(inputs: Inputs) -> frozenset[int]:

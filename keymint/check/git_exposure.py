@@ -28,7 +28,7 @@ def git_exposure(inputs: Inputs) -> Iterator[Diagnostic]:
 
 
 def _of_space(inputs: Inputs, space: Path) -> Iterator[Diagnostic]:
-    keys = [path for path in _files(inputs, space) if _is_secret(inputs, path)]
+    keys = [path for path, is_folder in inputs.tree.walk(space) if not is_folder and _is_secret(inputs, path)]
     if not keys:
         return
     environment = _plain(inputs.environment)
@@ -36,9 +36,9 @@ def _of_space(inputs: Inputs, space: Path) -> Iterator[Diagnostic]:
         tracked = _listed(space, "--cached", environment)
         added = _listed(space, "--others", environment)
     except KeymintError as error:
-        found = error.diagnostics[0]
-        if found.code != GIT_MISSING:
-            message = f"whether git tracks private keys is unknown: {found.message}"
+        defect = error.diagnostics[0]
+        if defect.code != GIT_MISSING:
+            message = f"whether git tracks private keys is unknown: {defect.message}"
             yield Diagnostic("git-unknown", Severity.NOTE, message, Origin(inputs.workspace.shown(space)))
         return
     guard = inputs.workspace.shown(space / gitignore.NAME)
@@ -52,11 +52,11 @@ def _finding(
     inputs: Inputs, keys: list[Path], listed: frozenset[Path], code: str, what: str, help_: str
 ) -> Iterator[Diagnostic]:
     """Yield one finding for all private keys of a space that are listed."""
-    found = [path for path in keys if path in listed or any(folder in listed for folder in path.parents)]
-    if found:
-        more = f", like {len(found) - 1} more" if len(found) > 1 else ""
+    exposed = [path for path in keys if path in listed or any(folder in listed for folder in path.parents)]
+    if exposed:
+        more = f", like {len(exposed) - 1} more" if len(exposed) > 1 else ""
         message = f"is a private key {what}{more}"
-        yield Diagnostic(code, Severity.ERROR, message, Origin(inputs.workspace.shown(found[0])), help_)
+        yield Diagnostic(code, Severity.ERROR, message, Origin(inputs.workspace.shown(exposed[0])), help_)
 
 
 def _in_repository(folder: Path) -> bool:
@@ -73,18 +73,6 @@ def _plain(environment: Mapping[str, str]) -> Mapping[str, str]:
     """Return an environment in which git only reads the repository of a space."""
     kept = {name: value for name, value in environment.items() if not name.startswith("GIT_") or "CONFIG" in name}
     return {**kept, "LC_ALL": "C", "GIT_OPTIONAL_LOCKS": "0", "GIT_TERMINAL_PROMPT": "0"}
-
-
-def _files(inputs: Inputs, folder: Path) -> Iterator[Path]:
-    try:
-        entries = inputs.tree.names(folder)
-    except KeymintError:
-        return  # reported where its content is checked
-    for name, is_folder in entries:
-        if not is_folder:
-            yield folder / name
-        elif name != ".git":
-            yield from _files(inputs, folder / name)
 
 
 def _is_secret(inputs: Inputs, path: Path) -> bool:

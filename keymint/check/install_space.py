@@ -3,36 +3,37 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from pathlib import Path
 
 from comarmor.errors import Diagnostic, Origin, Severity
 from keymint.api import Artifact
 from keymint.check.file_status import modes
 from keymint.plan import gitignore
 from keymint.plan.enclaves import enclave_files, installed
-from keymint.session import Inputs, Session
+from keymint.session import Session
 from keymint.workspace import packages
 
 
 def shared_files(session: Session) -> Iterator[Diagnostic]:
     """Yield the findings on the install space outside the enclaves."""
-    workspace, layout = session.workspace, session.profile.layout
-    enclaves = {workspace.enclaves(layout) / name for name in installed(session)}
+    workspace, names = session.workspace, installed(session)
+    enclaves = {session.enclaves / name for name in names}
     expected: dict[str, bytes] = {}
     known = set(packages(session.tree, workspace.src))
-    names = {str(folder.relative_to(workspace.enclaves(layout))): folder for folder in enclaves}
     artifacts = {
-        f"/{name}": {file: Artifact(content) for file, content in enclave_files(session, folder, "")[0].items()}
-        for name, folder in names.items()
+        f"/{name}": {file: Artifact(content) for file, content in enclave_files(session, name)[0].items()}
+        for name in names
         if name in known or known.isdisjoint(names)  # if all are hidden or orphaned, they still need the shared files
     }
     for info in session.plugins.infos:
         if info.group == "keymint.build_types" and artifacts:
-            shared_files = session.plugins.build_type(info.name).shared(artifacts, layout)
-            expected |= {path: artifact.content for path, artifact in shared_files.items()}
-    for path in _files_below(session, workspace.install):
+            shared = session.plugins.build_type(info.name).shared(artifacts, session.profile.layout)
+            expected |= {path: artifact.content for path, artifact in shared.items()}
+    entries = list(session.tree.walk(workspace.install, skipped=""))
+    folders = [path for path, is_folder in entries if is_folder]
+    empty = [folder for folder in folders if not session.tree.names(folder)]  # an error if one cannot be read
+    for path, is_folder in entries:
         relative = str(path.relative_to(workspace.install))
-        if path.parent in enclaves or path == workspace.install / gitignore.NAME:
+        if is_folder or path.parent in enclaves or path == workspace.install / gitignore.NAME:
             continue
         if relative not in expected:
             yield Diagnostic(
@@ -52,7 +53,7 @@ def shared_files(session: Session) -> Iterator[Diagnostic]:
                     Origin(workspace.shown(path)),
                     "'keymint install' restores it",
                 )
-    for folder in _empty_folders(session, workspace.install):
+    for folder in empty:
         message = "is an empty folder in the install space that Keymint did not create"
         yield Diagnostic("folder-unexpected", Severity.WARNING, message, Origin(workspace.shown(folder)), "remove it")
     for relative in expected:
@@ -64,20 +65,3 @@ def shared_files(session: Session) -> Iterator[Diagnostic]:
                 Origin(workspace.shown(workspace.install / relative)),
                 "'keymint install' restores it",
             )
-
-
-def _files_below(inputs: Inputs, folder: Path) -> Iterator[Path]:
-    for name, is_folder in inputs.tree.names(folder):
-        if is_folder:
-            yield from _files_below(inputs, folder / name)
-        else:
-            yield folder / name
-
-
-def _empty_folders(inputs: Inputs, folder: Path) -> Iterator[Path]:
-    """Yield the empty folders below a folder."""
-    for name, is_folder in inputs.tree.names(folder):
-        if is_folder:
-            if not inputs.tree.names(folder / name):
-                yield folder / name
-            yield from _empty_folders(inputs, folder / name)

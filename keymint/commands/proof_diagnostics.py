@@ -32,7 +32,7 @@ def unsigned(found: Diagnostic, session: Session) -> Diagnostic:
     name = found.subject.removeprefix("/")
     workspace = session.workspace
     folder = workspace.shown(workspace.build / name)
-    enclave = workspace.enclaves(session.profile.layout) / name
+    enclave = session.enclaves / name
 
     def line(file: str, number: int) -> int:
         head, _, _ = (session.tree.read(enclave / f"{file}.p7s") or b"").partition(_FIRST)

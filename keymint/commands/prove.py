@@ -70,10 +70,9 @@ def prove(run: Run, names: tuple[str, ...], seconds: float, states: int, allow_v
         )  # fmt: skip
     unknown = () if names else (*unaccounted(session), *uncreated(inputs, policy, chosen))
     unrecorded = run.keep(inputs, found.state)
-    enclaves = workspace.enclaves(session.profile.layout)
 
     def folder(name: str) -> str:
-        return workspace.shown(enclaves / name)
+        return workspace.shown(session.enclaves / name)
 
     claims = [claim for enclave in found.enclaves for claim in enclave.claims]
     _summary(run, found)
@@ -108,14 +107,14 @@ def _summary(run: Run, found: ProofResults) -> None:
     open_ = [claim for enclave in found.enclaves for claim in enclave.claims if claim.proof is not Proof.PROVEN]
     refuted = sum(claim.proof is Proof.COUNTEREXAMPLE for claim in open_)
     unread = sum(any(said.code != NO_PROVER for said in enclave.diagnostics) for enclave in found.enclaves)
-    remembered = sum(enclave.remembered for enclave in found.enclaves)
+    cached = sum(enclave.cached for enclave in found.enclaves)
     parts = [f"{total - len(open_)} of {total} claims proven"]
     parts += [f"{refuted} refuted"] * bool(refuted)
     parts += [f"{len(open_) - refuted} unknown"] * (len(open_) > refuted)
     parts += [f"{counted(unread, 'enclave')} could not be read"] * bool(unread)
     models = ", ".join(_taken(found))
-    cached = f" ({remembered} cached)" if remembered else ""
-    enclaves = f"{counted(count, 'enclave')}{cached}{f' for {models}' if models else ''}"
+    of_these = f" ({cached} cached)" if cached else ""
+    enclaves = f"{counted(count, 'enclave')}{of_these}{f' for {models}' if models else ''}"
     say(f"proved {enclaves}: {', '.join(parts)}{_when(found)}")
     if excepted := list(dict.fromkeys(_excepted(found))):
         say(f"not part of the proof, left open by governance: {'; '.join(excepted[:SHOWN])}{_more(excepted)}")
@@ -175,12 +174,15 @@ def legible(name: str) -> str:
 
 
 def _enclave(enclave: EnclaveProof, now: datetime, run: Run) -> dict[str, Any]:
+    def until(claim: Claim) -> datetime | None:
+        return terms.end(terms.terms_of(enclave.terms, {claim.model}), now)
+
     return {
         "subject": enclave.subject,
         "proof": str(_whole(enclave)),
         "until": _shown(terms.end(enclave.terms, now)),
-        "unchanged": enclave.remembered,
-        "claims": [_claim(claim, terms.end(enclave.of_claim(claim), now), run) for claim in enclave.claims],
+        "unchanged": enclave.cached,
+        "claims": [_claim(claim, until(claim), run) for claim in enclave.claims],
     }
 
 

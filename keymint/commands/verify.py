@@ -100,7 +100,7 @@ def verify(
     policy = load_policy(session)
     subjects = tuple(found.enclaves)
     transports = choose(run.plugins, chosen, Tier(tier))
-    with copied(inputs.tree, workspace.enclaves(session.profile.layout), found.enclaves, transports) as copies:
+    with copied(inputs.tree, session.enclaves, found.enclaves, transports) as copies:
         transports = copies.read_by(transports)
         if graph is None:
             edges = edges_of_policy(policy, replace(found, enclaves=copies.enclaves))

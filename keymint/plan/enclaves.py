@@ -31,7 +31,7 @@ def installed(session: Session) -> tuple[str, ...]:
             if is_folder and not entry.startswith("."):
                 search(folder / entry, f"{name}/{entry}" if name else entry)
 
-    search(session.workspace.enclaves(session.profile.layout), "")
+    search(session.enclaves, "")
     return tuple(sorted(names))
 
 
@@ -49,24 +49,14 @@ def unaccounted(session: Session) -> Iterator[Diagnostic]:
     """Yield a finding for each installed enclave without a visible source package."""
     for name, marker in _unknown(session):
         if marker is None:
-            message, help_ = "has no source package", "'keymint install --prune' removes it"
-            yield Diagnostic(
-                "enclave-orphaned",
-                Severity.WARNING,
-                f"the enclave /{name} is installed, but {message}",
-                None,
-                help_,
-                f"/{name}",
-            )
-            continue
-        yield Diagnostic(
-            "enclave-ignored",
-            Severity.WARNING,
-            f"hides the source package of the installed enclave /{name}, which is not checked or updated",
-            Origin(session.workspace.shown(marker)),
-            "remove this file, or the enclave",
-            f"/{name}",
-        )
+            code, where = "enclave-orphaned", None
+            message = f"the enclave /{name} is installed, but has no source package"
+            help_ = "'keymint install --prune' removes it"
+        else:
+            code, where = "enclave-ignored", Origin(session.workspace.shown(marker))
+            message = f"hides the source package of the installed enclave /{name}, which is not checked or updated"
+            help_ = "remove this file, or the enclave"
+        yield Diagnostic(code, Severity.WARNING, message, where, help_, f"/{name}")
 
 
 def _unknown(session: Session) -> Iterator[tuple[str, Path | None]]:
@@ -101,35 +91,34 @@ ROS 2 may read such a file although it cannot be read here, so nothing is claime
 """
 
 
-def enclave_files(inputs: Inputs, folder: Path, subject: str) -> tuple[dict[str, bytes], tuple[Diagnostic, ...]]:
-    """Return the files of an enclave by name, and a finding for each that cannot be read.
-
-    Args:
-        inputs: the workspace.
-        folder: the enclave's.
-        subject: the enclave's, for the findings.
-    """
+def enclave_files(session: Session, name: str) -> tuple[dict[str, bytes], tuple[Diagnostic, ...]]:
+    """Return the files of a package's enclave by name, and a finding for each that cannot be read."""
     files: dict[str, bytes] = {}
     unreadable: list[Diagnostic] = []
     try:
-        entries = inputs.tree.names(folder)
+        entries = session.tree.names(session.enclaves / name)
     except KeymintError as error:
-        return {}, tuple(replace(each, subject=subject) for each in error.diagnostics)
-    for name, is_folder in entries:
-        if not is_folder:
-            try:
-                content = inputs.tree.read(folder / name)
-            except KeymintError as error:
-                unreadable += (_placed(inputs, each, folder / name, subject) for each in error.diagnostics)
-                continue
-            if content is not None:
-                files[name] = content
+        return {}, tuple(replace(each, subject=f"/{name}") for each in error.diagnostics)
+    for file, is_folder in entries:
+        path = session.enclaves / name / file
+        try:
+            content = None if is_folder else session.tree.read(path)
+        except KeymintError as error:
+            where = Origin(session.workspace.shown(path))
+            unreadable += (
+                replace(each, where=where, help=each.help or "remove it", subject=f"/{name}")
+                for each in error.diagnostics
+            )
+            continue
+        if content is not None:
+            files[file] = content
     return files, tuple(unreadable)
 
 
-def _placed(inputs: Inputs, found: Diagnostic, path: Path, subject: str) -> Diagnostic:
-    help_ = found.help or "remove it"
-    return replace(found, where=Origin(inputs.workspace.shown(path)), help=help_, subject=subject)
+def not_installed(name: str, folder: str) -> Diagnostic:
+    """Return the finding on a package without an enclave; the folder is the missing one as messages show it."""
+    message, help_ = f"the enclave /{name} is not installed", f"run 'keymint install {name}'"
+    return Diagnostic("enclave-missing", Severity.ERROR, message, Origin(folder), help_, f"/{name}")
 
 
 def deployed_authorities(session: Session) -> tuple[x509.Certificate, ...]:
@@ -137,18 +126,17 @@ def deployed_authorities(session: Session) -> tuple[x509.Certificate, ...]:
 
     Files that cannot be read or contain no certificates are skipped.
     """
-    found: dict[bytes, None] = {}
-    root = session.workspace.enclaves(session.profile.layout)
+    contents: dict[bytes, None] = {}
     for name in installed(session):
-        for entry, is_folder in session.tree.names(root / name):
+        for entry, is_folder in session.tree.names(session.enclaves / name):
             if not is_folder and entry.endswith(".pem") and entry not in {CERTIFICATE, KEY}:
-                found[session.tree.try_read(root / name / entry) or b""] = None
-    return tuple(dict.fromkeys(certificate for pem in found for certificate in _certificates(pem)))
+                contents[session.tree.try_read(session.enclaves / name / entry) or b""] = None
+    return tuple(dict.fromkeys(certificate for pem in contents for certificate in _certificates(pem)))
 
 
 def installed_certificate(session: Session, name: str) -> x509.Certificate | None:
     """Return the identity certificate of an installed enclave, or None if there is no readable one."""
-    path = session.workspace.enclaves(session.profile.layout) / name / CERTIFICATE
+    path = session.enclaves / name / CERTIFICATE
     return next(_certificates(session.tree.try_read(path) or b""), None)
 
 

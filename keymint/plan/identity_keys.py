@@ -54,7 +54,7 @@ def restore_or_mint(session: Session, package: Package, path: Path) -> tuple[Fol
     known = known_fingerprint(session, package.name)
     if not known:
         return mint(session, package, path)
-    pem = session.tree.try_read(session.workspace.enclaves(session.profile.layout) / package.name / KEY) or b""
+    pem = session.tree.try_read(session.enclaves / package.name / KEY) or b""
     try:
         secret = password(package.identity.key, session.environment, package.identity.origin)
         there = keys.fingerprint(keys.from_pem(pem, secret)) if pem else ""

@@ -113,7 +113,7 @@ def _plan_enclave(
             code="not-built",
             where=Origin(workspace.shown(workspace.build / name)),
         )
-    folder = workspace.enclaves(session.profile.layout) / name
+    folder = session.enclaves / name
     status = session.tree.status(folder)
     if status is not None and stat.S_ISLNK(status.st_mode):
         raise KeymintError(
@@ -128,7 +128,7 @@ def _plan_enclave(
         return _EnclavePlan(Step(STAGE, name, Action.UNCHANGED), lifetimes=lifetimes.recalled(session, name, recorded))
     package = session.package(name)
     own = lifetimes.lifetimes(package)
-    existing, unreadable = enclave_files(session, folder, f"/{name}")
+    existing, unreadable = enclave_files(session, name)
     public = identity_keys.load(session, package, key_path, key_pem).public_key()
     keyring.require_own(name, key_path, public)
     artifacts, warnings = sign(session, package, documents, authorities, (key_pem, public), existing)
@@ -219,7 +219,7 @@ def is_current(session: Session, name: str, chains: Mapping[str, bytes]) -> bool
         chains: certificates of the authorities by name.
     """
     stamp = session.state.stamp(STAGE, name)
-    folder = session.workspace.enclaves(session.profile.layout) / name
+    folder = session.enclaves / name
     return (
         stamp is not None
         and stamp.inputs == _inputs_digest(session, name, chains)
@@ -249,7 +249,7 @@ def _has_mode(inputs: Inputs, path: Path, *, secret: bool) -> bool:
 
 
 def _prune(session: Session, name: str) -> Step:
-    folder = session.workspace.enclaves(session.profile.layout) / name
+    folder = session.enclaves / name
     files = [entry for entry, is_folder in session.tree.names(folder) if not is_folder]
     # The certificate goes last, so that what a killed run leaves is still recognised as an enclave.
     ordered = tuple(sorted(files, key=lambda entry: entry == CERTIFICATE))

@@ -10,14 +10,14 @@ from dataclasses import dataclass, replace
 from datetime import datetime
 from pathlib import Path
 
-from comarmor.errors import Diagnostic, Origin, Severity
+from comarmor.errors import Diagnostic, Severity
 from keymint import __version__
 from keymint.api import Claim, DomainRange, LoadedPolicy, Package, Proof, ProofTask, Prover, ValidityTerm
 from keymint.errors import KeymintError
 from keymint.ir import SubjectRules
 from keymint.plan import authority_evidence, terms
 from keymint.plan.authority_files import trusted_chains
-from keymint.plan.enclaves import INSTALLED, TAKEN, enclave_files
+from keymint.plan.enclaves import INSTALLED, TAKEN, enclave_files, not_installed
 from keymint.plan.trust_anchors import anchors_of
 from keymint.session import Session
 from keymint.state import Stamp, State, digest, digest_files
@@ -47,20 +47,16 @@ class EnclaveProof:
     Attributes:
         subject: its subject.
         claims: by model, action and domains; none if the enclave could not be read.
-        remembered: the proof is cached: every claim was proven before, and nothing changed.
+        cached: every claim was proven before, and nothing changed.
         diagnostics: files that could not be read, or that do not rest on the workspace's authorities.
         terms: when the documents are in force.
     """
 
     subject: str
     claims: tuple[Claim, ...]
-    remembered: bool = False
+    cached: bool = False
     diagnostics: tuple[Diagnostic, ...] = ()
     terms: tuple[ValidityTerm, ...] = ()
-
-    def of_claim(self, claim: Claim) -> tuple[ValidityTerm, ...]:
-        """Return the terms that a claim needs."""
-        return terms.terms_of(self.terms, {claim.model})
 
 
 @dataclass(frozen=True, slots=True)
@@ -104,11 +100,11 @@ def prove(
     Raises:
         KeymintError: a package has defects.
     """
-    stage = _ProofRun(session, policy, effort, standard_only, folder)
+    run = _ProofRun(session, policy, effort, standard_only, folder or session.enclaves.joinpath)
     for name in names:
-        stage.prove(name)
+        run.prove(name)
         on_enclave(name)
-    return stage.results()
+    return run.results()
 
 
 class _ProofRun:
@@ -120,7 +116,7 @@ class _ProofRun:
         policy: LoadedPolicy,
         effort: ProofEffort,
         standard_only: bool,
-        folder: Callable[[str], Path] | None,
+        folder: Callable[[str], Path],
     ) -> None:
         self._session = session
         self._policy = policy
@@ -129,11 +125,10 @@ class _ProofRun:
         self._folder = folder
         self._chains = trusted_chains(session)
         self._contradictions = authority_evidence.contradictions(session)
-        self._seen = digest(*(f"{path} {value.hex()}" for path, value in sorted(policy.seen.items())))
+        self._policy_digest = digest(*(f"{path} {value.hex()}" for path, value in sorted(policy.seen.items())))
         self._proofs: list[EnclaveProof] = []
         self._stamps: dict[str, Stamp] = {}
         self._refuted: set[str] = set()
-        self._provers: set[str] = set()
         self._assumptions: dict[str, Sequence[str]] = {}
 
     def results(self) -> ProofResults:
@@ -145,98 +140,104 @@ class _ProofRun:
 
     def prove(self, name: str) -> None:
         """Prove the claims about one enclave, unless the proof is cached."""
-        inputs = self._session
-        folder = inputs.workspace.enclaves(self._session.profile.layout) / name
-        source = self._session.package_files(name)
-        files, unread = enclave_files(inputs, folder, f"/{name}")
+        session = self._session
+        files, unread = enclave_files(session, name)
+        stamp = session.state.stamp(STAGE, name)
         if defects := self._of_enclave(name, unread):
             self._proofs.append(EnclaveProof(f"/{name}", (), diagnostics=defects))
             self._refuted.add(name)
             return
         if self._contradictions and (
-            contradictions := authority_evidence.contradictions_for(self._contradictions, self._session.package(name))
+            contradictions := authority_evidence.contradictions_for(self._contradictions, session.package(name))
         ):
             self._proofs.append(EnclaveProof(f"/{name}", (), diagnostics=contradictions))
             return
-        wanted = self._wanted(source, files)
-        stamp = inputs.state.stamp(STAGE, name)
-        known = terms.load(stamp.outputs.get(_TERMS, ""), self._shown(name)) if stamp is not None else None
-        if stamp is not None and known is not None and stamp.inputs == wanted and self._same_rules(name, stamp):
+        inputs = self._inputs_digest(session.package_files(name), files)
+        cached_terms = terms.load(stamp.outputs.get(_TERMS, ""), self._shown(name)) if stamp is not None else None
+        if stamp and cached_terms is not None and stamp.inputs == inputs and self._same_rules(name, stamp):
             # The cache does not depend on the clock: whether documents are in force is checked at each run.
-            self._proofs.append(EnclaveProof(f"/{name}", _cached_claims(stamp), remembered=True, terms=known))
-            self._assume(stamp.outputs[_BUILD_TYPE], name)
+            self._proofs.append(EnclaveProof(f"/{name}", _cached_claims(stamp), cached=True, terms=cached_terms))
+            self._prover(stamp.outputs[_BUILD_TYPE], name)
             return
-        package = self._session.package(name)
+        package = session.package(name)
         rules = _rules(self._policy, package.subject)
-        self._proofs.append(self._claimed(package, rules, files))
+        proof = self._proof(package, rules, files)
+        self._proofs.append(proof)
         if self._standard_only:
             return
-        if self._proofs[-1].diagnostics or any(claim.proof is not Proof.PROVEN for claim in self._proofs[-1].claims):
+        if proof.diagnostics or any(claim.proof is not Proof.PROVEN for claim in proof.claims):
             self._refuted.add(name)
         else:
-            outputs = {_key(claim): "\n".join((claim.universe, *claim.excepted)) for claim in self._proofs[-1].claims}
-            outputs[_RULES] = _meaning(rules)
-            outputs[_TERMS] = terms.dump(self._proofs[-1].terms, self._shown(name))
+            outputs = {_key(claim): "\n".join((claim.universe, *claim.excepted)) for claim in proof.claims}
+            outputs[_RULES] = _rules_digest(rules)
+            outputs[_TERMS] = terms.dump(proof.terms, self._shown(name))
             outputs[_BUILD_TYPE] = package.build_type
-            self._stamps[name] = Stamp(wanted, outputs, context=self._seen)
+            self._stamps[name] = Stamp(inputs, outputs, context=self._policy_digest)
 
     def _of_enclave(self, name: str, unread: Sequence[Diagnostic]) -> tuple[Diagnostic, ...]:
         """Return the diagnostics of unreadable files that belong to the enclave, by the record or by their names."""
         stamp = self._session.state.stamp(INSTALLED, name)
-        names = [found.where.file.rpartition("/")[2] if found.where else "" for found in unread]
+        files = [each.where.file.rpartition("/")[2] if each.where else "" for each in unread]
         return tuple(
-            found
-            for found, file in zip(unread, names, strict=True)
+            each
+            for each, file in zip(unread, files, strict=True)
             if stamp is None or file in {*stamp.outputs, ""} or file.endswith(TAKEN)
         )
 
     def _same_rules(self, name: str, stamp: Stamp) -> bool:
         """Tell whether the policy has the same rules for a subject as when the stamp was made."""
-        if stamp.context == self._seen:
+        if stamp.context == self._policy_digest:
             return True
-        if stamp.outputs.get(_RULES) != _meaning(_rules(self._policy, f"/{name}")):
+        if stamp.outputs.get(_RULES) != _rules_digest(_rules(self._policy, f"/{name}")):
             return False
-        self._stamps[name] = replace(stamp, context=self._seen)
+        self._stamps[name] = replace(stamp, context=self._policy_digest)
         return True
 
     def _shown(self, name: str) -> str:
         """Return the path of an enclave's files in messages, as the user would type it."""
-        folder = self._session.workspace.enclaves(self._session.profile.layout) / name
-        return self._session.workspace.shown(self._folder(name) if self._folder else folder)
+        return self._session.workspace.shown(self._folder(name))
 
-    def _claimed(self, package: Package, rules: SubjectRules, files: Mapping[str, bytes]) -> EnclaveProof:
-        inputs = self._session
-        prover = self._assume(package.build_type, package.name)
+    def _proof(self, package: Package, rules: SubjectRules, files: Mapping[str, bytes]) -> EnclaveProof:
+        subject, folder = package.subject, self._shown(package.name)
+        prover = self._prover(package.build_type, package.name)
         if prover is None:
             message = f"the build type {package.build_type} proves nothing"
-            marker = inputs.package_marker(package.name)
-            said = Diagnostic(NO_PROVER, Severity.ERROR, message, marker, "", package.subject)
-            return EnclaveProof(package.subject, (), diagnostics=(said,))
+            marker = self._session.package_marker(package.name)
+            return EnclaveProof(
+                subject, (), diagnostics=(Diagnostic(NO_PROVER, Severity.ERROR, message, marker, "", subject),)
+            )
+        if not files:
+            return EnclaveProof(subject, (), diagnostics=(not_installed(package.name, folder),))
         task = ProofTask(
             rules,
             package.distro,
             package.permissions.domains,
             files,
-            self._shown(package.name),
+            folder,
             anchors_of(self._session, package, self._chains),
             self._effort.states,
             self._effort.deadline(),
             self._standard_only,
             package.governance,
         )
-        return _prove(prover, task, package.name)
+        try:
+            claims = tuple(prover.prove(task))
+            validity = prover.terms(task.files, task.folder, task.anchors)
+        except KeymintError as error:
+            return EnclaveProof(
+                subject, (), diagnostics=tuple(replace(each, subject=subject) for each in error.diagnostics)
+            )
+        return EnclaveProof(subject, claims, terms=terms.terms_of(validity, {claim.model for claim in claims}))
 
-    def _assume(self, name: str, package: str) -> Prover | None:
+    def _prover(self, build_type_name: str, package: str) -> Prover | None:
         """Return the prover of a build type and keep its assumptions; None if the build type has no prover."""
-        build_type = self._session.plugins.build_type(name, self._session.package_marker(package))
+        build_type = self._session.plugins.build_type(build_type_name, self._session.package_marker(package))
         if not isinstance(build_type, Prover):
             return None
-        if name not in self._provers:
-            self._provers.add(name)
-            self._assumptions.update(build_type.assumptions())
+        self._assumptions.update(build_type.assumptions())
         return build_type
 
-    def _wanted(self, source: Mapping[str, bytes], files: Mapping[str, bytes]) -> str:
+    def _inputs_digest(self, source: Mapping[str, bytes], files: Mapping[str, bytes]) -> str:
         """Return the digest of everything that a proof depends on, except the policy."""
         return digest(
             digest_files(files),
@@ -256,25 +257,9 @@ def _rules(policy: LoadedPolicy, subject: str) -> SubjectRules:
     return policy.rules(subject) or SubjectRules(subject, ())
 
 
-def _meaning(rules: SubjectRules) -> str:
+def _rules_digest(rules: SubjectRules) -> str:
     """Return a digest of rules, independent of where they are written."""
     return digest(*(repr((r.effect, r.kind, r.permissions, r.expressions, r.partitions)) for r in rules.rules))
-
-
-def _prove(prover: Prover, task: ProofTask, name: str) -> EnclaveProof:
-    subject = task.rules.subject
-    if not task.files:
-        message, help_ = f"the enclave {subject} is not installed", f"run 'keymint install {name}'"
-        said = Diagnostic("enclave-missing", Severity.ERROR, message, Origin(task.folder), help_, subject)
-        return EnclaveProof(subject, (), diagnostics=(said,))
-    try:
-        claims = tuple(prover.prove(task))
-        documents_terms = prover.terms(task.files, task.folder, task.anchors)
-    except KeymintError as error:
-        return EnclaveProof(
-            subject, (), diagnostics=tuple(replace(each, subject=subject) for each in error.diagnostics)
-        )
-    return EnclaveProof(subject, claims, terms=terms.terms_of(documents_terms, {claim.model for claim in claims}))
 
 
 def _key(claim: Claim) -> str:

@@ -20,7 +20,6 @@ def shared_steps(session: Session, changed_enclaves: Mapping[str, tuple[str, Map
     """
     if not changed_enclaves:
         return []
-    layout = session.profile.layout
     by_type: dict[str, dict[str, Mapping[str, Artifact]]] = {}
     types = {build_type for build_type, _ in changed_enclaves.values()}
     for name in sorted({*changed_enclaves, *installed(session)}):
@@ -28,13 +27,14 @@ def shared_steps(session: Session, changed_enclaves: Mapping[str, tuple[str, Map
             build_type, artifacts = changed_enclaves[name]
             by_type.setdefault(build_type, {})[f"/{name}"] = artifacts
         elif len(types) == 1:
-            existing, _ = enclave_files(session, session.workspace.enclaves(layout) / name, f"/{name}")
+            existing, _ = enclave_files(session, name)
             kept = {file: Artifact(content, secret=file == KEY) for file, content in existing.items()}
             by_type.setdefault(next(iter(types)), {})[f"/{name}"] = kept
     steps = []
-    for build_type, enclaves in sorted(by_type.items()):
+    for name, enclaves in sorted(by_type.items()):
+        plugin = session.plugins.build_type(name)
         folders: dict[Path, dict[str, File]] = {}
-        for relative, artifact in session.plugins.build_type(build_type).shared(enclaves, layout).items():
+        for relative, artifact in plugin.shared(enclaves, session.profile.layout).items():
             path = session.workspace.install / relative
             folders.setdefault(path.parent, {})[path.name] = File(artifact.content, secret=artifact.secret)
         changes = [change for folder, files in folders.items() for change in changed(session.tree, folder, files)]

@@ -42,19 +42,19 @@ def differences(session: Session, names: Sequence[str]) -> tuple[Diagnostic, ...
     Raises:
         KeymintError: a package has defects.
     """
-    found: list[Diagnostic] = []
-    chains, doubts = trusted_chains(session), authority_evidence.contradictions(session)
+    findings: list[Diagnostic] = []
+    chains, contradictions = trusted_chains(session), authority_evidence.contradictions(session)
     for name in names:
-        folder = session.workspace.enclaves(session.profile.layout) / name
-        files, unread = enclave_files(session, folder, f"/{name}")
-        found += (each for each in unread if each.where is not None and each.where.file.endswith(TAKEN))
+        files, unread = enclave_files(session, name)
+        findings += (each for each in unread if each.where is not None and each.where.file.endswith(TAKEN))
         if not files:
             continue
         package = session.package(name)
-        found += authority_evidence.contradictions_for(doubts, package)
+        findings += authority_evidence.contradictions_for(contradictions, package)
         build_type = session.plugins.build_type(package.build_type, session.package_marker(name))
         if isinstance(build_type, Prover):
             anchors = anchors_of(session, package, chains)
-            told = build_type.differences(files, session.workspace.shown(folder), anchors)
-            found += (replace(each, subject=package.subject) for each in told)
-    return tuple(dict.fromkeys(found))
+            folder = session.workspace.shown(session.enclaves / name)
+            differences = build_type.differences(files, folder, anchors)
+            findings += (replace(each, subject=package.subject) for each in differences)
+    return tuple(dict.fromkeys(findings))

@@ -53,8 +53,7 @@ def verification_scope(session: Session, names: Sequence[str]) -> VerificationSc
     domains: dict[str, int] = {}
     for name in sorted(names):
         package = session.package(name)
-        folder = session.workspace.enclaves(session.profile.layout) / name
-        enclaves[package.subject] = Enclave(package.subject, folder, package.distro)
+        enclaves[package.subject] = Enclave(package.subject, session.enclaves / name, package.distro)
         naming = naming_of(session, package)
         if naming:
             namings[package.subject] = naming

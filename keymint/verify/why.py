@@ -154,10 +154,8 @@ def explain(
     there = name in installed(session)
     labels: dict[str, Mismatch] = {}
     if there:
-        folder = session.workspace.enclaves(session.profile.layout) / name
-        enclave = Enclave(edge.subject, folder, session.profile.distro)
-        place = session.workspace.enclaves(session.profile.layout)
-        with copied(session.tree, place, {edge.subject: enclave}, transports) as copies:
+        enclave = Enclave(edge.subject, session.enclaves / name, session.profile.distro)
+        with copied(session.tree, session.enclaves, {edge.subject: enclave}, transports) as copies:
             asked_of = copies.read_by(transports)
             tell = Explainer(judge, asked_of, lambda: copies.read_by(find_models()), session.tree)
             for each, transport in asked_of.items():

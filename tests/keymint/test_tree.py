@@ -61,7 +61,7 @@ def test_the_overlay_hides_the_disk(tmp_path: Path) -> None:
     assert tree.names(tmp_path) == [("a", True), ("changed", False), ("kept", False)]
     assert tree.names(tmp_path / "a") == [("b", True)]
     assert tree.files(tmp_path) == {"kept": b"old", "changed": b"new"}
-    assert tree.files_below(tmp_path) == {"kept": b"old", "changed": b"new", "a/b/made": b"new"}
+    assert tree.files(tmp_path, depth=8) == {"kept": b"old", "changed": b"new", "a/b/made": b"new"}
     assert tree.read(tmp_path / "gone") is None
     assert (tmp_path / "changed").read_bytes() == b"old"
 
@@ -79,14 +79,14 @@ def test_a_link_to_a_folder_is_not_entered(tmp_path: Path) -> None:
     (tmp_path / "loop").symlink_to(tmp_path)
     assert ("loop", False) in Tree().names(tmp_path)
     with pytest.raises(KeymintError):
-        Tree().files_below(tmp_path)  # the link is neither followed nor passed over in silence
+        Tree().files(tmp_path, depth=8)  # the link is neither followed nor passed over in silence
 
 
-def test_files_below_ends_at_its_depth_and_leaves_out_hidden_folders(tmp_path: Path) -> None:
+def test_files_ends_at_its_depth_and_leaves_out_hidden_folders(tmp_path: Path) -> None:
     for path in ("a.xml", "one/b.xml", "one/two/c.xml", ".git/d.xml", "e.txt"):
         (tmp_path / path).parent.mkdir(parents=True, exist_ok=True)
         (tmp_path / path).write_bytes(b"")
-    assert set(Tree().files_below(tmp_path, suffix=".xml", depth=2)) == {"a.xml", "one/b.xml"}
+    assert set(Tree().files(tmp_path, suffix=".xml", depth=2)) == {"a.xml", "one/b.xml"}
 
 
 PATHS = st.lists(st.sampled_from("abc"), min_size=1, max_size=3).map("/".join)
@@ -99,7 +99,7 @@ def test_the_overlay_alone_is_read_as_a_disk_with_its_files_would_be(planned: di
     if any(other.startswith(f"{path}/") for path in planned for other in planned):
         return  # a path cannot be a file and a folder
     tree = Tree({root / path: content for path, content in planned.items()})
-    assert tree.files_below(root) == files
+    assert tree.files(root, depth=8) == files
 
 
 # -- snapshots ---------------------------------------------------------------------------------------------------
