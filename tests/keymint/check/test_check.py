@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import os
-import random
 import shutil
 from collections.abc import Callable
 from pathlib import Path
@@ -98,26 +96,6 @@ def test_damage_is_found(keymint, provisioned: Path, damage: Callable[[Path], No
         assert "\n" not in finding["message"] + finding["help"]
 
 
-@pytest.mark.parametrize("recorded", [True, False])
-def test_any_flipped_byte_in_any_installed_file_is_found(keymint, provisioned: Path, *, recorded: bool) -> None:
-    """With the record, and by looking at the files alone."""
-    chance = random.Random(20261121)
-    if not recorded:
-        (provisioned / ".keymint/state.json").unlink()
-    for path in sorted((provisioned / "install").rglob("*")):
-        if not path.is_file() or path.name == ".gitignore":  # which is the user's to edit
-            continue
-        content = path.read_bytes()
-        for at in {0, len(content) - 1, *chance.sample(range(len(content)), 4)}:
-            flipped = bytearray(content)
-            flipped[at] ^= 1 << chance.randrange(8)
-            path.write_bytes(flipped)
-            outcome = keymint("check", cwd=provisioned)
-            assert outcome.code == 3, f"{path.name}, byte {at}: {outcome.err}"
-        path.write_bytes(content)
-    assert keymint("check", cwd=provisioned).code == 0
-
-
 @pytest.mark.parametrize(
     ("later", "within", "code"),
     [(0, "0d", 0), (0, "30d", 0), (0, "400d", 3), (350, "30d", 3), (400, "0d", 3), (5000, "0d", 3), (-10, "0d", 3)],
@@ -131,79 +109,3 @@ def test_validity(keymint, provisioned: Path, later: int, within: str, code: int
 def test_a_period_that_is_none(keymint, provisioned: Path, text: str) -> None:
     outcome = keymint("check", "--within", text, cwd=provisioned)
     assert outcome.code == 2
-
-
-def test_names_that_a_vendor_confuses(keymint, tmp_path: Path) -> None:
-    """On Cyclone DDS the certificate CN=/robot matches the grant of CN=/robot/camera."""
-    (tmp_path / "p.xml").write_text(
-        "<profiles><profile name='a'><attachments><attachment>/robot</attachment>"
-        "<attachment>/robot/camera</attachment></attachments></profile></profiles>"
-    )
-    assert keymint("provision", "p.xml", "-w", "bare", "--subject-format", "sros2").code == 0
-    outcome = keymint("check", "-w", "bare")
-    assert outcome.code == 3
-    assert "/robot" in outcome.err
-    assert "Cyclone" in outcome.err
-    assert keymint("provision", "p.xml", "-w", "unique").code == 0
-    assert keymint("check", "-w", "unique").code == 0
-
-
-def test_one_authority_for_both_jobs(keymint, policy: Path, tmp_path: Path) -> None:
-    """A finding where it can be mended; a note in the layout that has no place for a second one."""
-    assert keymint("provision", policy, "-w", "flat", "--layout", "flat").code == 0
-    outcome = keymint("check", "-w", "flat", "--json")
-    assert outcome.code == 0
-    assert [(d["code"], d["severity"]) for d in outcome.document["diagnostics"]] == [("authority-shared", "note")]
-    profile = tmp_path / "flat/profile/keymint_profile.xml"
-    profile.write_text(profile.read_text().replace("<layout>flat</layout>", "<layout>sros2</layout>"))
-    assert keymint("install", "-w", "flat").code == 0
-    outcome = keymint("check", "-w", "flat", "--json")
-    assert outcome.code == 3
-    assert "authority-shared" in outcome.codes()
-
-
-def test_an_authority_of_someone_else(keymint, provisioned: Path, policy: Path, tmp_path: Path) -> None:
-    """An enclave whose authorities are sound, but not those of this workspace."""
-    assert keymint("provision", policy, "-w", "foreign").code == 0
-    for path in (tmp_path / "foreign/install/enclaves/talker").iterdir():
-        shutil.copyfile(path, enclave(provisioned) / path.name)
-    assert keymint("check", cwd=provisioned).code == 3
-    (provisioned / ".keymint/state.json").unlink()
-    assert keymint("check", cwd=provisioned).code == 3
-
-
-def test_a_package_that_is_not_installed(keymint, provisioned: Path) -> None:
-    uninstall(provisioned)
-    outcome = keymint("check", "talker", cwd=provisioned)
-    assert outcome.code == 3
-    assert "the enclave /talker is not installed (run 'keymint install talker')" in outcome.err
-
-
-def test_a_file_that_cannot_be_read(keymint, provisioned: Path) -> None:
-    if os.geteuid() == 0:
-        pytest.skip("root reads everything")
-    (enclave(provisioned) / "cert.pem").chmod(0)
-    outcome = keymint("check", cwd=provisioned)
-    assert outcome.code in {1, 3}
-    assert "Traceback" not in outcome.err
-
-
-def test_without_the_password_of_an_authority(keymint, provisioned: Path) -> None:
-    path = provisioned / "profile/authorities.xml"
-    root = (
-        '<authority name="root"><cert><issuer_name/></cert>'
-        "<key><asymmetric_type><ec><curve>SECP256R1</curve></ec></asymmetric_type><encryption_algorithm>BestAvailableEncryption</encryption_algorithm>"
-        "<password_env>ROOT_PASSWORD</password_env></key></authority>"
-    )
-    path.write_text(
-        path.read_text()
-        .replace("<authorities>", f"<authorities>{root}")
-        .replace("<issuer_name></issuer_name>", "<issuer_name>root</issuer_name>", 1)
-    )
-    environment = {"ROOT_PASSWORD": "correct horse"}
-    assert keymint("install", cwd=provisioned, env=environment).code == 0
-    assert keymint("check", cwd=provisioned, env=environment).code == 0
-    without = keymint("check", "--json", cwd=provisioned)
-    assert (without.code, without.codes()) == (0, ["password-missing"])
-    wrong = keymint("check", "--json", cwd=provisioned, env={"ROOT_PASSWORD": "wrong"})
-    assert (wrong.code, wrong.codes()) == (3, ["key-password"])

@@ -6,42 +6,14 @@ import shutil
 from pathlib import Path
 
 import pytest
-from cryptography import x509
-from cryptography.hazmat.primitives.serialization import Encoding, PublicFormat, load_pem_private_key
 
 from tests.conftest import snapshot
-
-CERTIFICATES = ("public/identity_ca.cert.pem", "public/permissions_ca.cert.pem")
-
-
-AUTHORITY_KEYS = ("private/identity_ca.key.pem", "private/permissions_ca.key.pem")
-
-
-ENCLAVES = ("talker", "robot1/listener")
-
-
-def public_key(path: Path) -> bytes:
-    """The public key of a file with a certificate or an unencrypted private key."""
-    content = path.read_bytes()
-    if b"CERTIFICATE" in content:
-        key = x509.load_pem_x509_certificates(content)[0].public_key()
-    else:
-        key = load_pem_private_key(content, None).public_key()
-    return key.public_bytes(Encoding.DER, PublicFormat.SubjectPublicKeyInfo)
-
-
-def trusted(ws: Path) -> dict[str, bytes]:
-    """The keys that the installed enclaves trust and have."""
-    names = ("identity_ca.cert.pem", "permissions_ca.cert.pem", "cert.pem", "key.pem")
-    return {
-        f"{enclave}/{name}": public_key(ws / "install/enclaves" / enclave / name)
-        for enclave in ENCLAVES
-        for name in names
-    }
-
-
-def content(ws: Path) -> dict[str, bytes]:
-    return {name: data for name, (_, _, data) in snapshot(ws).items() if not name.startswith(".keymint")}
+from tests.keymint.plan.keystores import (
+    AUTHORITY_KEYS,
+    CERTIFICATES,
+    ENCLAVES,
+    trusted,
+)
 
 
 def test_a_new_authority_takes_the_option(keymint, ws: Path) -> None:

@@ -9,41 +9,17 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
-from cryptography import x509
-from cryptography.hazmat.primitives.serialization import Encoding, PublicFormat, load_pem_private_key
 
-from keymint.pki import keys
 from tests.conftest import snapshot
-
-CERTIFICATES = ("public/identity_ca.cert.pem", "public/permissions_ca.cert.pem")
-AUTHORITY_KEYS = ("private/identity_ca.key.pem", "private/permissions_ca.key.pem")
-IDENTITY_KEYS = ("private/identities/talker/key.pem", "private/identities/robot1/listener/key.pem")
-ENCLAVES = ("talker", "robot1/listener")
-
-
-def public_key(path: Path) -> bytes:
-    """The public key of a file with a certificate or an unencrypted private key."""
-    content = path.read_bytes()
-    if b"CERTIFICATE" in content:
-        key = x509.load_pem_x509_certificates(content)[0].public_key()
-    else:
-        key = load_pem_private_key(content, None).public_key()
-    return key.public_bytes(Encoding.DER, PublicFormat.SubjectPublicKeyInfo)
-
-
-def trusted(ws: Path) -> dict[str, bytes]:
-    """The keys that the installed enclaves trust and have."""
-    names = ("identity_ca.cert.pem", "permissions_ca.cert.pem", "cert.pem", "key.pem")
-    return {
-        f"{enclave}/{name}": public_key(ws / "install/enclaves" / enclave / name)
-        for enclave in ENCLAVES
-        for name in names
-    }
-
-
-def content(ws: Path) -> dict[str, bytes]:
-    return {name: data for name, (_, _, data) in snapshot(ws).items() if not name.startswith(".keymint")}
-
+from tests.keymint.plan.keystores import (
+    AUTHORITY_KEYS,
+    CERTIFICATES,
+    IDENTITY_KEYS,
+    another_key,
+    content,
+    public_key,
+    trusted,
+)
 
 Damage = Callable[[Path, Path], None]
 
@@ -55,12 +31,6 @@ def copy(source: str) -> Damage:
 def foreign(ws: Path, path: Path) -> None:
     """The file of the same name of another workspace."""
     shutil.copyfile(ws.parent / "foreign" / path.relative_to(ws), path)
-
-
-def another_key(_ws: Path, path: Path) -> None:
-    from keymint.api import KeySpec
-
-    path.write_bytes(keys.to_pem(keys.generate(KeySpec("ec", "SECP256R1"))))
 
 
 def flip(_ws: Path, path: Path) -> None:
@@ -224,16 +194,3 @@ def test_before_anything_is_installed_keys_of_ones_own_are_taken(keymint, made: 
     assert keymint("check", cwd=own).code == 0
     for part in (AUTHORITY_KEYS[0], CERTIFICATES[0], AUTHORITY_KEYS[1], IDENTITY_KEYS[0]):
         assert (own / part).read_bytes() == (made / "foreign" / part).read_bytes()
-
-
-@pytest.mark.parametrize("stage", ["new authority", "renewed identity"])
-def test_a_run_that_was_killed_between_key_and_certificate_is_carried_on(keymint, ws: Path, stage: str) -> None:
-    """It leaves its mark with the fingerprints of the keys that it was about to store."""
-    path = AUTHORITY_KEYS[0] if stage == "new authority" else IDENTITY_KEYS[0]
-    another_key(ws, ws / path)
-    key = keys.from_pem((ws / path).read_bytes())
-    assert keymint("install", cwd=ws).code == 1
-    (ws / ".keymint/running").write_text(keys.fingerprint(key))
-    assert keymint("install", cwd=ws).code == 0
-    assert keymint("check", cwd=ws).code == 0
-    assert keys.fingerprint(keys.from_pem((ws / path).read_bytes())) == keys.fingerprint(key)

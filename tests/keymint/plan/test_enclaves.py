@@ -43,17 +43,6 @@ class TestNoPackage:
                 assert keymint(*words, cwd=ws).code == 0
         assert keymint("check", cwd=ws).code == 0
 
-    @pytest.mark.parametrize("how", ["all hidden", "all removed"])
-    def test_nobody_is_told_to_remove_what_enclaves_share(self, keymint, ws: Path, how: str) -> None:
-        if how == "all hidden":
-            (ws / "src/KEYMINT_IGNORE").touch()
-        else:
-            sources(ws)
-        stray = ws / "install/public/stray.pem"
-        stray.write_bytes(b"stray")
-        found = keymint("check", "--json", cwd=ws).document["diagnostics"]
-        assert [each["file"] for each in found if each["code"] == "file-unexpected"] == ["install/public/stray.pem"]
-
     @pytest.mark.parametrize("verb", ["check", "status", "build", "install", "prove"])
     def test_an_illegal_name_is_reported_with_its_folder(self, keymint, ws: Path, verb: str) -> None:
         shutil.copytree(ws / "src/talker", ws / "src/two words")

@@ -5,37 +5,14 @@ from __future__ import annotations
 import shutil
 from pathlib import Path
 
-import pytest
-from cryptography import x509
-from cryptography.hazmat.primitives.serialization import Encoding, PublicFormat, load_pem_private_key
+from cryptography.hazmat.primitives.serialization import load_pem_private_key
 
-from keymint.pki import keys
-from tests.conftest import snapshot
-
-AUTHORITY_KEYS = ("private/identity_ca.key.pem", "private/permissions_ca.key.pem")
-
-
-IDENTITY_KEYS = ("private/identities/talker/key.pem", "private/identities/robot1/listener/key.pem")
-
-
-def public_key(path: Path) -> bytes:
-    """The public key of a file with a certificate or an unencrypted private key."""
-    content = path.read_bytes()
-    if b"CERTIFICATE" in content:
-        key = x509.load_pem_x509_certificates(content)[0].public_key()
-    else:
-        key = load_pem_private_key(content, None).public_key()
-    return key.public_bytes(Encoding.DER, PublicFormat.SubjectPublicKeyInfo)
-
-
-def content(ws: Path) -> dict[str, bytes]:
-    return {name: data for name, (_, _, data) in snapshot(ws).items() if not name.startswith(".keymint")}
-
-
-def another_key(_ws: Path, path: Path) -> None:
-    from keymint.api import KeySpec
-
-    path.write_bytes(keys.to_pem(keys.generate(KeySpec("ec", "SECP256R1"))))
+from tests.keymint.plan.keystores import (
+    AUTHORITY_KEYS,
+    IDENTITY_KEYS,
+    another_key,
+    public_key,
+)
 
 
 class TestIdentities:
@@ -86,20 +63,6 @@ class TestIdentities:
         assert "the private key of /talker is missing" in outcome.err
         assert keymint("build", "--renew", "talker", cwd=ws).code == 0
         assert keymint("install", cwd=ws).code == 0
-
-    def test_of_a_package_that_was_pruned_is_forgotten(self, keymint, ws: Path) -> None:
-        shutil.rmtree(ws / "src/talker")
-        assert keymint("install", "--prune", "--no-prove", cwd=ws).code == 0
-        shutil.rmtree(ws / "private/identities/talker")
-        for words in (("create", "--all"), ("build",), ("install",), ("check",)):
-            assert keymint(*words, cwd=ws).code == 0
-
-
-@pytest.fixture
-def created(keymint, policy: Path, tmp_path: Path) -> Path:
-    assert keymint("init", "ws", "--policy", policy).code == 0
-    assert keymint("create", "--all", "-w", "ws").code == 0
-    return tmp_path / "ws"
 
 
 class TestKeys:

@@ -14,14 +14,6 @@ def test_again_writes_nothing(keymint, provisioned: Path) -> None:
     assert snapshot(provisioned) == before
 
 
-def test_nothing_is_signed_again_for_want_of_a_record(keymint, provisioned: Path) -> None:
-    before = snapshot(provisioned / "install")
-    (provisioned / ".keymint/state.json").unlink()
-    assert keymint("build", cwd=provisioned).code == 0
-    assert keymint("install", cwd=provisioned).code == 0
-    assert snapshot(provisioned / "install") == before
-
-
 def test_what_was_not_built(keymint, provisioned: Path, policy: Path) -> None:
     policy.write_text(policy.read_text().replace("<attachment>/talker<", "<attachment>/speaker<"))
     keymint("create", "--all", cwd=provisioned)

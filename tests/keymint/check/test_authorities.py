@@ -1,0 +1,51 @@
+"""``keymint check`` of authorities: shared, foreign, or without a password."""
+
+from __future__ import annotations
+
+import shutil
+from pathlib import Path
+
+
+def test_one_authority_for_both_jobs(keymint, policy: Path, tmp_path: Path) -> None:
+    """A finding where it can be mended; a note in the layout that has no place for a second one."""
+    assert keymint("provision", policy, "-w", "flat", "--layout", "flat").code == 0
+    outcome = keymint("check", "-w", "flat", "--json")
+    assert outcome.code == 0
+    assert [(d["code"], d["severity"]) for d in outcome.document["diagnostics"]] == [("authority-shared", "note")]
+    profile = tmp_path / "flat/profile/keymint_profile.xml"
+    profile.write_text(profile.read_text().replace("<layout>flat</layout>", "<layout>sros2</layout>"))
+    assert keymint("install", "-w", "flat").code == 0
+    outcome = keymint("check", "-w", "flat", "--json")
+    assert outcome.code == 3
+    assert "authority-shared" in outcome.codes()
+
+
+def test_an_authority_of_someone_else(keymint, provisioned: Path, policy: Path, tmp_path: Path) -> None:
+    """An enclave whose authorities are sound, but not those of this workspace."""
+    assert keymint("provision", policy, "-w", "foreign").code == 0
+    for path in (tmp_path / "foreign/install/enclaves/talker").iterdir():
+        shutil.copyfile(path, provisioned / "install/enclaves/talker" / path.name)
+    assert keymint("check", cwd=provisioned).code == 3
+    (provisioned / ".keymint/state.json").unlink()
+    assert keymint("check", cwd=provisioned).code == 3
+
+
+def test_without_the_password_of_an_authority(keymint, provisioned: Path) -> None:
+    path = provisioned / "profile/authorities.xml"
+    root = (
+        '<authority name="root"><cert><issuer_name/></cert>'
+        "<key><asymmetric_type><ec><curve>SECP256R1</curve></ec></asymmetric_type><encryption_algorithm>BestAvailableEncryption</encryption_algorithm>"
+        "<password_env>ROOT_PASSWORD</password_env></key></authority>"
+    )
+    path.write_text(
+        path.read_text()
+        .replace("<authorities>", f"<authorities>{root}")
+        .replace("<issuer_name></issuer_name>", "<issuer_name>root</issuer_name>", 1)
+    )
+    environment = {"ROOT_PASSWORD": "correct horse"}
+    assert keymint("install", cwd=provisioned, env=environment).code == 0
+    assert keymint("check", cwd=provisioned, env=environment).code == 0
+    without = keymint("check", "--json", cwd=provisioned)
+    assert (without.code, without.codes()) == (0, ["password-missing"])
+    wrong = keymint("check", "--json", cwd=provisioned, env={"ROOT_PASSWORD": "wrong"})
+    assert (wrong.code, wrong.codes()) == (3, ["key-password"])
