@@ -13,7 +13,7 @@ from keymint.tree import Tree
 
 
 class Action(StrEnum):
-    """What a step does to its package."""
+    """The effect of a step on its package."""
 
     CREATED = "created"
     UPDATED = "updated"
@@ -76,7 +76,7 @@ class Step:
         package: the package.
         action: what becomes of it.
         changes: what is written and removed.
-        detail: what else a user should know, in a few words.
+        detail: a few more words for the user.
         sizes: of the documents that were built, those that may be rewritten.
     """
 
@@ -94,7 +94,7 @@ class Step:
 
 @dataclass(frozen=True, slots=True)
 class Plan:
-    """All steps of a run, what is to be said, and the record to keep when all is done."""
+    """All steps of a run, its diagnostics, and the record to keep when it is done."""
 
     steps: tuple[Step, ...]
     state: State

@@ -17,9 +17,8 @@ RECORD = "state.json"
 
 def open_store(workspace: Workspace) -> Store:
     """Return the store of a workspace: its root and its spaces, of which ``private`` is private."""
-    spaces = (workspace.profile, workspace.public, workspace.src, workspace.build, workspace.install)
-    roots = {workspace.root: False, **dict.fromkeys(spaces, False), workspace.private: True}
-    return Store(roots, workspace.state)
+    roots = dict.fromkeys((workspace.root, *workspace.spaces()), False)
+    return Store(roots | {workspace.private: True}, workspace.state)
 
 
 def execute(
@@ -69,24 +68,16 @@ def _carry_out(steps: Sequence[Step], store: Store, jobs: int, on_step: Callable
     # Packages below one namespace stay in one thread: an outer enclave is created before the ones inside it.
     ordered = sorted(steps, key=lambda step: step.package)
     groups = [tuple(group) for _, group in groupby(ordered, key=lambda step: step.package.split("/")[0])]
-    if jobs <= 1 or len(groups) <= 1:
-        for group in groups:
-            _report(_write(group, store), on_step)
-        return
-    with ThreadPoolExecutor(jobs) as pool:
+
+    def write(group: Sequence[Step]) -> Sequence[Step]:
+        store.change(change for step in group for change in step.changes)
+        return group
+
+    with ThreadPoolExecutor(max(jobs, 1)) as pool:
         try:
-            for written in pool.map(lambda group: _write(group, store), groups):
-                _report(written, on_step)
+            for written in (pool.map if jobs > 1 and len(groups) > 1 else map)(write, groups):
+                for step in written:
+                    on_step(step)
         except BaseException:
             pool.shutdown(wait=True, cancel_futures=True)
             raise
-
-
-def _write(steps: Sequence[Step], store: Store) -> Sequence[Step]:
-    store.change(change for step in steps for change in step.changes)
-    return steps
-
-
-def _report(steps: Sequence[Step], on_step: Callable[[Step], None]) -> None:
-    for step in steps:
-        on_step(step)

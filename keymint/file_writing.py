@@ -137,8 +137,9 @@ def reported(path: Path) -> Iterator[None]:
 
 def refuse(path: Path, error: OSError) -> NoReturn:
     """Raise the error for a path that cannot be written."""
-    link = error.errno == errno.ELOOP or (error.errno == errno.ENOTDIR and path.is_symlink())
-    if link or any(parent.is_symlink() for parent in (path, *path.parents) if error.errno == errno.ENOTDIR):
+    if error.errno == errno.ELOOP or (
+        error.errno == errno.ENOTDIR and any(above.is_symlink() for above in (path, *path.parents))
+    ):
         raise KeymintError(
             "a symbolic link is in the way, which is refused",
             where=Origin(str(path)),

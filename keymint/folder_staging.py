@@ -114,9 +114,7 @@ def _carry(old: int, new: int, shown: Path, content: FolderContent) -> Carried:
     """Carry over the entries that do not change, and stage the subfolders."""
     carried = Carried(left={*content.files, *content.removed})
     mount = mount_of(old)
-    with os.scandir(old) as entries:
-        ordered = sorted(entries, key=lambda entry: entry.name)
-    for entry in ordered:
+    for entry in sorted(os.scandir(old), key=lambda entry: entry.name):
         name = entry.name
         if is_temporary(name):
             carried.left.add(name)
@@ -256,9 +254,7 @@ def clear(parent: int, name: str, new: int, carried: Carried) -> None:
         OSError: the system refuses.
     """
     with opened_folder(name, parent) as old:
-        with os.scandir(old) as entries:
-            ordered = sorted(entries, key=lambda entry: entry.name)
-        for entry in ordered:
+        for entry in sorted(os.scandir(old), key=lambda entry: entry.name):
             below = carried.folders.get(entry.name)
             if below is not None:
                 with opened_folder(entry.name, new) as inner:

@@ -1,4 +1,4 @@
-"""What every stage plans from: the workspace as it is, its record, the plugins, the clock, and the loaded profile."""
+"""The inputs of every stage: the workspace, its record, the plugins, the clock, and the loaded profile."""
 
 from __future__ import annotations
 

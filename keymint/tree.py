@@ -163,23 +163,19 @@ class Tree:
 
     Args:
         overlay: planned content by absolute path, which hides the disk; None for a file that will be removed.
+        disk: the files on the disk, if some were already read.
     """
 
-    def __init__(self, overlay: Mapping[Path, bytes | None] | None = None) -> None:
-        self._disk = _Disk()
-        self._overlay: dict[Path, bytes | None] = {}
+    def __init__(self, overlay: Mapping[Path, bytes | None] | None = None, disk: _Disk | None = None) -> None:
+        self._disk = disk or _Disk()
+        self._overlay = overlay or {}
         self._planned: dict[Path, dict[str, bool]] = {}
         """Entries of folders that the overlay adds, each with whether it is a folder."""
         self._gone: dict[Path, set[str]] = {}
-        self._lay((overlay or {}).items())
-
-    def _lay(self, changes: Iterable[tuple[Path, bytes | None]]) -> None:
-        for path, content in changes:
-            self._overlay[path] = content
+        for path, content in self._overlay.items():
             if content is None:
                 self._gone.setdefault(path.parent, set()).add(path.name)
             else:
-                self._gone.get(path.parent, set()).discard(path.name)
                 self._plan(path)
 
     def _plan(self, path: Path) -> None:
@@ -193,13 +189,7 @@ class Tree:
 
     def overlaid(self, changes: Iterable[tuple[Path, bytes | None]]) -> Tree:
         """Return this view with more planned changes."""
-        tree = Tree()
-        tree._disk = self._disk
-        tree._overlay = dict(self._overlay)
-        tree._planned = {folder: dict(entries) for folder, entries in self._planned.items()}
-        tree._gone = {folder: set(names) for folder, names in self._gone.items()}
-        tree._lay(changes)
-        return tree
+        return Tree({**self._overlay, **dict(changes)}, self._disk)
 
     def read(self, path: Path) -> bytes | None:
         """Return a file's bytes, or None if there is none; errors as :func:`read_file`."""

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping
-from pathlib import Path, PurePosixPath
+from pathlib import Path
 
 from keymint.api import Bootstrap
 from keymint.changes import Action, File, FolderChange, Plan, Step
@@ -25,11 +24,11 @@ def plan_init(inputs: Inputs, profile_type: str, request: Bootstrap) -> Plan:
     files = inputs.plugins.profile_type(profile_type).bootstrap(request)
     folders: dict[Path, dict[str, File]] = {}
     for relative, content in sorted(files.items()):
-        path = root / PurePosixPath(relative)
+        path = root / relative
         if inputs.tree.read(path) is None:
             folders.setdefault(path.parent, {})[path.name] = File(content)
     # The marker makes the folder a workspace, so it is the last file to be written.
-    changes = [FolderChange(folder, kept) for folder, kept in folders.items() if folder != root]
+    changes = [FolderChange(folder, new) for folder, new in folders.items() if folder != root]
     ordered = dict(sorted(folders.get(root, {}).items(), key=lambda item: item[0] == PROFILE_MARKER))
     if inputs.tree.read(inputs.workspace.root / ".gitignore") is None:
         changes.append(FolderChange(inputs.workspace.root, {".gitignore": File(_IGNORED)}))
@@ -52,14 +51,9 @@ def plan_policy(session: Session, policy: str) -> Plan:
     if [source.path.resolve() for source in profile.policies] == [wanted]:
         return Plan((), session.state)
     files = session.plugins.profile_type(profile.profile_type).with_policy(profile.files, policy)
-    step = Step(STAGE, "", Action.UPDATED, _folders(session.workspace.profile, files), f"policy {policy}")
-    return Plan((step,), session.state)
-
-
-def _folders(root: Path, files: Mapping[str, bytes]) -> tuple[FolderChange, ...]:
-    return tuple(
-        FolderChange((root / name).parent, {PurePosixPath(name).name: File(content)}) for name, content in files.items()
-    )
+    paths = {session.workspace.profile / name: File(content) for name, content in files.items()}
+    changes = tuple(FolderChange(path.parent, {path.name: file}) for path, file in paths.items())
+    return Plan((Step(STAGE, "", Action.UPDATED, changes, f"policy {policy}"),), session.state)
 
 
 def policy_path(policy: Path, profile: Path) -> str:

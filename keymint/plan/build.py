@@ -103,21 +103,19 @@ def _plan_package(
     renew: bool,
 ) -> _PackageBuild:
     folder = session.workspace.build / name
-    wanted = inputs_digest(session, name)
+    sources_digest = inputs_digest(session, name)
     options = _options_of(options, f"/{name}")
     options_digest = digest(repr(options))
     stamp = session.state.stamp(STAGE, name)
     key_path = session.workspace.identity_key(name)
     key_content = session.tree.read(key_path)
-    same = stamp is not None and (stamp.inputs, stamp.context) == (wanted, options_digest)
+    same = stamp is not None and (stamp.inputs, stamp.context) == (sources_digest, options_digest)
     if stamp and same and key_content is not None and not force and not renew:
         existing = {file: session.tree.read(folder / file) for file in stamp.outputs}
         if None not in existing.values():
             edited = [file for file, content in existing.items() if digest(content or b"") != stamp.outputs[file]]
-            if not edited:
-                step = Step(STAGE, name, Action.UNCHANGED)
-            else:
-                step = Step(STAGE, name, Action.KEPT, detail=_edited(edited))
+            detail = f"{', '.join(edited)} edited by hand; -f rebuilds" if edited else ""
+            step = Step(STAGE, name, Action.KEPT if edited else Action.UNCHANGED, detail=detail)
             return _PackageBuild(step, lifetimes=lifetimes.recalled(session, name, stamp))
     package = session.package(name)
     built = session.plugins.build_type(package.build_type, session.package_marker(package.name)).build(package, options)
@@ -126,11 +124,9 @@ def _plan_package(
     changes = changed(session.tree, folder, {file: File(content) for file, content in built.documents.items()})
     minted: tuple[FolderChange, ...] = ()
     fingerprint = ""
-    if renew:
-        change, fingerprint = identity_keys.mint(session, package, key_path)
-        minted = (change,)
-    elif key_content is None:
-        change, fingerprint = identity_keys.restore_or_mint(session, package, key_path)
+    if key_content is None or renew:
+        new_key = identity_keys.mint if renew else identity_keys.restore_or_mint
+        change, fingerprint = new_key(session, package, key_path)
         minted = (change,)
     else:
         identity_keys.load(session, package, key_path, key_content)
@@ -141,7 +137,7 @@ def _plan_package(
     sizes = _sizes(built)
     step = Step(STAGE, name, action, (*minted, *changes), ", ".join(map(_smaller, sizes)), sizes)
     own = lifetimes.lifetimes(package)
-    made = Stamp(wanted, outputs, context=options_digest, lifetimes=lifetimes.dump(own, session.workspace))
+    made = Stamp(sources_digest, outputs, context=options_digest, lifetimes=lifetimes.dump(own, session.workspace))
     return _PackageBuild(step, made, fingerprint, diagnostics, own)
 
 
@@ -155,10 +151,6 @@ def _smaller(size: DocumentSize) -> str:
     if size.bytes == size.plain_bytes:
         return f"{size.file} {size.bytes:,} bytes"
     return f"{size.file} {size.bytes:,} bytes, plain {size.plain_bytes:,}"
-
-
-def _edited(files: Sequence[str]) -> str:
-    return f"{', '.join(files)} edited by hand; -f rebuilds"
 
 
 def _refuse_edits(inputs: Inputs, name: str, folder: Path, documents: Mapping[str, bytes]) -> None:

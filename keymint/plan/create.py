@@ -115,8 +115,8 @@ class _Packages:
         folder = session.workspace.src / name
         files = session.package_files(name)
         stamp = session.state.stamp(STAGE, name)
-        wanted = digest(self._policy_digest, session.profile_digest)
-        if stamp and stamp.inputs == wanted and _outputs(files) == stamp.outputs and not force:
+        inputs = digest(self._policy_digest, session.profile_digest)
+        if stamp and stamp.inputs == inputs and _outputs(files) == stamp.outputs and not force:
             return _PackageSources(Step(STAGE, name, Action.UNCHANGED))
         known = name in self.existing
         rules = self._policy.rules(f"/{name}")
@@ -135,7 +135,7 @@ class _Packages:
         changes = changed(session.tree, folder, {file: File(content) for file, content in ordered})
         action = (Action.UPDATED if known else Action.CREATED) if changes else Action.UNCHANGED
         step = Step(STAGE, name, action, changes)
-        return _PackageSources(step, Stamp(wanted, _outputs(files | dict(new))), unnamed if known else (), errors)
+        return _PackageSources(step, Stamp(inputs, _outputs(files | dict(new))), unnamed if known else (), errors)
 
 
 def _outputs(files: dict[str, bytes]) -> dict[str, str]:

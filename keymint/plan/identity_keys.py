@@ -21,7 +21,7 @@ from keymint.plan.private_keys import load_key, password
 from keymint.session import Inputs, Session
 
 
-def remedy(name: str) -> str:
+def _remedy(name: str) -> str:
     """Return how to fix a key that cannot be used."""
     restored = f"remove it and run 'keymint build {name}' to restore it from the enclave"
     return f"{restored}, or mint a new one with {_new(name)}"
@@ -34,7 +34,7 @@ def _new(name: str) -> str:
 def load(inputs: Inputs, package: Package, path: Path, pem: bytes) -> keys.PrivateKey:
     """Load the stored key of a package; errors as :func:`keymint.plan.private_keys.load_key`."""
     identity, shown = package.identity, Origin(inputs.workspace.shown(path))
-    return load_key(pem, identity.key, inputs.environment, shown, identity.origin, remedy(package.name))
+    return load_key(pem, identity.key, inputs.environment, shown, identity.origin, _remedy(package.name))
 
 
 def mint(inputs: Inputs, package: Package, path: Path) -> tuple[FolderChange, str]:
@@ -113,7 +113,7 @@ class Keyring:
             raise KeymintError(
                 f"is the private key of the authority {authority!r}, which must never reach a robot",
                 where=shown,
-                help=remedy(name),
+                help=_remedy(name),
                 code="key-of-authority",
             )
         if key_record.was_under_way(state, fingerprint):
@@ -123,7 +123,7 @@ class Keyring:
             raise KeymintError(
                 f"is not the private key that /{name} had: it was replaced",
                 where=shown,
-                help=remedy(name),
+                help=_remedy(name),
                 code="key-replaced",
             )
         if key_record.recorded(state, key_record.IDENTITIES, name) != fingerprint:  # so it may not be its own

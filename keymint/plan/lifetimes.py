@@ -72,21 +72,17 @@ def findings(by_package: Mapping[str, Iterable[Lifetime]], session: Session) -> 
         session: its profile has the authorities.
     """
     authorities = {authority.name: authority for authority in session.profile.authorities}
-    warnings: dict[Diagnostic, None] = {}
+    warnings: list[Diagnostic] = []
     used: dict[str, None] = {}
-    for name, own in by_package.items():
-        for each in own:
+    for name, lifetimes in by_package.items():
+        for each in lifetimes:
             used.update(dict.fromkeys(_above(each.issuer, authorities)))
-            warnings.update(
-                dict.fromkeys(replace(warning, subject=f"/{name}") for warning in _of(each, authorities, session.now))
-            )
+            warnings += (replace(warning, subject=f"/{name}") for warning in _of(each, authorities, session.now))
     for name in used:
         spec = authorities[name].certificate
-        own_time = _lifetime("authority", spec.validity, spec.issuer, spec.origin)
-        warnings.update(
-            dict.fromkeys(_of(own_time, authorities, session.now, f"certificate of the authority {name!r}"))
-        )
-    return tuple(warnings)
+        own = _lifetime("authority", spec.validity, spec.issuer, spec.origin)
+        warnings += _of(own, authorities, session.now, f"certificate of the authority {name!r}")
+    return tuple(dict.fromkeys(warnings))
 
 
 def _above(name: str, authorities: Mapping[str, Authority]) -> Iterator[str]:
@@ -118,22 +114,13 @@ def _of(each: Lifetime, authorities: Mapping[str, Authority], now: datetime, wha
         )
 
 
-def dump(found: Iterable[Lifetime], workspace: Workspace) -> str:
+def dump(lifetimes: Iterable[Lifetime], workspace: Workspace) -> str:
     """Return lifetimes as text, for the record: places are relative to the workspace."""
-    return json.dumps(
-        [
-            [
-                each.what,
-                each.first.isoformat(),
-                each.last.isoformat(),
-                os.path.relpath(workspace.shown_from / each.where.file, workspace.root),
-                each.where.line,
-                each.issuer,
-            ]
-            for each in found
-        ],
-        separators=(",", ":"),
-    )
+    rows = []
+    for each in lifetimes:
+        file = os.path.relpath(workspace.shown_from / each.where.file, workspace.root)
+        rows.append((each.what, each.first, each.last, file, each.where.line, each.issuer))
+    return json.dumps(rows, separators=(",", ":"), default=datetime.isoformat)
 
 
 def _load(text: str, workspace: Workspace) -> tuple[Lifetime, ...] | None:

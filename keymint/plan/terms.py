@@ -68,20 +68,11 @@ def merged(diagnostics: Iterable[Diagnostic]) -> Iterator[Diagnostic]:
 
 def dump(terms: Sequence[ValidityTerm], folder: str) -> str:
     """Return the terms of an enclave as text, for the record: places are relative to its folder."""
-    return json.dumps(
-        [
-            [
-                term.code,
-                term.what,
-                term.where.file.removeprefix(f"{folder}/"),
-                term.where.line,
-                [[first.isoformat(), last.isoformat()] for first, last in term.periods],
-                term.models,
-            ]
-            for term in terms
-        ],
-        separators=(",", ":"),
-    )
+    rows = [
+        (term.code, term.what, term.where.file.removeprefix(f"{folder}/"), term.where.line, term.periods, term.models)
+        for term in terms
+    ]
+    return json.dumps(rows, separators=(",", ":"), default=datetime.isoformat)
 
 
 def load(text: str, folder: str) -> tuple[ValidityTerm, ...] | None:
