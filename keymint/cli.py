@@ -210,8 +210,10 @@ def _fail(arguments: Sequence[str], code: str, message: str, exit_code: ExitCode
     from keymint.output.report import Report  # noqa: PLC0415
 
     verb = next((argument for argument in arguments if argument in VERBS), "keymint")
-    said = (Diagnostic(code, Severity.ERROR, message),)
-    Console(Streams(sys.stdout, sys.stderr), as_json=True).show(Report(verb, None, (), said, exit_code=exit_code))
+    diagnostics = (Diagnostic(code, Severity.ERROR, message),)
+    Console(Streams(sys.stdout, sys.stderr), as_json=True).show(
+        Report(verb, None, (), diagnostics, exit_code=exit_code)
+    )
     return int(exit_code)
 
 

@@ -63,6 +63,7 @@ class ProofTask:
         go_on: polled; the search ends when it returns False.
         standard_only: omit the claims about vendors, because their deviations are accepted.
         governance: the expected protection of domains and topics; None if unknown, and then nothing may be open.
+        unsigned: the documents are about to be signed: cite the unsigned ones, in ``folder``.
     """
 
     rules: SubjectRules
@@ -75,6 +76,7 @@ class ProofTask:
     go_on: Callable[[], bool]
     standard_only: bool = False
     governance: Governance | None = None
+    unsigned: bool = False
 
 
 class Proof(StrEnum):

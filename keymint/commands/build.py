@@ -2,24 +2,32 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+
 import click
 
 from comarmor.errors import Diagnostic, Severity
-from keymint.changes import Plan
-from keymint.commands.build_options import build_options
+from keymint.analysis.attachment_mistakes import attachment_mistakes
+from keymint.analysis.subject_patterns import structure
+from keymint.api import BuildOptions
+from keymint.changes import Action, Plan, Step
 from keymint.commands.options import (
     DocumentOptions,
     complete_package,
     document_options,
     renew_option,
 )
-from keymint.commands.policy_slips import policy_slips
 from keymint.commands.run import Run
+from keymint.commands.user_files import read_input
 from keymint.commands.verb import verb
+from keymint.errors import KeymintError
+from keymint.hints import load_hints, unknown_subjects
 from keymint.output.report import Report
 from keymint.plan.build import plan_build
+from keymint.plan.policy import load_policy
 from keymint.plan.policy_drift import policy_changed
-from keymint.session import Inputs
+from keymint.session import Inputs, Session
 
 
 @verb(jobs=True, dry_run=True)
@@ -47,9 +55,9 @@ def build(
         session = inputs.session()
         chosen = run.names(inputs, names)
         plan = plan_build(session, chosen, hinted.options, force=force, renew=renew)
-        said = policy_changed(session) if chosen else (no_packages(inputs),)
-        said = (*said, *policy_slips(session, plan.steps))
-        return Plan(plan.steps, plan.state, (*plan.diagnostics, *said, *hinted.unknown(run.names(inputs, ()))))
+        warnings = policy_changed(session) if chosen else (no_packages(inputs),)
+        warnings = (*warnings, *policy_slips(session, plan.steps))
+        return Plan(plan.steps, plan.state, (*plan.diagnostics, *warnings, *hinted.unknown(run.names(inputs, ()))))
 
     return run.carry_out(workspace, make_plan)
 
@@ -63,3 +71,44 @@ def no_packages(inputs: Inputs) -> Diagnostic:
         None,
         "run 'keymint create --all'",
     )
+
+
+@dataclass(frozen=True, slots=True)
+class Hinted:
+    """The options of a build, and the file of its hints."""
+
+    options: BuildOptions
+    hints: str = ""
+
+    def unknown(self, names: Sequence[str]) -> tuple[Diagnostic, ...]:
+        """Return a warning for each subject of the hints without a package."""
+        return tuple(unknown_subjects(self.options.demand, [f"/{name}" for name in names], self.hints))
+
+
+def build_options(run: Run, given: DocumentOptions) -> Hinted:
+    """Return the options of a build.
+
+    Raises:
+        KeymintError: the file of hints cannot be read, or is malformed.
+        click.UsageError: hints are given without optimisation.
+    """
+    if given.hints is not None and not given.optimise:
+        raise click.UsageError("--hints changes the order of rules, which --no-optimise keeps.")
+    demand = () if given.hints is None else load_hints(read_input(run, given.hints), str(given.hints))
+    return Hinted(BuildOptions(given.allow_vendor_specific, given.optimise, demand), str(given.hints or ""))
+
+
+def policy_slips(session: Session, steps: Iterable[Step]) -> tuple[Diagnostic, ...]:
+    """Return likely slips in the policy of a workspace, if any step does something.
+
+    Args:
+        session: the workspace and its profile.
+        steps: what is planned.
+    """
+    if all(step.action is Action.UNCHANGED for step in steps):
+        return ()
+    try:
+        written = structure(load_policy(session))
+    except KeymintError:
+        return ()  # 'create' reads the policy, and says what is wrong with it; a build takes what was created
+    return tuple(attachment_mistakes(written)) if written else ()

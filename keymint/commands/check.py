@@ -54,8 +54,8 @@ def check(run: Run, names: tuple[str, ...], within: timedelta) -> Report:
     inputs = run.snapshot(workspace)
     chosen = run.names(inputs, names)
     session = inputs.session()
-    said = find(session, chosen, within)
-    findings = folded((*said, *(() if names else _uncreated(session, chosen))))
+    diagnostics = find(session, chosen, within)
+    findings = folded((*diagnostics, *(() if names else _uncreated(session, chosen))))
     number = sum(finding.severity is not Severity.NOTE for finding in findings)
     run.console.line(f"checked {counted(len(chosen), 'enclave')}: {counted(number, 'finding')}")
     return Report(

@@ -23,7 +23,7 @@ def completion(run: Run, shell: str) -> Report:
     shell_class = get_completion_class(shell)
     if shell_class is None:  # click supports all shells of the choice above
         raise click.UsageError(f"no completion for {shell}")
-    whole = click.get_current_context().find_root().command
-    source = shell_class(whole, {}, "keymint", "_KEYMINT_COMPLETE").source()
+    cli = click.get_current_context().find_root().command
+    source = shell_class(cli, {}, "keymint", "_KEYMINT_COMPLETE").source()
     run.console.document(source.encode())
     return Report(run.verb, None, result={"shell": shell, "script": source})

@@ -5,9 +5,10 @@ from __future__ import annotations
 import click
 
 from keymint.changes import Plan
+from keymint.commands.options import usage_error
 from keymint.commands.run import Run
 from keymint.commands.verb import verb
-from keymint.errors import ExitCode, KeymintError
+from keymint.errors import KeymintError
 from keymint.names import package_name
 from keymint.output.report import Report
 from keymint.plan.create import packages_to_create, plan_create
@@ -26,9 +27,7 @@ def create(run: Run, names: tuple[str, ...], all_subjects: bool, force: bool) ->
     names it only by a wildcard. Manual edits of identities.xml and governance.xml are preserved.
     """
     if not names and not all_subjects:
-        raise KeymintError(
-            "no subject is named", help="name some, or use --all", code="usage", exit_code=ExitCode.USAGE
-        )
+        raise usage_error("no subject is named", "name some, or use --all")
     workspace = run.workspace()
     wanted = [package_name(name) for name in names]
 

@@ -4,21 +4,21 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from contextlib import ExitStack
+from itertools import chain
 from pathlib import Path
-from typing import Any
 
 import click
 
-from comarmor.errors import Diagnostic, Origin, Severity, library_name
+from comarmor.errors import Diagnostic, Severity, library_name
 from keymint.analysis.policy_diff import diff_policies as compare
 from keymint.analysis.policy_diff import has_gains
 from keymint.analysis.query_budget import STATES, QueryBudget
 from keymint.api import LoadedPolicy
 from keymint.commands.options import PolicyOptions, policy_options
-from keymint.commands.policies import Policies, place, typed
+from keymint.commands.policies import Policies
 from keymint.commands.run import Run
 from keymint.commands.verb import verb
-from keymint.errors import ExitCode, KeymintError
+from keymint.errors import ExitCode
 from keymint.git import at_revision, is_revision
 from keymint.output.console import Console
 from keymint.output.differences import as_text, summary
@@ -60,60 +60,31 @@ def diff(run: Run, old: str, new: str, kind: str, budget: int, policy_options: P
         run.console = Console(run.setting.streams, as_json=True)
     policies = Policies(run, policy_options)
     with ExitStack() as stack:
-        trees: dict[str, str] = {}
-        one, other = (_loaded(run, policies, text, stack, trees) for text in (old, new))
-        found = compare(one, other, QueryBudget(budget))
-        library = _libraries(policies, [each for each in (old, new) if not is_revision(each, run.setting.cwd)])
-
-    def said(where: Origin | None) -> str:
-        if where is None:
-            return ""
-        in_tree = where.file.startswith(tuple(trees))
-        return _renamed(str(where.alone()) if in_tree else place(run, where), trees)
-
-    lines = markdown(found, said, library, (old, new)) if kind == "markdown" else as_text(found, said)
+        before, after = (_loaded(run, policies, text, stack) for text in (old, new))
+        differences = compare(before, after, QueryBudget(budget))
+        library = _libraries(policies, [text for text in (old, new) if not is_revision(text, run.setting.cwd)])
+    if kind == "markdown":
+        lines = markdown(differences, run.place, library, (old, new))
+    else:
+        lines = chain(as_text(differences, run.place), [summary(differences)])
     for line in lines:
         run.console.line(line)
-    if kind != "markdown":
-        run.console.line(summary(found))
-
-    def placed(where: Origin | None) -> dict[str, Any] | None:
-        if where is None:
-            return None
-        in_tree = where.file.startswith(tuple(trees))
-        return {"file": _renamed(where.file if in_tree else typed(run)(where.file), trees), "line": where.line or None}
-
-    result = {"equivalent": not found, "subjects": differences_json(found, placed)}
-    doubts = [_UNKNOWN] if any(change.unknown for each in found for change in each.changes) else []
-    return Report(run.verb, None, (), doubts, result, ExitCode.FINDINGS if has_gains(found) else ExitCode.DONE)
+    result = {"equivalent": not differences, "subjects": differences_json(differences, run.typed)}
+    unknown = any(change.unknown for subject in differences for change in subject.changes)
+    exit_code = ExitCode.FINDINGS if has_gains(differences) else ExitCode.DONE
+    return Report(run.verb, None, (), [_UNKNOWN] if unknown else [], result, exit_code)
 
 
 def _libraries(policies: Policies, paths: Sequence[str]) -> Callable[[str], str | None]:
     """Return a function from a file to its name in the library of any of some policies, or None."""
-    each = [library_name, *(policies.library(Path(path)) for path in paths)]
-    return lambda file: next((name for library in each if (name := library(file))), None)
+    libraries = [library_name, *(policies.library(Path(path)) for path in paths)]
+    return lambda file: next((name for library in libraries if (name := library(file))), None)
 
 
-def _loaded(run: Run, policies: Policies, text: str, stack: ExitStack, trees: dict[str, str]) -> LoadedPolicy:
-    """Return the policy that an argument names, and record the name that the user knows a temporary directory by."""
+def _loaded(run: Run, policies: Policies, text: str, stack: ExitStack) -> LoadedPolicy:
+    """Return the policy that an argument names; the files of a revision are shown as ``REV:PATH``."""
     if not is_revision(text, run.setting.cwd):
         return policies.load(Path(text))
-    found = stack.enter_context(at_revision(text, run.setting.cwd, run.setting.environment))
-    trees[f"{found.root}/"] = f"{found.name}:"
-    try:
-        return policies.load(found.path)
-    except KeymintError as error:
-        renamed = [_as_known(diagnostic, trees) for diagnostic in error.diagnostics]
-        raise KeymintError.of(renamed, error.exit_code) from None
-
-
-def _as_known(found: Diagnostic, trees: dict[str, str]) -> Diagnostic:
-    where = found.where.with_files(lambda file: _renamed(file, trees)) if found.where else None
-    message, help_ = (_renamed(text, trees) for text in (found.message, found.help))
-    return Diagnostic(found.code, found.severity, message, where, help_, found.subject)
-
-
-def _renamed(text: str, trees: dict[str, str]) -> str:
-    for folder, name in trees.items():
-        text = text.replace(folder, name)
-    return text
+    revision = stack.enter_context(at_revision(text, run.setting.cwd, run.setting.environment))
+    run.folder_names[f"{revision.root}/"] = f"{revision.name}:"
+    return policies.load(revision.path)

@@ -3,10 +3,14 @@
 from __future__ import annotations
 
 import json
+import signal
+import threading
 from collections import Counter
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
+from types import FrameType
 from typing import Any
 
 import click
@@ -14,16 +18,15 @@ import click
 from comarmor.errors import Diagnostic, Origin, Severity
 from keymint import graph_json
 from keymint.api import DiscoveredGraph, GraphSource
-from keymint.commands.options import Number, PluginOption
+from keymint.commands.options import PATH, Number, PluginOption, usage_error
 from keymint.commands.run import Run
-from keymint.commands.signals import ended_by_signals
-from keymint.commands.user_files import exists, read_input, write_outputs
+from keymint.commands.user_files import exists, read_input, show_written, write_outputs
 from keymint.commands.verb import verb
 from keymint.errors import ExitCode, KeymintError
 from keymint.graph import Graph
 from keymint.output.report import Report
 
-_FILE = click.Path(path_type=Path)
+_EXIT_CODES = {signal.SIGINT: ExitCode.INTERRUPTED, signal.SIGTERM: ExitCode.TERMINATED}
 
 
 @verb(workspace=False, dry_run=True)
@@ -39,18 +42,18 @@ _FILE = click.Path(path_type=Path)
 @click.option(
     "--from",
     "captures",
-    type=_FILE,
+    type=PATH,
     multiple=True,
     metavar="FILE",
     help="Read a capture instead: XML of RTI Admin Console, or a Keymint graph. May be repeated.",
 )
 @click.option(
     "--append",
-    type=_FILE,
+    type=PATH,
     metavar="GRAPH",
     help="Add to this graph, which is created if missing. Without -o the result is written there.",
 )
-@click.option("-o", "--output", type=_FILE, metavar="FILE", help="Write the graph to this file [standard output].")
+@click.option("-o", "--output", type=PATH, metavar="FILE", help="Write the graph to this file [standard output].")
 @click.option("--no-fold", is_flag=True, help="Keep the services and topics of actions and parameters separate.")
 @click.option(
     "--subject",
@@ -93,29 +96,24 @@ def discover(
     source = run.plugins.graph_source(source_name)
     names = _names(subjects)
     if captures and domain is not None:
-        raise KeymintError(
-            "--domain cannot be combined with --from",
-            help="a capture contains its domain",
-            code="usage",
-            exit_code=ExitCode.USAGE,
-        )
-    found = [_load(run, source, append, {})] if append and exists(run, append) else []
-    ended: ExitCode | None = None
+        raise usage_error("--domain cannot be combined with --from", "a capture contains its domain")
+    graphs = [_load(run, source, append, {})] if append and exists(run, append) else []
+    interrupted: ExitCode | None = None
     if captures:
-        found += [_load(run, source, capture, names) for capture in captures]
+        graphs += [_load(run, source, capture, names) for capture in captures]
     else:
-        observed, ended = _observe(run, source, domain, seconds, names)
-        found.append(observed)
+        observed, interrupted = _observe(run, source, domain, seconds, names)
+        graphs.append(observed)
     merged = Graph(subjects=(), edges=())
-    for one in found:
-        merged = graph_json.merge(merged, one.graph)
+    for discovered in graphs:
+        merged = graph_json.merge(merged, discovered.graph)
     graph = source.interpret(merged, fold=not no_fold)
     content = graph_json.dump(graph)
     target = output or append
     written = write_outputs(run, target, content) if target else []
     if target:
         run.console.line(_summary(graph))
-        run.console.line(_outcome(run, target, written))
+        show_written(run, target, written)
     else:
         run.console.document(content)
     result: dict[str, Any] = {
@@ -126,8 +124,8 @@ def discover(
         "written": written,
         "graph": None if target else json.loads(content),
     }
-    diagnostics = tuple(dict.fromkeys(said for one in found for said in one.diagnostics))
-    return Report(run.verb, None, (), diagnostics, result, ended or ExitCode.DONE, run.dry_run)
+    diagnostics = tuple(dict.fromkeys(said for discovered in graphs for said in discovered.diagnostics))
+    return Report(run.verb, None, (), diagnostics, result, interrupted or ExitCode.DONE, run.dry_run)
 
 
 def _names(typed: Iterable[str]) -> dict[str, str]:
@@ -135,12 +133,7 @@ def _names(typed: Iterable[str]) -> dict[str, str]:
     for item in typed:
         guid, equals, name = item.partition("=")
         if not equals:
-            raise KeymintError(
-                f"--subject {item!r} is not GUID=NAME",
-                help="e.g. --subject 0110d9a4=/talker",
-                code="usage",
-                exit_code=ExitCode.USAGE,
-            )
+            raise usage_error(f"--subject {item!r} is not GUID=NAME", "e.g. --subject 0110d9a4=/talker")
         names[guid] = name
     return names
 
@@ -171,7 +164,7 @@ def _observe(
     chosen = _domain(run) if domain is None else domain
     start = run.setting.monotonic()
     with ended_by_signals() as ending:
-        found = source.observe(
+        observed = source.observe(
             chosen, lambda: ending.exit_code is None and run.setting.monotonic() < start + seconds, names
         )
     if ending.exit_code is not None:
@@ -181,37 +174,66 @@ def _observe(
             f"interrupted after {run.setting.monotonic() - start:.0f} of {seconds:g} s: the graph is incomplete",
             help="--append GRAPH observes again and adds to the graph",
         )
-        return replace(found, diagnostics=(*found.diagnostics, early)), ending.exit_code
-    if found.graph.subjects:
-        return found, None
-    nobody = Diagnostic(
+        return replace(observed, diagnostics=(*observed.diagnostics, early)), ending.exit_code
+    if observed.graph.subjects:
+        return observed, None
+    nothing = Diagnostic(
         "discovery-empty",
         Severity.WARNING,
         f"no participant seen in domain {chosen} in {seconds:g} s",
         help="check --domain, --seconds, CYCLONEDDS_URI and the network; secured participants are invisible",
     )
-    return replace(found, diagnostics=(*found.diagnostics, nobody)), None
+    return replace(observed, diagnostics=(*observed.diagnostics, nothing)), None
 
 
 def _domain(run: Run) -> int:
     text = run.setting.environment.get("ROS_DOMAIN_ID", "").strip() or "0"
     if not text.isdecimal() or int(text) > graph_json.MAX_DOMAIN:
-        raise KeymintError(
+        raise usage_error(
             f"ROS_DOMAIN_ID is {text!r}, expected a DDS domain id from 0 to {graph_json.MAX_DOMAIN}",
-            help="set it, or use --domain",
-            code="usage",
-            exit_code=ExitCode.USAGE,
+            "set it, or use --domain",
         )
     return int(text)
 
 
 def _summary(graph: Graph) -> str:
-    counts = Counter(found.kind for _, found in graph.objects)
+    counts = Counter(object_.kind for _, object_ in graph.objects)
     kinds = ", ".join(f"{counts[kind]} {kind}" for kind in sorted(counts)) or "none"
     return f"{len(graph.subjects)} subjects, {len(graph.edges)} edges, objects: {kinds}"
 
 
-def _outcome(run: Run, target: Path, written: list[str]) -> str:
-    if not written:
-        return f"{target} is up to date"
-    return f"{target} {'would be written' if run.dry_run else 'written'}"
+class Ending:
+    """Whether a signal requested the end.
+
+    Attributes:
+        exit_code: the exit code of the first signal, or None if there was none.
+    """
+
+    def __init__(self) -> None:
+        self.exit_code: ExitCode | None = None
+
+
+@contextmanager
+def ended_by_signals() -> Iterator[Ending]:
+    """Record the first SIGINT or SIGTERM within the block; a second one has its usual effect."""
+    ending = Ending()
+    if threading.current_thread() is not threading.main_thread():  # only the main thread can set handlers
+        yield ending
+        return
+    before = {number: signal.getsignal(number) for number in _EXIT_CODES}
+
+    def restore() -> None:
+        for number, handler in before.items():
+            signal.signal(number, handler)
+
+    def note(number: int, _frame: FrameType | None) -> None:
+        ending.exit_code = _EXIT_CODES[signal.Signals(number)]
+        restore()
+
+    for number, handler in before.items():
+        if handler is not signal.SIG_IGN:  # nohup and background jobs of shells ignore it
+            signal.signal(number, note)
+    try:
+        yield ending
+    finally:
+        restore()

@@ -12,24 +12,30 @@ import click
 from comarmor.errors import Diagnostic, Origin
 from keymint import graph_json
 from keymint.api import LoadedPolicy
-from keymint.commands.library import library_rules
-from keymint.commands.options import Number, PluginOption, PolicyOptions, option_group, policy_options
-from keymint.commands.policies import Policies, typed
+from keymint.commands.options import (
+    PATH,
+    Number,
+    PluginOption,
+    PolicyOptions,
+    option_group,
+    policy_options,
+    usage_error,
+)
+from keymint.commands.policies import Policies, library_rules, workspace_library_rules
 from keymint.commands.run import Run
-from keymint.commands.user_files import read_input, write_outputs
+from keymint.commands.user_files import read_input, show_written, write_outputs
 from keymint.commands.verb import verb
 from keymint.commands.verify_report import sources
 from keymint.drawing.labelled_graph import LabelledEdge, LabelledGraph, choose_subjects, select_edges
 from keymint.drawing.options import DrawingOptions, Split
 from keymint.drawing.palette import Theme
 from keymint.drawing.policy_graph import label_graph, policy_graph
-from keymint.errors import ExitCode, KeymintError
+from keymint.errors import KeymintError
 from keymint.graph import EdgeOutcome, Graph
 from keymint.output.report import Report
 from keymint.plan.policy import load_policy
 
 FORMATS = ("svg", "png", "dot", "html")
-_PATH = click.Path(path_type=Path)
 
 
 @dataclass(frozen=True, slots=True)
@@ -57,25 +63,11 @@ class _Shown:
     only: str | None
 
 
-@dataclass(frozen=True, slots=True)
-class _Style:
-    """How to draw; see :class:`keymint.drawing.options.Options`."""
-
-    by: str
-    fold: bool | None
-    group: bool | None
-    common: bool
-    limit: int
-    theme: str
-    scale: float
-    title: str | None
-
-
 @verb(dry_run=True)
-@click.argument("source", metavar="[POLICY|GRAPH]", required=False, type=_PATH)
-@click.option("-o", "--output", type=_PATH, metavar="FILE", help="Write to this file; its suffix selects the format.")
+@click.argument("source", metavar="[POLICY|GRAPH]", required=False, type=PATH)
+@click.option("-o", "--output", type=PATH, metavar="FILE", help="Write to this file; its suffix selects the format.")
 @click.option("-f", "--format", "kind", type=click.Choice(FORMATS), help="Format [from the suffix of FILE, else svg].")
-@click.option("--policy", type=_PATH, metavar="PATH", help="Label the edges of GRAPH by this policy.")
+@click.option("--policy", type=PATH, metavar="PATH", help="Label the edges of GRAPH by this policy.")
 @option_group(
     "shown",
     _Shown,
@@ -89,10 +81,15 @@ class _Style:
     click.option("--only", type=click.Choice(["allowed", "denied"]), help="Draw only edges with this label."),
 )
 @option_group(
-    "style",
-    _Style,
+    "drawing",
+    DrawingOptions,
     click.option(
-        "--by", type=click.Choice([str(split) for split in Split]), default="none", help="Draw one panel for each."
+        "--by",
+        "split",
+        type=click.Choice([str(split) for split in Split]),
+        default="none",
+        callback=lambda _context, _parameter, value: Split(value),
+        help="Draw one panel for each.",
     ),
     click.option("--fold/--no-fold", default=None, help="Merge objects with the same edges [from 40 objects on]."),
     click.option("--group/--no-group", default=None, help="Merge the subjects of a namespace [beyond 30 subjects]."),
@@ -107,11 +104,12 @@ class _Style:
         type=click.Choice([str(theme) for theme in Theme]),
         default="auto",
         show_default=True,
+        callback=lambda _context, _parameter, value: Theme(value),
         help="Colours; auto follows the reader's settings.",
     ),
-    click.option("--scale", type=Number(0.1, 10), default=2.0, show_default=True, help="Resolution of a PNG."),
-    click.option("--title", metavar="TEXT", help="Title of the picture."),
 )
+@click.option("--scale", type=Number(0.1, 10), default=2.0, show_default=True, help="Resolution of a PNG.")
+@click.option("--title", metavar="TEXT", help="Title of the picture.")
 @policy_options
 @click.option(
     "--source-type",
@@ -128,7 +126,9 @@ def graph(
     kind: str | None,
     policy: Path | None,
     shown: _Shown,
-    style: _Style,
+    drawing: DrawingOptions,
+    scale: float,
+    title: str | None,
     policy_options: PolicyOptions,
     source_type: str,
 ) -> Report:
@@ -150,61 +150,42 @@ def graph(
         loaded = policies.at(run.setting.cwd / path, str(path))
         return _Policy(loaded, path.resolve().stem, library_rules(run.setting.cwd, policies.shipped()))
 
-    found, said = _graph(run, source, source_type) if source else (None, ())
-    if found is None:
+    system, diagnostics = _graph(run, source, source_type) if source else (None, ())
+    if system is None:
         if policy is not None:
-            raise KeymintError(
+            raise usage_error(
                 f"{source or 'the policy of the workspace'} is a policy; --policy labels only graphs",
-                help="leave out --policy",
-                code="usage",
-                exit_code=ExitCode.USAGE,
+                "leave out --policy",
             )
         drawn = policy_at(source) if source else _policy_of_workspace(run)
-        loaded = drawn.loaded
-        named = tuple(
-            sorted(
-                {
-                    *shown.subjects,
-                    *(choose_subjects(loaded.subjects(), (), shown.namespaces) if shown.namespaces else ()),
-                }
-            )
-        )
+        below = choose_subjects(drawn.loaded.subjects(), (), shown.namespaces) if shown.namespaces else ()
         labelled = policy_graph(
-            style.title or drawn.name, loaded, named, everything=shown.everything, typed=typed(run), common=drawn.common
+            title or drawn.name,
+            drawn.loaded,
+            tuple(sorted({*shown.subjects, *below})),
+            everything=shown.everything,
+            typed=run.typed,
+            common=drawn.common,
         )
     else:
         labelling = policy_at(policy) if policy is not None else None
-        labelled = _labelled(
-            run, found, choose_subjects(found.subjects, shown.subjects, shown.namespaces), labelling, shown.everything
-        )
+        subjects = choose_subjects(system.subjects, shown.subjects, shown.namespaces)
+        labelled = _labelled(run, system, subjects, labelling, shown.everything)
         name = Path(source or "").stem + (f", labelled by {labelling.name}" if labelling else "")
-        labelled = replace(labelled, title=style.title or name)
+        labelled = replace(labelled, title=title or name)
     if shown.only:
         labelled = select_edges(labelled, only={EdgeOutcome.ALLOW if shown.only == "allowed" else EdgeOutcome.DENY})
-    options = DrawingOptions(
-        Theme(style.theme), Split(style.by), None, style.limit, style.fold, style.group, style.common
-    )
-    content = _drawn(run, labelled, chosen_format, options, style.scale)
-    return _report(run, labelled, chosen_format, output, content, said)
+    content = _drawn(run, labelled, chosen_format, drawing, scale)
+    return _report(run, labelled, chosen_format, output, content, diagnostics)
 
 
 def _format(output: Path | None, kind: str | None) -> str:
     suffix = output.suffix.removeprefix(".").lower() if output else ""
     chosen = kind or {"gv": "dot", "htm": "html"}.get(suffix, suffix) or "svg"
     if chosen not in FORMATS:
-        raise KeymintError(
-            f"{output} has an unknown suffix",
-            help=f"end it in .{', .'.join(FORMATS)}, or use --format",
-            code="usage",
-            exit_code=ExitCode.USAGE,
-        )
+        raise usage_error(f"{output} has an unknown suffix", f"end it in .{', .'.join(FORMATS)}, or use --format")
     if chosen == "png" and output is None:
-        raise KeymintError(
-            "a PNG cannot be printed",
-            help="name a file: -o FILE.png",
-            code="usage",
-            exit_code=ExitCode.USAGE,
-        )
+        raise usage_error("a PNG cannot be printed", "name a file: -o FILE.png")
     return chosen
 
 
@@ -226,29 +207,20 @@ def _graph(run: Run, source: Path, source_type: str) -> tuple[Graph | None, tupl
 
 
 def _policy_of_workspace(run: Run) -> _Policy:
-    inputs = run.inputs(run.workspace())
-    session = inputs.session()
-    profile = session.profile
-    shipped = run.plugins.profile_type(profile.profile_type).library(profile.distro)
-    common = library_rules(run.setting.cwd, shipped, profile.library)
-    return _Policy(load_policy(session), profile.name, common)
+    session = run.inputs(run.workspace()).session()
+    return _Policy(load_policy(session), session.profile.name, workspace_library_rules(session))
 
 
 def _labelled(
-    run: Run, found: Graph, subjects: tuple[str, ...], policy: _Policy | None, everything: bool
+    run: Run, graph: Graph, subjects: tuple[str, ...], policy: _Policy | None, everything: bool
 ) -> LabelledGraph:
     if policy is not None:
         return label_graph(
-            "", policy.loaded, found, subjects, everything=everything, typed=typed(run), common=policy.common
+            "", policy.loaded, graph, subjects, everything=everything, typed=run.typed, common=policy.common
         )
     if everything:
-        raise KeymintError(
-            "--all needs labels",
-            help="name the policy: --policy PATH",
-            code="usage",
-            exit_code=ExitCode.USAGE,
-        )
-    return select_edges(LabelledGraph.of("", map(LabelledEdge, found.edges), found.subjects), subjects=subjects)
+        raise usage_error("--all needs labels", "name the policy: --policy PATH")
+    return select_edges(LabelledGraph.of("", map(LabelledEdge, graph.edges), graph.subjects), subjects=subjects)
 
 
 def _drawn(run: Run, labelled: LabelledGraph, kind: str, options: DrawingOptions, scale: float) -> bytes:
@@ -265,22 +237,25 @@ def _drawn(run: Run, labelled: LabelledGraph, kind: str, options: DrawingOptions
 
 
 def _report(
-    run: Run, labelled: LabelledGraph, kind: str, output: Path | None, content: bytes, said: tuple[Diagnostic, ...]
+    run: Run,
+    labelled: LabelledGraph,
+    kind: str,
+    output: Path | None,
+    content: bytes,
+    diagnostics: tuple[Diagnostic, ...],
 ) -> Report:
     written = write_outputs(run, output, content) if output else []
     if output is None:
         run.console.document(content)
-    elif not written:
-        run.console.line(f"{output} is up to date")
-    for file in written:
-        run.console.line(f"{file} {'would be written' if run.dry_run else 'written'}")
+    else:
+        show_written(run, output, written)
     result: dict[str, Any] = {
         "file": str(output) if output else None,
         "written": written,
         "format": kind,
         "subjects": list(labelled.subjects),
-        "objects": len({(one.edge.domain, one.edge.object) for one in labelled.edges}),
+        "objects": len({(edge.edge.domain, edge.edge.object) for edge in labelled.edges}),
         "edges": {str(outcome): labelled.counts[outcome] for outcome in EdgeOutcome if labelled.counts[outcome]},
         "content": None if output else content.decode(),
     }
-    return Report(run.verb, None, (), said, result, dry_run=run.dry_run)
+    return Report(run.verb, None, (), diagnostics, result, dry_run=run.dry_run)

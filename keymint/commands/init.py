@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
+from dataclasses import asdict
 from pathlib import Path
 
 import click
 
 from comarmor.errors import Origin
-from keymint.api import Bootstrap
+from keymint.api import Bootstrap, ProfileSettings
 from keymint.changes import Action, Plan, Step
-from keymint.commands.options import DEFAULT_PROFILE_TYPE, ProfileOptions, profile_options
-from keymint.commands.profile_options import refuse_contradiction
+from keymint.commands.options import DEFAULT_PROFILE_TYPE, PATH, ProfileOptions, profile_options
 from keymint.commands.run import Run
 from keymint.commands.verb import verb
 from keymint.errors import KeymintError
@@ -18,14 +18,21 @@ from keymint.output.report import Report
 from keymint.plan.authorities import plan_authorities
 from keymint.plan.bootstrap import plan_init, policy_path
 from keymint.session import Inputs
-from keymint.workspace import Workspace
+from keymint.workspace import PROFILE_MARKER, Workspace
+
+_DEFAULTS = "package.defaults"
+_PLACES = {
+    "domain": (f"{_DEFAULTS}/permissions.xml", f"{_DEFAULTS}/governance.xml"),
+    "subject-format": (f"{_DEFAULTS}/permissions.xml", f"{_DEFAULTS}/identities.xml"),
+}
+"""Files of the settings that are not in the profile's manifest; all of them must agree."""
 
 
 @verb(jobs=True, dry_run=True)
-@click.argument("folder", metavar="[WORKSPACE]", required=False, type=click.Path(path_type=Path))
+@click.argument("folder", metavar="[WORKSPACE]", required=False, type=PATH)
 @click.option(
     "--policy",
-    type=click.Path(path_type=Path),
+    type=PATH,
     metavar="PATH",
     help="ComArmor file or directory that becomes the policy of the workspace [the talker/listener example].",
 )
@@ -89,3 +96,39 @@ def bootstrap_request(run: Run, workspace: Workspace, policy: Path | None, profi
         subject_format=profile.subject_format or "unique",
         now=run.setting.now,
     )
+
+
+def refuse_contradiction(run: Run, workspace: Workspace, given: ProfileOptions, policy: Path | None = None) -> None:
+    """Refuse an option that differs from the profile of an existing workspace.
+
+    Args:
+        run: the run.
+        workspace: the existing workspace.
+        given: the options of this run.
+        policy: the value of ``--policy``, which only ``init`` has.
+
+    Raises:
+        KeymintError: the profile has another value, or does not have this setting.
+    """
+    options = {**asdict(given), "policy": policy}
+    values = {name.replace("_", "-"): str(value) for name, value in options.items() if value is not None}
+    if not values:
+        return
+    profile = run.inputs(workspace).session().profile
+    profile_type = run.plugins.profile_type(profile.profile_type)
+    if given.distro is not None:
+        profile_type.library(given.distro)  # an unknown distribution is a usage error, as for a new workspace
+    present = {"profile-type": profile.profile_type}
+    if isinstance(profile_type, ProfileSettings):
+        present |= profile_type.settings(profile)
+    for option, value in values.items():
+        if present.get(option) != value:
+            places = _PLACES.get(option, (PROFILE_MARKER,))
+            has = f"has {option} {present[option]!r}" if option in present else f"exists and keeps its {option}"
+            raise KeymintError(
+                f"the workspace {has}, so --{option} {value} cannot take effect",
+                where=Origin(workspace.shown(workspace.profile / places[0])),
+                help=f"change it in {' and '.join(workspace.shown(workspace.profile / place) for place in places)}, "
+                "or name another workspace",
+                code="workspace-exists",
+            )

@@ -56,18 +56,14 @@ def install(
         after = session.after(plan)
         chosen = run.names(inputs, names)
         installed = plan_install(after, chosen, authorities, prune=prune)
-        said = policy_changed(session) if chosen else (no_packages(inputs),)
+        warnings = policy_changed(session) if chosen else (no_packages(inputs),)
         missing = () if names or (chosen and not prove) else uncreated(inputs, lazy_policy(session), chosen)
         done = plan.then(installed)
-        done = replace(done, diagnostics=(*done.diagnostics, *said, *missing))
-        if prove:
-            policy = lazy_policy(session)
-            after = after.after(installed)
-            kept = installed.kept()
-            within = tuple(name for name in chosen if name not in kept)
-            done = proven(run, after, within, policy, done, standard_only=allow_vendor_specific)
-        return done
+        done = replace(done, diagnostics=(*done.diagnostics, *warnings, *missing))
+        if not prove:
+            return done
+        return proven(run, after, installed, chosen, lazy_policy(session), done, standard_only=allow_vendor_specific)
 
     report = run.carry_out(workspace, make_plan)
-    nothing = findings_exit([found for found in report.diagnostics if found.code == UNCREATED])
+    nothing = findings_exit([finding for finding in report.diagnostics if finding.code == UNCREATED])
     return replace(report, exit_code=report.exit_code or nothing)

@@ -12,22 +12,20 @@ import click
 from comarmor.errors import Diagnostic, Origin, Severity
 from keymint import graph_json
 from keymint.api import LearnedPolicy, LoadedPolicy, PolicyLearner
-from keymint.commands.options import PolicyOptions, policy_options
+from keymint.commands.options import PATH, PolicyOptions, policy_options
 from keymint.commands.policies import Policies
 from keymint.commands.run import Run
-from keymint.commands.user_files import read_input, write_outputs
+from keymint.commands.user_files import read_input, show_written, write_outputs
 from keymint.commands.verb import verb
 from keymint.errors import ExitCode, KeymintError
 from keymint.graph import Edge
-from keymint.output.report import Report, as_typed
-
-_FILE = click.Path(path_type=Path)
+from keymint.output.report import Report
 
 
 @verb(workspace=False, dry_run=True)
-@click.argument("graph", type=_FILE)
-@click.option("--policy", type=_FILE, metavar="EXISTING", help="Keep this policy; generate only what it lacks.")
-@click.option("-o", "--output", type=_FILE, metavar="FILE", help="Write the policy to this file [standard output].")
+@click.argument("graph", type=PATH)
+@click.option("--policy", type=PATH, metavar="EXISTING", help="Keep this policy; generate only what it lacks.")
+@click.option("-o", "--output", type=PATH, metavar="FILE", help="Write the policy to this file [standard output].")
 @click.option("-f", "--force", is_flag=True, help="Replace an existing file with different content.")
 @policy_options
 def learn(
@@ -60,7 +58,7 @@ def learn(
         _refuse_overwriting(run, output, existing)
     folder = f"{output.stem}.d" if output else ""
     learned = learner.learn(wanted, existing, folder)
-    learned = replace(learned, unused=tuple(as_typed(found, run.setting.cwd) for found in learned.unused))
+    learned = replace(learned, unused=tuple(run.as_typed(rule) for rule in learned.unused))
     written: list[str] = []
     if output and learned.document:
         if not force:
@@ -131,14 +129,12 @@ def _tell(run: Run, learned: LearnedPolicy, output: Path | None, written: list[s
     if against:
         for edge in learned.missing:
             run.console.line(f"missing  {edge.subject} {edge.permission} {edge.object.name}")
-        for found in learned.unused:
-            run.console.line(f"unused   {_place(found)['place'] or found.subject}: {found.message}")
-    if not learned.document:
+        for rule in learned.unused:
+            run.console.line(f"unused   {_place(rule)['place'] or rule.subject}: {rule.message}")
+    if learned.document:
+        show_written(run, output, written)
+    else:
         run.console.line("the existing policy allows the graph: nothing to write")
-    for file in written:
-        run.console.line(f"{file} {'would be written' if run.dry_run else 'written'}")
-    if learned.document and not written:
-        run.console.line(f"{output} is up to date")
 
 
 def _as_json(edge: Edge) -> dict[str, Any]:
@@ -151,5 +147,5 @@ def _as_json(edge: Edge) -> dict[str, Any]:
     }
 
 
-def _place(found: Diagnostic) -> dict[str, str]:
-    return {"code": found.code, "place": str(found.where) if found.where else "", "message": found.message}
+def _place(rule: Diagnostic) -> dict[str, str]:
+    return {"code": rule.code, "place": str(rule.where) if rule.where else "", "message": rule.message}

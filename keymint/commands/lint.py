@@ -11,8 +11,8 @@ from keymint.analysis.lint import CODES, sorted_diagnostics
 from keymint.analysis.lint import lint as look
 from keymint.analysis.portability import portability
 from keymint.analysis.subject_patterns import pattern_examples, rules_of
-from keymint.commands.options import PluginOption, PolicyOptions, policy_options
-from keymint.commands.policies import Policies, typed
+from keymint.commands.options import FILE, PATH, PluginOption, PolicyOptions, policy_options
+from keymint.commands.policies import Policies
 from keymint.commands.run import Run
 from keymint.commands.user_files import write_outputs
 from keymint.commands.verb import verb
@@ -20,12 +20,10 @@ from keymint.output.report import Report, findings_exit
 from keymint.output.sarif import of_diagnostics
 from keymint.output.sarif import sarif as sarif_log
 
-_PATH = click.Path(path_type=Path)
-
 
 @verb()
-@click.argument("policy", required=False, type=_PATH)
-@click.option("--sarif", type=click.Path(path_type=Path, dir_okay=False), metavar="FILE", help="Write SARIF 2.1.0.")
+@click.argument("policy", required=False, type=PATH)
+@click.option("--sarif", type=FILE, metavar="FILE", help="Write SARIF 2.1.0.")
 @click.option(
     "--build-type",
     cls=PluginOption,
@@ -59,20 +57,20 @@ def lint(
     others = {like: subject for subject, like in pattern_examples(loaded).items()}
     subjects = [(subject, rules_of(loaded, subject)) for subject in (*named, *others.values())]
     compiler = run.plugins.build_type(build_type)
-    found = [
+    diagnostics = [
         *look(loaded),
         # lint already reports names that nothing can have.
         *(
-            each
-            for each in portability(compiler, build_type, policies.distro, subjects, run.setting.now)
-            if each.code != "never-matches"
+            diagnostic
+            for diagnostic in portability(compiler, build_type, policies.distro, subjects, run.setting.now)
+            if diagnostic.code != "never-matches"
         ),
     ]
-    found = sorted_diagnostics(found)
+    diagnostics = sorted_diagnostics(diagnostics)
     if sarif is not None:
-        write_outputs(run, sarif, sarif_log("keymint lint", CODES, of_diagnostics(found), typed(run)))
-    number = len(found)
+        write_outputs(run, sarif, sarif_log("keymint lint", CODES, of_diagnostics(diagnostics), run.typed))
+    number = len(diagnostics)
     like = f" and {counted(len(others), 'pattern')} of subjects" if others else ""
     run.console.line(f"{counted(number, 'finding')} in the rules of {counted(len(named), 'subject')}{like}")
     result = {"subjects": list(named), "findings": number}
-    return Report(run.verb, None, (), found, result, findings_exit(found))
+    return Report(run.verb, None, (), diagnostics, result, findings_exit(diagnostics))

@@ -12,7 +12,7 @@ from typing import Any
 import click
 from click.core import ParameterSource
 
-from keymint.errors import KeymintError
+from keymint.errors import ExitCode, KeymintError
 from keymint.plugins import Plugins
 from keymint.tree import Tree
 from keymint.workspace import SPACES, find, packages
@@ -21,6 +21,11 @@ Decorator = Callable[[Any], Any]
 DEFAULT_PROFILE_TYPE = "keymint_ros"
 PATH = click.Path(path_type=Path)
 FILE = click.Path(path_type=Path, dir_okay=False)
+
+
+def usage_error(message: str, help_: str) -> KeymintError:
+    """Return an error in the arguments of the command line; its exit code is 2."""
+    return KeymintError(message, help=help_, code="usage", exit_code=ExitCode.USAGE)
 
 
 class Number(click.FloatRange):
@@ -77,14 +82,16 @@ def option_group(parameter: str, group: type, *options: Decorator) -> Decorator:
 
     Args:
         parameter: name of the verb's argument.
-        group: dataclass with a field for each option.
+        group: dataclass with a field for each option; further fields keep their defaults.
         options: click options, in the order of the help page.
     """
 
     def decorate(function: Any) -> Any:
         @functools.wraps(function)
         def grouped(*arguments: Any, **values: Any) -> Any:
-            values[parameter] = group(**{field.name: values.pop(field.name) for field in fields(group)})
+            values[parameter] = group(
+                **{field.name: values.pop(field.name) for field in fields(group) if field.name in values}
+            )
             return function(*arguments, **values)
 
         for option in reversed(options):

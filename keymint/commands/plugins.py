@@ -14,7 +14,7 @@ from keymint.output.report import Report
 @verb(workspace=False)
 def plugins(run: Run) -> Report:
     """List the installed plugins: group, name, version, distribution, and whether each loads."""
-    said: list[Diagnostic] = []
+    diagnostics: list[Diagnostic] = []
     listed = []
     for info in run.plugins.infos:
         usable = True
@@ -22,7 +22,7 @@ def plugins(run: Run) -> Report:
             run.plugins.load(info.group, info.name)
         except KeymintError as error:
             usable = False
-            said += [diagnostic for diagnostic in error.diagnostics if diagnostic not in said]
+            diagnostics += [diagnostic for diagnostic in error.diagnostics if diagnostic not in diagnostics]
         listed.append((info, usable))
     run.console.table(
         ["GROUP", "NAME", "VERSION", "DISTRIBUTION", "LOADS", "FROM"],
@@ -32,4 +32,4 @@ def plugins(run: Run) -> Report:
         ],
     )
     result = {"plugins": [asdict(info) | {"usable": usable} for info, usable in listed]}
-    return Report(run.verb, None, (), said, result, ExitCode.FAILURE if said else ExitCode.DONE)
+    return Report(run.verb, None, (), diagnostics, result, ExitCode.FAILURE if diagnostics else ExitCode.DONE)

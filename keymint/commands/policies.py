@@ -6,13 +6,13 @@ from collections.abc import Callable, Sequence
 from functools import cache
 from pathlib import Path
 
-from comarmor.errors import Origin, cited, library_name
+from comarmor.errors import Origin, library_name
 from keymint.api import LoadedPolicy, PolicySource
-from keymint.commands.library import library_files
 from keymint.commands.options import PolicyOptions
 from keymint.commands.run import Run
 from keymint.plan.policy import load_policy
-from keymint.workspace import Workspace, shown
+from keymint.session import Session
+from keymint.workspace import Workspace
 
 _DEFAULT_DISTRO = "jazzy"
 
@@ -96,13 +96,40 @@ class Policies:
         return tuple(source.path.resolve() for source in profile.policies), (profile.library or shipped).resolve()
 
 
-def typed(run: Run) -> Callable[[str], str]:
-    """Return a function that shortens absolute paths to what the user would type."""
-    return lambda file: shown(Path(file), run.setting.cwd) if file.startswith("/") else file
+def library_files(cwd: Path, shipped: Path, copy: Path | None = None) -> Callable[[str], str | None]:
+    """Return a function that gives the name by which policies include a file of the library, or None for other files.
+
+    Args:
+        cwd: folder that relative paths start from.
+        shipped: folder of the library.
+        copy: folder of a workspace with a copy of the library. A file in it counts only while it is unchanged: rules
+            that a person wrote must not be hidden as rules that every node has.
+    """
+    folders = tuple(folder.resolve() for folder in (shipped, copy) if folder is not None)
+
+    @cache
+    def name(file: str) -> str | None:
+        path = (cwd / file).resolve()
+        relative = (path.relative_to(folder) for folder in folders if path.is_relative_to(folder))
+        return next((str(each) for each in relative if is_unchanged(path, shipped / each)), None)
+
+    def is_unchanged(path: Path, original: Path) -> bool:
+        try:
+            return path.read_bytes() == original.read_bytes()
+        except OSError:
+            return False
+
+    return name
 
 
-def place(run: Run, where: Origin | None) -> str:
-    """Return a place as the user would type it: ``file:line``."""
-    if where is None:
-        return ""
-    return cited(typed(run)(where.file), where.line)
+def library_rules(cwd: Path, shipped: Path, copy: Path | None = None) -> Callable[[Origin], bool]:
+    """Return a function that tells whether a rule is one of the library; arguments as :func:`library_files`."""
+    name = library_files(cwd, shipped, copy)
+    return lambda where: name(where.file) is not None
+
+
+def workspace_library_rules(session: Session) -> Callable[[Origin], bool]:
+    """Return a function that tells whether a rule is one of the library that a workspace uses."""
+    profile = session.profile
+    shipped = session.plugins.profile_type(profile.profile_type).library(profile.distro)
+    return library_rules(session.workspace.shown_from, shipped, profile.library)

@@ -1,8 +1,7 @@
-"""Report claims that are refuted or unknown: one line per cause, at the unsigned document before it is signed."""
+"""Report claims that are refuted or unknown: one line per cause."""
 
 from __future__ import annotations
 
-import re
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import replace
 
@@ -12,59 +11,28 @@ from keymint.commands.run import Run
 from keymint.graph import Edge
 from keymint.plan import terms
 from keymint.plan.prove import EnclaveProof, ProofEffort, ProofResults
-from keymint.session import Session
 
 SECONDS = 10.0
 STATES = 500_000
 OF_DOMAINS = frozenset(("join", "protect"))
 """Actions of claims about a domain, not about a topic; see :class:`keymint.api.Claim`."""
-_FIRST = b"<?xml"
-"""Start of a document; in a signed file the S/MIME headers precede it."""
 
 
-def unsigned(found: Diagnostic, session: Session) -> Diagnostic:
-    """Return a finding with places in the unsigned documents for those in the signed files that are only planned.
-
-    Args:
-        found: the finding; it names files of the enclave as if they lay in ``build/``.
-        session: the workspace as it will be, and its profile.
-    """
-    name = found.subject.removeprefix("/")
-    workspace = session.workspace
-    folder = workspace.shown(workspace.build / name)
-    enclave = session.enclaves / name
-
-    def line(file: str, number: int) -> int:
-        head, _, _ = (session.tree.read(enclave / f"{file}.p7s") or b"").partition(_FIRST)
-        return number - head.count(b"\n")
-
-    def place(match: re.Match[str]) -> str:
-        return f"{folder}/{match[1]}.xml:{line(match[1], int(match[2]))}"
-
-    message = re.sub(re.escape(folder) + r"/(\w+)\.p7s:(\d+)", place, found.message)
-    where = found.where
-    if where and where.file.startswith(f"{folder}/") and where.file.endswith(".p7s"):
-        file = where.file.removeprefix(f"{folder}/").removesuffix(".p7s")
-        shown = f"{folder}/{file}.xml"
-        where = replace(where, file=shown, line=line(file, where.line) if where.line else 0)
-    return replace(found, message=message, where=where)
-
-
-def alike(refused: Iterable[Diagnostic], shown: Callable[[str], str]) -> Iterator[Diagnostic]:
+def merged_packages(diagnostics: Iterable[Diagnostic], shown: Callable[[str], str]) -> Iterator[Diagnostic]:
     """Yield diagnostics, merging those with the same cause in several packages.
 
     Args:
-        refused: diagnostics, each of one subject.
+        diagnostics: the diagnostics of enclaves.
         shown: returns the directory of a package's documents as messages print it.
     """
     groups: dict[tuple[str, str, str], list[Diagnostic]] = {}
-    for found in refused:
-        folder = shown(found.subject.removeprefix("/"))
-        text = found.message.removeprefix(found.subject).replace(f"{folder}/", "")
-        place = str(found.where).removeprefix(f"{folder}/") if found.where else ""
-        groups.setdefault((found.code, text, place), []).append(found)
+    for diagnostic in diagnostics:
+        folder = shown(diagnostic.subject.removeprefix("/"))
+        text = diagnostic.message.removeprefix(diagnostic.subject).replace(f"{folder}/", "")
+        place = str(diagnostic.where).removeprefix(f"{folder}/") if diagnostic.where else ""
+        groups.setdefault((diagnostic.code, text, place), []).append(diagnostic)
     for group in groups.values():
-        count = len({found.subject for found in group})
+        count = len({diagnostic.subject for diagnostic in group})
         yield group[0] if count == 1 else replace(group[0], message=f"{group[0].message} [{count} packages]")
 
 
@@ -78,10 +46,10 @@ def _deadline(clock: Callable[[], float], seconds: float) -> Callable[[], bool]:
     return lambda: clock() < end
 
 
-def dated_of(found: ProofResults) -> Iterator[Diagnostic]:
+def dated_of(results: ProofResults) -> Iterator[Diagnostic]:
     """Yield certificates and grants that are not valid at the time of the claims."""
-    for enclave in found.enclaves:
-        yield from terms.findings(enclave.terms, found.now, enclave.subject)
+    for enclave in results.enclaves:
+        yield from terms.findings(enclave.terms, results.now, enclave.subject)
 
 
 def diagnostics_of(enclave: EnclaveProof) -> Iterator[Diagnostic]:
@@ -108,24 +76,24 @@ def diagnostics_of(enclave: EnclaveProof) -> Iterator[Diagnostic]:
             yield _refutation(enclave.subject, counterexample, models)
 
 
-def _refutation(subject: str, found: Counterexample, models: str) -> Diagnostic:
-    endpoint, policy, document = found.endpoint, found.policy, found.document
+def _refutation(subject: str, counterexample: Counterexample, models: str) -> Diagnostic:
+    endpoint, policy, document = counterexample.endpoint, counterexample.policy, counterexample.document
     where = policy.where or (None if document.line else document.where)
     by_document = f"{document.where}: {document.reason}" if document.where else document.reason
     if endpoint.permission in OF_DOMAINS:
         message = f"{subject}: {policy.reason}; {by_document} [{models}]"
-        return Diagnostic("counterexample", Severity.ERROR, message, where, found.help, subject)
+        return Diagnostic("counterexample", Severity.ERROR, message, where, counterexample.help, subject)
     may = "permits" if document.allowed else "does not permit"
-    says = "allows" if policy.allowed else "does not allow"
+    allows = "allows" if policy.allowed else "does not allow"
     name = f"{endpoint.object.name!r}" + "".join(f" in the partition {p!r}" for p in endpoint.object.partitions)
-    ros = f" ({_entity(found.meaning)})" if found.meaning else ""
+    ros = f" ({_entity(counterexample.meaning)})" if counterexample.meaning else ""
     domain = f" in domain {endpoint.domain}" if endpoint.domain else ""
     message = (
-        f"{subject}: the document {may} it to {endpoint.permission} {name}{ros}{domain}, but the policy {says} it: "
+        f"{subject}: the document {may} it to {endpoint.permission} {name}{ros}{domain}, but the policy {allows} it: "
         f"{policy.reason}; {by_document} [{models}]"
     )
     deviation = f"; docs/vendors.md, {document.deviation}" if document.deviation else ""
-    help_ = f"a shortest counterexample{deviation}{f'; {found.help}' if found.help else ''}"
+    help_ = f"a shortest counterexample{deviation}{f'; {counterexample.help}' if counterexample.help else ''}"
     return Diagnostic("counterexample", Severity.ERROR, message, where, help_, subject)
 
 

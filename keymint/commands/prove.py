@@ -13,12 +13,12 @@ from comarmor.text import counted
 from keymint.api import Claim, Counterexample, Proof, Verdict
 from keymint.changes import Action, Step
 from keymint.commands.options import Number, complete_package, standard_only_option
-from keymint.commands.proof_diagnostics import SECONDS, STATES, alike, dated_of, diagnostics_of, effort_of
+from keymint.commands.proof_diagnostics import SECONDS, STATES, dated_of, diagnostics_of, effort_of, merged_packages
 from keymint.commands.run import Run
 from keymint.commands.verb import verb
 from keymint.errors import ExitCode
 from keymint.graph import Edge
-from keymint.output.report import Report, as_typed, findings_exit
+from keymint.output.report import Report, findings_exit
 from keymint.plan import terms
 from keymint.plan.enclaves import unaccounted
 from keymint.plan.policy import lazy_policy
@@ -64,87 +64,90 @@ def prove(run: Run, names: tuple[str, ...], seconds: float, states: int, allow_v
     chosen = run.names(inputs, names)
     with run.console.progress(len(chosen), run.setting.monotonic) as advance:
         policy = lazy_policy(session)  # loaded only if something is to be proven
-        found = find(
+        results = find(
             session, chosen, policy, effort_of(run, states, seconds),
             lambda name: advance(Step(STAGE, name, Action.UNCHANGED)), standard_only=allow_vendor_specific,
         )  # fmt: skip
     unknown = () if names else (*unaccounted(session), *uncreated(inputs, policy, chosen))
-    unrecorded = run.keep(inputs, found.state)
+    unrecorded = run.keep(inputs, results.state)
 
     def folder(name: str) -> str:
         return workspace.shown(session.enclaves / name)
 
-    claims = [claim for enclave in found.enclaves for claim in enclave.claims]
-    _summary(run, found)
+    claims = [claim for enclave in results.enclaves for claim in enclave.claims]
+    _summary(run, results)
     proven = all(claim.proof is Proof.PROVEN for claim in claims)
-    unread = any(enclave.diagnostics for enclave in found.enclaves)
-    dated = tuple(terms.merged(dated_of(found)))
+    unread = any(enclave.diagnostics for enclave in results.enclaves)
+    dated = tuple(terms.merged(dated_of(results)))
     return Report(
         run.verb,
         workspace,
         (),
         [
-            *_assumptions(found),
-            *alike(dict.fromkeys(said for enclave in found.enclaves for said in diagnostics_of(enclave)), folder),
+            *_assumptions(results),
+            *merged_packages(
+                dict.fromkeys(diagnostic for enclave in results.enclaves for diagnostic in diagnostics_of(enclave)),
+                folder,
+            ),
             *dated,
             *unknown,
             *unrecorded,
         ],
         {
-            "at": terms.shown(found.now),
-            "until": _shown(_until(found)),
-            "assumptions": {model: list(lines) for model, lines in _taken(found).items()},
-            "enclaves": [_enclave(enclave, found.now, run) for enclave in found.enclaves],
+            "at": terms.shown(results.now),
+            "until": _shown(_until(results)),
+            "assumptions": {model: list(lines) for model, lines in _taken(results).items()},
+            "enclaves": [_enclave(enclave, results.now, run) for enclave in results.enclaves],
         },
         ExitCode.FINDINGS if unread or dated or findings_exit(unknown) or not proven else ExitCode.DONE,
         run.dry_run,
     )
 
 
-def _summary(run: Run, found: ProofResults) -> None:
-    count, say = len(found.enclaves), run.console.line
-    total = sum(len(enclave.claims) for enclave in found.enclaves)
-    open_ = [claim for enclave in found.enclaves for claim in enclave.claims if claim.proof is not Proof.PROVEN]
+def _summary(run: Run, results: ProofResults) -> None:
+    count, say = len(results.enclaves), run.console.line
+    total = sum(len(enclave.claims) for enclave in results.enclaves)
+    open_ = [claim for enclave in results.enclaves for claim in enclave.claims if claim.proof is not Proof.PROVEN]
     refuted = sum(claim.proof is Proof.COUNTEREXAMPLE for claim in open_)
-    unread = sum(any(said.code != NO_PROVER for said in enclave.diagnostics) for enclave in found.enclaves)
-    cached = sum(enclave.cached for enclave in found.enclaves)
+    unread = sum(any(diagnostic.code != NO_PROVER for diagnostic in enclave.diagnostics) for enclave in results.enclaves)
+    cached = sum(enclave.cached for enclave in results.enclaves)
     parts = [f"{total - len(open_)} of {total} claims proven"]
     parts += [f"{refuted} refuted"] * bool(refuted)
     parts += [f"{len(open_) - refuted} unknown"] * (len(open_) > refuted)
     parts += [f"{counted(unread, 'enclave')} could not be read"] * bool(unread)
-    models = ", ".join(_taken(found))
+    models = ", ".join(_taken(results))
     of_these = f" ({cached} cached)" if cached else ""
     enclaves = f"{counted(count, 'enclave')}{of_these}{f' for {models}' if models else ''}"
-    say(f"proved {enclaves}: {', '.join(parts)}{_when(found)}")
-    if excepted := list(dict.fromkeys(_excepted(found))):
+    say(f"proved {enclaves}: {', '.join(parts)}{_when(results)}")
+    if excepted := list(dict.fromkeys(_excepted(results))):
         say(f"not part of the proof, left open by governance: {'; '.join(excepted[:SHOWN])}{_more(excepted)}")
 
 
-def _until(found: ProofResults) -> datetime | None:
+def _until(results: ProofResults) -> datetime | None:
     """Return the end of the validity of all claims, or None if something is not valid now."""
-    return terms.end([term for enclave in found.enclaves for term in enclave.terms], found.now)
+    return terms.end([term for enclave in results.enclaves for term in enclave.terms], results.now)
 
 
-def _when(found: ProofResults) -> str:
+def _when(results: ProofResults) -> str:
     """Return the validity of the claims, in words."""
-    if not any(enclave.terms for enclave in found.enclaves):
+    if not any(enclave.terms for enclave in results.enclaves):
         return ""
-    until = _until(found)
+    until = _until(results)
     if until is not None:
-        return f"; in force at {terms.shown(found.now)}, until {terms.shown(until)}"
-    out = sum(terms.end(enclave.terms, found.now) is None for enclave in found.enclaves if enclave.terms)
-    return f"; {counted(out, 'enclave')} {'is' if out == 1 else 'are'} not in force at {terms.shown(found.now)}"
+        return f"; in force at {terms.shown(results.now)}, until {terms.shown(until)}"
+    out = sum(terms.end(enclave.terms, results.now) is None for enclave in results.enclaves if enclave.terms)
+    return f"; {counted(out, 'enclave')} {'is' if out == 1 else 'are'} not in force at {terms.shown(results.now)}"
 
 
 def _shown(moment: datetime | None) -> str | None:
     return None if moment is None else terms.shown(moment)
 
 
-def _excepted(found: ProofResults) -> Iterator[str]:
+def _excepted(results: ProofResults) -> Iterator[str]:
     """Yield the exceptions of the proven claims: topics that the governance leaves unprotected on purpose."""
-    for enclave in found.enclaves:
+    for enclave in results.enclaves:
         for claim in enclave.claims:
-            yield from (f"{enclave.subject}, {each}" for each in claim.excepted)
+            yield from (f"{enclave.subject}, {exception}" for exception in claim.excepted)
 
 
 def _more(excepted: Sequence[str]) -> str:
@@ -152,16 +155,16 @@ def _more(excepted: Sequence[str]) -> str:
     return f"; and {left} more (--json names them)" if left > 0 else ""
 
 
-def _taken(found: ProofResults) -> Mapping[str, Sequence[str]]:
+def _taken(results: ProofResults) -> Mapping[str, Sequence[str]]:
     """Return the assumptions of each model with a claim."""
-    claimed = {claim.model for enclave in found.enclaves for claim in enclave.claims}
-    return {model: lines for model, lines in found.assumptions.items() if model in claimed or not claimed}
+    claimed = {claim.model for enclave in results.enclaves for claim in enclave.claims}
+    return {model: lines for model, lines in results.assumptions.items() if model in claimed or not claimed}
 
 
-def _assumptions(found: ProofResults) -> Iterator[Diagnostic]:
+def _assumptions(results: ProofResults) -> Iterator[Diagnostic]:
     """Yield each assumption once, with the models that make it."""
     lines: dict[str, list[str]] = {}
-    for model, assumed in _taken(found).items():
+    for model, assumed in _taken(results).items():
         for line in assumed:
             lines.setdefault(line, []).append(model)
     for line, models in lines.items():
@@ -207,23 +210,25 @@ def _claim(claim: Claim, until: datetime | None, run: Run) -> dict[str, Any]:
     }
 
 
-def _counterexample(found: Counterexample, run: Run) -> dict[str, Any]:
-    meaning = found.meaning
+def _counterexample(counterexample: Counterexample, run: Run) -> dict[str, Any]:
+    meaning = counterexample.meaning
     return {
-        "dds_name": legible(found.endpoint.object.name) if found.endpoint.object.kind == "topic" else None,
-        "partitions": [legible(each) for each in found.endpoint.object.partitions],
-        "domain": found.endpoint.domain,
+        "dds_name": legible(counterexample.endpoint.object.name)
+        if counterexample.endpoint.object.kind == "topic"
+        else None,
+        "partitions": [legible(each) for each in counterexample.endpoint.object.partitions],
+        "domain": counterexample.endpoint.domain,
         "ros": None if meaning is None else _ros(meaning),
         "policy": {
-            "allowed": found.policy.allowed,
-            "reason": str(found.policy.reason),
-            **_place(found.policy.where, run),
+            "allowed": counterexample.policy.allowed,
+            "reason": str(counterexample.policy.reason),
+            **_place(counterexample.policy.where, run),
         },
         "document": {
-            "allowed": found.document.allowed,
-            "reason": found.document.reason,
-            **_document_place(found.document, run),
-            "deviation": found.document.deviation,
+            "allowed": counterexample.document.allowed,
+            "reason": counterexample.document.reason,
+            **_document_place(counterexample.document, run),
+            "deviation": counterexample.document.deviation,
         },
     }
 
@@ -235,8 +240,7 @@ def _ros(meaning: Edge) -> Mapping[str, str]:
 def _place(where: Origin | None, run: Run) -> Mapping[str, Any]:
     if where is None:
         return {"file": None, "line": None}
-    typed = as_typed(Diagnostic("", Severity.NOTE, "", where), run.setting.cwd).where or where
-    return {"file": typed.file, "line": typed.line or None}
+    return {"file": run.typed(where.file), "line": where.line or None}
 
 
 def _document_place(verdict: Verdict, run: Run) -> Mapping[str, Any]:

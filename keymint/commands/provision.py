@@ -9,10 +9,11 @@ import click
 
 from comarmor.errors import Origin
 from keymint.changes import Plan
-from keymint.commands.build_options import build_options
-from keymint.commands.init import bootstrap_request
+from keymint.commands.build import build_options, policy_slips
+from keymint.commands.init import bootstrap_request, refuse_contradiction
 from keymint.commands.options import (
     DEFAULT_PROFILE_TYPE,
+    PATH,
     DocumentOptions,
     ProfileOptions,
     document_options,
@@ -22,8 +23,6 @@ from keymint.commands.options import (
     prune_option,
     renew_option,
 )
-from keymint.commands.policy_slips import policy_slips
-from keymint.commands.profile_options import refuse_contradiction
 from keymint.commands.proof_gate import proven
 from keymint.commands.run import Run
 from keymint.commands.verb import verb
@@ -39,7 +38,7 @@ from keymint.session import Inputs
 
 
 @verb(jobs=True, dry_run=True)
-@click.argument("policy", type=click.Path(path_type=Path))
+@click.argument("policy", type=PATH)
 @profile_options
 @click.option("-f", "--force", is_flag=True, help="Discard manual edits of permissions.xml and of built documents.")
 @prune_option
@@ -95,10 +94,8 @@ def provision(
         plan = replace(plan, diagnostics=(*plan.diagnostics, *slips, *hinted.unknown(names)))
         if not prove:
             return plan
-        session = session.after(installed)
-        kept = installed.kept()
-        within = tuple(name for name in names if name not in kept)
-        return proven(run, session, within, acquired, plan, standard_only=document_options.allow_vendor_specific)
+        standard_only = document_options.allow_vendor_specific
+        return proven(run, session, installed, names, acquired, plan, standard_only=standard_only)
 
     def _profile_plan(inputs: Inputs) -> Plan:
         if not inputs.workspace.exists():

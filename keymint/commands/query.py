@@ -20,11 +20,11 @@ from keymint.analysis.rule_lists import RAW, allow_only, display_name, find_perm
 from keymint.analysis.subject_patterns import rules_of, unknown_subject
 from keymint.analysis.who_can import PermissionHolder, who_can
 from keymint.api import LoadedPolicy
-from keymint.commands.options import PolicyOptions, policy_options
-from keymint.commands.policies import Policies, place
+from keymint.commands.options import PolicyOptions, policy_options, usage_error
+from keymint.commands.policies import Policies
 from keymint.commands.run import Run
 from keymint.commands.verb import verb
-from keymint.errors import ExitCode, KeymintError
+from keymint.errors import ExitCode
 from keymint.output.report import Report
 
 _MOST = 20
@@ -64,11 +64,9 @@ def query(
     """
     path, question = _read(words, run.setting.cwd)
     if (but or infrastructure) and question.head not in ("flows", "isolated"):
-        raise KeymintError(
+        raise usage_error(
             f"'{question.head}' takes no {'--except' if but else '--infrastructure'}",
-            help="use it with 'flows' or 'isolated'",
-            code="usage",
-            exit_code=ExitCode.USAGE,
+            "use it with 'flows' or 'isolated'",
         )
     for expression in but:
         parse_query(["who", "can", "publish", expression])  # checks the expression
@@ -84,19 +82,19 @@ def query(
         "isolated": lambda: _isolated(run, channels, question),
     }[question.head]
     verdict, more = answer()
-    said = list(_doubts(policy, question, partition, verdict))
+    warnings = list(_doubts(policy, question, partition, verdict))
     if verdict == "unknown":
-        said.append(Diagnostic("query-unknown", Severity.WARNING, "the answer is unknown"))
-    bad = verdict == "unknown" or (question.head == "isolated" and verdict == "no")
+        warnings.append(Diagnostic("query-unknown", Severity.WARNING, "the answer is unknown"))
+    failed = verdict == "unknown" or (question.head == "isolated" and verdict == "no")
     result = {"question": question.head, "answer": verdict, **more}
-    return Report(run.verb, None, (), said, result, ExitCode.FINDINGS if bad else ExitCode.DONE)
+    return Report(run.verb, None, (), warnings, result, ExitCode.FINDINGS if failed else ExitCode.DONE)
 
 
 def _doubts(policy: LoadedPolicy, question: PolicyQuery, partition: str, verdict: str) -> Iterator[Diagnostic]:
     """Yield warnings about likely mistakes in a question."""
     for subject in question.subjects if question.head != "what" else ():
-        if found := unknown_subject(policy, parse(subject)):
-            yield Diagnostic("query-subject", Severity.WARNING, found)
+        if problem := unknown_subject(policy, parse(subject)):
+            yield Diagnostic("query-subject", Severity.WARNING, problem)
     name, kind = question.object, question.kind
     if not name:
         return
@@ -115,85 +113,85 @@ def _read(words: Sequence[str], folder: Path) -> tuple[Path | None, PolicyQuery]
     if rest and rest[0].split(" ")[0] not in HEADS and (len(rest) > 1 or (folder / rest[0]).exists()):
         path = Path(rest.pop(0))
     if not rest:
-        raise KeymintError(
-            "the question is missing", help=f"ask one of: {'; '.join(FORMS)}", code="usage", exit_code=ExitCode.USAGE
-        )
+        raise usage_error("the question is missing", f"ask one of: {'; '.join(FORMS)}")
     return path, parse_query([each for one in rest for each in one.split()])
 
 
 def _who(run: Run, policy: LoadedPolicy, question: PolicyQuery, partition: str) -> _Answer:
     name = query_pattern(question.kind, question.object, partition)
-    found = list(who_can(policy, parse("*"), question.kind, question.permission, name))
-    for each in found:
-        run.console.line(_holder(run, each, question))
-    if not found:
+    holders = list(who_can(policy, parse("*"), question.kind, question.permission, name))
+    for holder in holders:
+        run.console.line(_holder(run, holder, question))
+    if not holders:
         run.console.line(f"nobody: no subject can {question.permission} {question.object}, whatever its name")
-    return _verdict(found), {"holders": [_as_data(each, question) for each in found]}
+    return _verdict(holders), {"holders": [_as_data(holder, question) for holder in holders]}
 
 
 def _can(run: Run, policy: LoadedPolicy, question: PolicyQuery, partition: str) -> _Answer:
     name = query_pattern(question.kind, question.object, partition)
     (subject,) = question.subjects
-    found = list(who_can(policy, parse(subject), question.kind, question.permission, name))
-    certain = next((each for each in found if not each.unknown), None)
-    shown = certain or (found[0] if found else None)
+    holders = list(who_can(policy, parse(subject), question.kind, question.permission, name))
+    certain = next((holder for holder in holders if not holder.unknown), None)
+    shown = certain or (holders[0] if holders else None)
     if certain:
         run.console.line(f"yes: {_holder(run, certain, question)}")
     elif shown:
         run.console.line(f"not known: {_holder(run, shown, question)}")
     else:
         run.console.line(f"no: {subject} can never {question.permission} {question.object}")
-    return _verdict(found), {"witness": _as_data(shown, question) if shown else None}
+    return _verdict(holders), {"witness": _as_data(shown, question) if shown else None}
 
 
-def _verdict(found: Sequence[PermissionHolder]) -> str:
-    if any(not each.unknown for each in found):
+def _verdict(holders: Sequence[PermissionHolder]) -> str:
+    if any(not holder.unknown for holder in holders):
         return "yes"
-    return "unknown" if found else "no"
+    return "unknown" if holders else "no"
 
 
-def _holder(run: Run, each: PermissionHolder, question: PolicyQuery) -> str:
+def _holder(run: Run, holder: PermissionHolder, question: PolicyQuery) -> str:
     """Return the holder of a permission, with the name and the rule."""
-    like = f" (like {each.like})" if each.like and each.like != each.subject else ""
-    if each.unknown:
-        return f"perhaps {each.subject or f'subjects like {each.like}'}: {each.unknown}"
-    name = display_name(question.kind, each.word)
-    return f"{each.subject}{like} {question.permission} {name} ({place(run, each.where)})"
+    like = f" (like {holder.like})" if holder.like and holder.like != holder.subject else ""
+    if holder.unknown:
+        return f"perhaps {holder.subject or f'subjects like {holder.like}'}: {holder.unknown}"
+    name = display_name(question.kind, holder.word)
+    return f"{holder.subject}{like} {question.permission} {name} ({run.place(holder.where)})"
 
 
-def _as_data(each: PermissionHolder, question: PolicyQuery) -> dict[str, Any]:
+def _as_data(holder: PermissionHolder, question: PolicyQuery) -> dict[str, Any]:
     return {
-        "subject": each.subject or None,
-        "like": each.like or None,
+        "subject": holder.subject or None,
+        "like": holder.like or None,
         "permission": question.permission,
-        "object": display_name(question.kind, each.word) or None,
-        "rule": {"file": each.where.file, "line": each.where.line} if each.where else None,
-        "unknown": each.unknown or None,
+        "object": display_name(question.kind, holder.word) or None,
+        "rule": {"file": holder.where.file, "line": holder.where.line} if holder.where else None,
+        "unknown": holder.unknown or None,
     }
 
 
 def _what(run: Run, policy: LoadedPolicy, question: PolicyQuery) -> _Answer:
     channels = ChannelSearch(policy, ())
     (expression,) = question.subjects
-    told: list[dict[str, Any]] = []
+    abilities: list[dict[str, Any]] = []
     rows: list[list[str]] = []
     subjects = channels.named(expression)
     for subject in subjects:
-        for each in effective_permissions(rules_of(policy, subject)):
-            audit = "  AUDIT" if each.audit else ""
-            partitions = "".join(f" in partition {one!r}" for one in each.partitions)
-            but = f" but {', '.join(each.but)}" if each.but else ""
-            objects = f"{each.expression}{partitions}{but}{audit}"
-            rows.append([*([subject] if len(subjects) > 1 else []), each.permission, objects, place(run, each.where)])
-            told.append(
+        for ability in effective_permissions(rules_of(policy, subject)):
+            audit = "  AUDIT" if ability.audit else ""
+            partitions = "".join(f" in partition {one!r}" for one in ability.partitions)
+            but = f" but {', '.join(ability.but)}" if ability.but else ""
+            objects = f"{ability.expression}{partitions}{but}{audit}"
+            rows.append(
+                [*([subject] if len(subjects) > 1 else []), ability.permission, objects, run.place(ability.where)]
+            )
+            abilities.append(
                 {
                     "subject": subject,
-                    "permission": each.permission,
-                    "expression": each.expression,
-                    "partitions": list(each.partitions),
-                    "except": list(each.but),
-                    "audit": each.audit,
-                    "rule": {"file": each.where.file, "line": each.where.line},
+                    "permission": ability.permission,
+                    "expression": ability.expression,
+                    "partitions": list(ability.partitions),
+                    "except": list(ability.but),
+                    "audit": ability.audit,
+                    "rule": {"file": ability.where.file, "line": ability.where.line},
                 }
             )
     if rows:
@@ -204,7 +202,7 @@ def _what(run: Run, policy: LoadedPolicy, question: PolicyQuery) -> _Answer:
         applies = any(policy.rules(subject) is not None for subject in subjects)
         why = "no rule allows it anything" if applies else "no profile of the policy applies to it"
         run.console.line(f"{expression} can do nothing: {why}")
-    return "yes" if rows else "no", {"subjects": list(subjects), "abilities": told}
+    return "yes" if rows else "no", {"subjects": list(subjects), "abilities": abilities}
 
 
 def _flows(run: Run, channels: ChannelSearch, question: PolicyQuery) -> _Answer:
@@ -232,11 +230,11 @@ def _isolated(run: Run, channels: ChannelSearch, question: PolicyQuery) -> _Answ
     for first, second in ((one, other), (other, one)):
         for writer in channels.named(first):
             for reader in channels.named(second):
-                found = channels.between(writer, reader) if writer != reader else ()
-                certain += (channel for channel in found if channel.word)
+                shared_channels = channels.between(writer, reader) if writer != reader else ()
+                certain += (channel for channel in shared_channels if channel.word)
         perhaps += _unnamed(channels, first, second)
-    theirs, ours = channels.named(one), channels.named(other)
-    common = list(_infrastructure(channels, [(theirs, ours), (ours, theirs)]))
+    writers, readers = channels.named(one), channels.named(other)
+    common = list(_infrastructure(channels, [(writers, readers), (readers, writers)]))
     known = {(channel.kind, channel.word) for channel in certain}
     perhaps = [channel for channel in perhaps if (channel.kind, channel.word) not in known]
     together: dict[tuple[str, str], list[Channel]] = {}
@@ -297,14 +295,14 @@ def _unnamed(channels: ChannelSearch, first: str, second: str) -> list[Channel]:
     writers, readers = parse(first), parse(second)
     if literal(writers) is not None and literal(readers) is not None:
         return []
-    found = {(each.kind, each.permissions, each.word): each for each in channels.possible(writers, readers)}
-    return list(found.values())
+    channels_by_key = {(each.kind, each.permissions, each.word): each for each in channels.possible(writers, readers)}
+    return list(channels_by_key.values())
 
 
 def _step(channel: Channel) -> str:
-    mine, theirs = channel.permissions
+    writing, reading = channel.permissions
     name = display_name(channel.kind, channel.word) or "an unknown name"
-    return f"{channel.writer} → {channel.reader} by {channel.kind} {name} ({mine}, {theirs})"
+    return f"{channel.writer} → {channel.reader} by {channel.kind} {name} ({writing}, {reading})"
 
 
 def _channel(channel: Channel) -> dict[str, Any]:

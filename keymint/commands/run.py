@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from datetime import datetime
 from pathlib import Path
 from typing import Any
 
-from comarmor.errors import Diagnostic, Severity
+from comarmor.errors import Diagnostic, Origin, Severity, cited
 from comarmor.text import did_you_mean
 from keymint.api import Environment
 from keymint.changes import File, Plan
@@ -22,7 +22,7 @@ from keymint.session import Inputs
 from keymint.state import MAX_RECORD, State
 from keymint.state import load as load_state
 from keymint.tree import Tree, read_file
-from keymint.workspace import SPACES, Workspace, find, packages
+from keymint.workspace import SPACES, Workspace, find, packages, shown
 from keymint.workspace_lock import LOCK, read_lock
 
 
@@ -74,6 +74,27 @@ class Run:
             space: folder for space in SPACES if (folder := options.get(f"{space}_space")) is not None
         }
         self.known_workspace: Workspace | None = None
+        self.folder_names = {f"{setting.cwd}/": ""}
+        """Replacements for the start of paths: of the current directory, and of temporary ones."""
+
+    def typed(self, file: str) -> str:
+        """Return a path as the user would type it."""
+        for folder, name in self.folder_names.items():
+            if file.startswith(folder):
+                return name + file.removeprefix(folder)
+        return shown(Path(file), self.setting.cwd) if file.startswith("/") else file
+
+    def place(self, where: Origin | None) -> str:
+        """Return a place as the user would type it, ``file:line``, or an empty text."""
+        return cited(self.typed(where.file), where.line) if where else ""
+
+    def as_typed(self, diagnostic: Diagnostic) -> Diagnostic:
+        """Return a diagnostic with all paths as the user would type them."""
+        message, help_ = diagnostic.message, diagnostic.help
+        for folder, name in self.folder_names.items():
+            message, help_ = message.replace(folder, name), help_.replace(folder, name)
+        where = diagnostic.where and diagnostic.where.with_files(self.typed)
+        return replace(diagnostic, message=message, where=where, help=help_)
 
     # -- the workspace -------------------------------------------------------------------------------------------
 
@@ -193,5 +214,5 @@ class Run:
 
 def _exit_code(plan: Plan) -> ExitCode:
     """Return the exit code of an executed plan; an error concerns an enclave that was not changed."""
-    failed = any(found.severity is Severity.ERROR for found in plan.diagnostics)
+    failed = any(diagnostic.severity is Severity.ERROR for diagnostic in plan.diagnostics)
     return ExitCode.FAILURE if failed else ExitCode.DONE

@@ -21,12 +21,12 @@ def status(run: Run) -> Report:
     workspace = run.workspace()
     inputs = run.snapshot(workspace)
     session = inputs.session()
-    said: list[Diagnostic] = []
+    diagnostics: list[Diagnostic] = []
     missing: list[str] = []
     try:
         policy = load_policy(session)
     except KeymintError as error:
-        policy, said = None, list(error.diagnostics)
+        policy, diagnostics = None, list(error.diagnostics)
     rows = package_rows(session, policy)
     if policy:
         known = {row.package for row in rows}
@@ -49,7 +49,7 @@ def status(run: Run) -> Report:
     if not cells:
         run.console.line("no packages; run 'keymint create --all'")
     result = {"packages": [_document(row) for row in rows], "not_created": missing}
-    return Report(run.verb, workspace, (), said, result)
+    return Report(run.verb, workspace, (), diagnostics, result)
 
 
 def _when(end: datetime | None, now: datetime) -> str:

@@ -10,8 +10,8 @@ import click
 from comarmor.errors import Diagnostic, Origin, Severity, Spot
 from keymint.analysis.policy_tests import ExpectationChecker, ExpectationResult, diagnostics
 from keymint.api import Expectation, PolicyTypeWithTests
-from keymint.commands.options import Number, PolicyOptions, policy_options
-from keymint.commands.policies import Policies, typed
+from keymint.commands.options import FILE, PATH, Number, PolicyOptions, policy_options
+from keymint.commands.policies import Policies
 from keymint.commands.run import Run
 from keymint.commands.user_files import write_outputs
 from keymint.commands.verb import verb
@@ -21,12 +21,10 @@ from keymint.output.junit import JUnitCase, JUnitFailure, JUnitSuite
 from keymint.output.junit import junit as junit_document
 from keymint.output.report import Report
 
-_PATH = click.Path(path_type=Path)
-
 
 @verb()
-@click.argument("policy", required=False, type=_PATH)
-@click.option("--junit", type=click.Path(path_type=Path, dir_okay=False), metavar="FILE", help="Write JUnit XML.")
+@click.argument("policy", required=False, type=PATH)
+@click.option("--junit", type=FILE, metavar="FILE", help="Write JUnit XML.")
 @click.option(
     "--min-coverage",
     type=Number(0, 100),
@@ -65,7 +63,7 @@ def test(
     folders, library = policies.places(policy)
     missing = next((folder for folder in folders if not folder.exists()), None)
     if missing is not None:
-        shown = typed(run)(str(missing))
+        shown = run.typed(str(missing))
         help_ = "name a policy, or its directory"
         raise KeymintError(
             f"the policy {shown!r} does not exist", where=Origin(shown), help=help_, code="policy-missing"
@@ -74,66 +72,66 @@ def test(
     for folder in folders:
         files |= policy_type.expectations(folder)
     if not any(files.values()):
-        shown = typed(run)(str(folders[0]))
+        shown = run.typed(str(folders[0]))
         beside = f"{shown}/*.test.xml" if folders[0].is_dir() else f"{shown.removesuffix('.xml')}.test.xml"
         raise KeymintError("the policy has no tests", where=Origin(shown), help=f"write {beside}", code="tests-none")
     checks = ExpectationChecker(policies.load(policy))
-    found = {typed(run)(str(file)): _checked(checks, expected) for file, expected in files.items()}
-    every = [each for checked in found.values() for each in checked]
+    by_file = {run.typed(str(file)): _checked(checks, expected) for file, expected in files.items()}
+    results = [result for checked in by_file.values() for result in checked]
     rules = _own(checks.rules(), folders, library)
-    exercised = {place for each in every for place in each.exercised}
+    exercised = {place for result in results for place in result.exercised}
     idle = [rule for place, rule in rules.items() if place not in exercised]
     percent = 100 * (len(rules) - len(idle)) / len(rules) if rules else 100.0
-    said = [*diagnostics(every), *_idle(idle)]
+    warnings = [*diagnostics(results), *_idle(idle)]
     if percent < min_coverage:
         message = f"rule coverage is {percent:.0f} %, below {min_coverage:g} %"
-        said.append(Diagnostic("coverage-low", Severity.ERROR, message, help="'keymint test -v' lists the others"))
+        warnings.append(Diagnostic("coverage-low", Severity.ERROR, message, help="'keymint test -v' lists the others"))
     if junit is not None:
         write_outputs(
-            run, junit, junit_document("keymint test", [_suite(file, results) for file, results in found.items()])
+            run, junit, junit_document("keymint test", [_suite(file, checked) for file, checked in by_file.items()])
         )
-    broken = sum(bool(each.failure) for each in every)
+    broken = sum(bool(result.failure) for result in results)
     run.console.line(
-        f"{len(every) - broken} of {len(every)} expectations hold; "
+        f"{len(results) - broken} of {len(results)} expectations hold; "
         f"{len(rules) - len(idle)} of {len(rules)} rules are exercised ({percent:.0f} %)"
     )
     result = {
         "files": {
-            file: {"expectations": len(each), "failed": sum(bool(one.failure) for one in each)}
-            for file, each in found.items()
+            file: {"expectations": len(checked), "failed": sum(bool(result.failure) for result in checked)}
+            for file, checked in by_file.items()
         },
-        "expectations": len(every),
+        "expectations": len(results),
         "failed": broken,
         "rules": len(rules),
         "exercised": len(rules) - len(idle),
     }
     bad = broken or percent < min_coverage
-    return Report(run.verb, None, (), said, result, ExitCode.FINDINGS if bad else ExitCode.DONE)
+    return Report(run.verb, None, (), warnings, result, ExitCode.FINDINGS if bad else ExitCode.DONE)
 
 
 def _checked(checks: ExpectationChecker, expected: Sequence[Expectation]) -> list[ExpectationResult]:
     """Check the expectations of a file; raise the defects of all of them together."""
-    found: list[ExpectationResult] = []
+    results: list[ExpectationResult] = []
     defects: list[Diagnostic] = []
-    for each in expected:
+    for expectation in expected:
         try:
-            found.append(checks.check(each))
+            results.append(checks.check(expectation))
         except KeymintError as error:
             defects += error.diagnostics
     if defects:
         raise KeymintError.of(defects)
-    return found
+    return results
 
 
 def _own(rules: Mapping[Spot, Rule], folders: Sequence[Path], library: Path) -> dict[Spot, Rule]:
     """Return the rules of the policy itself, without those of the library."""
-    own = [folder if folder.is_dir() else folder.parent for folder in folders]
-    found: dict[Spot, Rule] = {}
+    own_folders = [folder if folder.is_dir() else folder.parent for folder in folders]
+    own_rules: dict[Spot, Rule] = {}
     for place in sorted(rules):
         file = Path(place[0]).resolve()
-        if any(file.is_relative_to(folder) for folder in own) and not file.is_relative_to(library):
-            found[place] = rules[place]
-    return found
+        if any(file.is_relative_to(folder) for folder in own_folders) and not file.is_relative_to(library):
+            own_rules[place] = rules[place]
+    return own_rules
 
 
 def _idle(rules: Sequence[Rule]) -> list[Diagnostic]:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import asdict
+
 from keymint.commands.run import Run
 from keymint.commands.verb import verb
 from keymint.output.report import Report
@@ -10,32 +12,23 @@ from keymint.output.report import Report
 @verb(workspace=False)
 def transports(run: Run) -> Report:
     """List the transports, simulated and real: which are usable here, and how to install the others."""
-    found = [(name, transport.usable()) for name, transport in run.plugins.transports().items()]
+    listed = [(name, transport.usable()) for name, transport in run.plugins.transports().items()]
     run.console.table(
         ["TRANSPORT", "USABLE", "VERSION", "TIERS"],
         [
             [name, "yes" if usable.usable else "no", usable.version or "-", " ".join(usable.tiers) or "-"]
-            for name, usable in found
+            for name, usable in listed
         ],
     )
-    named = [name for name, usable in found if usable.usable and not usable.by_default]
+    named = [name for name, usable in listed if usable.usable and not usable.by_default]
     if named:
         run.console.line(f"used only when named by -t: {', '.join(named)}")
-    for name, usable in found:
+    for name, usable in listed:
         if not usable.usable:
             run.console.line(f"{name}: {usable.reason}" + (f" ({usable.help})" if usable.help else ""))
     result = {
         "transports": [
-            {
-                "name": name,
-                "usable": usable.usable,
-                "version": usable.version,
-                "tiers": [str(tier) for tier in usable.tiers],
-                "by_default": usable.by_default,
-                "reason": usable.reason,
-                "help": usable.help,
-            }
-            for name, usable in found
+            {"name": name, **asdict(usable), "tiers": [str(tier) for tier in usable.tiers]} for name, usable in listed
         ]
     }
     return Report(run.verb, None, (), (), result)

@@ -57,6 +57,14 @@ def write_outputs(run: Run, path: Path, content: bytes, beside: Mapping[str, byt
     return [str(path.parent / name) for name, _ in changed]
 
 
+def show_written(run: Run, path: Path, written: list[str]) -> None:
+    """Show which files :func:`write_outputs` wrote, or that the file at the path is up to date."""
+    for file in written:
+        run.console.line(f"{file} {'would be written' if run.dry_run else 'written'}")
+    if not written:
+        run.console.line(f"{path} is up to date")
+
+
 def exists(run: Run, path: Path) -> bool:
     """Return whether a path that the user named exists."""
     return _resolved(run, path).exists()

@@ -12,7 +12,7 @@ import click
 from keymint.commands.options import common_options, require_known_plugins
 from keymint.commands.run import Run, Setting
 from keymint.errors import ExitCode, KeymintError
-from keymint.output.report import Report, as_typed, folded
+from keymint.output.report import Report, folded
 
 Verb = Callable[..., Report]
 _COMMON = {"workspace", "as_json", "verbose", "quiet", "jobs", "dry_run"}
@@ -60,6 +60,6 @@ def _guarded(run: Run, function: Callable[[], Report]) -> ExitCode:
         report = Report(
             run.verb, run.known_workspace, (), error.diagnostics, exit_code=error.exit_code, dry_run=run.dry_run
         )
-    typed = tuple(as_typed(diagnostic, run.setting.cwd) for diagnostic in report.diagnostics)
-    run.console.show(replace(report, diagnostics=folded(typed)))
+    diagnostics = [run.as_typed(diagnostic) for diagnostic in report.diagnostics]
+    run.console.show(replace(report, diagnostics=folded(diagnostics)))
     return report.exit_code

@@ -12,9 +12,8 @@ from comarmor.errors import Severity
 from comarmor.text import counted
 from keymint.api import Tier
 from keymint.changes import Action, Step
-from keymint.commands.library import library_rules
-from keymint.commands.options import complete_package, transport_option
-from keymint.commands.policies import typed
+from keymint.commands.options import FILE, PATH, complete_package, transport_option
+from keymint.commands.policies import workspace_library_rules
 from keymint.commands.run import Run
 from keymint.commands.user_files import read_input, write_outputs
 from keymint.commands.verb import verb
@@ -37,15 +36,13 @@ from keymint.verify.mismatch import Comparison
 from keymint.verify.scope import edges_of_graph, edges_of_policy, verification_scope
 from keymint.verify.usable_transports import choose, models
 
-_FILE = click.Path(path_type=Path, dir_okay=False)
-
 
 @verb()
 @click.argument("names", nargs=-1, metavar="[NAME]...", shell_complete=complete_package)
 @click.option(
     "-g",
     "--graph",
-    type=click.Path(path_type=Path),
+    type=PATH,
     metavar="FILE",
     help="Ask for every subject, permission and object of this graph (docs/graph.md) [the objects of the policy, and "
     "names that probe its patterns].",
@@ -61,8 +58,8 @@ _FILE = click.Path(path_type=Path, dir_okay=False)
 @click.option(
     "--limit", type=click.IntRange(0), default=1000, show_default=True, help="Mismatches to list per transport."
 )
-@click.option("--sarif", type=_FILE, metavar="FILE", help="Write the mismatches as SARIF 2.1.0.")
-@click.option("--junit", type=_FILE, metavar="FILE", help="Write the results as JUnit XML.")
+@click.option("--sarif", type=FILE, metavar="FILE", help="Write the mismatches as SARIF 2.1.0.")
+@click.option("--junit", type=FILE, metavar="FILE", help="Write the results as JUnit XML.")
 @click.option(
     "--report",
     type=click.Path(path_type=Path, file_okay=False),
@@ -94,38 +91,47 @@ def verify(
     inputs = run.snapshot(workspace)
     session = inputs.session()
     chosen_names = run.names(inputs, names)
-    found = verification_scope(session, chosen_names)
+    scope = verification_scope(session, chosen_names)
     # A transport trusts the authorities in the enclave; they must be the workspace's.
-    strange = differences(session, chosen_names)
+    foreign = differences(session, chosen_names)
     policy = load_policy(session)
-    subjects = tuple(found.enclaves)
+    subjects = tuple(scope.enclaves)
     transports = choose(run.plugins, chosen, Tier(tier))
-    with copied(inputs.tree, session.enclaves, found.enclaves, transports) as copies:
+    with copied(inputs.tree, session.enclaves, scope.enclaves, transports) as copies:
         transports = copies.read_by(transports)
         if graph is None:
-            edges = edges_of_policy(policy, replace(found, enclaves=copies.enclaves))
+            edges = edges_of_policy(policy, replace(scope, enclaves=copies.enclaves))
         else:
-            subjects, edges = edges_of_graph(load(read_input(run, graph), str(graph)), found, only=bool(names))
-        judge = EndpointPolicy(policy, found.namings)
-        explain = Explainer(judge, transports, lambda: copies.read_by(models(run.plugins)), inputs.tree)
+            subjects, edges = edges_of_graph(load(read_input(run, graph), str(graph)), scope, only=bool(names))
+        endpoint_policy = EndpointPolicy(policy, scope.namings)
+        explain = Explainer(endpoint_policy, transports, lambda: copies.read_by(models(run.plugins)), inputs.tree)
         outcomes: list[Comparison] = []
         with run.console.progress((1 + len(transports)) * len(subjects), run.setting.monotonic) as advance:
-            said = label(judge, edges(), _advancing(advance, "policy"))
+            labels = label(endpoint_policy, edges(), _advancing(advance, "policy"))
             for name, transport in transports.items():
                 on_subject = _advancing(advance, name)
                 outcome = compare(
-                    name, transport, found.enclaves, edges(), said, Tier(tier), explain, limit, on_subject
+                    name, transport, scope.enclaves, edges(), labels, Tier(tier), explain, limit, on_subject
                 )
                 outcomes.append(
-                    with_halves(outcome, transport, found.enclaves, edges(), said, judge, found.namings, explain, limit)
+                    with_halves(
+                        outcome,
+                        transport,
+                        scope.enclaves,
+                        edges(),
+                        labels,
+                        endpoint_policy,
+                        scope.namings,
+                        explain,
+                        limit,
+                    )
                 )
-        _show(run, outcomes, len(subjects), len(said))
+        _show(run, outcomes, len(subjects), len(labels))
         _write(run, outcomes, subjects, sarif, junit)
         if report is not None:
             title = f"{graph.stem if graph else session.profile.name} on {', '.join(transports)}"
-            shipped = run.plugins.profile_type(session.profile.profile_type).library(session.profile.distro)
-            common = library_rules(run.setting.cwd, shipped, session.profile.library)
-            labelled = labelled_edges(title, outcomes, edges(), said, judge.decide, typed(run), common)
+            common = workspace_library_rules(session)
+            labelled = labelled_edges(title, outcomes, edges(), labels, endpoint_policy.decide, run.typed, common)
             for file in write_report(run, report, labelled):
                 run.console.line(f"{file} written")
     wrong = any(outcome.confusion.errors for outcome in outcomes)
@@ -133,9 +139,9 @@ def verify(
         run.verb,
         workspace,
         (),
-        (*strange, *diagnostics(outcomes)),
-        comparisons_json(outcomes, subjects, len(said), typed(run)),
-        ExitCode.FINDINGS if wrong or strange else ExitCode.DONE,
+        (*foreign, *diagnostics(outcomes)),
+        comparisons_json(outcomes, subjects, len(labels), run.typed),
+        ExitCode.FINDINGS if wrong or foreign else ExitCode.DONE,
     )
 
 
@@ -170,7 +176,7 @@ def _write(
 ) -> None:
     """Write the requested reports."""
     documents: Mapping[Path | None, Callable[[], bytes]] = {
-        sarif: lambda: sarif_log("keymint verify", SARIF_RULES, sarif_results(outcomes), typed(run), Severity.ERROR),
+        sarif: lambda: sarif_log("keymint verify", SARIF_RULES, sarif_results(outcomes), run.typed, Severity.ERROR),
         junit: lambda: junit_document("keymint verify", junit_suites(outcomes, subjects)),
     }
     for path, document in documents.items():

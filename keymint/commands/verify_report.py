@@ -60,18 +60,18 @@ def labelled_edges(
     def labels() -> Iterator[LabelledEdge]:
         room = {True: MOST_TRUE, False: MOST_TRUE}
         for edge, may in _with_endpoints(zip(edges, allowed, strict=True), findings):
-            found = [each.get(edge) for each in findings]
-            decision = decide(edge) if any(found) or room[bool(may)] or not may else None
+            mismatches = [each.get(edge) for each in findings]
+            decision = decide(edge) if any(mismatches) or room[bool(may)] or not may else None
             express = decision is not None and not decision.allowed and decision.where is not None
-            if decision is not None and (any(found) or express or room[bool(may)]):
-                room[bool(may)] -= not any(found) and not express
+            if decision is not None and (any(mismatches) or express or room[bool(may)]):
+                room[bool(may)] -= not any(mismatches) and not express
                 policy = policy_label(decision, typed)
-                said = tuple(
-                    _of_finding(one, typed) if one else Label(policy.allowed) if known[at] else None
-                    for at, one in enumerate(found)
+                transport_labels = tuple(
+                    _of_finding(mismatch, typed) if mismatch else Label(policy.allowed) if known[at] else None
+                    for at, mismatch in enumerate(mismatches)
                 )
                 shared = decision.allowed and decision.where is not None and common(decision.where)
-                yield LabelledEdge(edge, policy, said, decision.audit, shared)
+                yield LabelledEdge(edge, policy, transport_labels, decision.audit, shared)
             for at, end in enumerate(last):
                 known[at] = known[at] and edge != end
 
@@ -121,10 +121,10 @@ def write_report(run: Run, folder: Path, labelled: LabelledGraph) -> list[str]:
 def sources(run: Run, labelled: LabelledGraph) -> Mapping[str, bytes]:
     """Return the content of the files that a graph refers to, by name."""
     places = {
-        said.where
-        for one in labelled.edges
-        for said in (one.policy, *one.transports)
-        if said is not None and said.where
+        label.where
+        for edge in labelled.edges
+        for label in (edge.policy, *edge.transports)
+        if label is not None and label.where
     }
     files = sorted({place.file for place in _with_chains(places)})
     return {file: read_input(run, Path(file)) for file in files if exists(run, Path(file))}

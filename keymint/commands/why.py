@@ -10,7 +10,6 @@ import click
 from comarmor.errors import Diagnostic, Origin, Severity, cited
 from keymint.api import AppliedProfile, DomainRange, Tier
 from keymint.commands.options import transport_option
-from keymint.commands.policies import typed
 from keymint.commands.run import Run
 from keymint.commands.verb import verb
 from keymint.errors import ExitCode
@@ -69,27 +68,26 @@ def why(
         domain = granted[0].first if granted else 0
     edge = request(subject, permission, object_name, partitions, domain)
     transports = choose(run.plugins, chosen, Tier.DECISION)
-    found = explain(session, load_policy(session), edge, transports, lambda: models(run.plugins))
+    explanation = explain(session, load_policy(session), edge, transports, lambda: models(run.plugins))
 
-    as_typed = typed(run)
-    for line in _lines(found, as_typed):
-        run.console.line(line.replace(f"{run.setting.cwd}/", ""))
-    said = [*_strange(session, found), *_mismatches(found, granted)]
-    result = _document(found, as_typed)
-    return Report(run.verb, workspace, (), said, result, ExitCode.FINDINGS if said else ExitCode.DONE)
+    for line in _lines(explanation, run.typed):
+        run.console.line(line)
+    diagnostics = [*_strange(session, explanation), *_mismatches(explanation, granted)]
+    result = _document(explanation, run.typed)
+    return Report(run.verb, workspace, (), diagnostics, result, ExitCode.FINDINGS if diagnostics else ExitCode.DONE)
 
 
-def _strange(session: Session, found: Explanation) -> tuple[Diagnostic, ...]:
+def _strange(session: Session, explanation: Explanation) -> tuple[Diagnostic, ...]:
     """Return diagnostics on authorities in the enclave that are not the workspace's."""
-    if not (found.installed and found.packaged):
+    if not (explanation.installed and explanation.packaged):
         return ()
-    return differences(session, (found.edge.subject.removeprefix("/"),))
+    return differences(session, (explanation.edge.subject.removeprefix("/"),))
 
 
-def _mismatches(found: Explanation, granted: Sequence[DomainRange]) -> list[Diagnostic]:
+def _mismatches(explanation: Explanation, granted: Sequence[DomainRange]) -> list[Diagnostic]:
     """Return the mismatches between policy and transports, one for all transports with the same reason."""
     together: dict[tuple[str, int], list[str]] = {}
-    for name, label in found.wrong.items():
+    for name, label in explanation.wrong.items():
         together.setdefault((document_reason(label), label.document.line), []).append(name)
     return [
         Diagnostic(
@@ -98,10 +96,10 @@ def _mismatches(found: Explanation, granted: Sequence[DomainRange]) -> list[Diag
             mismatch_text(names, label, at_rule=True),
             label.policy.where or label.document,
             _remedy(label, granted),
-            found.edge.subject,
+            explanation.edge.subject,
         )
         for names in together.values()
-        for label in [found.wrong[names[0]]]
+        for label in [explanation.wrong[names[0]]]
     ]
 
 
@@ -116,28 +114,28 @@ def _remedy(label: Mismatch, granted: Sequence[DomainRange]) -> str:
     return f"{edge.subject} is granted domain {domains}, not {edge.domain}: leave out --domain"
 
 
-def _lines(found: Explanation, typed: Callable[[str], str]) -> Iterator[str]:
+def _lines(explanation: Explanation, typed: Callable[[str], str]) -> Iterator[str]:
     """Yield the explanation in words, layer by layer."""
 
     def rule(each: MatchedRule) -> str:
-        decides = "decides: " if each.where == found.policy.where else ""
+        decides = "decides: " if each.where == explanation.policy.where else ""
         return f"{decides}{rule_text(each.rule)} ({_at(each.where, typed)})"
 
-    layers: dict[str, list[str]] = {"profiles": [_profile(each, typed) for each in found.profiles]}
-    if not found.profiles:
-        layers["profiles"] = [f"none applies to {found.edge.subject}, so it has no permission"]
-    if found.similar:
-        layers["profiles"].append(f"did you mean {found.similar!r}?")
-    layers["policy"] = [rule(each) for each in found.rules] or [str(found.policy.reason)]
-    if found.near:
-        layers["policy"].append(f"nearest: {rule(found.near)}, but {found.near.note}")
-    layers["package"] = [rule(each) for each in found.package] or ["no rule applies"]
-    if not found.packaged:
+    layers: dict[str, list[str]] = {"profiles": [_profile(each, typed) for each in explanation.profiles]}
+    if not explanation.profiles:
+        layers["profiles"] = [f"none applies to {explanation.edge.subject}, so it has no permission"]
+    if explanation.similar:
+        layers["profiles"].append(f"did you mean {explanation.similar!r}?")
+    layers["policy"] = [rule(each) for each in explanation.rules] or [str(explanation.policy.reason)]
+    if explanation.near:
+        layers["policy"].append(f"nearest: {rule(explanation.near)}, but {explanation.near.note}")
+    layers["package"] = [rule(each) for each in explanation.package] or ["no rule applies"]
+    if not explanation.packaged:
         layers["package"] = ["missing ('keymint create' creates it)"]
-    layers["needs"] = [_need(each) for each in found.endpoints]
-    layers["enclave"] = list(_labels(found, typed))
-    in_domain = f" in domain {found.edge.domain}" if found.edge.domain else ""
-    yield f"{request_text(found.edge)}{in_domain}: the policy {verb_of(found.policy.allowed)} it"
+    layers["needs"] = [_need(each) for each in explanation.endpoints]
+    layers["enclave"] = list(_labels(explanation, typed))
+    in_domain = f" in domain {explanation.edge.domain}" if explanation.edge.domain else ""
+    yield f"{request_text(explanation.edge)}{in_domain}: the policy {verb_of(explanation.policy.allowed)} it"
     for title, lines in layers.items():
         for index, line in enumerate(lines):
             yield f"{title if index == 0 else '':<10}{line}"
@@ -156,20 +154,20 @@ def _profile(profile: AppliedProfile, typed: Callable[[str], str]) -> str:
     return f"{profile.name!r} applies ({_at(profile.where, typed)}){' AUDIT' if profile.audit else ''}"
 
 
-def _labels(found: Explanation, typed: Callable[[str], str]) -> Iterator[str]:
+def _labels(explanation: Explanation, typed: Callable[[str], str]) -> Iterator[str]:
     """Yield the decisions of transports, one line for all with the same reason."""
-    if not found.installed:
+    if not explanation.installed:
         yield "not installed (run 'keymint build' and 'keymint install')"
     together: dict[tuple[bool, str], list[str]] = {}
-    for name, label in found.labels.items():
+    for name, label in explanation.labels.items():
         deviation = f"; deviates from the standard: {label.verdict.deviation}" if label.verdict.deviation else ""
-        said = f"{_at(label.document, typed)}: {label.reason or 'no reason is given'}{deviation}"
-        together.setdefault((label.verdict.allowed, said), []).append(name)
-    for (allowed, said), names in together.items():
-        yield f"{'allowed' if allowed else 'denied'} by {enumerated(names)} ({said})"
+        reason = f"{_at(label.document, typed)}: {label.reason or 'no reason is given'}{deviation}"
+        together.setdefault((label.verdict.allowed, reason), []).append(name)
+    for (allowed, reason), names in together.items():
+        yield f"{'allowed' if allowed else 'denied'} by {enumerated(names)} ({reason})"
 
 
-def _document(found: Explanation, typed: Callable[[str], str]) -> dict[str, Any]:
+def _document(explanation: Explanation, typed: Callable[[str], str]) -> dict[str, Any]:
     """Return the explanation for JSON."""
 
     def rule(each: MatchedRule) -> dict[str, Any]:
@@ -185,26 +183,27 @@ def _document(found: Explanation, typed: Callable[[str], str]) -> dict[str, Any]
         }
 
     return {
-        "edge": edge_json(found.edge),
+        "edge": edge_json(explanation.edge),
         "profiles": [
-            {"name": each.name, "audit": each.audit, "rule": place_json(each.where, typed)} for each in found.profiles
+            {"name": each.name, "audit": each.audit, "rule": place_json(each.where, typed)}
+            for each in explanation.profiles
         ],
-        "policy": decision_json(found.policy, typed),
-        "rules": [rule(each) for each in found.rules],
-        "nearest": rule(found.near) if found.near else None,
-        "similar_subject": found.similar or None,
-        "package": [rule(each) for each in found.package] if found.packaged else None,
+        "policy": decision_json(explanation.policy, typed),
+        "rules": [rule(each) for each in explanation.rules],
+        "nearest": rule(explanation.near) if explanation.near else None,
+        "similar_subject": explanation.similar or None,
+        "package": [rule(each) for each in explanation.package] if explanation.packaged else None,
         "endpoints": [
             {
                 "action": each.permission,
                 "topic": each.object.name,
                 "partitions": list(each.object.partitions),
             }
-            for each in found.endpoints
+            for each in explanation.endpoints
         ],
-        "installed": found.installed,
+        "installed": explanation.installed,
         "transports": [
             {"name": name, **verdict_json(label.verdict, label.reason, label.document, label.model, typed)}
-            for name, label in found.labels.items()
+            for name, label in explanation.labels.items()
         ],
     }

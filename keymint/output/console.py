@@ -7,7 +7,7 @@ from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
-from typing import IO, TYPE_CHECKING, Any
+from typing import IO, Any
 
 from comarmor.errors import Diagnostic, Severity
 from comarmor.text import counted, encodable, printable, printable_lines
@@ -16,20 +16,10 @@ from keymint.output.json import report_json
 from keymint.output.report import Report
 from keymint.process import Output
 
-if TYPE_CHECKING:
-    from rich.console import Console as RichConsole
-
 _COLOURS: Mapping[Severity, str] = {
     Severity.ERROR: "31",
     Severity.WARNING: "33",
     Severity.NOTE: "36",
-}
-_STAGE_NOUNS: Mapping[str, str] = {
-    "init": "workspace",
-    "authorities": "authority",
-    "create": "source package",
-    "build": "package",
-    "install": "enclave",
 }
 _PROGRESS_AFTER = 1.0
 """Seconds of work before a progress bar appears."""
@@ -221,8 +211,7 @@ class _Bar:
             from rich.console import Console as RichConsole  # noqa: PLC0415 - slow, and only for long work
             from rich.progress import Progress  # noqa: PLC0415
 
-            console: RichConsole = RichConsole(file=self._stream, force_terminal=True)
-            self._progress = Progress(console=console, transient=True)
+            self._progress = Progress(console=RichConsole(file=self._stream, force_terminal=True), transient=True)
             self._progress.start()
             self._task = self._progress.add_task(step.stage, total=self._total)
         self._progress.update(self._task, completed=self._done, description=step.stage)

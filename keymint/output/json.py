@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -11,7 +12,7 @@ from comarmor.errors import Diagnostic, Origin
 from keymint.analysis.policy_diff import SubjectChanges
 from keymint.api import PolicyDecision, Verdict
 from keymint.changes import Step
-from keymint.graph import ConfusionMatrix, Edge
+from keymint.graph import Edge
 from keymint.output.mismatches import request_text
 from keymint.output.report import Report
 from keymint.verify.mismatch import Comparison, Mismatch
@@ -51,7 +52,7 @@ def _step(step: Step, workspace: Workspace | None) -> dict[str, Any]:
         "written": [typed(change.folder, name) for change in step.changes for name in change.files],
         "removed": [typed(change.folder, name) for change in step.changes for name in change.removed],
         "detail": step.detail,
-        "sizes": [{"file": size.file, "bytes": size.bytes, "plain_bytes": size.plain_bytes} for size in step.sizes],
+        "sizes": [asdict(size) for size in step.sizes],
     }
 
 
@@ -147,21 +148,12 @@ def comparisons_json(
                 "name": comparison.transport,
                 "version": comparison.version,
                 "tier": str(comparison.tier),
-                "confusion": _confusion(comparison.confusion),
+                "confusion": asdict(comparison.confusion),
                 "findings": [_mismatch(mismatch, typed) for mismatch in comparison.findings],
                 "findings_omitted": comparison.omitted,
             }
             for comparison in comparisons
         ],
-    }
-
-
-def _confusion(counts: ConfusionMatrix) -> dict[str, int]:
-    return {
-        "true_positive": counts.true_positive,
-        "false_negative": counts.false_negative,
-        "false_positive": counts.false_positive,
-        "true_negative": counts.true_negative,
     }
 
 
@@ -178,9 +170,7 @@ def _mismatch(mismatch: Mismatch, typed: Typed) -> dict[str, Any]:
 # -- diff ------------------------------------------------------------------------------------------------------------
 
 
-def differences_json(
-    differences: Sequence[SubjectChanges], place: Callable[[Origin | None], dict[str, Any] | None]
-) -> list[dict[str, Any]]:
+def differences_json(differences: Sequence[SubjectChanges], typed: Typed) -> list[dict[str, Any]]:
     """Return the differences of two policies."""
     return [
         {
@@ -195,7 +185,9 @@ def differences_json(
                     "pattern": change.pattern,
                     "whole": change.whole,
                     "example": change.example or None,
-                    "rule": place(change.where),
+                    "rule": {"file": typed(change.where.file), "line": change.where.line or None}
+                    if change.where
+                    else None,
                     "unknown": change.unknown or None,
                 }
                 for change in each.changes

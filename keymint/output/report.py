@@ -4,13 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from pathlib import Path
 from typing import Any
 
 from comarmor.errors import Diagnostic, Severity
 from keymint.changes import Step
 from keymint.errors import ExitCode
-from keymint.workspace import Workspace, shown
+from keymint.workspace import Workspace
 
 
 @dataclass(frozen=True, slots=True)
@@ -36,21 +35,6 @@ class Report:
     dry_run: bool = False
 
 
-def as_typed(diagnostic: Diagnostic, folder: Path) -> Diagnostic:
-    """Return a diagnostic with paths relative to a directory."""
-    prefix = f"{folder}/"
-
-    def typed(file: str) -> str:
-        return shown(Path(file), folder) if file.startswith("/") else file
-
-    return replace(
-        diagnostic,
-        where=diagnostic.where.with_files(typed) if diagnostic.where else None,
-        message=diagnostic.message.replace(prefix, ""),
-        help=diagnostic.help.replace(prefix, ""),
-    )
-
-
 def folded(diagnostics: Sequence[Diagnostic]) -> tuple[Diagnostic, ...]:
     """Merge diagnostics that differ only in their subject: a defect in shared defaults is one defect.
 
@@ -74,5 +58,5 @@ def folded(diagnostics: Sequence[Diagnostic]) -> tuple[Diagnostic, ...]:
 
 def findings_exit(diagnostics: Sequence[Diagnostic]) -> ExitCode:
     """Return the exit code of a verb that reports findings; notes do not count."""
-    found = any(diagnostic.severity is not Severity.NOTE for diagnostic in diagnostics)
-    return ExitCode.FINDINGS if found else ExitCode.DONE
+    has_findings = any(diagnostic.severity is not Severity.NOTE for diagnostic in diagnostics)
+    return ExitCode.FINDINGS if has_findings else ExitCode.DONE

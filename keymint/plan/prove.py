@@ -8,7 +8,6 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from datetime import datetime
-from pathlib import Path
 
 from comarmor.errors import Diagnostic, Severity
 from keymint import __version__
@@ -84,7 +83,7 @@ def prove(
     on_enclave: Callable[[str], None] = lambda _name: None,
     *,
     standard_only: bool = False,
-    folder: Callable[[str], Path] | None = None,
+    unsigned: bool = False,
 ) -> ProofResults:
     """Prove or refute the claims about the enclaves of some packages.
 
@@ -95,12 +94,12 @@ def prove(
         effort: limits of the search.
         on_enclave: called with each name after its proof.
         standard_only: accept differences between vendors and claim only what the standard says; nothing is recorded.
-        folder: the folder of a package's documents in messages, if not its enclave.
+        unsigned: the documents are about to be signed: messages cite the unsigned ones in the build space.
 
     Raises:
         KeymintError: a package has defects.
     """
-    run = _ProofRun(session, policy, effort, standard_only, folder or session.enclaves.joinpath)
+    run = _ProofRun(session, policy, effort, standard_only, unsigned)
     for name in names:
         run.prove(name)
         on_enclave(name)
@@ -116,13 +115,13 @@ class _ProofRun:
         policy: LoadedPolicy,
         effort: ProofEffort,
         standard_only: bool,
-        folder: Callable[[str], Path],
+        unsigned: bool,
     ) -> None:
         self._session = session
         self._policy = policy
         self._effort = effort
         self._standard_only = standard_only
-        self._folder = folder
+        self._unsigned = unsigned
         self._chains = trusted_chains(session)
         self._contradictions = authority_evidence.contradictions(session)
         self._policy_digest = digest(*(f"{path} {value.hex()}" for path, value in sorted(policy.seen.items())))
@@ -195,7 +194,9 @@ class _ProofRun:
 
     def _shown(self, name: str) -> str:
         """Return the path of an enclave's files in messages, as the user would type it."""
-        return self._session.workspace.shown(self._folder(name))
+        workspace = self._session.workspace
+        folder = workspace.build if self._unsigned else self._session.enclaves
+        return workspace.shown(folder / name)
 
     def _proof(self, package: Package, rules: SubjectRules, files: Mapping[str, bytes]) -> EnclaveProof:
         subject, folder = package.subject, self._shown(package.name)
@@ -219,6 +220,7 @@ class _ProofRun:
             self._effort.deadline(),
             self._standard_only,
             package.governance,
+            self._unsigned,
         )
         try:
             claims = tuple(prover.prove(task))

@@ -24,7 +24,7 @@ def compare(
     transport: Transport,
     enclaves: Mapping[str, Enclave],
     edges: Iterable[Edge],
-    said: Iterable[int],
+    labels: Iterable[int],
     tier: Tier,
     explain: Explain,
     limit: int,
@@ -37,7 +37,7 @@ def compare(
         transport: a usable transport.
         enclaves: the enclave of each subject of the edges.
         edges: grouped by subject.
-        said: the policy's label of each edge: 1 allowed, 0 denied.
+        labels: the policy's label of each edge: 1 allowed, 0 denied.
         tier: the tier of the test.
         explain: returns mismatches with their reasons.
         limit: mismatches to keep; all are counted.
@@ -46,7 +46,7 @@ def compare(
     Raises:
         KeymintError: the transport does not work.
     """
-    expected = iter(said)
+    expected = iter(labels)
     counts = [[0, 0], [0, 0]]
     findings: list[Mismatch] = []
     by_subject: dict[str, int] = {}
@@ -102,10 +102,10 @@ def label_enclave(
     try:
         yield from _answers(transport, (enclave,), waiting, tier, unanswered)
     except KeymintError as error:
-        found = error.diagnostics[0]
-        if found.code != ENCLAVE_REFUSED:
+        diagnostic = error.diagnostics[0]
+        if diagnostic.code != ENCLAVE_REFUSED:
             raise
-        refused = Verdict(allowed=False, reason=f"the enclave is refused: {found.message}")
+        refused = Verdict(allowed=False, reason=f"the enclave is refused: {diagnostic.message}")
         yield from ((edge, refused) for edge in unanswered)
         yield from ((edge, refused) for edge in waiting)
 
@@ -127,14 +127,16 @@ def _answers(
     """
     waiting = iter(edges)
 
-    def asked() -> Iterator[Edge]:
+    def pending() -> Iterator[Edge]:
         for edge in waiting:
             unanswered.append(edge)
             yield edge
 
-    for edge, verdict in transport.label(enclaves, asked(), tier):
+    for edge, verdict in transport.label(enclaves, pending(), tier):
         if not unanswered or unanswered.popleft() != edge:
-            raise KeymintError("the transport answered another edge than the one asked for", code="transport-answers")
+            raise KeymintError(
+                "the transport answered another edge than the one it was asked", code="transport-answers"
+            )
         yield edge, verdict
     if unanswered or next(waiting, None) is not None:
         raise KeymintError("the transport left edges unanswered", code="transport-answers")

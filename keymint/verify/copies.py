@@ -46,9 +46,9 @@ class Copies:
         """Return an error that names the originals."""
         return KeymintError.of(map(self._diagnostic, error.diagnostics), error.exit_code)
 
-    def _diagnostic(self, found: Diagnostic) -> Diagnostic:
-        where = found.where and replace(found.where, file=self.back(found.where.file))
-        return replace(found, message=self.back(found.message), where=where, help=self.back(found.help))
+    def _diagnostic(self, diagnostic: Diagnostic) -> Diagnostic:
+        where = diagnostic.where and replace(diagnostic.where, file=self.back(diagnostic.where.file))
+        return replace(diagnostic, message=self.back(diagnostic.message), where=where, help=self.back(diagnostic.help))
 
 
 @contextlib.contextmanager

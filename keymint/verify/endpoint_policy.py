@@ -72,10 +72,10 @@ class EndpointPolicy:
 
     def _in_partition(self, endpoint: Edge, naming: Naming) -> PolicyDecision:
         """Decide an endpoint by its own name and its ROS names; deny overrides allow."""
-        said = [self._policy.decide(edge) for edge in (endpoint, *naming.meanings(endpoint))]
-        denying = [decision for decision in said if not decision.allowed and decision.where]
-        allowing = [decision for decision in said if decision.allowed]
-        return (denying or allowing or said)[0]
+        decisions = [self._policy.decide(edge) for edge in (endpoint, *naming.meanings(endpoint))]
+        denying = [decision for decision in decisions if not decision.allowed and decision.where]
+        allowing = [decision for decision in decisions if decision.allowed]
+        return (denying or allowing or decisions)[0]
 
     @staticmethod
     def _together(decisions: Sequence[PolicyDecision]) -> PolicyDecision:
@@ -103,20 +103,20 @@ def _apart(endpoint: Edge) -> Sequence[Edge]:
 
 
 def label(
-    judge: EndpointPolicy, edges: Iterable[Edge], on_subject: Callable[[str], None] = lambda _subject: None
+    policy: EndpointPolicy, edges: Iterable[Edge], on_subject: Callable[[str], None] = lambda _subject: None
 ) -> bytearray:
     """Return the policy's labels of edges, one byte each: 1 allowed, 0 denied.
 
     Args:
-        judge: the policy on endpoints.
+        policy: the policy on endpoints.
         edges: grouped by subject.
         on_subject: called after all edges of a subject.
 
     Raises:
         KeymintError: the kind or the permission of an edge is not known.
     """
-    said = bytearray()
+    labels = bytearray()
     for subject, group in groupby(edges, key=attrgetter("subject")):
-        said.extend(judge.decide(edge).allowed for edge in group)
+        labels.extend(policy.decide(edge).allowed for edge in group)
         on_subject(subject)
-    return said
+    return labels

@@ -33,14 +33,14 @@ class Explainer:
 
     def __init__(
         self,
-        judge: EndpointPolicy,
-        asked: Mapping[str, Transport],
+        policy: EndpointPolicy,
+        transports: Mapping[str, Transport],
         find_models: Callable[[], Mapping[str, Transport]],
         tree: Tree,
     ) -> None:
         self._tree = tree
-        self._judge = judge
-        self._explains_itself = frozenset(name for name, each in asked.items() if names_rules(each.usable()))
+        self._policy = policy
+        self._explains_itself = frozenset(name for name, each in transports.items() if names_rules(each.usable()))
         self._find_models = find_models
 
     @cached_property
@@ -54,13 +54,13 @@ class Explainer:
             Mismatch(
                 error_of(verdict.allowed),
                 edge,
-                self._judge.decide(edge),
-                replace(verdict, line=found.line, deviation=found.deviation),
-                _reason(found),
-                document(self._tree, enclave, found.line),
+                self._policy.decide(edge),
+                replace(verdict, line=modelled_verdict.line, deviation=modelled_verdict.deviation),
+                _reason(modelled_verdict),
+                document(self._tree, enclave, modelled_verdict.line),
                 model,
             )
-            for (edge, verdict), (found, model) in zip(wrong, modelled, strict=True)
+            for (edge, verdict), (modelled_verdict, model) in zip(wrong, modelled, strict=True)
         ]
 
     def model_of(self, transport: str) -> str:
@@ -79,8 +79,8 @@ class Explainer:
         if not name:
             return plain
         try:
-            asked = [edge for edge, _ in wrong]
-            models = [verdict for _, verdict in label_enclave(self._models[name], enclave, asked, Tier.DECISION)]
+            edges = [edge for edge, _ in wrong]
+            models = [verdict for _, verdict in label_enclave(self._models[name], enclave, edges, Tier.DECISION)]
         except KeymintError:
             return plain
         return [
@@ -96,5 +96,5 @@ def _reason(verdict: Verdict) -> str:
 
 def document(tree: Tree, enclave: Enclave, line: int) -> Origin:
     """Return a place in the document with the rules of an enclave."""
-    found = [path for name in DOCUMENTS if tree.status(path := enclave.folder / name) is not None]
-    return Origin(str(found[0] if found else enclave.folder / DOCUMENTS[-1]), line)
+    paths = [path for name in DOCUMENTS if tree.status(path := enclave.folder / name) is not None]
+    return Origin(str(paths[0] if paths else enclave.folder / DOCUMENTS[-1]), line)

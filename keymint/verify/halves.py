@@ -31,7 +31,7 @@ def with_halves(
     enclaves: Mapping[str, Enclave],
     edges: Iterable[Edge],
     allowed: Iterable[int],
-    judge: EndpointPolicy,
+    policy: EndpointPolicy,
     namings: Mapping[str, Naming],
     explain: Explain,
     limit: int,
@@ -46,7 +46,7 @@ def with_halves(
         enclaves: the enclave of each subject of the edges.
         edges: the edges, grouped by subject.
         allowed: the policy's label of each edge: 1 allowed, 0 denied.
-        judge: the policy on endpoints.
+        policy: the policy on endpoints.
         namings: the naming of each subject that has one.
         explain: returns mismatches with their reasons.
         limit: mismatches to keep; all are counted.
@@ -58,14 +58,14 @@ def with_halves(
     findings = list(outcome.findings)
     wrong = dict(outcome.wrong)
     count = 0
-    asked = _endpoints(zip(edges, allowed, strict=True), namings, waiting)
-    for subject, labelled in label_by_subject(transport, enclaves, asked, outcome.tier):
+    endpoints = _endpoints(zip(edges, allowed, strict=True), namings, waiting)
+    for subject, labelled in label_by_subject(transport, enclaves, endpoints, outcome.tier):
         verdicts = dict(labelled)
-        found = [each for each in _halves(waiting.pop(subject), verdicts) if not judge.decide(each).allowed]
-        if found:
-            count += len(found)
-            wrong[subject] = wrong.get(subject, 0) + len(found)
-            kept = found[: max(0, limit - len(findings))]
+        half_edges = [each for each in _halves(waiting.pop(subject), verdicts) if not policy.decide(each).allowed]
+        if half_edges:
+            count += len(half_edges)
+            wrong[subject] = wrong.get(subject, 0) + len(half_edges)
+            kept = half_edges[: max(0, limit - len(findings))]
             if kept:
                 findings += explain(outcome.transport, enclaves[subject], [(each, verdicts[each]) for each in kept])
     confusion = replace(outcome.confusion, false_positive=outcome.confusion.false_positive + count)

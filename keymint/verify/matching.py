@@ -17,8 +17,8 @@ from keymint.verify.endpoint_policy import RAW
 
 def matching_rules(rules: Sequence[Rule], edges: Iterable[Edge]) -> list[int]:
     """Return the positions of the rules that apply to any of some edges or to a part of it, DENY rules first."""
-    found = {at for edge in edges for at, rule in enumerate(rules) if _applies(rule, edge)}
-    return sorted(found, key=lambda at: (rules[at].effect is Effect.ALLOW, at))
+    positions = {at for edge in edges for at, rule in enumerate(rules) if _applies(rule, edge)}
+    return sorted(positions, key=lambda at: (rules[at].effect is Effect.ALLOW, at))
 
 
 def _applies(rule: Rule, edge: Edge) -> bool:
@@ -45,7 +45,7 @@ def nearest(rules: Sequence[Rule], edge: Edge) -> NearMiss | None:
     candidates: Iterator[NearMiss | None] = (
         finder(allows, edge) for finder in (_other_partition, _other_permission, _other_kind, _similar_name)
     )
-    return next((found for found in candidates if found), None)
+    return next((candidate for candidate in candidates if candidate), None)
 
 
 def _names(rule: Rule, edge: Edge) -> bool:

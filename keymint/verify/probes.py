@@ -46,30 +46,30 @@ def edges(
         mentioned: returns edges of kind ``topic`` on the objects in the documents of a subject.
         needed: returns the endpoints of an edge, which need not be tested again.
     """
-    listed = tuple(rules)
-    shared = sorted({found for each in listed for rule in each.rules for found in _objects(rule, probe=False)})
+    all_rules = tuple(rules)
+    shared = sorted({object_ for each in all_rules for rule in each.rules for object_ in _objects(rule, probe=False)})
     stride = max(1, -(-len(shared) // MOST_OF_OTHERS))
     common = shared[::stride]
-    for each in listed:
-        own = {found for rule in each.rules for found in _objects(rule, probe=True)}
-        asked: set[Edge] = set()
-        for found in sorted(own.union(common)):
-            for permission in LABELLED[found.kind]:
-                edge = Edge(each.subject, permission, found, domains.get(each.subject, 0))
-                asked.update((edge, *needed(edge)))
+    for each in all_rules:
+        own = {object_ for rule in each.rules for object_ in _objects(rule, probe=True)}
+        yielded: set[Edge] = set()
+        for object_ in sorted(own.union(common)):
+            for permission in LABELLED[object_.kind]:
+                edge = Edge(each.subject, permission, object_, domains.get(each.subject, 0))
+                yielded.update((edge, *needed(edge)))
                 yield edge
-        yield from (edge for edge in dict.fromkeys(mentioned(each.subject)) if edge not in asked)
+        yield from (edge for edge in dict.fromkeys(mentioned(each.subject)) if edge not in yielded)
 
 
 def raw_edges(subject: str, expression: str, partitions: Sequence[str], domain: int) -> Iterator[Edge]:
     """Yield edges that probe an expression of topics, and the expressions of partitions beside it."""
     try:
         text = glob.literal(glob.parse(expression))
-        found = (text,) if text else names(expression)
+        topics = (text,) if text else names(expression)
         lists = tuple(dict.fromkeys(_partitions(partitions, RAW, probe=True))) if partitions else ((),)
     except PatternError:
         return  # not an expression of any policy; only the transport can read it
-    for name in filter(None, found):
+    for name in filter(None, topics):
         for each in lists:
             for permission in LABELLED[RAW]:
                 yield Edge(subject, permission, Object(RAW, name, each), domain)
@@ -115,10 +115,10 @@ def _partitions(expressions: Sequence[str], kind: str, *, probe: bool) -> Iterat
     for expression in expressions:
         parsed = glob.parse(expression)
         text = glob.literal(parsed)
-        found = [text] if text is not None else [_filled(parsed, filling) for filling in _FILLINGS[:3]]
-        inside += found
-        yield from ((name,) for name in found if name)
-        yield from ((name + "x",) for name in found[:1])
+        matching = [text] if text is not None else [_filled(parsed, filling) for filling in _FILLINGS[:3]]
+        inside += matching
+        yield from ((name,) for name in matching if name)
+        yield from ((name + "x",) for name in matching[:1])
     named = sorted({name for name in inside if name})
     yield from (("", name) for name in named[:1])
     if len(named) > 1:
@@ -131,15 +131,15 @@ def _names(expression: str) -> tuple[str, ...]:
     text = glob.literal(parsed)
     if text is not None:
         return text, *filter(_is_plain, (text + "x", text[:-1], text.swapcase(), text + "/x", "/x" + text, text[1:]))
-    found = [_filled(parsed, filling) for filling in _FILLINGS]
-    plain = found[1]
-    found += [plain + "x", plain[:-1], plain.swapcase(), "/x" + plain, plain + "/x", plain[1:], found[0][:-1]]
+    probes = [_filled(parsed, filling) for filling in _FILLINGS]
+    plain = probes[1]
+    probes += [plain + "x", plain[:-1], plain.swapcase(), "/x" + plain, plain + "/x", plain[1:], probes[0][:-1]]
     for at, token in enumerate(parsed):
         if isinstance(token, str):
-            found += [_replaced(parsed, at, near) for near in (token[:-1], token[1:], token.swapcase(), token + "x")]
+            probes += [_replaced(parsed, at, near) for near in (token[:-1], token[1:], token.swapcase(), token + "x")]
         elif isinstance(token, Charset):
-            found += [_replaced(parsed, at, near) for near in ("", *_around(token))]
-    return tuple(filter(_is_plain, found))
+            probes += [_replaced(parsed, at, near) for near in ("", *_around(token))]
+    return tuple(filter(_is_plain, probes))
 
 
 def _is_plain(name: str) -> bool:

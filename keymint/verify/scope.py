@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cache
 
 from comarmor.text import did_you_mean
 from keymint.api import Enclave, LoadedPolicy, NameMapping, Package
@@ -69,44 +70,48 @@ def naming_of(inputs: Inputs, package: Package) -> Naming | None:
 
 
 def edges_of_graph(
-    graph: Graph, found: VerificationScope, *, only: bool
+    graph: Graph, scope: VerificationScope, *, only: bool
 ) -> tuple[tuple[str, ...], Callable[[], Iterator[Edge]]]:
     """Return the subjects of a graph to verify, and a function that yields all possible edges of them.
 
     Args:
         graph: the graph.
-        found: the scope.
+        scope: the scope.
         only: ignore subjects outside of the scope.
 
     Raises:
         KeymintError: a subject of the graph has no enclave here, or the graph is empty.
     """
-    missing = [subject for subject in graph.subjects if subject not in found.enclaves]
+    missing = [subject for subject in graph.subjects if subject not in scope.enclaves]
     if not graph.edges:
         raise KeymintError("the graph has no edges: nothing to verify", code="graph-empty")
     if missing and not only:
         raise KeymintError(
             f"the graph has a subject {missing[0]}, but no such enclave is verified",
-            help=did_you_mean(missing[0], found.enclaves, f"'keymint create {missing[0]}', build and install it"),
+            help=did_you_mean(missing[0], scope.enclaves, f"'keymint create {missing[0]}', build and install it"),
             code="enclave-missing",
         )
-    kept = tuple(subject for subject in graph.subjects if subject in found.enclaves)
+    kept = tuple(subject for subject in graph.subjects if subject in scope.enclaves)
     return kept, lambda: complete(replace(graph, subjects=kept))
 
 
-def edges_of_policy(policy: LoadedPolicy, found: VerificationScope) -> Callable[[], Iterator[Edge]]:
+def edges_of_policy(policy: LoadedPolicy, scope: VerificationScope) -> Callable[[], Iterator[Edge]]:
     """Return a function that yields edges on the objects of the policy and the documents, and on probing names."""
-    rules = [policy.rules(subject) or SubjectRules(subject, ()) for subject in found.enclaves]
+    rules = [policy.rules(subject) or SubjectRules(subject, ()) for subject in scope.enclaves]
+
+    @cache  # each transport asks for the edges, and reading a document is slow
+    def topics(subject: str) -> Sequence[tuple[str, Sequence[str]]]:
+        """Return the topics that the subject's own documents mention, with their partitions."""
+        naming = scope.namings.get(subject)
+        return naming.mapping.mentioned(scope.enclaves[subject]) if naming else ()
 
     def mentioned(subject: str) -> Iterator[Edge]:
-        """Yield edges on the topics that the subject's own documents mention."""
-        naming = found.namings.get(subject)
-        for name, partitions in naming.mapping.mentioned(found.enclaves[subject]) if naming else ():
-            yield from probes.raw_edges(subject, name, partitions, found.domains.get(subject, 0))
+        for name, partitions in topics(subject):
+            yield from probes.raw_edges(subject, name, partitions, scope.domains.get(subject, 0))
 
     def needed(edge: Edge) -> Sequence[Edge]:
         """Return the endpoints of an edge, if they are known."""
-        naming = found.namings.get(edge.subject)
+        naming = scope.namings.get(edge.subject)
         return naming.endpoints(edge) if naming else ()
 
-    return lambda: probes.edges(rules, found.domains, mentioned, needed)
+    return lambda: probes.edges(rules, scope.domains, mentioned, needed)

@@ -17,16 +17,16 @@ def choose(plugins: Plugins, chosen: Sequence[str], tier: Tier) -> dict[str, Tra
     """
     if not chosen:
         known = plugins.transports().items()
-        found = {name: each for name, each in known if usable_by_default(each.usable(), tier)}
-        if not found:
+        usable_here = {name: each for name, each in known if usable_by_default(each.usable(), tier)}
+        if not usable_here:
             raise KeymintError(
                 f"no transport supports the tier {tier} on this machine",
                 help="'keymint transports' shows how to install one",
                 code="transport-none",
             )
-        return found
-    asked = {name: plugins.transport(name) for name in dict.fromkeys(chosen)}
-    for name, transport in asked.items():
+        return usable_here
+    named = {name: plugins.transport(name) for name in dict.fromkeys(chosen)}
+    for name, transport in named.items():
         usable = transport.usable()
         if not usable.usable:
             raise KeymintError(
@@ -41,7 +41,7 @@ def choose(plugins: Plugins, chosen: Sequence[str], tier: Tier) -> dict[str, Tra
                 code="transport-tier",
                 exit_code=ExitCode.USAGE,
             )
-    return asked
+    return named
 
 
 def usable_by_default(usable: Availability, tier: Tier) -> bool:
@@ -56,6 +56,6 @@ def names_rules(usable: Availability) -> bool:
 
 def models(plugins: Plugins) -> dict[str, Transport]:
     """Return the transports that name the rule that decides; the standard, which has no version, comes first."""
-    found = {name: each for name, each in plugins.transports().items() if names_rules(each.usable())}
-    found = {name: each for name, each in found.items() if usable_by_default(each.usable(), Tier.DECISION)}
-    return {name: found[name] for name in sorted(found, key=lambda name: ("-" in name, name))}
+    transports = {name: each for name, each in plugins.transports().items() if names_rules(each.usable())}
+    transports = {name: each for name, each in transports.items() if usable_by_default(each.usable(), Tier.DECISION)}
+    return {name: transports[name] for name in sorted(transports, key=lambda name: ("-" in name, name))}

@@ -142,25 +142,25 @@ def explain(
     """
     name = edge.subject.removeprefix("/")
     package, naming = _package(session, name, edge)
-    judge = EndpointPolicy(policy, {edge.subject: naming} if naming else {})
-    decision = judge.decide(edge)
+    endpoint_policy = EndpointPolicy(policy, {edge.subject: naming} if naming else {})
+    decision = endpoint_policy.decide(edge)
     profiles = policy.profiles(edge.subject)
-    found = policy.rules(edge.subject)
-    rules = found.rules if found else ()
-    asked = (edge, *naming.meanings(edge)) if naming and edge.object.kind == RAW else (edge,)
-    matching = matching_rules(rules, asked)
+    subject_rules = policy.rules(edge.subject)
+    rules = subject_rules.rules if subject_rules else ()
+    edges = (edge, *naming.meanings(edge)) if naming and edge.object.kind == RAW else (edge,)
+    matching = matching_rules(rules, edges)
     near = None if matching else nearest(rules, edge)
     subjects = policy.subjects()
-    there = name in installed(session)
+    is_installed = name in installed(session)
     labels: dict[str, Mismatch] = {}
-    if there:
+    if is_installed:
         enclave = Enclave(edge.subject, session.enclaves / name, session.profile.distro)
         with copied(session.tree, session.enclaves, {edge.subject: enclave}, transports) as copies:
-            asked_of = copies.read_by(transports)
-            tell = Explainer(judge, asked_of, lambda: copies.read_by(find_models()), session.tree)
-            for each, transport in asked_of.items():
+            readers = copies.read_by(transports)
+            explainer = Explainer(endpoint_policy, readers, lambda: copies.read_by(find_models()), session.tree)
+            for each, transport in readers.items():
                 verdicts = list(label_enclave(transport, enclave, [edge], Tier.DECISION))
-                (labels[each],) = tell(each, enclave, verdicts)
+                (labels[each],) = explainer(each, enclave, verdicts)
     return Explanation(
         edge=edge,
         profiles=profiles,
@@ -171,7 +171,7 @@ def explain(
         package=package or (),
         packaged=package is not None,
         endpoints=naming.endpoints(edge) if naming else (),
-        installed=there,
+        installed=is_installed,
         labels=labels,
     )
 
@@ -185,8 +185,8 @@ def _package(session: Session, name: str, edge: Edge) -> tuple[Sequence[MatchedR
     rules = package.permissions.rules.rules
     places = _places(session, name, files, rules)
     naming = naming_of(session, package)
-    asked = (edge, *naming.meanings(edge)) if naming and edge.object.kind == RAW else (edge,)
-    matching = matching_rules(rules, asked)
+    edges = (edge, *naming.meanings(edge)) if naming and edge.object.kind == RAW else (edge,)
+    matching = matching_rules(rules, edges)
     return [MatchedRule(rules[at], places[at]) for at in matching], naming
 
 

@@ -9,7 +9,13 @@ from keymint.api import Claim, ProofTask, TrustAnchors, ValidityTerm
 from keymint.errors import KeymintError
 from keymint.pki import smime
 from keymint_ros2_dds import decision
-from keymint_ros2_dds.enclave_layout import CERTIFICATE, GOVERNANCE_P7S, PERMISSIONS_P7S, PERMISSIONS_XML
+from keymint_ros2_dds.enclave_layout import (
+    CERTIFICATE,
+    GOVERNANCE_P7S,
+    GOVERNANCE_XML,
+    PERMISSIONS_P7S,
+    PERMISSIONS_XML,
+)
 from keymint_ros2_dds.proving import validity_terms
 from keymint_ros2_dds.proving.anchor_check import differences, enclave_file
 from keymint_ros2_dds.proving.claims import ProofSpec
@@ -34,7 +40,7 @@ def prove(task: ProofTask, *, models: Sequence[str] | None = None) -> tuple[Clai
     files, folder = task.files, task.folder
     if findings := differences(files, folder, task.anchors):
         raise KeymintError.of(findings)
-    content, place = _document(files, folder, task.anchors)
+    content, place = _document(files, folder, task.anchors, unsigned=task.unsigned)
     spec = ProofSpec(
         _subject_name(files, folder),
         task.rules,
@@ -58,12 +64,14 @@ def terms(files: Mapping[str, bytes], folder: str, anchors: TrustAnchors) -> tup
     return (*of_grants, *validity_terms.of_certificates(files, folder))
 
 
-def _document(files: Mapping[str, bytes], folder: str, anchors: TrustAnchors) -> tuple[bytes, tuple[str, int]]:
+def _document(
+    files: Mapping[str, bytes], folder: str, anchors: TrustAnchors, *, unsigned: bool = False
+) -> tuple[bytes, tuple[str, int]]:
     """Return the signed permissions document, its file, and the number of lines before it there."""
     file, where = enclave_file(files, folder, PERMISSIONS_P7S), Origin(f"{folder}/{PERMISSIONS_P7S}")
     signed = smime.read(file, anchors.permissions.chain, where=where)
-    same = files.get(PERMISSIONS_XML) == signed.content
-    name, offset = (PERMISSIONS_XML, 0) if same else (PERMISSIONS_P7S, signed.lines_before)
+    plain = unsigned or files.get(PERMISSIONS_XML) == signed.content
+    name, offset = (PERMISSIONS_XML, 0) if plain else (PERMISSIONS_P7S, signed.lines_before)
     return signed.content, (f"{folder}/{name}", offset)
 
 
@@ -72,7 +80,7 @@ def _governing(task: ProofTask) -> EnclaveGovernance:
     file = f"{task.folder}/{GOVERNANCE_P7S}"
     document = enclave_file(task.files, task.folder, GOVERNANCE_P7S)
     signed = smime.read(document, task.anchors.permissions.chain, where=Origin(file))
-    place = (file, signed.lines_before)
+    place = (f"{task.folder}/{GOVERNANCE_XML}", 0) if task.unsigned else (file, signed.lines_before)
     return EnclaveGovernance(signed.content, place, task.governance, task.rules.subject, task.distro)
 
 

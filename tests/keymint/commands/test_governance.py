@@ -98,7 +98,7 @@ def test_the_option_makes_it_an_exception_that_is_said(keymint: Callable, opened
         assert "12 of 12 claims proven" in outcome.out
         assert "not part of the proof, left open by governance: " in outcome.out
         assert re.search(
-            r"/talker, publish '\*' \(\S*governance\.p7s:\d+: enable_write_access_control is false\)", outcome.out
+            r"/talker, publish '\*' \(\S*governance\.xml:\d+: enable_write_access_control is false\)", outcome.out
         )
         enclaves = keymint("prove", "-w", opened, "--json").document["result"]["enclaves"]
         assert [enclave["unchanged"] for enclave in enclaves] == [unchanged] * 2

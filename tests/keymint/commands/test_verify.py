@@ -5,12 +5,14 @@ from __future__ import annotations
 import json
 import re
 import shutil
+from collections import Counter
 from collections.abc import Callable
 from pathlib import Path
 from xml.etree import ElementTree as ET
 
 import pytest
 
+from keymint.pki import smime
 from tests.conftest import Outcome
 
 SIMULATED = ("omg", "cyclonedds-0.10", "fastdds-2.9")
@@ -124,6 +126,28 @@ class TestWhatIsInstalledFromThePolicy:
         outcome = keymint("verify", "--json", "/cell/bridge", *ASKED, cwd=cell)
         assert outcome.code == 0
         assert outcome.document["result"]["subjects"] == ["/cell/bridge"]
+
+    def test_each_document_is_parsed_once_whatever_the_number_of_transports(
+        self, keymint, cell: Path, monkeypatch: pytest.MonkeyPatch
+    ) -> None:
+        counts: Counter[tuple[str, bytes]] = Counter()
+
+        def counted(name: str) -> Callable[..., object]:
+            original = getattr(smime, name)
+
+            def call(signed: bytes, *arguments: object, **options: object) -> object:
+                counts[name, signed] += 1
+                return original(signed, *arguments, **options)
+
+            return call
+
+        monkeypatch.setattr(smime, "verify", counted("verify"))
+        monkeypatch.setattr(smime, "signed_content", counted("signed_content"))
+        assert keymint("verify", *ASKED, cwd=cell).code == 0
+        permissions = {path.read_bytes() for path in cell.glob("install/enclaves/**/permissions.p7s")}
+        assert len(permissions) == 2
+        for name in ("verify", "signed_content"):
+            assert {signed: counts[name, signed] for signed in permissions} == dict.fromkeys(permissions, 1)
 
     def test_writes_nothing(self, keymint, cell: Path) -> None:
         before = {path: path.stat().st_mtime_ns for path in cell.rglob("*")}
