@@ -1,0 +1,45 @@
+"""SARIF logs: rules by index, and places with the places that include them."""
+
+from __future__ import annotations
+
+import json
+from typing import Any
+
+from comarmor.errors import Diagnostic, Origin, Severity
+from keymint.output.sarif import of_diagnostics, sarif
+
+
+def run_of(*diagnostics: Diagnostic, rules: dict[str, str] | None = None) -> dict[str, Any]:
+    log = json.loads(sarif("keymint lint", rules or {}, of_diagnostics(diagnostics), lambda file: f"typed/{file}"))
+    (run,) = log["runs"]
+    return run
+
+
+def test_results_refer_to_their_rules_by_index() -> None:
+    known, other = (
+        Diagnostic("known", Severity.WARNING, "one"),
+        Diagnostic("other", Severity.ERROR, "two", help="fix it"),
+    )
+    run = run_of(other, known, rules={"known": "A known rule."})
+    rules = run["tool"]["driver"]["rules"]
+    assert [rule["id"] for rule in rules] == ["known", "other"]
+    assert rules[0]["shortDescription"]["text"] == "A known rule."
+    assert [(rules[result["ruleIndex"]]["id"], result["level"]) for result in run["results"]] == [
+        ("other", "error"),
+        ("known", "warning"),
+    ]
+    assert run["results"][0]["message"]["text"] == "two (fix it)"
+    assert "locations" not in run["results"][0]
+
+
+def test_places_are_quoted_and_have_the_places_that_include_them() -> None:
+    where = Origin("a b.xml", 3, (Origin("policy.xml", 7),), 5)
+    (result,) = run_of(Diagnostic("code", Severity.NOTE, "message", where))["results"]
+    (place,) = result["locations"]
+    assert place["physicalLocation"] == {
+        "artifactLocation": {"uri": "typed/a%20b.xml"},
+        "region": {"startLine": 3, "startColumn": 5},
+    }
+    (related,) = result["relatedLocations"]
+    assert related["message"]["text"] == "included from here"
+    assert related["physicalLocation"]["region"] == {"startLine": 7}
