@@ -1,5 +1,5 @@
-"""Holds what transports decide against what the policy says, edge by edge: ``keymint verify`` and ``keymint why``.
+"""Compare the decisions of transports with the policy, edge by edge: ``keymint verify`` and ``keymint why``.
 
 After White et al., "Procedurally Provisioned Access Control for Robotic Systems" (IROS 2018): the completed semantic
-graph is labelled by the policy and by a transport that was given the compiled artifacts, and the labels are compared.
+graph is labelled by the policy and by a transport that uses the compiled artifacts, and the labels are compared.
 """

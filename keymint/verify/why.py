@@ -41,15 +41,15 @@ class Explanation:
     Attributes:
         edge: the request.
         profiles: the profiles of the policy that apply to the subject.
-        policy: what the policy says.
-        rules: the rules of the policy that are about the request, deny first.
-        near: where none is, the rule that comes nearest, with what it lacks.
-        similar: where the policy does not name the subject, one with a similar name that it does.
-        package: the rules of the source package that are about the request.
+        policy: the decision of the policy.
+        rules: the rules of the policy that apply to the request, DENY first.
+        near: if none applies, the rule that comes nearest, and the difference.
+        similar: if the policy does not name the subject, a subject with a similar name.
+        package: the rules of the source package that apply to the request.
         packaged: there is a source package.
-        endpoints: what the subject needs on the transport.
+        endpoints: the endpoints that the subject needs on the transport.
         installed: there is an enclave.
-        labels: what each transport decides, with the place in the enclave's document.
+        labels: the decision of each transport, with the place in the enclave's document.
     """
 
     edge: Edge
@@ -66,45 +66,33 @@ class Explanation:
 
     @property
     def wrong(self) -> Mapping[str, Mismatch]:
-        """The labels that are not what the policy says."""
+        """The labels that differ from the policy's decision."""
         return {name: each for name, each in self.labels.items() if each.verdict.allowed != self.policy.allowed}
 
 
 def request(subject: str, permission: str, name: str, partitions: Sequence[str], domain: int) -> Edge:
-    """Return the edge that a user asks for; the kind of the object is that of the permission.
+    """Return the edge that a user asks for; the permission determines the kind of the object.
 
     Raises:
-        KeymintError: the permission is not known, or the object is none that it can be about.
+        KeymintError: the permission is unknown, or does not apply to such an object.
     """
+
+    def refused(code: str, message: str, help_: str) -> KeymintError:
+        return KeymintError(message, help=help_, code=code, exit_code=ExitCode.USAGE)
+
     if permission.endswith("relay"):
-        raise KeymintError(
-            f"{permission} is of services that route data, and no endpoint of a subject has it",
-            help="ask for publishing or subscribing",
-            code="permission-unasked",
-            exit_code=ExitCode.USAGE,
-        )
+        message = f"{permission} is a permission of services that route data; no endpoint of a subject has it"
+        raise refused("permission-unasked", message, "ask for publish or subscribe")
     if permission not in _KIND_OF:
-        raise KeymintError(
-            f"no permission {permission!r}",
-            help=did_you_mean(permission, _KIND_OF, f"permissions are {', '.join(_KIND_OF)}"),
-            code="permission-unknown",
-            exit_code=ExitCode.USAGE,
-        )
+        help_ = did_you_mean(permission, _KIND_OF, f"permissions are {', '.join(_KIND_OF)}")
+        raise refused("permission-unknown", f"no permission {permission!r}", help_)
     kind = _KIND_OF[permission]
     if kind != RAW and not name.startswith("/"):
-        raise KeymintError(
-            f"a {kind} has no name {name!r}: ROS names begin with '/'",
-            help=f"did you mean {'/' + name!r}?",
-            code="object-name",
-            exit_code=ExitCode.USAGE,
-        )
+        message = f"a {kind} has no name {name!r}: ROS names begin with '/'"
+        raise refused("object-name", message, f"did you mean {'/' + name!r}?")
     if kind != RAW and partitions:
-        raise KeymintError(
-            f"{permission} applies to a {kind}, and only a topic has partitions",
-            help="leave --partition out, or ask for publish or subscribe",
-            code="partition-unexpected",
-            exit_code=ExitCode.USAGE,
-        )
+        message = f"{permission} applies to a {kind}, and only a topic has partitions"
+        raise refused("partition-unexpected", message, "leave out --partition, or ask for publish or subscribe")
     full = subject if subject.startswith("/") else f"/{subject}"
     return Edge(full, permission, Object(kind, name, tuple(sorted(set(partitions)))), domain)
 
@@ -147,8 +135,7 @@ def explain(
     profiles = policy.profiles(edge.subject)
     subject_rules = policy.rules(edge.subject)
     rules = subject_rules.rules if subject_rules else ()
-    edges = (edge, *naming.meanings(edge)) if naming and edge.object.kind == RAW else (edge,)
-    matching = matching_rules(rules, edges)
+    matching = matching_rules(rules, _with_meanings(edge, naming))
     near = None if matching else nearest(rules, edge)
     subjects = policy.subjects()
     is_installed = name in installed(session)
@@ -177,7 +164,7 @@ def explain(
 
 
 def _package(session: Session, name: str, edge: Edge) -> tuple[Sequence[MatchedRule] | None, Naming | None]:
-    """Return the rules of a source package that are about a request, and how its names are mapped."""
+    """Return the rules of a source package that apply to a request, and the naming of the package."""
     if name not in packages(session.tree, session.workspace.src):
         return None, None
     files = session.package_files(name)
@@ -185,13 +172,17 @@ def _package(session: Session, name: str, edge: Edge) -> tuple[Sequence[MatchedR
     rules = package.permissions.rules.rules
     places = _places(session, name, files, rules)
     naming = naming_of(session, package)
-    edges = (edge, *naming.meanings(edge)) if naming and edge.object.kind == RAW else (edge,)
-    matching = matching_rules(rules, edges)
+    matching = matching_rules(rules, _with_meanings(edge, naming))
     return [MatchedRule(rules[at], places[at]) for at in matching], naming
 
 
+def _with_meanings(edge: Edge, naming: Naming | None) -> Sequence[Edge]:
+    """Return a request, followed by the ROS edges that a request on an endpoint stands for."""
+    return (edge, *naming.meanings(edge)) if naming and edge.object.kind == RAW else (edge,)
+
+
 def _places(session: Session, name: str, files: Mapping[str, bytes], rules: Sequence[Rule]) -> Sequence[Origin]:
-    """Return where each rule of a package stands in the package, or in the policy where that is not told."""
+    """Return the place of each rule in its package, or in the policy if the package type does not tell."""
     package_type = session.plugins.package_type(session.profile.package_type, session.profile_marker())
     if not isinstance(package_type, RuleLocator):
         return [rule.origin for rule in rules]
