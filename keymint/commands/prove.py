@@ -109,7 +109,9 @@ def _summary(run: Run, results: ProofResults) -> None:
     total = sum(len(enclave.claims) for enclave in results.enclaves)
     open_ = [claim for enclave in results.enclaves for claim in enclave.claims if claim.proof is not Proof.PROVEN]
     refuted = sum(claim.proof is Proof.COUNTEREXAMPLE for claim in open_)
-    unread = sum(any(diagnostic.code != NO_PROVER for diagnostic in enclave.diagnostics) for enclave in results.enclaves)
+    unread = sum(
+        any(diagnostic.code != NO_PROVER for diagnostic in enclave.diagnostics) for enclave in results.enclaves
+    )
     cached = sum(enclave.cached for enclave in results.enclaves)
     parts = [f"{total - len(open_)} of {total} claims proven"]
     parts += [f"{refuted} refuted"] * bool(refuted)
