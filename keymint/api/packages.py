@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from comarmor.errors import Diagnostic, Origin
+from comarmor.errors import Origin
 from keymint.api.certificates import Authority, CertificateSpec, Validity
 from keymint.ir import SubjectRules
 
@@ -119,4 +119,3 @@ class Package:
     permissions: Permissions
     governance: Governance
     issuers: tuple[Authority, ...] = ()
-    diagnostics: tuple[Diagnostic, ...] = ()

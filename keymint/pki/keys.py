@@ -147,21 +147,15 @@ def fingerprint(key: PrivateKey | PublicKey) -> str:
     return hashlib.sha256(public.public_bytes(serialization.Encoding.DER, form)).hexdigest()
 
 
-def is_canonical(pem: bytes, password: bytes | None = None) -> bool:
+def is_canonical(pem: bytes) -> bool:
     """Return whether a key file is exactly what :func:`to_pem` writes for its key.
 
-    Any changed byte of a canonical file makes this False, or makes :func:`matches` fail. For an encrypted key (its salt
-    is random) the PEM frame is compared, and with the password also the content.
-
-    Args:
-        pem: the file's bytes.
-        password: password of an encrypted key, if known.
+    Any changed byte of a canonical file makes this False, or makes :func:`from_pem` or :func:`matches` fail. Of an
+    encrypted key (its salt is random) the PEM frame is compared.
     """
     try:
         if not _is_encrypted(pem):
             return to_pem(from_pem(pem)) == pem
-        if password:
-            from_pem(pem, password)
         frame = _PEM.fullmatch(pem)
         return frame is not None and der.base64_lines(base64.b64decode(frame[2])) == frame[2]
     except (KeymintError, binascii.Error):

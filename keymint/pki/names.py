@@ -135,13 +135,13 @@ def render(name: x509.Name, where: Origin | None = None) -> str:
     return shown
 
 
-def parse_rendered(text: str, where: Origin | None = None) -> x509.Name:
+def parse_rendered(text: str) -> x509.Name:
     """Parse a ``<subject_name>``: the inverse of :func:`render`.
 
     Raises:
         KeymintError: the text is not a name.
     """
-    return x509.Name(reversed(list(parse(text, where))))
+    return x509.Name(reversed(list(parse(text))))
 
 
 def common_name(subject: str) -> str:

@@ -133,12 +133,11 @@ def _plan_package(
     before = stamp is not None or any(session.tree.read(folder / file) is not None for file in built.documents)
     action = (Action.UPDATED if before else Action.CREATED) if changes or minted else Action.UNCHANGED
     outputs = {file: digest(content) for file, content in built.documents.items()}
-    diagnostics = [*package.diagnostics, *built.diagnostics]
     sizes = _sizes(built)
     step = Step(STAGE, name, action, (*minted, *changes), ", ".join(map(_smaller, sizes)), sizes)
     own = lifetimes.lifetimes(package)
     made = Stamp(sources_digest, outputs, context=options_digest, lifetimes=lifetimes.dump(own, session.workspace))
-    return _PackageBuild(step, made, fingerprint, diagnostics, own)
+    return _PackageBuild(step, made, fingerprint, list(built.diagnostics), own)
 
 
 def _sizes(built: BuildResult) -> tuple[DocumentSize, ...]:

@@ -29,7 +29,7 @@ def test_openssl_accepts_every_key(openssl, spec: KeySpec, password: bytes | Non
     assert again.public_key() == key.public_key()
     assert keys.fits(key, spec)
     assert keys.fits(key.public_key(), spec)
-    assert keys.is_canonical(pem, password)
+    assert keys.is_canonical(pem)
 
 
 def test_a_key_of_another_kind_does_not_fit() -> None:
@@ -104,19 +104,23 @@ def test_a_key_matches_its_own_certificate_only(authority: certificates.Issuer, 
 @pytest.mark.parametrize("password", [None, b"pw"], ids=["clear", "encrypted"])
 def test_every_changed_byte_of_a_key_file_is_found(authority: certificates.Issuer, password: bytes | None) -> None:
     pem = keys.to_pem(authority.key, password)
-    assert keys.is_canonical(pem, password)
+    assert keys.is_canonical(pem)
     for position in range(len(pem)):
         damaged = bytearray(pem)
         damaged[position] ^= 1
         assert _is_noticed(bytes(damaged), password, authority), position
     for damaged in (pem + b"\n", b"\n" + pem, pem[:-1], pem.replace(b"\n", b"\r\n"), pem + pem):
-        assert not keys.is_canonical(damaged, password)
+        assert not keys.is_canonical(damaged)
 
 
 def _is_noticed(pem: bytes, password: bytes | None, authority: certificates.Issuer) -> bool:
-    if not keys.is_canonical(pem, password):
+    if not keys.is_canonical(pem):
         return True
-    return not keys.matches(keys.from_pem(pem, password), authority.certificate)
+    try:
+        key = keys.from_pem(pem, password)
+    except KeymintError:
+        return True
+    return not keys.matches(key, authority.certificate)
 
 
 def test_the_frame_of_an_encrypted_key_is_checked_without_its_password(authority: certificates.Issuer) -> None:
