@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import re
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from typing import Any, NoReturn
 
 from comarmor.errors import Origin
@@ -149,16 +149,22 @@ class _GraphReader:
         if isinstance(document["version"], bool) or document["version"] != VERSION:
             help_ = "a newer keymint wrote it" if isinstance(document["version"], int) else ""
             self._refuse(("version",), f"is {_shown(document['version'])}, expected {VERSION}", help_)
-        subjects = [self._subject(path, item) for path, item in self._items(document, "subjects")]
-        edges = [self._edge(path, item) for path, item in self._items(document, "edges")]
-        types = [self._type(path, item) for path, item in self._items(document, "types")]
+        subjects = [self._subject(path, item) for path, item in self._items((), document, "subjects")]
+        edges = [self._edge(path, item) for path, item in self._items((), document, "edges")]
+        types = [self._type(path, item) for path, item in self._items((), document, "types")]
         return Graph.of(edges, subjects, types)
 
-    def _items(self, document: Mapping[str, Any], name: str) -> Iterator[tuple[Path, Any]]:
-        items = document.get(name, [])
+    def _items(self, path: Path, entry: Mapping[str, Any], name: str) -> list[tuple[Path, Any]]:
+        items = entry.get(name, [])
         if not isinstance(items, list):
-            self._refuse((name,), f"is {_shown(items)}, expected an array")
-        return (((name, at), item) for at, item in enumerate(items))
+            self._refuse((*path, name), f"is {_shown(items)}, expected an array")
+        return [((*path, name, at), item) for at, item in enumerate(items)]
+
+    def _one_of(self, path: Path, value: Any, known: Collection[str], noun: str) -> str:
+        if not isinstance(value, str) or value not in known:
+            help_ = did_you_mean(str(value), known, f"known are {', '.join(known)}")
+            self._refuse(path, f"unknown {noun} {_shown(value)}", help_)
+        return value
 
     def _members(self, path: Path, value: Any, *, required: Sequence[str], also: Sequence[str]) -> Mapping[str, Any]:
         if not isinstance(value, dict):
@@ -191,10 +197,7 @@ class _GraphReader:
 
     def _edge(self, path: Path, value: Any) -> Edge:
         edge = self._members(path, value, required=("subject", "permission", "object"), also=("partitions", "domain"))
-        permission = edge["permission"]
-        if not isinstance(permission, str) or permission not in KIND_OF:
-            known = did_you_mean(str(permission), KIND_OF, f"known are {', '.join(KIND_OF)}")
-            self._refuse((*path, "permission"), f"unknown permission {_shown(permission)}", known)
+        permission = self._one_of((*path, "permission"), edge["permission"], KIND_OF, "permission")
         domain = edge.get("domain", 0)
         if isinstance(domain, bool) or not isinstance(domain, int) or not 0 <= domain <= MAX_DOMAIN:
             self._refuse((*path, "domain"), f"is {_shown(domain)}, expected a DDS domain id from 0 to {MAX_DOMAIN}")
@@ -203,17 +206,13 @@ class _GraphReader:
 
     def _type(self, path: Path, value: Any) -> tuple[Object, str]:
         entry = self._members(path, value, required=("kind", "object", "type"), also=("partitions",))
-        if not isinstance(entry["kind"], str) or entry["kind"] not in PERMISSIONS:
-            known = did_you_mean(str(entry["kind"]), PERMISSIONS, f"known are {', '.join(PERMISSIONS)}")
-            self._refuse((*path, "kind"), f"unknown kind {_shown(entry['kind'])}", known)
-        return self._object(path, entry, entry["kind"]), self._text_of((*path, "type"), entry["type"])
+        kind = self._one_of((*path, "kind"), entry["kind"], PERMISSIONS, "kind")
+        return self._object(path, entry, kind), self._text_of((*path, "type"), entry["type"])
 
     def _object(self, path: Path, entry: Mapping[str, Any], kind: str) -> Object:
         name = self._text_of((*path, "object"), entry["object"])
-        items = entry.get("partitions", [])
-        if not isinstance(items, list):
-            self._refuse((*path, "partitions"), f"is {_shown(items)}, expected an array of DDS partitions")
-        names = {self._text_of((*path, "partitions", at), item, empty=True) for at, item in enumerate(items)}
+        items = self._items(path, entry, "partitions")
+        names = {self._text_of(place, item, empty=True) for place, item in items}
         if kind == "topic":
             return Object(kind, name, partitions(names))
         if items:
