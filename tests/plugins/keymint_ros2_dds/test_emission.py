@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-import functools
-import re
-from collections.abc import Iterator
 from dataclasses import replace
 from unittest import mock
 
@@ -12,10 +9,9 @@ import pytest
 from hypothesis import event, given, settings
 from hypothesis import strategies as st
 from keymint_ros2_dds import build_type, emission
-from keymint_ros2_dds.compiling import compile, gathering  # noqa: A004 - the module's name
+from keymint_ros2_dds.compiling import gathering
 from lxml import etree
 
-from comarmor.errors import Severity
 from keymint.api import BuildOptions, Claim, DomainRange, Governance, Hint, Proof
 from keymint.errors import KeymintError
 from keymint.graph import Edge, Object
@@ -38,13 +34,6 @@ def topics(content: bytes, path: str = "*/*/topics/topic") -> list[str]:
 def tags(content: bytes) -> list[str]:
     grant = etree.fromstring(content).find("permissions/grant")
     return [item.tag for item in grant if item.tag.endswith("_rule")]
-
-
-@pytest.fixture
-def always_gathered() -> Iterator[None]:
-    """Gather wherever it is possible, however little it saves."""
-    with mock.patch.object(compile, "gathered", functools.partial(gathering.gathered, min_saved=-(10**6))):
-        yield
 
 
 def demands() -> st.SearchStrategy[tuple[Hint, ...]]:
@@ -90,13 +79,6 @@ def test_every_form_keeps_partitions(drawn, options):
     held_against_the_policy(drawn, options, FEW, ASKED)
 
 
-@settings(max_examples=100)
-@given(st.lists(rules(), min_size=1, max_size=6), demands())
-def test_gathering_changes_no_decision(drawn, demand):
-    with mock.patch.object(compile, "gathered", functools.partial(gathering.gathered, min_saved=-(10**6))):
-        held_against_the_policy(drawn, BuildOptions(demand=demand), TOPICS, ((),))
-
-
 @settings(max_examples=60)
 @given(MIXED, st.sampled_from([((0, 0),), ((0, 0), (3, 9)), ((5, 6), (200, 200))]))
 def test_the_size_of_the_plain_form_is_what_it_would_have(drawn, ranges):
@@ -108,13 +90,6 @@ def test_the_size_of_the_plain_form_is_what_it_would_have(drawn, ranges):
     except KeymintError:
         return
     assert small.plain_sizes == plain.plain_sizes == {"permissions.xml": len(plain.documents["permissions.xml"])}
-
-
-@settings(max_examples=60)
-@given(MIXED)
-def test_gathering_keeps_partitions(drawn):
-    with mock.patch.object(compile, "gathered", functools.partial(gathering.gathered, min_saved=-(10**6))):
-        held_against_the_policy(drawn, BuildOptions(), FEW, ASKED)
 
 
 class TestThePlainForm:
@@ -151,77 +126,6 @@ class TestThePlainForm:
         for options in (PLAIN, BuildOptions()):
             assert build_type.build(loaded, options).plain_sizes == {"permissions.xml": size}
         assert len(document(loaded)) < size
-
-
-class TestGathering:
-    AXLES = tuple(f"/axle{number:03}" for number in range(200))
-
-    def test_names_that_differ_in_a_digit_share_an_expression(self) -> None:
-        content = document(package(rule("ALLOW", *TOPIC, *self.AXLES)))
-        (pattern,) = topics(content, "allow_rule/publish/topics/topic")
-        assert re.fullmatch(r"rt/axle\[01\]\[0123456789\]\[0123456789\]", pattern)
-        assert topics(content, "deny_rule/publish/topics/topic") == ["*]*"]
-
-    def test_an_allow_rule_stands_first_and_last(self) -> None:
-        assert tags(document(package(rule("ALLOW", *TOPIC, *self.AXLES)))) == ["allow_rule", "deny_rule", "allow_rule"]
-
-    def test_what_saves_little_is_left_as_it_is(self) -> None:
-        content = document(package(rule("ALLOW", *TOPIC, *self.AXLES[:9])))
-        assert topics(content) == [f"rt{name}" for name in self.AXLES[:9]]
-
-    def test_a_name_that_the_other_direction_denies_stays_in_its_place(self) -> None:
-        denied = rule("DENY", "ros_topic", "ros_subscribe", "/axle007")
-        hears = rule("ALLOW", "ros_topic", "ros_subscribe", "/axle*")
-        content = document(package(rule("ALLOW", *TOPIC, *self.AXLES), denied, hears))
-        assert "rt/axle007" in topics(content, "allow_rule/publish/topics/topic")
-
-    def test_a_note_says_who_may_not_know_bracket_expressions(self) -> None:
-        found = build_type.build(package(rule("ALLOW", *TOPIC, *self.AXLES)), BuildOptions()).diagnostics
-        assert [(each.code, each.severity) for each in found] == [("vendor-wildcard", Severity.NOTE)]
-        assert "--no-optimise" in found[0].help
-
-    def test_hints_do_not_overtake_the_guard(self) -> None:
-        relays = rule("ALLOW", "ros_topic", "ros_relay", "/axle001")
-        loaded = package(rule("ALLOW", *TOPIC, *self.AXLES), relays)
-        edge = Edge("/talker", "ros_publish", Object("ros_topic", "/axle001"))
-        built = build_type.build(loaded, BuildOptions(demand=(Hint(edge, 9),)))
-        assert "rewriting-unproven" not in [found.code for found in built.diagnostics]
-        assert gathering.GUARD in topics(built.documents["permissions.xml"])
-
-    def test_a_document_that_broke_handshakes_fits(self) -> None:
-        loaded = package(rule("ALLOW", *TOPIC, *(f"/cell{n % 4}/sensor_{n:04}" for n in range(2000))))
-        codes = [each.code for each in build_type.build(loaded, PLAIN).diagnostics]
-        assert codes == ["size-permissions"]
-        assert "size-permissions" not in [each.code for each in build_type.build(loaded, BuildOptions()).diagnostics]
-
-
-class TestPriority:
-    def demand(self, *asked: tuple[str, int], permission: str = "ros_publish") -> BuildOptions:
-        edges = ((Edge("/talker", permission, Object("ros_topic", name)), times) for name, times in asked)
-        return BuildOptions(demand=tuple(Hint(edge, times) for edge, times in edges))
-
-    def test_expressions_stand_by_how_often_they_are_asked_for(self) -> None:
-        loaded = package(rule("ALLOW", *TOPIC, "/a", "/b", "/c*"))
-        assert topics(document(loaded)) == ["rt/a", "rt/b", "rt/c*"]
-        hinted = self.demand(("/b", 1), ("/cat", 2), ("/cow", 3))
-        assert topics(document(loaded, hinted)) == ["rt/c*", "rt/b", "rt/a"]
-
-    def test_rules_about_other_partitions_change_places(self) -> None:
-        raw = [rule("ALLOW", "topic", "publish", name, partitions=[name]) for name in ("p", "q")]
-        loaded = package(*raw)
-        hinted = BuildOptions(demand=(Hint(Edge("/talker", "publish", Object("topic", "q", ("q",))), 5),))
-        assert topics(document(loaded)) == ["p", "q"]
-        assert topics(document(loaded, hinted)) == ["q", "p"]
-
-    def test_a_denial_is_overtaken_by_nothing_that_it_touches(self) -> None:
-        loaded = package(rule("ALLOW", *TOPIC, "/a*"), rule("DENY", *TOPIC, "/ab"), rule("ALLOW", *TOPIC, "/z"))
-        hinted = self.demand(("/aa", 100))
-        assert topics(document(loaded, hinted)) == ["rt/z", "rt/ab", "rt/a*"]
-
-    def test_what_nobody_can_ask_for_is_passed_over(self) -> None:
-        loaded = package(rule("ALLOW", *TOPIC, "/a"), distro="ardent")
-        edge = Edge("/talker", "ros_request", Object("ros_action", "/fibonacci"))
-        assert topics(document(loaded, BuildOptions(demand=(Hint(edge, 1),)))) == ["a"]
 
 
 class TestWhatIsNotProven:

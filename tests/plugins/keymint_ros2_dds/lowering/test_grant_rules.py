@@ -1,0 +1,27 @@
+"""Expressions that are names: they match themselves and nothing else, in every dialect."""
+
+from __future__ import annotations
+
+import re
+
+from hypothesis import given
+from hypothesis import strategies as st
+from keymint_ros2_dds.decision import fnmatch
+from keymint_ros2_dds.lowering.grant_rules import is_name
+
+TEXTS = st.lists(st.sampled_from([*"ab/-!^]", "*", "?", "[ab]", "\\"]), max_size=5).map("".join)
+DIALECTS = (fnmatch.STANDARD, fnmatch.FAST_DDS, fnmatch.CYCLONE_DDS)
+
+
+@given(TEXTS, TEXTS)
+def test_a_name_matches_itself_only(expression: str, text: str) -> None:
+    if is_name(expression):
+        for dialect in DIALECTS:
+            pattern = re.compile(fnmatch.translate(expression, dialect), re.DOTALL)
+            assert pattern.fullmatch(expression)
+            assert bool(pattern.fullmatch(text)) == (text == expression)
+
+
+@given(TEXTS, TEXTS, st.sampled_from("*?[\\"))
+def test_special_characters_make_no_name(head: str, tail: str, char: str) -> None:
+    assert not is_name(head + char + tail)
