@@ -1,0 +1,103 @@
+"""Transports read copies of enclaves, with keys only if they need them; messages name the originals."""
+
+from __future__ import annotations
+
+import stat
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import pytest
+
+from comarmor.errors import Origin
+from keymint.api import Availability, Enclave, Tier, Verdict
+from keymint.errors import ExitCode, KeymintError
+from keymint.graph import Edge, Object
+from keymint.tree import Tree
+from keymint.verify.copies import copied
+
+EDGE = Edge("/a/b", "ros_publish", Object("ros_topic", "/x"))
+
+
+@dataclass(frozen=True)
+class Transport:
+    """Names the folder of its enclave as the reason, or in an error."""
+
+    tiers: tuple[Tier, ...] = (Tier.DECISION,)
+    fails: bool = False
+
+    def usable(self) -> Availability:
+        return Availability(True, tiers=self.tiers)
+
+    def label(
+        self,
+        enclaves: Sequence[Enclave],
+        edges: Iterable[Edge],
+        tier: Tier,  # noqa: ARG002
+    ) -> Iterator[tuple[Edge, Verdict]]:
+        (enclave,) = enclaves
+        if self.fails:
+            where = Origin(str(enclave.folder / "cert.pem"), 3)
+            raise KeymintError(
+                f"no {enclave.folder}", where=where, help=str(enclave.folder), code="x", exit_code=ExitCode.FINDINGS
+            )
+        for edge in edges:
+            yield edge, Verdict(True, f"{enclave.folder}/permissions.p7s: {(enclave.folder / 'key.pem').exists()}")
+
+
+@pytest.fixture
+def enclaves(tmp_path: Path) -> dict[str, Enclave]:
+    """Return an enclave with documents, a key, an inner folder, a link and a broken link."""
+    folder = tmp_path / "enclaves" / "a" / "b"
+    (folder / "inner").mkdir(parents=True)
+    for name in ("permissions.p7s", "key.pem", "authority_key.pem"):
+        (folder / name).write_bytes(name.encode())
+    (tmp_path / "ca.pem").write_bytes(b"linked")
+    (folder / "ca.pem").symlink_to(tmp_path / "ca.pem")
+    (folder / "gone.pem").symlink_to("nowhere")
+    return {"/a/b": Enclave("/a/b", folder, "humble")}
+
+
+def files(folder: Path) -> dict[str, bytes]:
+    return {path.name: path.read_bytes() for path in folder.iterdir()}
+
+
+def test_documents_are_copied_and_removed_at_the_end(tmp_path: Path, enclaves: dict[str, Enclave]) -> None:
+    with copied(Tree(), tmp_path / "enclaves", enclaves, {"t": Transport()}) as copies:
+        folder = copies.enclaves["/a/b"].folder
+        assert folder == copies.root / "a" / "b"
+        assert files(folder) == {"permissions.p7s": b"permissions.p7s", "ca.pem": b"linked"}
+        assert {stat.S_IMODE(path.lstat().st_mode) for path in folder.iterdir()} == {0o600}
+        assert stat.S_IMODE(copies.root.stat().st_mode) == 0o700
+    assert not copies.root.exists()
+
+
+def test_keys_are_copied_if_one_transport_needs_more_than_documents(
+    tmp_path: Path, enclaves: dict[str, Enclave]
+) -> None:
+    transports = {"model": Transport(), "real": Transport((Tier.DECISION, Tier.EXCHANGE))}
+    with copied(Tree(), tmp_path / "enclaves", enclaves, transports) as copies:
+        assert {"key.pem", "authority_key.pem"} <= set(files(copies.enclaves["/a/b"].folder))
+
+
+def test_a_reason_names_the_original(tmp_path: Path, enclaves: dict[str, Enclave]) -> None:
+    transports = {"t": Transport()}
+    with copied(Tree(), tmp_path / "enclaves", enclaves, transports) as copies:
+        (labelled,) = copies.read_by(transports)["t"].label(list(enclaves.values()), [EDGE], Tier.DECISION)
+    assert labelled == (EDGE, Verdict(True, f"{enclaves['/a/b'].folder}/permissions.p7s: False"))
+
+
+@pytest.mark.parametrize("inside", [True, False])
+def test_an_error_names_the_originals(tmp_path: Path, enclaves: dict[str, Enclave], inside: bool) -> None:
+    transports = {"t": Transport(fails=True)}
+    folder = enclaves["/a/b"].folder
+    with pytest.raises(KeymintError) as caught:  # noqa: SIM117, PT012 - the error leaves the copies, or not
+        with copied(Tree(), tmp_path / "enclaves", enclaves, transports) as copies:
+            if inside:
+                list(copies.read_by(transports)["t"].label(list(enclaves.values()), [EDGE], Tier.DECISION))
+            else:
+                list(transports["t"].label(list(copies.enclaves.values()), [EDGE], Tier.DECISION))
+    (diagnostic,) = caught.value.diagnostics
+    assert str(diagnostic) == f"{folder}/cert.pem:3: no {folder} ({folder})"
+    assert (diagnostic.code, caught.value.exit_code) == ("x", ExitCode.FINDINGS)
+    assert not copies.root.exists()

@@ -1,0 +1,78 @@
+"""The transports that a verification tests, and those that name the rule that decides."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from types import SimpleNamespace
+from typing import Any
+
+import pytest
+
+from keymint.api import Availability, Enclave, Tier, Verdict
+from keymint.errors import ExitCode, KeymintError
+from keymint.graph import Edge
+from keymint.verify.usable_transports import choose, models
+
+BOTH = (Tier.DECISION, Tier.EXCHANGE)
+
+
+@dataclass(frozen=True)
+class Transport:
+    """A transport that reports this availability."""
+
+    availability: Availability
+
+    def usable(self) -> Availability:
+        return self.availability
+
+    def label(self, enclaves: Sequence[Enclave], edges: Iterable[Edge], tier: Tier) -> Iterator[tuple[Edge, Verdict]]:
+        raise NotImplementedError
+
+
+def plugins(**transports: Availability) -> Any:
+    """Return installed plugins with these transports; ``_`` in a name is ``-``."""
+    known: Mapping[str, Transport] = {
+        name.replace("_", "-"): Transport(availability) for name, availability in transports.items()
+    }
+    return SimpleNamespace(transports=lambda: known, transport=known.__getitem__)
+
+
+INSTALLED = plugins(
+    real=Availability(True, tiers=BOTH),
+    omg=Availability(True, tiers=(Tier.DECISION,)),
+    vendor_2=Availability(True, tiers=(Tier.DECISION,)),
+    vendor_1=Availability(True, tiers=(Tier.DECISION,), by_default=False),
+    missing=Availability(False, reason="no vendor library", help="apt-get install it", tiers=BOTH),
+)
+
+
+@pytest.mark.parametrize(("tier", "names"), [(Tier.DECISION, {"real", "omg", "vendor-2"}), (Tier.EXCHANGE, {"real"})])
+def test_without_a_choice_all_usable_ones_are_tested(tier: Tier, names: set[str]) -> None:
+    assert set(choose(INSTALLED, (), tier)) == names
+
+
+def test_a_choice_may_name_one_that_is_not_tested_by_default_and_repeat_itself() -> None:
+    assert list(choose(INSTALLED, ("vendor-1", "omg", "vendor-1"), Tier.DECISION)) == ["vendor-1", "omg"]
+
+
+@pytest.mark.parametrize(
+    ("installed", "names", "tier", "code", "help_", "exit_code"),
+    [
+        (INSTALLED, ("missing",), Tier.DECISION, "transport-unusable", "apt-get install it", ExitCode.FAILURE),
+        (INSTALLED, ("real", "omg"), Tier.EXCHANGE, "transport-tier", "it supports decision", ExitCode.USAGE),
+        (plugins(), (), Tier.DECISION, "transport-none", "'keymint transports'", ExitCode.FAILURE),
+    ],
+)
+def test_a_choice_that_cannot_be_tested(
+    installed: Any, names: tuple[str, ...], tier: Tier, code: str, help_: str, exit_code: ExitCode
+) -> None:
+    with pytest.raises(KeymintError) as caught:
+        choose(installed, names, tier)
+    (diagnostic,) = caught.value.diagnostics
+    assert (diagnostic.code, caught.value.exit_code) == (code, exit_code)
+    assert help_ in diagnostic.help
+
+
+def test_models_decide_by_documents_alone_and_the_standard_comes_first() -> None:
+    assert list(models(INSTALLED)) == ["omg", "vendor-2"]
