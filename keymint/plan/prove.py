@@ -11,12 +11,13 @@ from datetime import datetime
 
 from comarmor.errors import Diagnostic, Severity
 from keymint import __version__
-from keymint.api import Claim, DomainRange, LoadedPolicy, Package, Proof, ProofTask, Prover, ValidityTerm
+from keymint.api import Claim, LoadedPolicy, Package, Proof, ProofTask, Prover, ValidityTerm
 from keymint.errors import KeymintError
 from keymint.ir import SubjectRules
-from keymint.plan import authority_evidence, terms
+from keymint.plan import authority_evidence, proof_record, terms
 from keymint.plan.authority_files import trusted_chains
 from keymint.plan.enclaves import INSTALLED, TAKEN, enclave_files, not_installed
+from keymint.plan.proof_record import BUILD_TYPE
 from keymint.plan.trust_anchors import anchors_of
 from keymint.session import Session
 from keymint.state import Stamp, State, digest, digest_files
@@ -152,11 +153,12 @@ class _ProofRun:
             self._proofs.append(EnclaveProof(f"/{name}", (), diagnostics=contradictions))
             return
         inputs = self._inputs_digest(session.package_files(name), files)
-        cached_terms = terms.load(stamp.outputs.get(_TERMS, ""), self._shown(name)) if stamp is not None else None
-        if stamp and cached_terms is not None and stamp.inputs == inputs and self._same_rules(name, stamp):
+        cached = proof_record.load(stamp, self._shown(name)) if stamp and stamp.inputs == inputs else None
+        if stamp and cached and self._same_rules(name, stamp):
+            claims, validity = cached
             # The cache does not depend on the clock: whether documents are in force is checked at each run.
-            self._proofs.append(EnclaveProof(f"/{name}", _cached_claims(stamp), cached=True, terms=cached_terms))
-            self._prover(stamp.outputs[_BUILD_TYPE], name)
+            self._proofs.append(EnclaveProof(f"/{name}", claims, cached=True, terms=validity))
+            self._prover(stamp.outputs[BUILD_TYPE], name)
             return
         package = session.package(name)
         rules = _rules(self._policy, package.subject)
@@ -167,10 +169,7 @@ class _ProofRun:
         if proof.diagnostics or any(claim.proof is not Proof.PROVEN for claim in proof.claims):
             self._refuted.add(name)
         else:
-            outputs = {_key(claim): "\n".join((claim.universe, *claim.excepted)) for claim in proof.claims}
-            outputs[_RULES] = _rules_digest(rules)
-            outputs[_TERMS] = terms.dump(proof.terms, self._shown(name))
-            outputs[_BUILD_TYPE] = package.build_type
+            outputs = proof_record.dump(proof.claims, proof.terms, rules, package.build_type, self._shown(name))
             self._stamps[name] = Stamp(inputs, outputs, context=self._policy_digest)
 
     def _of_enclave(self, name: str, unread: Sequence[Diagnostic]) -> tuple[Diagnostic, ...]:
@@ -187,7 +186,7 @@ class _ProofRun:
         """Tell whether the policy has the same rules for a subject as when the stamp was made."""
         if stamp.context == self._policy_digest:
             return True
-        if stamp.outputs.get(_RULES) != _rules_digest(_rules(self._policy, f"/{name}")):
+        if not proof_record.has_rules(stamp, _rules(self._policy, f"/{name}")):
             return False
         self._stamps[name] = replace(stamp, context=self._policy_digest)
         return True
@@ -251,32 +250,5 @@ class _ProofRun:
         )
 
 
-_RULES, _BUILD_TYPE, _TERMS = "rules", "build type", "terms"
-"""Keys of a stamp that are not claims."""
-
-
 def _rules(policy: LoadedPolicy, subject: str) -> SubjectRules:
     return policy.rules(subject) or SubjectRules(subject, ())
-
-
-def _rules_digest(rules: SubjectRules) -> str:
-    """Return a digest of rules, independent of where they are written."""
-    return digest(*(repr((r.effect, r.kind, r.permissions, r.expressions, r.partitions)) for r in rules.rules))
-
-
-def _key(claim: Claim) -> str:
-    domains = ",".join(f"{each.first}-{each.last}" for each in claim.domains)
-    return f"{claim.model} {claim.action} {domains}"
-
-
-def _cached_claims(stamp: Stamp) -> tuple[Claim, ...]:
-    """Return the proven claims that a stamp has."""
-    claims: list[Claim] = []
-    for key, value in stamp.outputs.items():
-        if key not in {_RULES, _BUILD_TYPE, _TERMS}:
-            universe, *excepted = value.split("\n")
-            model, action, ranges = key.rsplit(" ", 2)
-            ends = (each.split("-") for each in ranges.split(","))
-            domains = tuple(DomainRange(int(first), int(last)) for first, last in ends)
-            claims.append(Claim(model, action, domains, universe, Proof.PROVEN, excepted=tuple(excepted)))
-    return tuple(claims)

@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Collection, Iterable, Iterator, Sequence
 from dataclasses import replace
 from datetime import UTC, datetime
 
-from comarmor.errors import Diagnostic, Origin, Severity
+from comarmor.errors import Diagnostic, Severity
 from keymint.api import ValidityTerm
 
 _HELP = "extend its validity in the sources, then run 'keymint build' and 'keymint install'"
@@ -64,29 +63,3 @@ def merged(diagnostics: Iterable[Diagnostic]) -> Iterator[Diagnostic]:
         first, others = group[0], len({each.subject for each in group}) - 1
         also = f", so in {first.subject} and {others:,} more enclave{'s' * (others > 1)}" if others else ""
         yield replace(first, message=first.message + also)
-
-
-def dump(terms: Sequence[ValidityTerm], folder: str) -> str:
-    """Return the terms of an enclave as text, for the record: places are relative to its folder."""
-    rows = [
-        (term.code, term.what, term.where.file.removeprefix(f"{folder}/"), term.where.line, term.periods, term.models)
-        for term in terms
-    ]
-    return json.dumps(rows, separators=(",", ":"), default=datetime.isoformat)
-
-
-def load(text: str, folder: str) -> tuple[ValidityTerm, ...] | None:
-    """Return the terms of :func:`dump`, or None if the text was not written by it."""
-    try:
-        return tuple(
-            ValidityTerm(
-                str(code),
-                str(what),
-                Origin(f"{folder}/{file}", int(line)),
-                tuple((datetime.fromisoformat(first), datetime.fromisoformat(last)) for first, last in periods),
-                tuple(map(str, models)),
-            )
-            for code, what, file, line, periods, models in json.loads(text)
-        )
-    except (ValueError, TypeError):
-        return None
