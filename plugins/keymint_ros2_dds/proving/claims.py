@@ -197,9 +197,10 @@ class _Model:
             else tuple(grant_periods(question.document, question.spec.subject_name, self._semantics))
         )
         grants = [era.grant for era in self._eras]
-        about = (question.document, grants, question.spec.rules, self._semantics)
-        self._unmodelled = self._unmodelled or octets.ambiguous(*about)
-        self._by_locale = octets.by_locale(*about)
+        unread, self._by_locale = octets.locale_dependence(
+            question.document, grants, question.spec.rules, self._semantics
+        )
+        self._unmodelled = self._unmodelled or unread
 
     def claims(self) -> Iterator[Claim]:
         groups = tuple(self._domains())

@@ -50,10 +50,13 @@ def in_text(name: str) -> str:
     return name if name.isascii() else name.encode("latin-1").decode("utf-8", "surrogateescape")
 
 
-def ambiguous(
+def locale_dependence(
     document: PermissionsDocument, grants: Iterable[DocumentGrant], rules: SubjectRules, semantics: Semantics
-) -> str:
-    """Return which expression cannot be read as bytes, as it has a set with members beyond ASCII; or an empty text.
+) -> tuple[str, str]:
+    """Return which expression depends on the locale, as two texts; each is empty if there is none.
+
+    The first names an expression that cannot be read as bytes, because it has a set with members beyond ASCII. The
+    second names one because of which a claim that is proven over bytes is not made.
 
     Args:
         document: the permissions document.
@@ -61,51 +64,36 @@ def ambiguous(
         rules: the policy's rules for the subject.
         semantics: how the document is read.
     """
-    for expression, place in _all(document, grants, rules, semantics):
-        if not expression.isascii() and "[" in expression:
-            return f"{place}: {expression!r} has a set and characters beyond ASCII: what it matches {_DEPENDS}"
-    return ""
+    own = tuple(_expressions(document, grants, semantics))
+    expressions = (
+        *own,
+        *((text, str(rule.origin)) for rule in rules.rules for text in (*rule.expressions, *rule.partitions)),
+    )
+    wide = [(expression, place) for expression, place in expressions if not expression.isascii()]
+    sets = (
+        f"{place}: {expression!r} has a set and characters beyond ASCII: what it matches {_DEPENDS}"
+        for expression, place in wide
+        if "[" in expression
+    )
+    unread = next(sets, "")
+    if semantics.fnmatch is not fnmatch.CYCLONE_DDS:
+        for expression, place in own:
+            if _CLASS.search(expression):
+                return unread, f"{place}: {expression!r} has a class of characters: what it matches {_DEPENDS}"
+    if wide and not all(_MANY.isdisjoint(expression) for expression, _ in expressions):
+        expression, place = wide[0]
+        reason = "characters beyond ASCII: whether '?' and sets elsewhere match them by byte or by character"
+        return unread, f"{place}: {expression!r} has {reason} {_DEPENDS}"
+    return unread, ""
 
 
-def by_locale(
-    document: PermissionsDocument, grants: Iterable[DocumentGrant], rules: SubjectRules, semantics: Semantics
-) -> str:
-    """Return which expression depends on the locale, so that a claim proven over bytes is not made; or an empty text.
-
-    Args: as for :func:`ambiguous`.
-    """
-    own = tuple(_expressions(grants, semantics))
-    for expression, line in own:
-        if semantics.fnmatch is not fnmatch.CYCLONE_DDS and _CLASS.search(expression):
-            return f"{document.place(line)}: {expression!r} has a class of characters: what it matches {_DEPENDS}"
-    every = tuple(_all(document, grants, rules, semantics))
-    if all(_MANY.isdisjoint(expression) for expression, _ in every):
-        return ""
-    for expression, place in every:
-        if not expression.isascii():
-            return (
-                f"{place}: {expression!r} has characters beyond ASCII: whether '?' and sets elsewhere match them by "
-                f"byte or by character {_DEPENDS}"
-            )
-    return ""
-
-
-def _all(
-    document: PermissionsDocument, grants: Iterable[DocumentGrant], rules: SubjectRules, semantics: Semantics
+def _expressions(
+    document: PermissionsDocument, grants: Iterable[DocumentGrant], semantics: Semantics
 ) -> Iterator[tuple[str, str]]:
-    """Yield the expressions of document and policy, each with its place."""
-    for expression, line in _expressions(grants, semantics):
-        yield expression, str(document.place(line))
-    for rule in rules.rules:
-        for expression in (*rule.expressions, *rule.partitions):
-            yield expression, str(rule.origin)
-
-
-def _expressions(grants: Iterable[DocumentGrant], semantics: Semantics) -> Iterator[tuple[str, int]]:
-    """Yield the expressions of grants, each with its line."""
+    """Yield the expressions of grants, each with its place."""
     for grant in grants:
         for rule in grant.rules:
             for criteria in rule.criteria:
                 if criteria.action != TopicAction.RELAY:
                     for text in (*criteria.topics, *(criteria.partitions or ())):
-                        yield semantics.reads_text(text), criteria.line
+                        yield semantics.reads_text(text), str(document.place(criteria.line))

@@ -35,15 +35,12 @@ def created(distro: str, edge: Edge) -> tuple[Edge, ...]:
     needed = endpoints(distro, edge)
     if distro != ARDENT or edge.object.kind == "topic":
         return needed
-    return tuple(_in_default_partition(endpoint) if _of_service(endpoint) else endpoint for endpoint in needed)
-
-
-def _of_service(endpoint: Edge) -> bool:
-    return any(partition.split("/")[0] in _OF_SERVICES for partition in endpoint.object.partitions)
-
-
-def _in_default_partition(endpoint: Edge) -> Edge:
-    return replace(endpoint, object=replace(endpoint.object, partitions=()))
+    return tuple(
+        replace(endpoint, object=replace(endpoint.object, partitions=()))
+        if any(partition.split("/")[0] in _OF_SERVICES for partition in endpoint.object.partitions)
+        else endpoint
+        for endpoint in needed
+    )
 
 
 @dataclass(frozen=True, slots=True)
@@ -54,9 +51,9 @@ class ArdentMiddleware:
 
     def usable(self) -> Availability:
         """Return whether the transport is usable; not for exchange of data, because partitions change before it."""
-        found = self.transport.usable()
-        tiers = tuple(tier for tier in found.tiers if tier is not Tier.EXCHANGE)
-        return replace(found, tiers=tiers, by_default=False)
+        availability = self.transport.usable()
+        tiers = tuple(tier for tier in availability.tiers if tier is not Tier.EXCHANGE)
+        return replace(availability, tiers=tiers, by_default=False)
 
     def label(self, enclaves: Sequence[Enclave], edges: Iterable[Edge], tier: Tier) -> Iterator[tuple[Edge, Verdict]]:
         """See :meth:`keymint.api.Transport.label`."""
