@@ -189,7 +189,7 @@ def release_signals() -> None:
 
 
 def settle() -> None:
-    """Block signals for good, if this module handles them: the work is done and reported, and the rest is quick."""
+    """Block signals until the process ends, if this module handles them: all work is done and reported."""
     if signal.getsignal(signal.SIGTERM) is _stop or _received:
         hold_signals()
 

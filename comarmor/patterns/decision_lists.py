@@ -1,4 +1,4 @@
-"""Decision lists, the words that a question is about, and the answers."""
+"""Decision lists, the words that a question covers, and the answers."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ DecisionList = tuple[Block, ...]
 
 @dataclass(frozen=True, slots=True)
 class Universe:
-    """The words that a question is about: a fixed number of fields, with a separator between them.
+    """The words that a question covers: a fixed number of fields, with a separator between them.
 
     A pattern over words of two fields contains the separator once. Its wildcards cannot match the separator, because
     every word has it only once.

@@ -60,7 +60,7 @@ def advice(expression: str) -> str:
         name, prefix = "/" + expression[dds.end() :], f"{dds[1]}/"
         return f"write {name!r}: {prefix!r} is the prefix of the DDS topic, which only a rule of kind 'topic' names"
     if any(char in expression for char in "(|)"):
-        return "'(', '|' and ')' stand for themselves: write an <attachment> for each alternative"
+        return "'(', '|' and ')' are literal characters: write an <attachment> for each alternative"
     if ".*" in expression:
         return f"expressions are those of fnmatch, not regular expressions: write {expression.replace('.*', '*')!r}"
     for candidate in (

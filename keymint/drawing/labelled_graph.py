@@ -52,7 +52,7 @@ class LabelledEdge:
         return tuple(None if label is None else label.allowed for label in (self.policy, *self.transports))
 
     def outcome(self, transport: int | None = None) -> EdgeOutcome:
-        """Return the outcome for one transport, or for all together (None), where any false label wins."""
+        """Return the outcome for one transport, or for all together (None), where any mismatch wins."""
         labels = self.transports if transport is None else self.transports[transport : transport + 1]
         decisions = [label.allowed for label in labels if label is not None]
         if self.policy is None:

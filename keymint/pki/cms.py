@@ -154,7 +154,7 @@ def _signed(signature: Signature, certificate: x509.Certificate) -> bool:
 
 
 def _issuer_and_serial(certificate: x509.Certificate) -> bytes:
-    """Return IssuerAndSerialNumber (RFC 5652, 10.2.4) with the very bytes of the certificate."""
+    """Return IssuerAndSerialNumber (RFC 5652, 10.2.4) with the exact bytes of the certificate."""
     fields = der.elements(der.single(certificate.tbs_certificate_bytes, der.SEQUENCE))
     serial, _, issuer = fields[1:4] if fields[0][0] == der.CONTEXT_0 else fields[:3]
     return der.tlv(der.SEQUENCE, der.tlv(*issuer), der.tlv(*serial))

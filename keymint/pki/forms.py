@@ -118,7 +118,7 @@ def _period(validity: Validity) -> str:
 
 
 def _check_issuer(issuer: x509.Certificate, where: Origin, *, authority: bool) -> None:
-    """Refuse an issuer that may not issue (RFC 5280, 4.2.1.3 and 4.2.1.9)."""
+    """Raise an error for an issuer that must not issue certificates (RFC 5280, 4.2.1.3 and 4.2.1.9)."""
     constraints = extensions.value(issuer, x509.BasicConstraints)
     usage = extensions.value(issuer, x509.KeyUsage)
     problem = ""

@@ -1,6 +1,6 @@
 """Private keys: minted, stored as PKCS #8 PEM, read back, and compared with certificates.
 
-No error here contains key material, nor a message of the library that could contain some.
+No error here contains key material, or a message of the library that could contain it.
 """
 
 from __future__ import annotations

@@ -65,7 +65,7 @@ class AuthorityFiles:
         return frozenset(keys.fingerprint(certificates.public_key(each)) for each in self.in_use())
 
     def without_other_certificate(self, key: keys.PublicKey) -> AuthorityFiles:
-        """Return the files without a certificate of another key, which a killed run had not replaced yet."""
+        """Return the files without the certificate of another key that a killed run did not replace."""
         if self.certificate is None or certificates.public_key(self.certificate) == key:
             return self
         return replace(self, certificate=None)
@@ -218,7 +218,7 @@ def require_known(files: AuthorityFiles, key: keys.PublicKey) -> None:
         return
     name = files.authority.name
     raise KeymintError(
-        f"the key of the authority {name!r} was replaced: it is not the one that signed what is deployed",
+        f"the key of the authority {name!r} was replaced: the deployed enclaves trust another one",
         where=Origin(files.certificate_file if files.key is None else files.key_file),
         help=f"restore {files.key_file} and {files.certificate_file}; {new_authority_help(name)}",
         code="authority-replaced",

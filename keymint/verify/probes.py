@@ -157,9 +157,9 @@ def _replaced(parsed: glob.Glob, at: int, text: str) -> str:
 
 
 def _samples(parsed: glob.Glob, filling: str) -> Iterator[str]:
-    """Yield a text that each token matches: of a class the character that fewest other classes have.
+    """Yield a text that each token matches; for a class, the character that is in the fewest other classes.
 
-    A character that stands in for ``?`` and is in a narrower class as well would make up for a change of that class.
+    If the sample for ``?`` were also in a narrower class, a probe could not detect a change of that class.
     """
     classes = [token for token in parsed if isinstance(token, Charset)]
     for token in parsed:

@@ -200,7 +200,7 @@ CYCLONE_DEVIATIONS = (
         deny_default=True),
     _on("9", "topic-check", "the first rule that names a topic decides whether it exists, whatever its direction",
         topic_check=True),
-    _on("11", "strictness", "domain ids above 230, foreign attributes, and what is without its ends are refused",
+    _on("11", "strictness", "domain ids above 230, foreign attributes, and incomplete ranges are refused",
         parser=Parser.CYCLONE),
     _on("12", "min-only", "a range of domains with a minimum alone is that one domain", min_only_is_exact=True),
     _on("15", "late-dates", "a date that does not fit 64 bits of nanoseconds, or is none, is over",
@@ -244,8 +244,7 @@ VARIATIONS: Mapping[str, Variation] = {each.name: each for each in (OMG, CYCLONE
 def explain(ask: Callable[[Variation], bool], variation: Variation) -> tuple[Deviation, ...]:
     """Return the deviations for which an implementation decides differently from the standard; empty if it does not.
 
-    Preferred are deviations each of which suffices alone, then those without any of which the decision would be the
-    standard's, then all.
+    Return the deviations that each suffice alone; if there are none, those that are each necessary; else all.
 
     Args:
         ask: decides the same question by an implementation.

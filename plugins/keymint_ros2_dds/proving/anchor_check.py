@@ -38,7 +38,7 @@ _TIMES = frozenset(("certificate-expired", "certificate-not-yet-valid"))
 
 
 def differences(files: Mapping[str, bytes], folder: str, anchors: TrustAnchors) -> tuple[Diagnostic, ...]:
-    """Return what is not issued by the workspace's authorities; see :meth:`keymint.api.Prover.differences`."""
+    """See :meth:`keymint.api.Prover.differences`."""
     missing = tuple(_missing(anchors))
     return missing or tuple(_AnchorCheck(files, folder, anchors).findings())
 

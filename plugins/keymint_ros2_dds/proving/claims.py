@@ -157,7 +157,7 @@ class _Comparator:
         self._known: dict[tuple[object, ...], ProofResult] = {}
 
     def of(self, action: str, permitted: _Permitted, *, inside: bool) -> ProofResult:
-        """Compare what the policy allows, inside or outside of its domains, with what is permitted."""
+        """Compare what the policy allows, in its domains or elsewhere, with what the document permits."""
         said = self._said[action] if inside else ()
         key = (said, permitted)
         found = self._known.get(key)

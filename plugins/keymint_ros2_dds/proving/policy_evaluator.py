@@ -50,7 +50,7 @@ def _matches(expression: str, name: str) -> bool:
 
 
 def _names(rule: Rule, edge: Edge) -> Iterator[str]:
-    """Yield the names that a rule must match to apply to an edge; a composite rule has them without a suffix."""
+    """Yield the names to match against a rule; for a composite rule, without the suffix of its part."""
     for permission in rule.permissions:
         for kind, part, suffix in parts(rule.kind, permission):
             if (kind, part) == (edge.object.kind, edge.permission) and edge.object.name.endswith(suffix):

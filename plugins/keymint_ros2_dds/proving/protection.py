@@ -31,7 +31,7 @@ from keymint_ros2_dds.reading.signed_governance import (
 )
 
 JOINS = "every participant"
-PROTECTED = "every topic name that the claims about publish and subscribe are about"
+PROTECTED = "every topic name that the claims on publish and subscribe cover"
 ACCEPT = "or accept it with <accept><open_governance/></accept> in profile/keymint_profile.xml"
 _QUALITIES = {
     "true": {"protected"},

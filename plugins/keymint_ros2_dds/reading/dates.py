@@ -1,4 +1,4 @@
-"""Read the dates of a grant's validity (``xs:dateTime``), as each implementation does; None for what is not a date."""
+"""Read the dates of a grant's validity (``xs:dateTime``), as each implementation does; None if it is invalid."""
 
 from __future__ import annotations
 

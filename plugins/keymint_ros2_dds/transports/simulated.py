@@ -34,7 +34,7 @@ class Simulated:
 
     def _verdict(self, enclave_model: EnclaveModel, needed: Sequence[Edge]) -> Verdict:
         deviation = ""
-        verdict = Verdict(allowed=False, reason="no DDS endpoint stands for this")
+        verdict = Verdict(allowed=False, reason="this maps to no DDS endpoint")
         for endpoint in needed:
             modelled = enclave_model.decide(self.variation, endpoint)
             deviation = deviation or enclave_model.deviation(self.variation, endpoint, allowed=modelled.allowed)
