@@ -124,7 +124,7 @@ def _checked(checks: ExpectationChecker, expected: Sequence[Expectation]) -> lis
 
 
 def _own(rules: Mapping[Spot, Rule], folders: Sequence[Path], library: Path) -> dict[Spot, Rule]:
-    """Return the rules of the policy itself, without those of the library."""
+    """Return the rules of the policy itself, without the library's."""
     own_folders = [folder if folder.is_dir() else folder.parent for folder in folders]
     own_rules: dict[Spot, Rule] = {}
     for place in sorted(rules):

@@ -85,7 +85,7 @@ def place_json(where: Origin | None, typed: Typed) -> Mapping[str, Any] | None:
 
 
 def edge_json(edge: Edge) -> dict[str, Any]:
-    """Return an edge."""
+    """Return an edge as JSON data."""
     return {
         "subject": edge.subject,
         "permission": edge.permission,
@@ -171,7 +171,7 @@ def _mismatch(mismatch: Mismatch, typed: Typed) -> dict[str, Any]:
 
 
 def differences_json(differences: Sequence[SubjectChanges], typed: Typed) -> list[dict[str, Any]]:
-    """Return the differences of two policies."""
+    """Return the differences of two policies as JSON data."""
     return [
         {
             "subject": each.subject or None,
