@@ -20,6 +20,7 @@ from keymint.workspace import SPACES, find, packages
 Decorator = Callable[[Any], Any]
 DEFAULT_PROFILE_TYPE = "keymint_ros"
 PATH = click.Path(path_type=Path)
+FILE = click.Path(path_type=Path, dir_okay=False)
 
 
 def usage_error(message: str, help_: str) -> KeymintError:
