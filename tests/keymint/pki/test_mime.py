@@ -42,7 +42,8 @@ def test_the_text_to_sign_has_its_header_and_crlf_line_ends(content: bytes) -> N
 DOCUMENT = wrap(b"<dds>\n</dds>\n", b"signature" * 20)
 
 
-FRAME = [line for line, text in enumerate(DOCUMENT.split(b"\n")) if text and b"dds>" not in text]
+FRAME = [line for line, text in enumerate(DOCUMENT.split(b"\n")) if b":" in text or b" " in text or b"--" in text]
+"""The lines of the frame that are not blank: not the content, and not the base64."""
 
 
 @pytest.mark.parametrize("line", FRAME)
@@ -71,3 +72,10 @@ def test_a_refusal_names_the_line_if_there_is_one() -> None:
         with pytest.raises(KeymintError) as caught:
             refuse(where, line, "it is empty")
         assert str(caught.value).startswith(f"{place}is malformed or ambiguous S/MIME: it is empty")
+
+
+@pytest.mark.parametrize("change", [b"\r\n", b" \n", b"=\n", b"", b"\n\n"])
+def test_changed_line_ends_of_the_signature_are_refused(change: bytes) -> None:
+    head, blank, encoded = DOCUMENT.partition(b'filename="smime.p7s"\n\n')
+    with pytest.raises(KeymintError):
+        unwrap(head + blank + encoded.replace(b"\n", change, 1))
