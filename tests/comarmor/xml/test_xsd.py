@@ -8,7 +8,7 @@ from lxml import etree
 from comarmor.xml.xsd import SchemaVocabulary
 
 MAIN = b"""<xs:schema xmlns:xs="http://www.w3.org/2001/XMLSchema">
-  <xs:element name="root" type="Root"/>
+  <xs:element name="top" type="Root"/>
   <xs:element name="shared"><xs:complexType><xs:all><xs:element name="leaf"/></xs:all></xs:complexType></xs:element>
   <xs:complexType name="Root">
     <xs:sequence>
@@ -38,12 +38,12 @@ def vocabulary() -> SchemaVocabulary:
 @pytest.mark.parametrize(
     ("document", "path", "allowed"),
     [
-        ("<root/>", ".", ("inner", "one", "two", "shared", "tree")),
-        ("<root><inner/></root>", "inner", ("first", "second")),
-        ("<root><shared/></root>", "shared", ("leaf",)),
-        ("<root><tree><tree/></tree></root>", "tree/tree", ("inner", "one", "two", "shared", "tree")),
-        ("<root><one/></root>", "one", ()),
-        ("<root><other><inner/></other></root>", "other/inner", ()),
+        ("<top/>", ".", ("inner", "one", "two", "shared", "tree")),
+        ("<top><inner/></top>", "inner", ("first", "second")),
+        ("<top><shared/></top>", "shared", ("leaf",)),
+        ("<top><tree><tree/></tree></top>", "tree/tree", ("inner", "one", "two", "shared", "tree")),
+        ("<top><one/></top>", "one", ()),
+        ("<top><other><inner/></other></top>", "other/inner", ()),
         ("<other/>", ".", ()),
     ],
 )
@@ -53,5 +53,5 @@ def test_allowed_elements(vocabulary: SchemaVocabulary, document: str, path: str
 
 
 def test_names_of_all_documents(vocabulary: SchemaVocabulary) -> None:
-    assert vocabulary.names == ("first", "inner", "leaf", "one", "root", "second", "shared", "tree", "two")
+    assert vocabulary.names == ("first", "inner", "leaf", "one", "second", "shared", "top", "tree", "two")
     assert vocabulary.attributes == ("name", "size")
