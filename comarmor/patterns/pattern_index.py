@@ -16,7 +16,7 @@ _T = TypeVar("_T")
 _V = TypeVar("_V")
 
 
-class _Entry(Generic[_T]):
+class _IndexEntry(Generic[_T]):
     """A pattern and its value, with its matcher once a word is looked up."""
 
     __slots__ = ("item", "test")
@@ -37,9 +37,9 @@ class PatternIndex(Generic[_T]):
         self._items = tuple(items)
         self._literals = _PrefixMap[tuple[Glob, _T]]()
         self._reversed_literals = _PrefixMap[tuple[Glob, _T]]()
-        self._wild = _PrefixMap[_PrefixMap[_Entry[_T]]]()
+        self._wild = _PrefixMap[_PrefixMap[_IndexEntry[_T]]]()
         """Patterns with wildcards by their prefix, then by their reversed suffix."""
-        by_prefix: dict[str, _PrefixMap[_Entry[_T]]] = {}
+        by_prefix: dict[str, _PrefixMap[_IndexEntry[_T]]] = {}
         for item in self._items:
             pattern = item[0]
             text = literal(pattern)
@@ -51,7 +51,7 @@ class PatternIndex(Generic[_T]):
             if head not in by_prefix:
                 by_prefix[head] = _PrefixMap()
                 self._wild.add(head, by_prefix[head])
-            by_prefix[head].add(suffix(pattern)[::-1], _Entry(item))
+            by_prefix[head].add(suffix(pattern)[::-1], _IndexEntry(item))
 
     def __iter__(self) -> Iterator[tuple[Glob, _T]]:
         """Yield all patterns with their values, in the order in which they were given."""
@@ -86,7 +86,7 @@ class PatternIndex(Generic[_T]):
             spend()
             yield from (entry.item for entries in by_suffix.compatible(tail) for entry in entries)
 
-    def _for_word(self, word: str) -> Iterator[list[_Entry[_T]]]:
+    def _for_word(self, word: str) -> Iterator[list[_IndexEntry[_T]]]:
         """Yield the patterns with wildcards whose prefix and suffix a word has."""
         reversed_word = word[::-1]
         for by_suffix in chain.from_iterable(self._wild.prefixes_of(word)):

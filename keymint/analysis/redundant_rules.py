@@ -60,7 +60,7 @@ _Side = tuple[PermissionKey, Effect]
 
 
 @dataclass(slots=True)
-class _SubjectRules:
+class _RuleAnalysis:
     """The rules of one subject.
 
     Attributes:
@@ -277,8 +277,8 @@ def _is_proven(outcome: ProofResult) -> bool:
     return isinstance(outcome, Equal)
 
 
-def _subject_rules(rules: Sequence[Rule], subject: str, attachments: ExpressionOrigins) -> _SubjectRules:
-    its_rules = _SubjectRules()
+def _subject_rules(rules: Sequence[Rule], subject: str, attachments: ExpressionOrigins) -> _RuleAnalysis:
+    its_rules = _RuleAnalysis()
     sides: dict[_Side, list[tuple[Glob, _RuleExpression]]] = defaultdict(list)
     for rule in rules:
         attached = attachments.of(rule, subject)

@@ -39,7 +39,7 @@ FORMATS = ("svg", "png", "dot", "html")
 
 
 @dataclass(frozen=True, slots=True)
-class _Policy:
+class _DrawnPolicy:
     """A policy to draw, or to label a graph by.
 
     Attributes:
@@ -146,9 +146,9 @@ def graph(
     chosen_format = _format(output, kind)
     policies = Policies(run, policy_options)
 
-    def policy_at(path: Path) -> _Policy:
+    def policy_at(path: Path) -> _DrawnPolicy:
         loaded = policies.at(run.setting.cwd / path, str(path))
-        return _Policy(loaded, path.resolve().stem, library_rules(run.setting.cwd, policies.shipped()))
+        return _DrawnPolicy(loaded, path.resolve().stem, library_rules(run.setting.cwd, policies.shipped()))
 
     system, diagnostics = _graph(run, source, source_type) if source else (None, ())
     if system is None:
@@ -206,13 +206,13 @@ def _graph(run: Run, source: Path, source_type: str) -> tuple[Graph | None, tupl
     return reader.interpret(capture.graph, fold=True), capture.diagnostics
 
 
-def _policy_of_workspace(run: Run) -> _Policy:
+def _policy_of_workspace(run: Run) -> _DrawnPolicy:
     session = run.inputs(run.workspace()).session()
-    return _Policy(load_policy(session), session.profile.name, workspace_library_rules(session))
+    return _DrawnPolicy(load_policy(session), session.profile.name, workspace_library_rules(session))
 
 
 def _labelled(
-    run: Run, graph: Graph, subjects: tuple[str, ...], policy: _Policy | None, everything: bool
+    run: Run, graph: Graph, subjects: tuple[str, ...], policy: _DrawnPolicy | None, everything: bool
 ) -> LabelledGraph:
     if policy is not None:
         return label_graph(

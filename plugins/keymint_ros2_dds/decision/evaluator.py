@@ -69,7 +69,7 @@ class _Expressions:
 
 
 @dataclass(frozen=True, slots=True)
-class _Step:
+class _CriteriaStep:
     """Criteria of a rule; or all criteria of a rule, pooled.
 
     ``partitions`` is None where every partition matches.
@@ -105,8 +105,8 @@ class DocumentEvaluator:
         semantics = variation.semantics
         self.semantics = semantics
         self._place = document.place
-        self._steps: dict[str, list[_Step]] = {}
-        self._named: list[_Step] = []
+        self._steps: dict[str, list[_CriteriaStep]] = {}
+        self._named: list[_CriteriaStep] = []
         self.joins = False
         self._default = False
         self._default_line = 0
@@ -168,14 +168,14 @@ class DocumentEvaluator:
                 return self._by(step, f"names {topic!r}, but not in these partitions", allowed=False)
         return self._by_default(topic)
 
-    def _matches(self, step: _Step, partitions: Sequence[str], tags: Collection[tuple[str, str]]) -> bool:
+    def _matches(self, step: _CriteriaStep, partitions: Sequence[str], tags: Collection[tuple[str, str]]) -> bool:
         """Tell whether partitions and tags match: an allow rule needs all of the endpoint's, a deny rule one."""
         need = all if step.allows else any
         if step.tags is not None and self.semantics.tags_count and not need(tag in step.tags for tag in tags):
             return False
         return step.partitions is None or need(step.partitions.match(each) for each in partitions)
 
-    def _by(self, step: _Step, text: str, *, allowed: bool) -> EndpointDecision:
+    def _by(self, step: _CriteriaStep, text: str, *, allowed: bool) -> EndpointDecision:
         rule = "allow_rule" if step.allows else "deny_rule"
         outcome = DecisionOutcome.ALLOWED if allowed else DecisionOutcome.DENIED
         return EndpointDecision(outcome, step.line, f"the {rule} {text}", self._place(step.line))
@@ -203,7 +203,7 @@ def _grant(
     return EndpointDecision(DecisionOutcome.ERROR, line, reason, where)
 
 
-def _steps(rules: Iterable[DocumentRule], semantics: Semantics) -> Iterator[_Step]:
+def _steps(rules: Iterable[DocumentRule], semantics: Semantics) -> Iterator[_CriteriaStep]:
     for rule in rules:
         for group in _groups(rule, semantics):
             yield _step(rule, group, semantics)
@@ -219,7 +219,7 @@ def _groups(rule: DocumentRule, semantics: Semantics) -> Iterable[Sequence[Docum
     return pooled.values()
 
 
-def _step(rule: DocumentRule, group: Sequence[DocumentCriteria], semantics: Semantics) -> _Step:
+def _step(rule: DocumentRule, group: Sequence[DocumentCriteria], semantics: Semantics) -> _CriteriaStep:
     if rule.allows:
         everywhere = False
     else:
@@ -227,7 +227,7 @@ def _step(rule: DocumentRule, group: Sequence[DocumentCriteria], semantics: Sema
         everywhere = semantics.deny_topic or (unlisted and not semantics.deny_default)
     listed = (each for item in group for each in (DEFAULT_PARTITION if item.partitions is None else item.partitions))
     tags = None if any(item.tags is None for item in group) else frozenset(t for item in group for t in item.tags or ())
-    return _Step(
+    return _CriteriaStep(
         rule.allows,
         group[0].action,
         _patterns((topic for item in group for topic in item.topics), semantics),

@@ -8,14 +8,12 @@ from __future__ import annotations
 
 import re
 from dataclasses import dataclass
-from typing import Literal
 
 from comarmor.ros_names import is_fully_qualified
 from keymint.graph import Object
 
 _TYPE = re.compile(r"([A-Za-z]\w*(?:::[A-Za-z]\w*)*)::dds_::([A-Za-z]\w*)_\Z")
 _SUFFIXES = {"rt": "", "rq": "Request", "rr": "Reply"}
-Part = Literal["rt", "rq", "rr"]
 
 
 @dataclass(frozen=True, slots=True)
