@@ -6,7 +6,6 @@ import re
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
-import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from keymint_ros2_comarmor import policy_type
@@ -157,57 +156,3 @@ def test_what_nodes_do_for_themselves_is_common_to_them() -> None:
     assert learned.fragments["common_1.xml"].count(b"{namespace}{name}/") == 4
     assert learned.document.count(b'<xi:include href="policy.d/common_1.xml" parse="xml"/>') == 2
     assert b"ros_service" not in learned.document
-
-
-EXISTING = """\
-<profiles>
-  <profile name="s">
-    <attachment>/s</attachment>
-    <ros_topic qualifier="ALLOW">
-      <attachment>/used</attachment>
-      <attachment>/idle</attachment>
-      <permissions><ros_publish/><ros_subscribe/></permissions>
-    </ros_topic>
-    <ros_service qualifier="ALLOW">
-      <attachment>{namespace}{name}/*</attachment>
-      <permissions><ros_execute/></permissions>
-    </ros_service>
-    <ros_topic qualifier="DENY">
-      <attachment>/private*</attachment>
-      <permissions><ros_subscribe/></permissions>
-    </ros_topic>
-  </profile>
-  <profile name="gone"><attachment>/gone</attachment></profile>
-</profiles>
-"""
-
-
-@pytest.fixture
-def review(tmp_path: Path):
-    path = tmp_path / "old.xml"
-    path.write_text(EXISTING)
-    existing = policy_type.load([PolicySource("old", path, Origin("old.xml"))], None)
-    return lambda *edges: policy_type.learn(Graph.of(edges), existing, "")
-
-
-def test_what_is_no_longer_used_is_said_with_its_place(review) -> None:
-    learned = review(Edge("/s", "ros_publish", Object("ros_topic", "/used")))
-    assert learned.document == b""
-    assert [(said.code, said.where.line if said.where else 0) for said in learned.unused] == [
-        ("learn-unused-attachment", 6),
-        ("learn-unused-permission", 4),
-        ("learn-unused-rule", 9),
-        ("learn-unused-subject", 0),
-    ]
-
-
-def test_an_edge_that_a_deny_rule_denies_is_no_proposal(review) -> None:
-    learned = review(
-        Edge("/s", "ros_subscribe", Object("ros_topic", "/private/x")),
-        Edge("/s", "ros_subscribe", Object("ros_topic", "/other")),
-    )
-    (said,) = learned.conflicts
-    assert (said.code, said.where.line if said.where else 0) == ("learn-denied", 13)
-    assert [edge.object.name for edge in learned.missing] == ["/other"]
-    assert b"/private" not in learned.document
-    assert b"/other" in learned.document
