@@ -50,9 +50,9 @@ def proven(
     standard = next(iter(results.assumptions), "")
     of_vendors = {enclave.subject for enclave in results.enclaves if _holds(enclave, standard)}
     refused = [
-        replace(each, help=_with_mend(each.help, of_vendors=each.subject in of_vendors))
-        for each in diagnostics
-        if each.code != NO_PROVER
+        replace(diagnostic, help=_with_remedy(diagnostic.help, of_vendors=diagnostic.subject in of_vendors))
+        for diagnostic in diagnostics
+        if diagnostic.code != NO_PROVER
     ]
     if refused:
         edits = _refused_edits(session, plan, {each.subject for each in refused})
@@ -63,8 +63,7 @@ def proven(
         once = merged_packages(refused, lambda name: session.workspace.shown(build / name))
         raise KeymintError.of([*warnings, *edits, *once], ExitCode.FINDINGS)
     # Validity does not stop an installation: a certificate may become valid tomorrow.
-    known = {(each.code, each.subject) for each in plan.diagnostics}
-    known |= {(each.code, "") for each in plan.diagnostics}
+    known = {(each.code, subject) for each in plan.diagnostics for subject in (each.subject, "")}
     validity = [each for each in dated_of(results) if (each.code, _subject_of(each)) not in known]
     warnings = [replace(each, severity=Severity.WARNING) for each in (*diagnostics, *merged(validity))]
     return replace(plan, state=results.state, diagnostics=(*plan.diagnostics, *warnings))
@@ -102,7 +101,7 @@ def _holds(enclave: EnclaveProof, standard: str) -> bool:
     return bool(own) and all(claim.proof is Proof.PROVEN for claim in own)
 
 
-def _with_mend(help_: str, *, of_vendors: bool) -> str:
+def _with_remedy(help_: str, *, of_vendors: bool) -> str:
     accept = "accept differences between vendors with --allow-vendor-specific, " if of_vendors else ""
     remedy = f"nothing was installed; rebuild it from the policy, {accept}or sign it anyway with --no-prove"
     return f"{help_}; {remedy}" if help_ else remedy

@@ -10,12 +10,7 @@ from comarmor.errors import Origin
 from keymint.api import PolicyDecision
 from keymint.commands.run import Run
 from keymint.commands.user_files import exists, read_input, write_outputs
-from keymint.drawing.labelled_graph import (
-    Label,
-    LabelledEdge,
-    LabelledGraph,
-    select_edges,
-)
+from keymint.drawing.labelled_graph import Label, LabelledEdge, LabelledGraph, select_edges
 from keymint.drawing.options import DrawingOptions
 from keymint.drawing.policy_graph import policy_label
 from keymint.graph import MISMATCHES, Edge
