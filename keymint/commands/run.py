@@ -176,7 +176,12 @@ class Run:
         planned: tuple[Inputs, Plan] | None = None
         if not workspace.state.is_dir():
             inputs = self.inputs(workspace)
-            planned = (inputs, make_plan(inputs))
+            try:
+                planned = (inputs, make_plan(inputs))
+            except KeymintError:
+                if not workspace.state.is_dir():
+                    raise
+                # Another run creates this workspace, and was seen half-way: plan again once it is done.
         store = open_store(workspace)
         with store.locked(self.console.waiting):
             store.sweep()

@@ -7,9 +7,11 @@ import subprocess
 import sys
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
+from typing import Any, NoReturn
 
 import pytest
+
+from keymint.errors import KeymintError
 
 from . import scenarios, tracing
 
@@ -113,3 +115,20 @@ from keymint import cli
 for _ in range(12):
     print(cli.main(["provision", sys.argv[1], "-w", sys.argv[2], "--renew", "-q"]), flush=True)
 """
+
+
+def test_a_plan_that_fails_because_another_run_creates_the_workspace_is_made_again(
+    folder: Path, keymint: Keymint
+) -> None:
+    def meanwhile(*_arguments: object, **_options: object) -> NoReturn:
+        patch.undo()
+        other = start(folder, "provision", folder / "policy.xml")
+        assert (other.communicate(timeout=60)[1], other.returncode) == ("", 0)
+        raise KeymintError("a file of the workspace is missing")
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("keymint.commands.provision.plan_create", meanwhile)
+        outcome = keymint("provision", folder / "policy.xml", "-w", folder / "ws")
+    assert (outcome.code, outcome.err) == (0, "")
+    assert "nothing to do" in outcome.out
+    require_clean(folder, keymint)
