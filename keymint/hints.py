@@ -60,15 +60,15 @@ def load_hints(content: bytes, name: str) -> tuple[Hint, ...]:
     return tuple(Hint(edge, times) for edge, times in sorted(counts.items()))
 
 
-def unknown_subjects(demand: Sequence[Hint], known: Sequence[str], name: str) -> Iterator[Diagnostic]:
+def unknown_subjects(hints: Sequence[Hint], known: Sequence[str], name: str) -> Iterator[Diagnostic]:
     """Yield a warning for each subject of the hints that is not in the workspace.
 
     Args:
-        demand: the hints.
+        hints: the hints.
         known: the subjects of the workspace.
         name: the file of the hints, for messages.
     """
-    for subject in sorted({each.edge.subject for each in demand} - set(known)):
+    for subject in sorted({each.edge.subject for each in hints} - set(known)):
         yield Diagnostic(
             "hints-subject",
             Severity.WARNING,

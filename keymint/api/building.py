@@ -27,13 +27,13 @@ class BuildOptions:
 
     Attributes:
         allow_vendor_specific: turn portability errors into warnings.
-        optimise: rewrite documents into smaller equivalent ones, and order their rules by demand.
-        demand: how often edges are used; rules of edges that are used more often come first.
+        optimise: rewrite documents into smaller equivalent ones, and order their rules by hints.
+        hints: how often edges are used; rules of edges that are used more often come first.
     """
 
     allow_vendor_specific: bool = False
     optimise: bool = True
-    demand: tuple[Hint, ...] = ()
+    hints: tuple[Hint, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)
@@ -183,5 +183,5 @@ class NameMapping(Protocol):
     def meanings(self, distro: str, endpoint: Edge) -> Sequence[Edge]:
         """Return the elementary edges of other kinds that this edge of kind ``topic`` implements."""
 
-    def mentioned(self, enclave: Enclave) -> Sequence[tuple[str, Sequence[str]]]:
+    def document_topics(self, enclave: Enclave) -> Sequence[tuple[str, Sequence[str]]]:
         """Return the topic expressions in the signed documents of an enclave, each with its partitions."""

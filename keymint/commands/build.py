@@ -82,7 +82,7 @@ class Hinted:
 
     def unknown(self, names: Sequence[str]) -> tuple[Diagnostic, ...]:
         """Return a warning for each subject of the hints without a package."""
-        return tuple(unknown_subjects(self.options.demand, [f"/{name}" for name in names], self.hints))
+        return tuple(unknown_subjects(self.options.hints, [f"/{name}" for name in names], self.hints))
 
 
 def build_options(run: Run, given: DocumentOptions) -> Hinted:
@@ -94,8 +94,8 @@ def build_options(run: Run, given: DocumentOptions) -> Hinted:
     """
     if given.hints is not None and not given.optimise:
         raise click.UsageError("--hints changes the order of rules, which --no-optimise keeps.")
-    demand = () if given.hints is None else load_hints(read_input(run, given.hints), str(given.hints))
-    return Hinted(BuildOptions(given.allow_vendor_specific, given.optimise, demand), str(given.hints or ""))
+    build_hints = () if given.hints is None else load_hints(read_input(run, given.hints), str(given.hints))
+    return Hinted(BuildOptions(given.allow_vendor_specific, given.optimise, build_hints), str(given.hints or ""))
 
 
 def policy_slips(session: Session, steps: Iterable[Step]) -> tuple[Diagnostic, ...]:

@@ -86,7 +86,7 @@ def built_documents(inputs: Inputs, name: str) -> dict[str, bytes]:
 
 def _options_of(options: BuildOptions, subject: str) -> BuildOptions:
     """Drop other subjects' hints, so that changing them does not rebuild this package."""
-    return replace(options, demand=tuple(each for each in options.demand if each.edge.subject == subject))
+    return replace(options, hints=tuple(each for each in options.hints if each.edge.subject == subject))
 
 
 def inputs_digest(session: Session, name: str) -> str:

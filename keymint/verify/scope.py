@@ -103,7 +103,7 @@ def edges_of_policy(policy: LoadedPolicy, scope: VerificationScope) -> Callable[
     def topics(subject: str) -> Sequence[tuple[str, Sequence[str]]]:
         """Return the topics that the subject's own documents mention, with their partitions."""
         naming = scope.namings.get(subject)
-        return naming.mapping.mentioned(scope.enclaves[subject]) if naming else ()
+        return naming.mapping.document_topics(scope.enclaves[subject]) if naming else ()
 
     def mentioned(subject: str) -> Iterator[Edge]:
         for name, partitions in topics(subject):

@@ -26,7 +26,7 @@ class DdsSecurity:
 
     endpoints = lazy("keymint_ros2_dds.lowering.endpoints:endpoints")
     meanings = lazy("keymint_ros2_dds.lowering.endpoints:meanings")
-    mentioned = lazy("keymint_ros2_dds.transports.enclave_files:document_topics")
+    document_topics = lazy("keymint_ros2_dds.transports.enclave_files:document_topics")
 
     differences = lazy("keymint_ros2_dds.proving.anchor_check:differences")
     terms = lazy("keymint_ros2_dds.proving:terms")

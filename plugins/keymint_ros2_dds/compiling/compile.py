@@ -56,7 +56,7 @@ def compile_rules(permissions: Permissions, distro: str, options: BuildOptions) 
     Args:
         permissions: the permissions of the package.
         distro: ROS 2 distribution whose name mapping applies.
-        options: ``allow_vendor_specific``: where vendors differ, follow the standard and warn; ``demand``: put what is
+        options: ``allow_vendor_specific``: where vendors differ, follow the standard and warn; ``hints``: put what is
             requested more often first.
 
     Raises:
@@ -72,7 +72,7 @@ def compile_rules(permissions: Permissions, distro: str, options: BuildOptions) 
     if report.diagnostics and not options.allow_vendor_specific:
         raise KeymintError.of(report.diagnostics)
     plain = _plain(lowered, report) if minimal else ()
-    rewritten = prioritised(gathered(minimal), _endpoint_counts(options.demand, distro))
+    rewritten = prioritised(gathered(minimal), _endpoint_counts(options.hints, distro))
     forms = (rewritten, minimal) if rewritten != minimal else (minimal,)
     return Compiled(forms, plain, lowered, not report.diagnostics, (*lowered.diagnostics, *report.diagnostics))
 
@@ -112,9 +112,9 @@ def _plain(lowered: Lowered, report: _PortabilityReport) -> tuple[GrantRule[str]
     return report.with_expressions(rule_per_policy_rule(portable_rules(lowered), lowered))
 
 
-def _endpoint_counts(demand: Iterable[Hint], distro: str) -> list[EndpointCount]:
+def _endpoint_counts(hints: Iterable[Hint], distro: str) -> list[EndpointCount]:
     counts: Counter[tuple[str, str, str]] = Counter()
-    for each in demand:
+    for each in hints:
         if not has_kind(distro, each.edge.object.kind):
             continue  # no subject can request it in this distribution
         for endpoint in endpoints(distro, each.edge):

@@ -36,7 +36,7 @@ def tags(content: bytes) -> list[str]:
     return [item.tag for item in grant if item.tag.endswith("_rule")]
 
 
-def demands() -> st.SearchStrategy[tuple[Hint, ...]]:
+def hint_lists() -> st.SearchStrategy[tuple[Hint, ...]]:
     edge = st.builds(
         lambda permission, name: Edge("/talker", permission, Object("ros_topic", name)),
         st.sampled_from(["ros_publish", "ros_subscribe"]),
@@ -64,7 +64,7 @@ def held_against_the_policy(drawn, options: BuildOptions, names, asked) -> None:
 
 
 MIXED = st.lists(st.one_of(rules(), rules(PARTITIONS), rules(DENIED)), min_size=1, max_size=5)
-ANY_OPTIONS = st.builds(BuildOptions, st.just(value=False), st.booleans(), demands())
+ANY_OPTIONS = st.builds(BuildOptions, st.just(value=False), st.booleans(), hint_lists())
 
 
 @settings(max_examples=60)

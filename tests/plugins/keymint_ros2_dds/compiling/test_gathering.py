@@ -27,9 +27,9 @@ from tests.plugins.keymint_ros2_dds.test_emission import (
     MIXED,
     PLAIN,
     TOPIC,
-    demands,
     document,
     held_against_the_policy,
+    hint_lists,
     tags,
     topics,
 )
@@ -43,10 +43,10 @@ def always_gathered() -> Iterator[None]:
 
 
 @settings(max_examples=100)
-@given(st.lists(rules(), min_size=1, max_size=6), demands())
-def test_gathering_changes_no_decision(drawn, demand):
+@given(st.lists(rules(), min_size=1, max_size=6), hint_lists())
+def test_gathering_changes_no_decision(drawn, hints):
     with mock.patch.object(compile, "gathered", functools.partial(gathering.gathered, min_saved=-(10**6))):
-        held_against_the_policy(drawn, BuildOptions(demand=demand), TOPICS, ((),))
+        held_against_the_policy(drawn, BuildOptions(hints=hints), TOPICS, ((),))
 
 
 @settings(max_examples=60)
@@ -87,7 +87,7 @@ class TestGathering:
         relays = rule("ALLOW", "ros_topic", "ros_relay", "/axle001")
         loaded = package(rule("ALLOW", *TOPIC, *self.AXLES), relays)
         edge = Edge("/talker", "ros_publish", Object("ros_topic", "/axle001"))
-        built = build_type.build(loaded, BuildOptions(demand=(Hint(edge, 9),)))
+        built = build_type.build(loaded, BuildOptions(hints=(Hint(edge, 9),)))
         assert "rewriting-unproven" not in [found.code for found in built.diagnostics]
         assert gathering.GUARD in topics(built.documents["permissions.xml"])
 
