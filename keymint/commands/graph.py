@@ -27,8 +27,8 @@ from keymint.commands.user_files import read_input, show_written, write_outputs
 from keymint.commands.verb import verb
 from keymint.commands.verify_report import sources
 from keymint.drawing.labelled_graph import LabelledEdge, LabelledGraph, choose_subjects, select_edges
-from keymint.drawing.options import DrawingOptions, Split
 from keymint.drawing.palette import Theme
+from keymint.drawing.picture_options import DrawingOptions, Split
 from keymint.drawing.policy_graph import label_graph, policy_graph
 from keymint.errors import KeymintError
 from keymint.graph import EdgeOutcome, Graph

@@ -11,7 +11,7 @@ from keymint.api import PolicyDecision
 from keymint.commands.run import Run
 from keymint.commands.user_files import exists, read_input, write_outputs
 from keymint.drawing.labelled_graph import Label, LabelledEdge, LabelledGraph, select_edges
-from keymint.drawing.options import DrawingOptions
+from keymint.drawing.picture_options import DrawingOptions
 from keymint.drawing.policy_graph import policy_label
 from keymint.graph import MISMATCHES, Edge
 from keymint.verify.mismatch import Comparison, Mismatch

@@ -9,8 +9,8 @@ from comarmor.text import printable
 from keymint.drawing.display_text import INWARD, OUTWARD, object_name, role, sentence
 from keymint.drawing.labelled_graph import LabelledEdge, LabelledGraph
 from keymint.drawing.legend import edge_classes
-from keymint.drawing.options import DrawingOptions
 from keymint.drawing.palette import LIGHT
+from keymint.drawing.picture_options import DrawingOptions
 from keymint.drawing.simplify import SimplifiedGraph, simplify
 from keymint.graph import EdgeOutcome, Object
 

@@ -21,8 +21,8 @@ from comarmor.text import counted, printable
 from keymint.drawing.display_text import KINDS, object_name
 from keymint.drawing.labelled_graph import Label, LabelledEdge, LabelledGraph, select_edges
 from keymint.drawing.layout import NodeKey
-from keymint.drawing.options import DrawingOptions
 from keymint.drawing.palette import Theme, style_sheet
+from keymint.drawing.picture_options import DrawingOptions
 from keymint.drawing.simplify import EXPLICIT, priority, simplify
 from keymint.drawing.svg import draw, environment
 from keymint.graph import DomainObject, EdgeOutcome

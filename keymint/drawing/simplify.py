@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 from comarmor.text import counted, printable
 from keymint.drawing.display_text import KINDS
 from keymint.drawing.labelled_graph import LabelledEdge, LabelledGraph, namespace
-from keymint.drawing.options import DrawingOptions, Split
+from keymint.drawing.picture_options import DrawingOptions, Split
 from keymint.graph import DomainObject, EdgeOutcome
 
 FOLD_FROM = 40

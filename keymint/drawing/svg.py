@@ -15,8 +15,8 @@ from keymint.drawing.display_text import columns, object_name, sentence, shorten
 from keymint.drawing.labelled_graph import LabelledEdge, LabelledGraph, namespace
 from keymint.drawing.layout import CHARACTER, EdgeLine, NodeBox, NodeKey, Panel, lay_out
 from keymint.drawing.legend import LINE, edge_classes, flowed, legend
-from keymint.drawing.options import DrawingOptions, Split
 from keymint.drawing.palette import style_sheet
+from keymint.drawing.picture_options import DrawingOptions, Split
 from keymint.drawing.simplify import SimplifiedGraph, folded_name, priority, simplify
 from keymint.graph import EdgeOutcome
 

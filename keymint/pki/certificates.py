@@ -14,7 +14,8 @@ from comarmor.errors import Diagnostic, Origin, Severity
 from comarmor.text import quoted
 from keymint.api import CertificateSpec
 from keymint.errors import KeymintError
-from keymint.pki import der, extensions, forms, keys, names
+from keymint.pki import der, extensions, forms, keys
+from keymint.pki.distinguished_names import to_text
 
 _UNREADABLE = (
     ValueError,
@@ -264,7 +265,7 @@ def can_sign_documents(certificate: x509.Certificate, where: Origin | None = Non
     return Diagnostic(
         "authority-cannot-sign",
         Severity.ERROR,
-        f"the certificate of {names.to_text(certificate.subject)!r} cannot sign documents: its {problem}",
+        f"the certificate of {to_text(certificate.subject)!r} cannot sign documents: its {problem}",
         where,
         help_,
     )

@@ -15,7 +15,8 @@ from comarmor.errors import Diagnostic, Origin, Severity
 from comarmor.text import quoted
 from keymint.api import CertificateSpec, Validity
 from keymint.errors import KeymintError
-from keymint.pki import extensions, keys, names
+from keymint.pki import distinguished_names, extensions, keys
+from keymint.pki.distinguished_names import to_text
 
 _Hash = hashes.SHA256 | hashes.SHA384 | hashes.SHA512
 HASHES: Mapping[str, _Hash] = MappingProxyType(
@@ -60,7 +61,7 @@ def form(
         )
     if issuer is not None:
         _check_issuer(issuer, spec.origin, authority=authority)
-    subject = names.parse(spec.subject_name, spec.origin)
+    subject = distinguished_names.parse(spec.subject_name, spec.origin)
     validity, diagnostics = _clamp(spec, issuer)
     return Form(
         subject=subject,
@@ -93,7 +94,7 @@ def _clamp(spec: CertificateSpec, issuer: x509.Certificate | None) -> tuple[Vali
         first = max(first, issuer.not_valid_before_utc)
         last = min(last, issuer.not_valid_after_utc)
     if first >= last:
-        beyond = f", within the validity of its issuer {names.to_text(issuer.subject)!r}" if issuer is not None else ""
+        beyond = f", within the validity of its issuer {to_text(issuer.subject)!r}" if issuer is not None else ""
         raise KeymintError(
             f"the validity is empty: {_period(requested)}{beyond}",
             where=spec.origin,
@@ -130,7 +131,7 @@ def _check_issuer(issuer: x509.Certificate, where: Origin, *, authority: bool) -
         problem = "has pathlen:0, so it may not issue authorities (basicConstraints)"
     if problem:
         raise KeymintError(
-            f"the issuer {names.to_text(issuer.subject)!r} cannot issue it: its own certificate {problem}",
+            f"the issuer {to_text(issuer.subject)!r} cannot issue it: its own certificate {problem}",
             where=where,
             help="name another issuer, or change the extensions of this one",
             code="issuer-invalid",

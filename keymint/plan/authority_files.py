@@ -13,7 +13,7 @@ from cryptography import x509
 from comarmor.errors import Origin
 from keymint.api import Authority, CertificateSpec
 from keymint.errors import KeymintError
-from keymint.pki import certificates, keys, names
+from keymint.pki import certificates, distinguished_names, keys
 from keymint.plan import key_record
 from keymint.plan.enclaves import INSTALLED
 from keymint.plan.private_keys import load_key
@@ -51,7 +51,7 @@ class AuthorityFiles:
     def subject(self) -> x509.Name:
         """The subject name that the profile specifies."""
         spec = self.authority.certificate
-        return names.parse(spec.subject_name, spec.origin)
+        return distinguished_names.parse(spec.subject_name, spec.origin)
 
     def in_use(self) -> Sequence[x509.Certificate]:
         """Return the certificates in installed enclaves that have the authority's name."""
@@ -199,8 +199,8 @@ def require_name(files: AuthorityFiles) -> None:
         return
     spec, name = files.authority.certificate, files.authority.name
     raise KeymintError(
-        f"is for {names.to_text(files.certificate.subject)!r}, but {spec.origin} asks for "
-        f"{names.to_text(files.subject)!r}",
+        f"is for {distinguished_names.to_text(files.certificate.subject)!r}, but {spec.origin} asks for "
+        f"{distinguished_names.to_text(files.subject)!r}",
         where=Origin(files.certificate_file),
         help=f"restore the file or the subject_name; {new_authority_help(name)}",
         code="authority-renamed",

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 AUTHORITY = ("name",)
 """Placeholders of an authority: its name in the profile."""
 SUBJECT = ("name", "subject", "common_name", "unique")
-"""Placeholders of a package: its name, ``/`` + name, and the two that :mod:`keymint.pki.names` derives from that."""
+"""Placeholders of a package: its name, ``/`` + name, common name and unique suffix."""
 
 _BRACES = re.compile(r"\{([^{}]*)\}|[{}]")
 
@@ -49,11 +49,11 @@ def expand(name: str, values: Mapping[str, str]) -> str:
 
 def of_subject(subject: str) -> Mapping[str, str]:
     """Return the values of :data:`SUBJECT` for a subject such as ``/robot1/talker``."""
-    from keymint.pki import names  # noqa: PLC0415 - imports cryptography, which takes 0.1 s
+    from keymint.pki import distinguished_names  # noqa: PLC0415 - imports cryptography, which takes 0.1 s
 
     return {
         "name": subject.removeprefix("/"),
         "subject": subject,
-        "common_name": names.common_name(subject),
-        "unique": names.unique_suffix(subject),
+        "common_name": distinguished_names.common_name(subject),
+        "unique": distinguished_names.unique_suffix(subject),
     }

@@ -8,7 +8,7 @@ from functools import lru_cache
 from comarmor.errors import Diagnostic, Origin, Severity
 from keymint.api import BuildOptions, BuildResult, Package
 from keymint.errors import KeymintError
-from keymint.pki import names
+from keymint.pki import distinguished_names
 from keymint_ros2_dds import governance_warnings, vendor_limits
 from keymint_ros2_dds.documents import governance_document
 from keymint_ros2_dds.domains import in_words, uncovered
@@ -86,4 +86,4 @@ def _check(package: Package) -> Iterator[Diagnostic]:
 
 @lru_cache(maxsize=4096)
 def _canonical(name: str, origin: Origin) -> str:
-    return names.to_text(names.parse(name, origin))
+    return distinguished_names.to_text(distinguished_names.parse(name, origin))

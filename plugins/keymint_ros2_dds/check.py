@@ -9,7 +9,7 @@ from datetime import UTC, datetime, timedelta
 from comarmor.errors import Diagnostic, Origin, Severity
 from keymint.api import DomainRange, Inspection
 from keymint.errors import KeymintError
-from keymint.pki import certificates, keys, names, smime, verify
+from keymint.pki import certificates, certification_path, distinguished_names, keys, smime
 from keymint_ros2_dds import check_governance, vendor_limits
 from keymint_ros2_dds.credentials import CredentialCheck, revocation_period
 from keymint_ros2_dds.documents import dds_xml
@@ -96,7 +96,7 @@ class _EnclaveCheck(CredentialCheck):
         if pem is None:
             return
         where = self._where(CERTIFICATE)
-        chain_findings = verify.verify_chain(pem, self._inspection.identity_ca, self._inspection.now, where)
+        chain_findings = certification_path.verify_chain(pem, self._inspection.identity_ca, self._inspection.now, where)
         yield from map(self._for_subject, chain_findings)
         try:
             certificate = certificates.load(pem, where)
@@ -105,7 +105,9 @@ class _EnclaveCheck(CredentialCheck):
         if not certificates.is_canonical(pem):
             message = "is not the canonical encoding of its certificate"
             yield self._error("pem-altered", CERTIFICATE, message)
-        yield from self._subject_name(certificate, names.parse(self._inspection.package.identity.subject_name))
+        yield from self._subject_name(
+            certificate, distinguished_names.parse(self._inspection.package.identity.subject_name)
+        )
         if not any(item.code in {"certificate-expired", "certificate-not-yet-valid"} for item in chain_findings):
             period = certificate.not_valid_before_utc, certificate.not_valid_after_utc
             yield from self._validity("certificate", CERTIFICATE, *period, slack=timedelta(0))
@@ -206,7 +208,7 @@ class _EnclaveCheck(CredentialCheck):
 
     def _certificate_subject(self) -> str | None:
         try:
-            return names.render(certificates.load(self._files.get(CERTIFICATE, b"")).subject)
+            return distinguished_names.render(certificates.load(self._files.get(CERTIFICATE, b"")).subject)
         except KeymintError:
             return None
 

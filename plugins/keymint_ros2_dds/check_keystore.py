@@ -9,7 +9,7 @@ from collections.abc import Iterator, Sequence
 from comarmor.errors import Diagnostic, Origin, Severity
 from keymint.api import Inspection
 from keymint.errors import KeymintError
-from keymint.pki import certificates, names
+from keymint.pki import certificates, distinguished_names
 from keymint_ros2_dds.enclave_layout import CERTIFICATE
 
 
@@ -47,7 +47,7 @@ def _shared_grants(inspections: Sequence[Inspection]) -> Iterator[Diagnostic]:
 
 def _subject(inspection: Inspection) -> str:
     try:
-        return names.to_text(certificates.load(inspection.files.get(CERTIFICATE, b"")).subject)
+        return distinguished_names.to_text(certificates.load(inspection.files.get(CERTIFICATE, b"")).subject)
     except KeymintError:
         return ""
 

@@ -10,7 +10,8 @@ from cryptography.exceptions import UnsupportedAlgorithm
 
 from comarmor.errors import Diagnostic, Origin, Severity
 from keymint.errors import KeymintError
-from keymint.pki import certificates, keys, names
+from keymint.pki import certificates, keys
+from keymint.pki.distinguished_names import to_text
 from keymint_ros2_dds.enclave_layout import CERTIFICATE, CRL, KEY
 
 _LAST = datetime.max.replace(tzinfo=UTC) - timedelta(seconds=1)
@@ -48,7 +49,7 @@ class CredentialCheck:
 
     def _subject_name(self, certificate: x509.Certificate, expected: x509.Name) -> Iterator[Diagnostic]:
         if certificate.subject != expected:
-            message = f"is for {names.to_text(certificate.subject)!r}, not {names.to_text(expected)!r}"
+            message = f"is for {to_text(certificate.subject)!r}, not {to_text(expected)!r}"
             yield self._error("certificate-subject", CERTIFICATE, message)
 
     def _key(self, certificate: x509.Certificate) -> Iterator[Diagnostic]:

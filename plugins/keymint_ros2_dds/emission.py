@@ -13,7 +13,7 @@ from comarmor.errors import Diagnostic, Severity
 from comarmor.patterns.steps import step_limit
 from keymint.api import BuildOptions, Claim, Package, Proof
 from keymint.errors import KeymintError
-from keymint.pki import names
+from keymint.pki import distinguished_names
 from keymint_ros2_dds.compiling.compile import Compiled, compile_rules, vendor_notes
 from keymint_ros2_dds.decision import OMG
 from keymint_ros2_dds.documents import dds_xml
@@ -121,7 +121,9 @@ def _models(compiled: Compiled) -> tuple[str, ...]:
 def _open_claims(package: Package, lowered: Lowered, document: bytes, models: Sequence[str]) -> list[Claim]:
     """Return the claims about a document that are not proven."""
     spec = ProofSpec(
-        names.render(names.parse(package.permissions.subject_name, package.permissions.origin)),
+        distinguished_names.render(
+            distinguished_names.parse(package.permissions.subject_name, package.permissions.origin)
+        ),
         package.permissions.rules,
         package.distro,
         package.permissions.domains,

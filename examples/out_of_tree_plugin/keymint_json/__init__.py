@@ -18,7 +18,7 @@ from comarmor.errors import Diagnostic, Origin, Severity
 from keymint.api import Artifact, BuildOptions, BuildResult, EnclaveCredentials, Inspection, Package
 from keymint.errors import KeymintError
 from keymint.pki import certificates, keys, smime
-from keymint.pki.verify import verify_chain
+from keymint.pki.certification_path import verify_chain
 
 DOCUMENT = "access.json"
 SIGNED = "access.json.p7s"

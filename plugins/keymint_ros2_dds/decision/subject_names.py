@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 
 from keymint.errors import KeymintError
-from keymint.pki import names
+from keymint.pki import distinguished_names
 
 _MAX_PARTS = 20
 """Parts of a name that Cyclone DDS has room for."""
@@ -20,8 +20,8 @@ def same_name(grant: str, identity: str) -> bool:
     if text == identity:
         return True
     try:
-        wanted = list(names.parse_rendered(identity).rdns)
-        found = list(names.parse(text).rdns)
+        wanted = list(distinguished_names.parse_rendered(identity).rdns)
+        found = list(distinguished_names.parse(text).rdns)
     except KeymintError:
         return False
     return found in (wanted, wanted[::-1])

@@ -10,7 +10,7 @@ from comarmor.errors import Diagnostic, Severity
 from comarmor.rules import Effect
 from keymint.api import Permissions
 from keymint.errors import KeymintError
-from keymint.pki import names
+from keymint.pki import distinguished_names
 from keymint_ros2_dds.documents import dds_xml
 from keymint_ros2_dds.domains import check_domains
 from keymint_ros2_dds.enclave_layout import PERMISSIONS
@@ -39,7 +39,11 @@ def document_tree(permissions: Permissions, rules: Iterable[GrantRule[str]]) -> 
     root = dds_xml.root(PERMISSIONS)
     grant = dds_xml.child(dds_xml.child(root, "permissions"), "grant")
     grant.set("name", permissions.grant_name)
-    dds_xml.child(grant, "subject_name", names.render(names.parse(permissions.subject_name, permissions.origin)))
+    dds_xml.child(
+        grant,
+        "subject_name",
+        distinguished_names.render(distinguished_names.parse(permissions.subject_name, permissions.origin)),
+    )
     validity = dds_xml.child(grant, "validity")
     dds_xml.child(validity, "not_before", dds_xml.date(permissions.validity.not_before))
     dds_xml.child(validity, "not_after", dds_xml.date(permissions.validity.not_after))

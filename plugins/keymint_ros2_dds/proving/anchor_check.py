@@ -14,7 +14,7 @@ from functools import lru_cache
 from comarmor.errors import Diagnostic, Origin, Severity
 from keymint.api import TrustAnchor, TrustAnchors
 from keymint.errors import KeymintError
-from keymint.pki import certificates, names, smime, verify
+from keymint.pki import certificates, certification_path, distinguished_names, smime
 from keymint_ros2_dds.credentials import CredentialCheck
 from keymint_ros2_dds.enclave_layout import (
     CA,
@@ -112,11 +112,11 @@ class _AnchorCheck(CredentialCheck):
         try:
             pem = enclave_file(self._files, self._folder, CERTIFICATE)
             certificate = certificates.load(pem, where)
-            expected = names.parse(self._anchors.subject_name)
+            expected = distinguished_names.parse(self._anchors.subject_name)
         except KeymintError as error:
             yield from error.diagnostics
             return
-        findings = verify.verify_chain(pem, self._anchors.identity.chain, _ANY_TIME, where)
+        findings = certification_path.verify_chain(pem, self._anchors.identity.chain, _ANY_TIME, where)
         yield from (finding for finding in findings if finding.code not in _TIMES)
         yield from self._subject_name(certificate, expected)
         # An encrypted key cannot be read without its password, and nothing is claimed of it.

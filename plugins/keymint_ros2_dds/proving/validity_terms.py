@@ -10,7 +10,7 @@ from functools import lru_cache
 from comarmor.errors import Origin
 from keymint.api import ValidityTerm
 from keymint.errors import KeymintError
-from keymint.pki import certificates, names
+from keymint.pki import certificates, distinguished_names
 from keymint_ros2_dds.credentials import revocation_period
 from keymint_ros2_dds.decision import VARIATIONS, PermissionsDocument
 from keymint_ros2_dds.enclave_layout import CA, CERTIFICATE, CRL, IDENTITY_CA, PERMISSIONS_CA
@@ -44,7 +44,7 @@ def of_certificates(files: Mapping[str, bytes], folder: str) -> Iterator[Validit
 @lru_cache(maxsize=64)
 def _certificates(pem: bytes) -> tuple[tuple[str, Period], ...]:
     return tuple(
-        (names.to_text(each.subject), (each.not_valid_before_utc, each.not_valid_after_utc))
+        (distinguished_names.to_text(each.subject), (each.not_valid_before_utc, each.not_valid_after_utc))
         for each in certificates.load_bundle(pem)
     )
 

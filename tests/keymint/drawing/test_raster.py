@@ -10,7 +10,7 @@ import pytest
 
 from keymint.drawing import raster
 from keymint.drawing.dot import dot
-from keymint.drawing.options import DrawingOptions
+from keymint.drawing.picture_options import DrawingOptions
 from keymint.drawing.raster import png
 from keymint.drawing.svg import svg
 from keymint.errors import KeymintError

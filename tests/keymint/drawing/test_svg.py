@@ -10,8 +10,8 @@ from lxml import etree
 
 from keymint.drawing.dot import dot
 from keymint.drawing.labelled_graph import LabelledEdge, LabelledGraph, select_edges
-from keymint.drawing.options import DrawingOptions, Split
 from keymint.drawing.palette import Theme
+from keymint.drawing.picture_options import DrawingOptions, Split
 from keymint.drawing.simplify import shown_edges
 from keymint.drawing.svg import svg
 from keymint.graph import MISMATCHES, Object

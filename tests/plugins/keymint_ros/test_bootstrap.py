@@ -12,7 +12,7 @@ from keymint_ros import package_type, profile_type
 import comarmor
 from keymint.api import DomainRange, KeySpec
 from keymint.errors import KeymintError
-from keymint.pki import names
+from keymint.pki import distinguished_names
 
 from .workspaces import NOW, REQUEST, ROOT, RULES, Workspace, write_folder
 
@@ -80,7 +80,10 @@ def test_validity_begins_at_least_a_day_ago_and_is_written_out() -> None:
 
 @pytest.mark.parametrize(
     ("subject_format", "expected"),
-    [("unique", f"OU={names.unique_suffix('/robot1/talker')},CN=/robot1/talker"), ("sros2", "CN=/robot1/talker")],
+    [
+        ("unique", f"OU={distinguished_names.unique_suffix('/robot1/talker')},CN=/robot1/talker"),
+        ("sros2", "CN=/robot1/talker"),
+    ],
 )
 def test_subject_formats(subject_format: str, expected: str) -> None:
     package = Workspace.new(replace(REQUEST, subject_format=subject_format)).load()
@@ -93,8 +96,8 @@ def test_a_long_name_keeps_its_subject_unique() -> None:
     rules = replace(RULES, subject=f"/{name}")
     files = package_type.create(workspace.load_profile(), rules, {}, force=False)
     package = replace(workspace, package=files, name=name).load()
-    assert names.parse(package.identity.subject_name)
-    assert names.unique_suffix(f"/{name}") in package.identity.subject_name
+    assert distinguished_names.parse(package.identity.subject_name)
+    assert distinguished_names.unique_suffix(f"/{name}") in package.identity.subject_name
 
 
 def test_governance_is_conservative_and_names_the_domain() -> None:

@@ -6,7 +6,7 @@ from hypothesis import strategies as st
 
 from comarmor.errors import Origin
 from keymint.errors import KeymintError
-from keymint.pki import certificates, keys, names
+from keymint.pki import certificates, distinguished_names, keys
 
 HERE = Origin("identities.xml", 3)
 
@@ -35,7 +35,7 @@ HERE = Origin("identities.xml", 3)
     ],
 )
 def test_the_forms_found_in_the_field_are_read(text: str, expected: str) -> None:
-    assert names.to_text(names.parse(text)) == expected
+    assert distinguished_names.to_text(distinguished_names.parse(text)) == expected
 
 
 @pytest.mark.parametrize(
@@ -66,7 +66,7 @@ def test_the_forms_found_in_the_field_are_read(text: str, expected: str) -> None
 )
 def test_what_is_no_name_is_an_error_with_its_place(text: str, message: str) -> None:
     with pytest.raises(KeymintError) as caught:
-        names.parse(text, HERE)
+        distinguished_names.parse(text, HERE)
     assert message in str(caught.value)
     assert str(caught.value).startswith("identities.xml:3: ")
     assert "\n" not in str(caught.value)
@@ -81,18 +81,18 @@ PAIRS = st.lists(
 @given(PAIRS)
 def test_text_is_read_back_as_the_name_it_was_made_of(pairs: list[tuple[str, str]]) -> None:
     escaped = ",".join(f"{kind}=" + "".join(f"\\{byte:02X}" for byte in value.encode()) for kind, value in pairs)
-    name = names.parse(escaped)
+    name = distinguished_names.parse(escaped)
     assert [part.value for part in name] == [value for _, value in pairs]
-    assert names.parse(names.to_text(name)) == name
+    assert distinguished_names.parse(distinguished_names.to_text(name)) == name
 
 
 @given(st.text(max_size=60) | st.text('CN=,/\\+ ao0"', max_size=30))
 def test_any_text_is_a_name_or_an_error_of_ours(text: str) -> None:
     try:
-        name = names.parse(text)
+        name = distinguished_names.parse(text)
     except KeymintError:
         return
-    assert names.parse(names.to_text(name)) == name
+    assert distinguished_names.parse(distinguished_names.to_text(name)) == name
 
 
 @given(
@@ -106,14 +106,14 @@ def test_any_text_is_a_name_or_an_error_of_ours(text: str) -> None:
     )
 )
 def test_what_is_rendered_for_dds_is_read_back(pairs: list[tuple[str, str]]) -> None:
-    name = names.parse(",".join(f"{kind}={value}" for kind, value in pairs))
+    name = distinguished_names.parse(",".join(f"{kind}={value}" for kind, value in pairs))
     try:
-        text = names.render(name)
+        text = distinguished_names.render(name)
     except KeymintError as error:
         assert "parts between" in str(error)  # noqa: PT017 - the one refusal that these names can meet
         return
     assert text == ",".join(f"{kind}={value}" for kind, value in reversed(pairs))
-    assert names.parse_rendered(text) == name
+    assert distinguished_names.parse_rendered(text) == name
 
 
 @pytest.mark.parametrize(
@@ -131,8 +131,11 @@ def test_what_is_rendered_is_what_openssl_prints_for_the_vendors(openssl, spec, 
     issued = certificates.issue_authority(spec(text), key, None)
     openssl.put(ca=issued.pem)
     printed = openssl.run("x509", "-in", "ca", "-noout", "-subject", "-nameopt", "RFC2253").stdout.decode()
-    assert names.render(issued.certificate.subject) == printed.strip().removeprefix("subject=")
-    assert names.parse_rendered(names.render(issued.certificate.subject)) == issued.certificate.subject
+    assert distinguished_names.render(issued.certificate.subject) == printed.strip().removeprefix("subject=")
+    assert (
+        distinguished_names.parse_rendered(distinguished_names.render(issued.certificate.subject))
+        == issued.certificate.subject
+    )
 
 
 @pytest.mark.parametrize(
@@ -150,13 +153,13 @@ def test_what_is_rendered_is_what_openssl_prints_for_the_vendors(openssl, spec, 
 )
 def test_names_that_vendors_compare_differently_are_refused(text: str, message: str) -> None:
     with pytest.raises(KeymintError) as caught:
-        names.render(names.parse(text), HERE)
+        distinguished_names.render(distinguished_names.parse(text), HERE)
     assert message in str(caught.value)
     assert caught.value.diagnostics[0].code == "portability-subject-name"
 
 
 def test_nineteen_path_segments_are_what_cyclone_takes() -> None:
-    assert names.render(names.parse("CN=" + "/a" * 19)) == "CN=" + "/a" * 19
+    assert distinguished_names.render(distinguished_names.parse("CN=" + "/a" * 19)) == "CN=" + "/a" * 19
 
 
 SUBJECTS = st.lists(st.from_regex(r"[A-Za-z_][A-Za-z0-9_]{0,79}", fullmatch=True), min_size=1, max_size=30).map(
@@ -166,14 +169,14 @@ SUBJECTS = st.lists(st.from_regex(r"[A-Za-z_][A-Za-z0-9_]{0,79}", fullmatch=True
 
 @given(SUBJECTS)
 def test_every_subject_has_a_common_name_that_fits(subject: str) -> None:
-    common = names.common_name(subject)
+    common = distinguished_names.common_name(subject)
     assert (common == subject) == (len(subject) <= 64 and subject.count("/") <= 16)
     assert subject.endswith(common) or f"/{subject.rpartition('/')[2]}".startswith(common)
-    unit = names.unique_suffix(subject)
-    assert names.render(names.parse(f"OU={unit},CN={common}")) == f"CN={common},OU={unit}"
+    unit = distinguished_names.unique_suffix(subject)
+    assert distinguished_names.render(distinguished_names.parse(f"OU={unit},CN={common}")) == f"CN={common},OU={unit}"
 
 
 def test_unique_suffixes_are_deterministic_and_differ() -> None:
-    assert names.unique_suffix("/robot") == names.unique_suffix("/robot")
-    assert names.unique_suffix("/robot") != names.unique_suffix("/robot/camera")
-    assert len(names.unique_suffix("/robot")) == 32
+    assert distinguished_names.unique_suffix("/robot") == distinguished_names.unique_suffix("/robot")
+    assert distinguished_names.unique_suffix("/robot") != distinguished_names.unique_suffix("/robot/camera")
+    assert len(distinguished_names.unique_suffix("/robot")) == 32

@@ -13,7 +13,7 @@ from cryptography import x509
 
 from comarmor.errors import Diagnostic, Origin, Severity
 from keymint.errors import KeymintError
-from keymint.pki import certificates, extensions, names
+from keymint.pki import certificates, distinguished_names, extensions
 
 _UNDERSTOOD = (
     x509.BasicConstraints,
@@ -144,4 +144,4 @@ def _authority(certificate: x509.Certificate, below: Sequence[x509.Certificate])
 
 
 def _shown(name: x509.Name) -> str:
-    return repr(names.to_text(name))
+    return repr(distinguished_names.to_text(name))

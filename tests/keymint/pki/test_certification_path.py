@@ -10,7 +10,7 @@ from cryptography.hazmat.primitives import hashes, serialization
 from comarmor.errors import Origin
 from keymint.api import CertificateSpec, KeySpec
 from keymint.pki import certificates, keys
-from keymint.pki.verify import verify_chain
+from keymint.pki.certification_path import verify_chain
 
 NOW = datetime(2026, 11, 21, tzinfo=UTC)
 HERE = Origin("install/enclaves/talker/cert.pem")
