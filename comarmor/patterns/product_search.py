@@ -53,7 +53,7 @@ class ProductSearch:
         best, apart = self._among_literals()
         start: _State = (
             self._derivatives.universe,
-            tuple(self._residual(each) for each in self._together),
+            tuple(self._residual(decisions) for decisions in self._together),
             self._residual(self._other),
             frozenset(self._derivatives.node((text,) if text else ()) for text in apart),
         )
@@ -86,11 +86,11 @@ class ProductSearch:
             at which the search must not stop.
         """
         lists = (*self._together, self._other)
-        full, wild = ([Evaluator(each, literals=flag) for each in lists] for flag in (True, False))
-        texts = {text for each in full for text in each.literals if text in self._universe}
+        full, wild = ([Evaluator(decisions, literals=flag) for decisions in lists] for flag in (True, False))
+        texts = {text for evaluator in full for text in evaluator.literals if text in self._universe}
 
         def differs(evaluators: list[Evaluator], text: str) -> bool:
-            return all(each.permits(text) for each in evaluators[:-1]) is not evaluators[-1].permits(text)
+            return all(evaluator.permits(text) for evaluator in evaluators[:-1]) is not evaluators[-1].permits(text)
 
         return shortest(t for t in texts if differs(full, t)), sorted(t for t in texts if differs(wild, t))
 
@@ -114,29 +114,29 @@ class ProductSearch:
         inside = self._derivatives.step(place, letter) if place is not None else ()
         if not inside:
             return None
-        left = tuple(self._stepped(each, letter) for each in together)
+        left = tuple(self._stepped(residual, letter) for residual in together)
         right = self._stepped(other, letter)
-        if all(each == right for each in left):
+        if all(residual == right for residual in left):
             return None
         return inside[0], left, right, self._derivatives.steps(apart, letter)
 
     def _stepped(self, residual: Residual, letter: str) -> Residual:
         key = (residual, letter)
-        found = self._after.get(key)
-        if found is None:
+        rest = self._after.get(key)
+        if rest is None:
             derivatives = self._derivatives
-            found = _reduced(
+            rest = _reduced(
                 ((allows, derivatives.steps(nodes, letter)) for allows, nodes in residual), derivatives.everything
             )
-            self._after[key] = found
-        return found
+            self._after[key] = rest
+        return rest
 
     def _differs(self, state: _State) -> bool:
         place, together, other, apart = state
         accepts = self._derivatives.accepts
         if place is None or not accepts[place] or any(accepts[node] for node in apart):
             return False
-        return all(self._permits(each) for each in together) is not self._permits(other)
+        return all(self._permits(residual) for residual in together) is not self._permits(other)
 
     def _permits(self, residual: Residual) -> bool:
         accepts = self._derivatives.accepts
@@ -145,29 +145,29 @@ class ProductSearch:
 
 def _nodes(state: _State) -> list[int]:
     place, together, other, apart = state
-    found = [] if place is None else [place]
+    all_nodes = [] if place is None else [place]
     for residual in (*together, other):
-        for _, nodes in residual:
-            found.extend(nodes)
-    return [*found, *apart]
+        for _, block_nodes in residual:
+            all_nodes.extend(block_nodes)
+    return [*all_nodes, *apart]
 
 
 def _reduced(blocks: Iterable[tuple[bool, frozenset[int]]], everything: int) -> Residual:
     """Drop nodes of earlier blocks, blocks after one that matches every word, and a last denial."""
-    found: list[tuple[bool, frozenset[int]]] = []
+    reduced: list[tuple[bool, frozenset[int]]] = []
     known: frozenset[int] = frozenset()
     for allows, nodes in blocks:
         new = frozenset((everything,)) if everything in nodes else nodes - known
         if not new:
             continue
         known |= new
-        if found and found[-1][0] is allows:
-            found[-1] = (allows, found[-1][1] | new)
+        if reduced and reduced[-1][0] is allows:
+            reduced[-1] = (allows, reduced[-1][1] | new)
         else:
-            found.append((allows, new))
+            reduced.append((allows, new))
         if everything in new:
-            found[-1] = (allows, new)
+            reduced[-1] = (allows, new)
             break
-    while found and not found[-1][0]:
-        found.pop()
-    return tuple(found)
+    while reduced and not reduced[-1][0]:
+        reduced.pop()
+    return tuple(reduced)

@@ -64,7 +64,7 @@ def _weaker_protection(inspection: Inspection, governing: EnclaveGovernance) -> 
         for result in results:
             if isinstance(result, Weaker):
                 scope = f" for {result.topic!r}" if result.topic else ""
-                message = f"{result.tag} is {result.text}{scope}, but the sources say {result.said}"
+                message = f"{result.tag} is {result.text}{scope}, but the sources require {result.required}"
                 where = document.place(result.line)
                 yield Diagnostic("governance-weaker", Severity.ERROR, message, where, help_, subject)
             else:

@@ -156,7 +156,7 @@ class DocumentEvaluator:
                 return self._by_default(topic)
             if named is not None and not named.allows:
                 return self._by(named, f"denies the topic {topic!r}", allowed=False)
-        names = [fnmatch.in_bytes(each) for each in partitions] or DEFAULT_PARTITION
+        names = [fnmatch.in_bytes(partition) for partition in partitions] or DEFAULT_PARTITION
         for step in self._steps.get(action, ()):
             if not step.topics.match(name):
                 continue
@@ -173,7 +173,7 @@ class DocumentEvaluator:
         need = all if step.allows else any
         if step.tags is not None and self.semantics.tags_count and not need(tag in step.tags for tag in tags):
             return False
-        return step.partitions is None or need(step.partitions.match(each) for each in partitions)
+        return step.partitions is None or need(step.partitions.match(partition) for partition in partitions)
 
     def _by(self, step: _CriteriaStep, text: str, *, allowed: bool) -> EndpointDecision:
         rule = "allow_rule" if step.allows else "deny_rule"
@@ -225,21 +225,21 @@ def _step(rule: DocumentRule, group: Sequence[DocumentCriteria], semantics: Sema
     else:
         unlisted = any(item.partitions is None for item in group)
         everywhere = semantics.deny_topic or (unlisted and not semantics.deny_default)
-    listed = (each for item in group for each in (DEFAULT_PARTITION if item.partitions is None else item.partitions))
+    partitions = (p for item in group for p in (DEFAULT_PARTITION if item.partitions is None else item.partitions))
     tags = None if any(item.tags is None for item in group) else frozenset(t for item in group for t in item.tags or ())
     return _CriteriaStep(
         rule.allows,
         group[0].action,
         _patterns((topic for item in group for topic in item.topics), semantics),
-        None if everywhere else _patterns(listed, semantics),
+        None if everywhere else _patterns(partitions, semantics),
         tags,
         group[0].line,
     )
 
 
 def _patterns(expressions: Iterable[str], semantics: Semantics) -> _Expressions:
-    texts = frozenset(fnmatch.in_bytes(semantics.reads_text(each)) for each in expressions)
-    plain = frozenset(each for each in texts if fnmatch.is_plain(each))
+    texts = frozenset(fnmatch.in_bytes(semantics.reads_text(expression)) for expression in expressions)
+    plain = frozenset(text for text in texts if fnmatch.is_plain(text))
     return _Expressions(plain, _compiled(tuple(sorted(texts - plain)), semantics.fnmatch) if texts - plain else None)
 
 

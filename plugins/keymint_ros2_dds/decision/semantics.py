@@ -121,7 +121,9 @@ class Semantics:
     def applies(self, rule: DocumentRule, domain: int) -> bool:
         """Return whether a rule applies in a domain."""
         exact = self.min_only_is_exact
-        return not self.domains_count or any(each.contain(domain, min_only_is_exact=exact) for each in rule.domains)
+        return not self.domains_count or any(
+            domains.contain(domain, min_only_is_exact=exact) for domains in rule.domains
+        )
 
     def period(self, grant: DocumentGrant) -> tuple[datetime, datetime] | None:
         """Return the period of validity of a grant, both ends included; None if it is never valid."""
@@ -184,7 +186,9 @@ class Variation:
 
 @functools.lru_cache(maxsize=64)
 def _semantics(variation: Variation) -> Semantics:
-    return functools.reduce(lambda points, each: replace(points, **each.changes), variation.deviations, STANDARD)
+    return functools.reduce(
+        lambda semantics, deviation: replace(semantics, **deviation.changes), variation.deviations, STANDARD
+    )
 
 
 def _on(row: str, name: str, text: str, **changes: Any) -> Deviation:
@@ -238,7 +242,7 @@ FAST_DEVIATIONS = (
 OMG = Variation("omg")
 CYCLONEDDS_0_10 = Variation("cyclonedds-0.10", CYCLONE_DEVIATIONS)
 FASTDDS_2_9 = Variation("fastdds-2.9", FAST_DEVIATIONS)
-VARIATIONS: Mapping[str, Variation] = {each.name: each for each in (OMG, CYCLONEDDS_0_10, FASTDDS_2_9)}
+VARIATIONS: Mapping[str, Variation] = {variation.name: variation for variation in (OMG, CYCLONEDDS_0_10, FASTDDS_2_9)}
 
 
 def explain(ask: Callable[[Variation], bool], variation: Variation) -> tuple[Deviation, ...]:
@@ -253,8 +257,8 @@ def explain(ask: Callable[[Variation], bool], variation: Variation) -> tuple[Dev
     expected, decided = ask(OMG), ask(variation)
     if expected == decided:
         return ()
-    alone = tuple(each for each in variation.deviations if ask(variation.only(each)) == decided)
+    alone = tuple(item for item in variation.deviations if ask(variation.only(item)) == decided)
     if alone:
         return alone
-    needed = tuple(each for each in variation.deviations if ask(variation.without(each)) == expected)
+    needed = tuple(item for item in variation.deviations if ask(variation.without(item)) == expected)
     return needed or variation.deviations

@@ -20,17 +20,19 @@ def same_name(grant: str, identity: str) -> bool:
     if text == identity:
         return True
     try:
-        wanted = list(distinguished_names.parse_rendered(identity).rdns)
-        found = list(distinguished_names.parse(text).rdns)
+        identity_rdns = list(distinguished_names.parse_rendered(identity).rdns)
+        grant_rdns = list(distinguished_names.parse(text).rdns)
     except KeymintError:
         return False
-    return found in (wanted, wanted[::-1])
+    return grant_rdns in (identity_rdns, identity_rdns[::-1])
 
 
 def parts_occur(grant: str, identity: str) -> bool:
     """Compare as Cyclone DDS: split at ``,``, ``/`` and ``|``; the grant must have every part of the identity."""
-    wanted, found = _parts(identity), _parts(grant)
-    return len(wanted) <= _MAX_PARTS and len(found) <= _MAX_PARTS and set(wanted) <= set(found)
+    identity_parts, grant_parts = _parts(identity), _parts(grant)
+    return (
+        len(identity_parts) <= _MAX_PARTS and len(grant_parts) <= _MAX_PARTS and set(identity_parts) <= set(grant_parts)
+    )
 
 
 def _parts(name: str) -> list[str]:

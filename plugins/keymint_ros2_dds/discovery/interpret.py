@@ -47,8 +47,8 @@ def _unfolded(edges: Iterable[Edge]) -> Iterator[Edge]:
 
 
 def _ros_types(graph: Graph) -> Iterator[tuple[Object, str]]:
-    for found, name in graph.types:
-        entity = ros_name(found) if found.kind == "topic" else None
+    for object_, name in graph.types:
+        entity = ros_name(object_) if object_.kind == "topic" else None
         if entity:
             yield (
                 Object("ros_topic" if entity.part == "rt" else "ros_service", entity.name),
@@ -68,13 +68,13 @@ def _ros_edges(edges: set[Edge]) -> Iterator[Edge]:
         else:
             half = (edge.permission, entity.part)
             role = next(role for role, both in _ROLES.items() if half in both)
-            whole = Edge(edge.subject, role, Object("ros_service", entity.name), edge.domain)
-            halves.setdefault(whole, {}).setdefault(half, set()).add(edge)
-    for whole, found in halves.items():
-        if found.keys() == _ROLES[whole.permission]:
-            yield whole
-        elif whole not in edges:
-            for half_edges in found.values():
+            combined = Edge(edge.subject, role, Object("ros_service", entity.name), edge.domain)
+            halves.setdefault(combined, {}).setdefault(half, set()).add(edge)
+    for combined, endpoints in halves.items():
+        if endpoints.keys() == _ROLES[combined.permission]:
+            yield combined
+        elif combined not in edges:
+            for half_edges in endpoints.values():
                 yield from half_edges
 
 
@@ -82,8 +82,8 @@ def _folded(edges: set[Edge], types: Types) -> tuple[set[Edge], Types]:
     """Combine complete entities; a subject that lacks a part keeps the other parts."""
     kept, named = set(edges), set(types)
     of_object: dict[Object, list[str]] = {}
-    for found, name in types:
-        of_object.setdefault(found, []).append(name)
+    for object_, name in types:
+        of_object.setdefault(object_, []).append(name)
     for edge in edges:
         for (kind, permission, suffix), (composite, whole) in _FIRST.items():
             if (edge.object.kind, edge.permission) != (kind, permission) or not edge.object.name.endswith(suffix):

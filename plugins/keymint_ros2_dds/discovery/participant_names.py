@@ -58,24 +58,28 @@ def name_participants(
         if (entity.part, endpoint.permission) == ("rq", "subscribe"):
             serves.setdefault(endpoint.participant, set()).add(node)
     diagnostics: list[Diagnostic] = []
-    for one in sorted(participants):
-        origin = ("the name that you gave", names[one.guid]) if one.guid in names else _announced(one, serves, meets)
+    for participant in sorted(participants):
+        origin = (
+            ("the name that you gave", names[participant.guid])
+            if participant.guid in names
+            else _announced(participant, serves, meets)
+        )
         if origin is None:
-            names[one.guid] = f"/participant_{one.guid[:24]}"
+            names[participant.guid] = f"/participant_{participant.guid[:24]}"
             diagnostics.append(
                 Diagnostic(
                     "subject-unknown",
                     Severity.WARNING,
-                    f"participant {one.guid} in domain {one.domain} does not announce a name; it is named "
-                    f"{names[one.guid]}",
+                    f"participant {participant.guid} in domain {participant.domain} does not announce a name; "
+                    f"it is named {names[participant.guid]}",
                     help=f"name it with {_ASKED}",
-                    subject=names[one.guid],
+                    subject=names[participant.guid],
                 )
             )
             continue
-        how, names[one.guid] = origin
-        message = f"participant {one.guid} in domain {one.domain} is {names[one.guid]}: {how}"
-        diagnostics.append(Diagnostic("subject-named", Severity.NOTE, message, subject=names[one.guid]))
+        how, names[participant.guid] = origin
+        message = f"participant {participant.guid} in domain {participant.domain} is {names[participant.guid]}: {how}"
+        diagnostics.append(Diagnostic("subject-named", Severity.NOTE, message, subject=names[participant.guid]))
     diagnostics += _shared(participants, names, given)
     return names, diagnostics
 
@@ -89,13 +93,13 @@ def _shared(
     get each other's rights. Names that the user gave are not reported.
     """
     merged: dict[tuple[int, str], list[DiscoveredParticipant]] = {}
-    for one in sorted(participants):
-        merged.setdefault((one.domain, names[one.guid]), []).append(one)
+    for participant in sorted(participants):
+        merged.setdefault((participant.domain, names[participant.guid]), []).append(participant)
     for (domain, name), together in merged.items():
         if len(together) < 2 or name in given.values():  # noqa: PLR2004 - nothing is merged
             continue
-        enclave = all(_fields(one.user_data).get("enclave") == name for one in together)
-        guids = first_few([one.guid for one in together], _MOST)
+        enclave = all(_fields(participant.user_data).get("enclave") == name for participant in together)
+        guids = first_few([participant.guid for participant in together], _MOST)
         yield Diagnostic(
             "subject-shared",
             Severity.NOTE if enclave else Severity.WARNING,
@@ -107,21 +111,25 @@ def _shared(
 
 
 def _announced(
-    one: DiscoveredParticipant, serves: Mapping[str, set[str]], meets: Mapping[str, set[str]]
+    participant: DiscoveredParticipant, serves: Mapping[str, set[str]], meets: Mapping[str, set[str]]
 ) -> tuple[str, str] | None:
     """Return how a participant announces its name, and the name; or None."""
-    fields = _fields(one.user_data)
+    fields = _fields(participant.user_data)
     enclave = fields.get("enclave", "")
     if legal_subject(enclave):
         return "the enclave in its user data", enclave
     node = f"{fields.get('namespace', '/').rstrip('/')}/{fields.get('name', '')}"
     if legal_subject(node):
         return "node and namespace in its user data", node
-    name = one.name if one.name.startswith("/") else f"/{one.name}"
+    name = participant.name if participant.name.startswith("/") else f"/{participant.name}"
     if legal_subject(name):
-        full_names = [node for node in (*serves.get(one.guid, ()), *meets.get(one.guid, ())) if node.endswith(name)]
+        full_names = [
+            node
+            for node in (*serves.get(participant.guid, ()), *meets.get(participant.guid, ()))
+            if node.endswith(name)
+        ]
         return "the participant's name", full_names[0] if len(set(full_names)) == 1 else name
-    served = [node for node in serves.get(one.guid, ()) if legal_subject(node)]
+    served = [node for node in serves.get(participant.guid, ()) if legal_subject(node)]
     if len(served) == 1:
         return "the node whose parameters it serves", served[0]
     return None
@@ -143,9 +151,9 @@ def _given(participants: Sequence[DiscoveredParticipant], given: Mapping[str, st
             )
         if not legal_subject(name):
             raise _refused(f"{name!r} is not the name of a subject", "a name is '/' and segments, e.g. /robot1/talker")
-        for one in participants:
-            if one.guid.startswith(guid):
-                names[one.guid] = name
+        for participant in participants:
+            if participant.guid.startswith(guid):
+                names[participant.guid] = name
     return names
 
 

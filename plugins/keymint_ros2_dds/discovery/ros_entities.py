@@ -56,10 +56,10 @@ def ros_type(dds_type: str, part: str) -> str:
         dds_type: the DDS type's name.
         part: as :attr:`RosName.part`; the types of requests and replies give that of the service.
     """
-    found = _TYPE.match(dds_type)
-    if found is None:
+    match = _TYPE.match(dds_type)
+    if match is None:
         return dds_type
-    name = found[2]
+    name = match[2]
     if part != "rt":
         name = name.removesuffix("_Request" if part == "rq" else "_Response")
-    return "/".join([*found[1].split("::"), name])
+    return "/".join([*match[1].split("::"), name])

@@ -1,7 +1,7 @@
 """Compare the trust anchors of an enclave with the authorities of the workspace.
 
-Vendors trust the authorities in the enclave. An enclave of someone else is consistent in itself, so only a comparison
-with the workspace detects it.
+Vendors trust the authorities in the enclave. If someone else issued all its files, they are consistent with each
+other, so only a comparison with the workspace detects it.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ Source: ``get_security_files`` in ``security.cpp`` of rmw_dds_common, from Jazzy
 """
 _ANY_TIME = datetime(2000, 1, 1, tzinfo=UTC)
 _TIMES = frozenset(("certificate-expired", "certificate-not-yet-valid"))
-"""Findings about time; they do not concern trust."""
+"""Codes of the findings about time, which do not concern trust."""
 
 
 def differences(files: Mapping[str, bytes], folder: str, anchors: TrustAnchors) -> tuple[Diagnostic, ...]:
@@ -47,9 +47,9 @@ def _missing(anchors: TrustAnchors) -> Iterator[Diagnostic]:
     for anchor in dict.fromkeys((anchors.identity, anchors.permissions)):
         if not anchor.chain:
             message = (
-                f"the certificate of the authority {anchor.name!r} is missing: nothing says whom enclaves may trust"
+                f"the certificate of the authority {anchor.name!r} is missing, so enclaves cannot be compared with it"
             )
-            help_ = "restore it from a copy of the workspace; that in the enclave vouches for nothing"
+            help_ = "restore it from a backup of the workspace; the copy in the enclave proves nothing"
             yield Diagnostic("authority-missing", Severity.ERROR, message, Origin(anchor.file), help_)
             continue
         try:
@@ -79,7 +79,7 @@ class _AnchorCheck(CredentialCheck):
 
     def findings(self) -> Iterator[Diagnostic]:
         yield from self._in_place_of()
-        help_ = f"remove it, or write a list of the authority {self._anchors.identity.name!r}"
+        help_ = f"remove it, or replace it with a list signed by the authority {self._anchors.identity.name!r}"
         yield from self._revocation_list(self._anchors.identity.chain, help_)
         yield from self._authorities()
         yield from self._identity()
@@ -88,7 +88,9 @@ class _AnchorCheck(CredentialCheck):
 
     def _in_place_of(self) -> Iterator[Diagnostic]:
         for name in sorted(self._files.keys() & IN_PLACE_OF.keys()):
-            message = f"is read in place of {IN_PLACE_OF[name]} by ROS 2 from Jazzy on: what it refers to is not known"
+            message = (
+                f"replaces {IN_PLACE_OF[name]} in ROS 2 Jazzy and later, and Keymint cannot check what it refers to"
+            )
             yield self._error("file-replaced", name, message, "remove it")
 
     def _authorities(self) -> Iterator[Diagnostic]:
@@ -104,7 +106,9 @@ class _AnchorCheck(CredentialCheck):
                 yield self._error("file-missing", name, "is missing")
             elif content is not None and content != anchor.chain:
                 message = f"is not the certificate of the workspace's authority {anchor.name!r}, {anchor.file}"
-                help_ = "the enclave trusts someone else: find out who wrote it, then 'keymint install' restores it"
+                help_ = (
+                    "the enclave trusts another authority: find out who wrote it before 'keymint install' restores it"
+                )
                 yield self._error("authority-differs", name, message, help_)
 
     def _identity(self) -> Iterator[Diagnostic]:
@@ -119,7 +123,7 @@ class _AnchorCheck(CredentialCheck):
         findings = certification_path.verify_chain(pem, self._anchors.identity.chain, _ANY_TIME, where)
         yield from (finding for finding in findings if finding.code not in _TIMES)
         yield from self._subject_name(certificate, expected)
-        # An encrypted key cannot be read without its password, and nothing is claimed of it.
+        # An encrypted key cannot be read without its password, so it is not compared with the certificate.
         yield from (finding for finding in self._key(certificate) if finding.code != "key-password")
 
     def _signed(self, name: str) -> Iterator[Diagnostic]:

@@ -96,13 +96,13 @@ class ProofQuestion:
         document: the document.
         spec: what it must permit.
         lowered: its rules in terms of DDS, from :func:`keymint_ros2_dds.lowering.lower.lower`.
-        governing: the governance beside it; None puts every topic, and joining, under access control.
+        governance: the governance beside it; None puts every topic, and joining, under access control.
     """
 
     document: PermissionsDocument
     spec: ProofSpec
     lowered: Lowered
-    governing: EnclaveGovernance | None = None
+    governance: EnclaveGovernance | None = None
 
 
 def prove_document(question: ProofQuestion, *, models: Sequence[str] | None = None) -> tuple[Claim, ...]:
@@ -146,31 +146,31 @@ class _Comparator:
 
     def __init__(self, question: ProofQuestion) -> None:
         self._question = question
-        opens = question.governing is not None and question.governing.opens()
+        opens = question.governance is not None and question.governance.opens()
         self.pairs = opens or permission_lists.has_partitions(question.lowered, question.document.grants)
         self._universe = Universe(
             octets.ALPHABET, fields=2 if self.pairs else 1, separator=permission_lists.SEPARATOR, last_nonempty=True
         )
-        self._said = {
+        self._policy = {
             action: permission_lists.of_policy(question.lowered, action, pairs=self.pairs) for action in ACTIONS
         }
         self._known: dict[tuple[object, ...], ProofResult] = {}
 
     def of(self, action: str, permitted: _Permitted, *, inside: bool) -> ProofResult:
         """Compare what the policy allows, in its domains or elsewhere, with what the document permits."""
-        said = self._said[action] if inside else ()
-        key = (said, permitted)
-        found = self._known.get(key)
-        if found is None:
+        policy = self._policy[action] if inside else ()
+        key = (policy, permitted)
+        result = self._known.get(key)
+        if result is None:
             budget = SearchBudget(self._question.spec.states, self._question.spec.go_on)
-            found = self._known[key] = self._compared(said, permitted, budget)
-        return found
+            result = self._known[key] = self._compared(policy, permitted, budget)
+        return result
 
-    def _compared(self, said: DecisionList, permitted: _Permitted, budget: SearchBudget) -> ProofResult:
+    def _compared(self, policy: DecisionList, permitted: _Permitted, budget: SearchBudget) -> ProofResult:
         if permitted.regions is None:
-            return difference(said, *permitted.lists, universe=self._universe, budget=budget)
+            return difference(policy, *permitted.lists, universe=self._universe, budget=budget)
         universe = without_wildcards(self._universe) if permitted.both_ways else self._universe
-        return governed_difference(said, permitted.lists, permitted.regions, permitted.exempt, universe, budget)
+        return governed_difference(policy, permitted.lists, permitted.regions, permitted.exempt, universe, budget)
 
 
 class _Model:
@@ -183,13 +183,13 @@ class _Model:
         self._semantics = VARIATIONS[name].semantics
         self._refused = self._semantics.refusal(question.document)
         self._unmodelled = "" if self._refused else self._semantics.unmodelled(question.document)
-        self._governing = question.governing
+        self._governance = question.governance
         self._governed: dict[int, DomainAccess] = {}
-        if self._governing is not None:
-            self._refused = self._refused or self._semantics.refusal(self._governing.document)
+        if self._governance is not None:
+            self._refused = self._refused or self._semantics.refusal(self._governance.document)
             if not self._refused:
-                governance = self._governing.document
-                odd = self._semantics.unmodelled(governance) or self._governing.outlandish()
+                document = self._governance.document
+                odd = self._semantics.unmodelled(document) or self._governance.outlandish()
                 self._unmodelled = self._unmodelled or odd
         self._eras = (
             ()
@@ -210,22 +210,22 @@ class _Model:
                 # That nothing is permitted outside of the policy's domains is reported only where it is wrong.
                 if inside or claim.proof is not Proof.PROVEN:
                     yield claim
-        if self._governing is not None and not self._refused and not self._unmodelled:
+        if self._governance is not None and not self._refused and not self._unmodelled:
             names = Universe(octets.ALPHABET, last_nonempty=True)
             subject, model = self._question.spec.rules.subject, self._variation.name
-            yield from protection.claims(subject, model, self._semantics, self._governing, names, self._budget())
+            yield from protection.claims(subject, model, self._semantics, self._governance, names, self._budget())
 
     def _budget(self) -> SearchBudget:
         return SearchBudget(self._question.spec.states, self._question.spec.go_on)
 
     def _rule(self, domain: int) -> DomainAccess | None:
         """Return the access control in a domain; None if the proof is about permissions only."""
-        if self._governing is None:
+        if self._governance is None:
             return None
-        found = self._governed.get(domain)
-        if found is None:
-            found = self._governed[domain] = DomainAccess(self._governing.document, domain, self._semantics)
-        return found
+        access = self._governed.get(domain)
+        if access is None:
+            access = self._governed[domain] = DomainAccess(self._governance.document, domain, self._semantics)
+        return access
 
     def _domains(self) -> Iterator[tuple[tuple[DomainRange, ...], bool]]:
         """Yield groups of domains with the same policy and rules, and whether the policy applies there."""
@@ -234,7 +234,7 @@ class _Model:
         rules = [rule for grant in grants for rule in grant.rules]
         ranges = [DocumentDomains(domains.first, domains.last) for domains in wanted]
         ranges += (domains for rule in rules for domains in rule.domains)
-        ranges += () if self._governing is None else self._governing.domains()
+        ranges += () if self._governance is None else self._governance.domains()
         permits_more = self._semantics.default_counts and any(grant.allows for grant in grants)
         groups: dict[tuple[object, ...], list[DomainRange]] = {}
         for domains in cuts(ranges):
@@ -244,11 +244,11 @@ class _Model:
             governed = self._rule(first)
             rule = None if governed is None else governed.rule
             opens = rule is not None and any(
-                not each.controls(action) for each in rule.topic_rules for action in ACTIONS
+                not topic_rule.controls(action) for topic_rule in rule.topic_rules for action in ACTIONS
             )
             # Without rules in the policy or the document there is nothing to compare.
             if inside or opens or (self._semantics.domains_count and (permits_more or any(applying))):
-                accepted = None if self._governing is None else self._governing.accepted_rule(first)
+                accepted = None if self._governance is None else self._governance.accepted_rule(first)
                 groups.setdefault((inside, rule, accepted, *applying), []).append(domains)
         for (applies, *_), group in groups.items():
             yield tuple(merged(group)), bool(applies)
@@ -269,14 +269,14 @@ class _Model:
             return claim(Proof.UNKNOWN, self._unmodelled)
         domain = domains[0].first
         try:
-            found = [(era, self._compare(era, action, domain, inside=inside)) for era in self._eras or (None,)]
+            outcomes = [(era, self._compare(era, action, domain, inside=inside)) for era in self._eras or (None,)]
         except PatternError as error:
             return claim(Proof.UNKNOWN, f"{self._question.document.file}: {error}")
-        witnesses = [(era, outcome) for era, outcome in found if isinstance(outcome, Witness)]
+        witnesses = [(era, outcome) for era, outcome in outcomes if isinstance(outcome, Witness)]
         if witnesses:
-            era, witness = min(witnesses, key=lambda each: len(each[1].word))
+            era, witness = min(witnesses, key=lambda pair: len(pair[1].word))
             return self._refuted(claim, action, domain, era, witness, inside=inside)
-        unknown = next((outcome for _, outcome in found if isinstance(outcome, Unknown)), None)
+        unknown = next((outcome for _, outcome in outcomes if isinstance(outcome, Unknown)), None)
         if unknown:
             return claim(Proof.UNKNOWN, unknown.reason, spent=True)
         return claim(Proof.UNKNOWN, self._by_locale) if self._by_locale else claim(Proof.PROVEN)
@@ -291,7 +291,7 @@ class _Model:
         pairs, semantics = self._comparison.pairs, self._semantics
         own = permission_lists.of_grant(grant, domain, action, semantics, pairs=pairs)
         governed = self._rule(domain)
-        if governed is None or self._governing is None:
+        if governed is None or self._governance is None:
             return _Permitted(own)
         default = semantics.default_counts and grant.allows
         joins = default or any(rule.allows and semantics.applies(rule, domain) for rule in grant.rules)
@@ -299,14 +299,14 @@ class _Model:
             return _Permitted(own, REFUSED) if inside else _Permitted(own)
         if not governed.admits(joins=joins):
             return _NONE
-        found = regions(governed.rule, action, semantics, pairs=pairs)
-        if found.closed:
+        topics = regions(governed.rule, action, semantics, pairs=pairs)
+        if topics.closed:
             return _Permitted(own)
         if not inside and not semantics.domains_count:
             own = (NOTHING,)  # by assumption the permissions are not used there
-        accepted = self._governing.accepted_rule(domain)
+        accepted = self._governance.accepted_rule(domain)
         exempt = NOTHING if accepted is None else regions(accepted, action, semantics, pairs=pairs).opened
-        return _Permitted(own, found, exempt, semantics.topic_rules_both_ways)
+        return _Permitted(own, topics, exempt, semantics.topic_rules_both_ways)
 
     def _both_ways(self, domain: int, action: str) -> bool:
         """Tell whether a claim excludes names with wildcards."""
@@ -317,20 +317,20 @@ class _Model:
 
     def _excepted(self, action: str, domain: int) -> tuple[str, ...]:
         governed = self._rule(domain)
-        if self._governing is None or governed is None or governed.rule is None:
+        if self._governance is None or governed is None or governed.rule is None:
             return ()
-        return tuple(self._governing.excepted(governed.rule, action, domain))
+        return tuple(self._governance.excepted(governed.rule, action, domain))
 
     def _refuted(
         self, claim: _Claiming, action: str, domain: int, era: GrantPeriod | None, witness: Witness, *, inside: bool
     ) -> Claim:
-        found = self._counterexample(action, domain, era, witness.word, inside=inside, permitted=not witness.left)
-        if found.policy.allowed is not witness.left or found.document.allowed is witness.left:
-            name = found.endpoint.object.name
+        example = self._counterexample(action, domain, era, witness.word, inside=inside, permitted=not witness.left)
+        if example.policy.allowed is not witness.left or example.document.allowed is witness.left:
+            name = example.endpoint.object.name
             return claim(
                 Proof.UNKNOWN, f"the engine and the plain evaluators disagree on {name!r}: a defect of Keymint"
             )
-        return claim(Proof.COUNTEREXAMPLE, "", found)
+        return claim(Proof.COUNTEREXAMPLE, "", example)
 
     def _counterexample(
         self, action: str, domain: int, era: GrantPeriod | None, word: str, *, inside: bool, permitted: bool
@@ -343,19 +343,19 @@ class _Model:
         rule = policy_evaluator.decide(rules, spec.distro, action, topic, partition)
         if rule is not None:
             verb = "allows" if rule.effect is Effect.ALLOW else "denies"
-            said = PolicyDecision(
+            policy = PolicyDecision(
                 rule.effect is Effect.ALLOW, rule.origin, Reason((f"the {rule.kind} rule {verb} it",)), rule.audit
             )
         else:
             reason = "no rule allows it" if inside else "not its domain"
-            said = PolicyDecision(allowed=False, where=None, reason=Reason((reason,)))
+            policy = PolicyDecision(allowed=False, where=None, reason=Reason((reason,)))
         verdict = self._verdict(action, domain, era, (topic, partition), permitted=permitted)
         return Counterexample(
             Edge(rules.subject, action, edges[0].object, domain),
             next((edge for edge in edges[1:] if policy_evaluator.is_ros_name(edge.object.name)), None),
-            said,
+            policy,
             verdict,
-            protection.help_for(self._governing, domain) if verdict.where and not verdict.line else "",
+            protection.help_for(self._governance, domain) if verdict.where and not verdict.line else "",
         )
 
     def _verdict(
@@ -375,23 +375,23 @@ class _Model:
         def ask(variation: Variation) -> EndpointDecision:
             evaluator = DocumentEvaluator(question.document, question.spec.subject_name, now, domain, variation)
             partitions = (partition,) if partition else ()
-            if self._governing is None:
+            if self._governance is None:
                 return evaluator.decide(action, topic, partitions)
-            governed = DomainAccess(self._governing.document, domain, variation.semantics)
-            found = governed.decide(evaluator, action, topic, partitions)
-            if not found.allowed and permitted and (alone := evaluator.decide(action, topic, partitions)).allowed:
+            governed = DomainAccess(self._governance.document, domain, variation.semantics)
+            outcome = governed.decide(evaluator, action, topic, partitions)
+            if not outcome.allowed and permitted and (alone := evaluator.decide(action, topic, partitions)).allowed:
                 reason = f"{alone.reason}; only the governance of this enclave refuses it: peers evaluate their own"
                 return replace(alone, reason=reason)
-            return found
+            return outcome
 
-        found = ask(self._variation)
+        outcome = ask(self._variation)
         deviation = ""
-        if self._variation.name != OMG.name and ask(OMG).allowed is not found.allowed:
-            deviation = "; ".join(map(str, decision.explain(lambda asked: ask(asked).allowed, self._variation)))
-        reason = found.reason
+        if self._variation.name != OMG.name and ask(OMG).allowed is not outcome.allowed:
+            deviation = "; ".join(map(str, decision.explain(lambda other: ask(other).allowed, self._variation)))
+        reason = outcome.reason
         if len(self._eras) > 1:
             reason += f" (by the grant in force from {era.begin:{_DATE}} to {era.end:{_DATE}})"
-        return Verdict(found.allowed, reason, found.line, deviation, found.where)
+        return Verdict(outcome.allowed, reason, outcome.line, deviation, outcome.where)
 
     def _never(self) -> Verdict:
         """Return why no grant is ever in force."""

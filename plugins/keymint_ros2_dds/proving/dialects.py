@@ -25,10 +25,10 @@ def read(expressions: tuple[str, ...], dialect: Dialect) -> tuple[Glob, ...]:
     Raises:
         PatternError: an expression contains notation that implementations read differently.
     """
-    text = "".join(expressions)
-    if fnmatch.is_plain(text):
-        if not text.isascii():
+    joined = "".join(expressions)
+    if fnmatch.is_plain(joined):
+        if not joined.isascii():
             expressions = tuple(map(fnmatch.in_bytes, expressions))
-        return tuple((each,) if each else () for each in dict.fromkeys(expressions))
-    patterns = dict.fromkeys(parse(each, _strict(dialect)) for each in expressions)
-    return tuple(patterns) if text.isascii() else tuple(dict.fromkeys(map(octets.of_glob, patterns)))
+        return tuple((text,) if text else () for text in dict.fromkeys(expressions))
+    patterns = dict.fromkeys(parse(expression, _strict(dialect)) for expression in expressions)
+    return tuple(patterns) if joined.isascii() else tuple(dict.fromkeys(map(octets.of_glob, patterns)))

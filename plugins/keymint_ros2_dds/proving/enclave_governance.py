@@ -92,9 +92,9 @@ class EnclaveGovernance:
         except PatternError:
             return False
         exact = all(
-            each.last is not None and each.first is not None for rule in document.domain_rules for each in rule.domains
+            item.last is not None and item.first is not None for rule in document.domain_rules for item in rule.domains
         )
-        wanted = {domain for each in domains for domain in range(each.first, each.last + 1)}
+        wanted = {domain for item in domains for domain in range(item.first, item.last + 1)}
         return closed and exact and all(document.rule(domain) is not None for domain in wanted)
 
     def outlandish(self) -> str:
@@ -133,10 +133,10 @@ class EnclaveGovernance:
 
 
 def cuts(ranges: Iterable[DocumentDomains]) -> Iterator[DomainRange]:
-    """Yield ranges of domains so that each given range has all or none of the domains of each."""
+    """Yield ranges of domains such that each given range contains all or none of the domains of each one."""
     edges = {0, LAST_DOMAIN + 1}
-    for each in ranges:
-        first = each.first or 0
-        edges |= {first, first + 1, *(() if each.last is None else (each.last + 1,))}
+    for domains in ranges:
+        first = domains.first or 0
+        edges |= {first, first + 1, *(() if domains.last is None else (domains.last + 1,))}
     for begin, end in pairwise(sorted(edge for edge in edges if 0 <= edge <= LAST_DOMAIN + 1)):
         yield DomainRange(begin, end - 1)

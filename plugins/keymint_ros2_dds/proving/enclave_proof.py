@@ -49,7 +49,7 @@ def prove(task: ProofTask, *, models: Sequence[str] | None = None) -> tuple[Clai
         task.states,
         task.go_on,
     )
-    return prove_content(content, place, spec, models=models, governing=_governing(task))
+    return prove_content(content, place, spec, models=models, governance=_read_governance(task))
 
 
 def terms(files: Mapping[str, bytes], folder: str, anchors: TrustAnchors) -> tuple[ValidityTerm, ...]:
@@ -75,7 +75,7 @@ def _document(
     return signed.content, (f"{folder}/{name}", offset)
 
 
-def _governing(task: ProofTask) -> EnclaveGovernance:
+def _read_governance(task: ProofTask) -> EnclaveGovernance:
     """Read the signed governance, and the one of the sources."""
     file = f"{task.folder}/{GOVERNANCE_P7S}"
     document = enclave_file(task.files, task.folder, GOVERNANCE_P7S)

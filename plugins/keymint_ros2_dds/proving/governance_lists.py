@@ -71,11 +71,11 @@ def regions(rule: DocumentDomainRule, action: str, semantics: Semantics, *, pair
         PatternError: implementations read an expression differently.
     """
     opened, either, covered = [], [], []
-    for each in rule.topic_rules:
-        found = patterns(each.expression, semantics, pairs=pairs)
-        opened.append(Block(not each.controls(action), found))
-        either.append(Block(not (each.read_controlled and each.write_controlled), found))
-        covered.append(Block(True, found))
+    for topic_rule in rule.topic_rules:
+        globs = patterns(topic_rule.expression, semantics, pairs=pairs)
+        opened.append(Block(not topic_rule.controls(action), globs))
+        either.append(Block(not (topic_rule.read_controlled and topic_rule.write_controlled), globs))
+        covered.append(Block(True, globs))
     closed = not any(block.allows for block in either) and any(
         _every(pairs=pairs) in block.patterns for block in covered
     )
@@ -88,8 +88,8 @@ def patterns(expression: str, semantics: Semantics, *, pairs: bool) -> tuple[Glo
     Raises:
         PatternError: implementations read it differently.
     """
-    found = read((semantics.reads_text(expression),), semantics.fnmatch)
-    return tuple(normalise((*EVERYTHING, SEPARATOR, *topic)) for topic in found) if pairs else found
+    globs = read((semantics.reads_text(expression),), semantics.fnmatch)
+    return tuple(normalise((*EVERYTHING, SEPARATOR, *topic)) for topic in globs) if pairs else globs
 
 
 def _every(*, pairs: bool) -> Glob:
@@ -105,19 +105,19 @@ def without_wildcards(universe: Universe) -> Universe:
     """Return the words of a universe without :data:`WILDCARDS`."""
     kept: list[tuple[int, int]] = []
     for low, high in universe.alphabet.ranges:
-        at = low
+        begin = low
         for char in sorted(map(ord, WILDCARDS)):
-            if at <= char <= high:
-                kept += [(at, char - 1)] if at < char else []
-                at = char + 1
-        kept += [(at, high)] if at <= high else []
+            if begin <= char <= high:
+                kept += [(begin, char - 1)] if begin < char else []
+                begin = char + 1
+        kept += [(begin, high)] if begin <= high else []
     return Universe(Charset(tuple(kept)), universe.fields, universe.separator, universe.last_nonempty)
 
 
 def difference(
-    said: DecisionList,
+    policy: DecisionList,
     permitted: Sequence[DecisionList],
-    found: Regions,
+    topics: Regions,
     exempt: DecisionList,
     universe: Universe,
     budget: SearchBudget,
@@ -125,9 +125,9 @@ def difference(
     """Compare what a policy allows with what the documents permit.
 
     Args:
-        said: what the policy allows.
+        policy: what the policy allows.
         permitted: the permissions' list for the endpoint, and for the topic where that is checked; all must permit.
-        found: topics by the governance.
+        topics: topics by the governance.
         exempt: permits the topics that may be open.
         universe: the words to compare.
         budget: limits of each search.
@@ -137,7 +137,7 @@ def difference(
     """
     best: Witness | None = None
     unknown: Unknown | None = None
-    for together, refusing, left in _questions(said, permitted, found, exempt):
+    for together, refusing, left in _questions(policy, permitted, topics, exempt):
         outcome = escapes(together, refusing, universe, budget)
         if isinstance(outcome, Unknown):
             unknown = outcome
@@ -147,7 +147,7 @@ def difference(
 
 
 def _questions(
-    said: DecisionList, permitted: Sequence[DecisionList], found: Regions, exempt: DecisionList
+    policy: DecisionList, permitted: Sequence[DecisionList], topics: Regions, exempt: DecisionList
 ) -> Iterator[tuple[tuple[DecisionList, ...], DecisionList, bool]]:
     """Yield the searches: lists that all permit, one that refuses, and whether the policy is among the first.
 
@@ -157,10 +157,10 @@ def _questions(
     """
     endpoint, *topic = permitted
     outside = (refused(exempt),) if exempt else ()
-    yield (found.opened, *outside), said, False
-    yield (endpoint, *topic, *outside), said, False
+    yield (topics.opened, *outside), policy, False
+    yield (endpoint, *topic, *outside), policy, False
     if topic:
-        yield (endpoint, found.either, *outside), said, False
-    for own, open_ in ((endpoint, found.opened), *((each, found.either) for each in topic)):
-        yield (said, refused(open_)), own, True
-    yield (said,), found.covered, True
+        yield (endpoint, topics.either, *outside), policy, False
+    for own, open_ in ((endpoint, topics.opened), *((checked, topics.either) for checked in topic)):
+        yield (policy, refused(open_)), own, True
+    yield (policy,), topics.covered, True

@@ -41,21 +41,25 @@ def has_partitions(lowered: Lowered, grants: Iterable[DocumentGrant]) -> bool:
 
 def of_policy(lowered: Lowered, action: str, *, pairs: bool) -> DecisionList:
     """Return the decision list of a policy for an action: deny overrides allow."""
-    found = []
+    blocks = []
     for effect, sides in ((Effect.DENY, lowered.deny), (Effect.ALLOW, lowered.allow)):
         every = (EVERYTHING,) if effect is Effect.DENY else (_DEFAULT,)
         topics: dict[Partitions, list[Glob]] = {}
-        for topic, listed in sides[TopicAction(action)]:
-            topics.setdefault(listed, []).append(octets.of_glob(topic))
+        for topic, partitions in sides[TopicAction(action)]:
+            topics.setdefault(partitions, []).append(octets.of_glob(topic))
         patterns: dict[Glob, None] = {}
-        for listed, own in topics.items():
+        for partitions, own in topics.items():
             patterns.update(
                 dict.fromkeys(
-                    _words(tuple(octets.of_glob(parse(each)) for each in listed) or every, tuple(own), pairs=pairs)
+                    _words(
+                        tuple(octets.of_glob(parse(partition)) for partition in partitions) or every,
+                        tuple(own),
+                        pairs=pairs,
+                    )
                 )
             )
-        found.append(Block(effect is Effect.ALLOW, tuple(patterns)))
-    return tuple(found)
+        blocks.append(Block(effect is Effect.ALLOW, tuple(patterns)))
+    return tuple(blocks)
 
 
 def of_grant(

@@ -24,7 +24,7 @@ def prove_content(
     *,
     models: Sequence[str] | None = None,
     lowered: Lowered | None = None,
-    governing: EnclaveGovernance | None = None,
+    governance: EnclaveGovernance | None = None,
 ) -> tuple[Claim, ...]:
     """Return the claims about a document, by model, action and domains.
 
@@ -34,23 +34,23 @@ def prove_content(
         spec: what it must permit.
         models: names of the models, of :data:`ASSUMPTIONS`; None: all.
         lowered: the rules in terms of DDS, if known.
-        governing: the governance of the enclave; None puts everything under access control.
+        governance: the governance of the enclave; None puts everything under access control.
 
     Raises:
         KeymintError: the document cannot be read, or a rule cannot be mapped.
     """
     names = tuple(ASSUMPTIONS if models is None else models)
-    if governing is not None and governing.transparent(spec.domains):
+    if governance is not None and governance.transparent(spec.domains):
         # A proof without governance holds for one that puts everything under access control.
         claims = prove_content(content, place, spec, models=models, lowered=lowered)
         if all(claim.proof is Proof.PROVEN for claim in claims):
             return claims
-    key = _key(content, spec, names, governing)
+    key = _key(content, spec, names, governance)
     known = _proven.get(key)
     if known is not None:
         return known
     document = decision.read(content, *place)
-    question = ProofQuestion(document, spec, lower(spec.rules, spec.distro) if lowered is None else lowered, governing)
+    question = ProofQuestion(document, spec, lower(spec.rules, spec.distro) if lowered is None else lowered, governance)
     claims = prove_document(question, models=names)
     # Proofs do not depend on the place of the document; counterexamples name it.
     if len(_proven) < MOST and all(claim.proof is Proof.PROVEN for claim in claims):
@@ -58,9 +58,9 @@ def prove_content(
     return claims
 
 
-def _key(content: bytes, spec: ProofSpec, models: tuple[str, ...], governing: EnclaveGovernance | None) -> bytes:
+def _key(content: bytes, spec: ProofSpec, models: tuple[str, ...], governance: EnclaveGovernance | None) -> bytes:
     """Return a digest of everything that proven claims depend on."""
     rules = tuple((r.effect, r.kind, r.permissions, r.expressions, r.partitions) for r in spec.rules.rules)
-    said = repr((spec.subject_name, spec.rules.subject, rules, spec.distro, spec.domains, models))
-    said += "" if governing is None else governing.key.hex()
-    return hashlib.sha256(hashlib.sha256(content).digest() + said.encode()).digest()
+    text = repr((spec.subject_name, spec.rules.subject, rules, spec.distro, spec.domains, models))
+    text += "" if governance is None else governance.key.hex()
+    return hashlib.sha256(hashlib.sha256(content).digest() + text.encode()).digest()

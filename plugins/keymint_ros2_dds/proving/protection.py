@@ -52,23 +52,23 @@ class Weaker:
         line: line of the rule.
         tag: the element.
         text: its value.
-        said: the value in the sources.
+        required: the value in the sources.
         topic: a topic that it protects; empty for the domain.
     """
 
     line: int
     tag: str
     text: str
-    said: str
+    required: str
     topic: str = ""
 
 
-def help_for(governing: EnclaveGovernance | None, domain: int) -> str:
-    """Return how to fix a governance that leaves something open, or refuses it."""
-    if governing is None:
+def help_for(governance: EnclaveGovernance | None, domain: int) -> str:
+    """Return how to fix a governance that leaves a topic or domain open, or refuses access to it."""
+    if governance is None:
         return ""
-    if governing.accepted_rule(domain) is not None:
-        return "the sources say otherwise: 'keymint install' signs what they build"
+    if governance.accepted_rule(domain) is not None:
+        return "the sources differ: run 'keymint install' to sign the governance that they build"
     return f"put it under access control in the governance of the package or its defaults, {ACCEPT}"
 
 
@@ -76,7 +76,7 @@ def claims(
     subject: str,
     model: str,
     semantics: Semantics,
-    governing: EnclaveGovernance,
+    governance: EnclaveGovernance,
     universe: Universe,
     budget: SearchBudget,
 ) -> Iterator[Claim]:
@@ -86,57 +86,57 @@ def claims(
         subject: the subject.
         model: name of the model.
         semantics: how documents are read.
-        governing: the governance.
+        governance: the governance.
         universe: names of topics.
         budget: limits of each search.
     """
-    for domains in cuts(governing.domains()):
-        rule = DomainAccess(governing.document, domains.first, semantics).rule
+    for domains in cuts(governance.domains()):
+        rule = DomainAccess(governance.document, domains.first, semantics).rule
         if rule is None:
             continue
-        own, accepted = governing.source_rule(domains.first), governing.accepted_rule(domains.first)
+        own, accepted = governance.source_rule(domains.first), governance.accepted_rule(domains.first)
         for tag, opens in (
             (JOIN, not rule.join_controlled and (accepted is None or accepted.join_controlled)),
             (UNAUTHENTICATED, rule.unauthenticated and (accepted is None or not accepted.unauthenticated)),
         ):
             if opens:
-                yield _join(subject, model, governing, domains, rule, tag)
-        if own is not None and governing.differs:
-            for found in weaker(rule, own, semantics, universe, budget):
-                yield _protect(subject, model, governing, domains, found)
+                yield _join(subject, model, governance, domains, rule, tag)
+        if own is not None and governance.differs:
+            for outcome in weaker(rule, own, semantics, universe, budget):
+                yield _protect(subject, model, governance, domains, outcome)
 
 
 def _join(
-    subject: str, model: str, governing: EnclaveGovernance, domains: DomainRange, rule: DocumentDomainRule, tag: str
+    subject: str, model: str, governance: EnclaveGovernance, domains: DomainRange, rule: DocumentDomainRule, tag: str
 ) -> Claim:
-    where = governing.document.place(rule.line_of(tag))
+    where = governance.document.place(rule.line_of(tag))
     who = {
         JOIN: f"{JOIN} is false: every identity of the authority may join",
         UNAUTHENTICATED: f"{UNAUTHENTICATED} is true: participants without identity and permissions may join",
     }
     reason = f"{who[tag]}{f' domain {domains.first}' if domains.first else ''}"
-    said = PolicyDecision(
+    policy = PolicyDecision(
         allowed=False, where=None, reason=Reason(("only subjects with a rule of the policy may join",))
     )
     endpoint = Edge(subject, "join", Object("domain", str(domains.first)), domains.first)
     verdict = Verdict(allowed=True, reason=reason, where=where)
-    example = Counterexample(endpoint, None, said, verdict, help_for(governing, domains.first))
+    example = Counterexample(endpoint, None, policy, verdict, help_for(governance, domains.first))
     return Claim(model, "join", (domains,), JOINS, Proof.COUNTEREXAMPLE, "", example)
 
 
 def _protect(
-    subject: str, model: str, governing: EnclaveGovernance, domains: DomainRange, found: Weaker | Unknown
+    subject: str, model: str, governance: EnclaveGovernance, domains: DomainRange, element: Weaker | Unknown
 ) -> Claim:
-    if isinstance(found, Unknown):
-        return Claim(model, "protect", (domains,), PROTECTED, Proof.UNKNOWN, found.reason, None, spent=True)
-    where = governing.document.place(found.line)
-    about = f" for the topic {found.topic!r}" if found.topic else f" in domain {domains.first}"
-    reason = f"{found.tag} is {found.text}{about}, but the sources say {found.said}"
-    said = PolicyDecision(allowed=False, where=None, reason=Reason(("the sources say how topics are protected",)))
-    object_ = Object("topic", found.topic) if found.topic else Object("domain", str(domains.first))
+    if isinstance(element, Unknown):
+        return Claim(model, "protect", (domains,), PROTECTED, Proof.UNKNOWN, element.reason, None, spent=True)
+    where = governance.document.place(element.line)
+    scope = f" for the topic {element.topic!r}" if element.topic else f" in domain {domains.first}"
+    reason = f"{element.tag} is {element.text}{scope}, but the sources require {element.required}"
+    policy = PolicyDecision(allowed=False, where=None, reason=Reason(("the sources require stronger protection",)))
+    object_ = Object("topic", element.topic) if element.topic else Object("domain", str(domains.first))
     verdict = Verdict(allowed=True, reason=reason, where=where)
-    mend = "'keymint install' signs what the sources build"
-    example = Counterexample(Edge(subject, "protect", object_, domains.first), None, said, verdict, mend)
+    help_ = "run 'keymint install' to sign the governance that the sources build"
+    example = Counterexample(Edge(subject, "protect", object_, domains.first), None, policy, verdict, help_)
     return Claim(model, "protect", (domains,), PROTECTED, Proof.COUNTEREXAMPLE, "", example)
 
 
@@ -157,18 +157,18 @@ STRICT = DocumentDomainRule(
 
 def weaker(
     signed: DocumentDomainRule,
-    said: DocumentDomainRule,
+    required: DocumentDomainRule,
     semantics: Semantics,
     universe: Universe,
     budget: SearchBudget,
     *,
     access: bool = False,
 ) -> Iterator[Weaker | Unknown]:
-    """Yield each element that protects less than in another rule, with a shortest topic.
+    """Yield each element that protects less than the sources require, with a shortest topic that it covers.
 
     Args:
         signed: the rule of the document.
-        said: the rule of the sources.
+        required: the rule of the sources.
         semantics: how documents are read.
         universe: names of topics, in words of one field.
         budget: limits of each search.
@@ -177,31 +177,31 @@ def weaker(
     Raises:
         PatternError: implementations read an expression differently.
     """
-    yield from _weaker_domain(signed, said, access=access)
-    found: dict[tuple[int, str], Weaker] = {}
+    yield from _weaker_domain(signed, required, access=access)
+    elements: dict[tuple[int, str], Weaker] = {}
     for rule, region in _regions(signed, semantics):
-        for own, wanted_region in _regions(said, semantics):
+        for own, wanted_region in _regions(required, semantics):
             lacking = list(_lacking(rule, own, access=access))
-            if not lacking or all((rule.line, tag) in found for tag, _, _ in lacking):
+            if not lacking or all((rule.line, tag) in elements for tag, _, _ in lacking):
                 continue
             outcome = escapes((region, wanted_region), (), universe, budget)
             if isinstance(outcome, Unknown):
                 yield outcome
             elif isinstance(outcome, Witness):
-                for tag, text, wanted in lacking:
-                    found.setdefault(
-                        (rule.line, tag), Weaker(rule.line, tag, text, wanted, octets.in_text(outcome.word))
+                for tag, text, value in lacking:
+                    elements.setdefault(
+                        (rule.line, tag), Weaker(rule.line, tag, text, value, octets.in_text(outcome.word))
                     )
-    yield from found.values()
+    yield from elements.values()
 
 
-def _weaker_domain(signed: DocumentDomainRule, said: DocumentDomainRule, *, access: bool) -> Iterator[Weaker]:
-    for tag, text, wanted in zip(DOMAIN_PROTECTIONS, signed.protections, said.protections, strict=True):
-        if _lacks(text, wanted):
-            yield Weaker(signed.line_of(tag), tag, text, wanted)
-    if access and said.join_controlled and not signed.join_controlled:
+def _weaker_domain(signed: DocumentDomainRule, required: DocumentDomainRule, *, access: bool) -> Iterator[Weaker]:
+    for tag, text, value in zip(DOMAIN_PROTECTIONS, signed.protections, required.protections, strict=True):
+        if _lacks(text, value):
+            yield Weaker(signed.line_of(tag), tag, text, value)
+    if access and required.join_controlled and not signed.join_controlled:
         yield Weaker(signed.line_of(JOIN), JOIN, "false", "true")
-    if access and signed.unauthenticated and not said.unauthenticated:
+    if access and signed.unauthenticated and not required.unauthenticated:
         yield Weaker(signed.line_of(UNAUTHENTICATED), UNAUTHENTICATED, "true", "false")
 
 
@@ -222,9 +222,9 @@ def _lacks(text: str, wanted: str) -> bool:
 def _regions(rule: DocumentDomainRule, semantics: Semantics) -> Iterator[tuple[DocumentTopicRule, DecisionList]]:
     """Yield each topic rule, with the list that permits the topics that it applies to."""
     before: tuple[Block, ...] = ()
-    for each in rule.topic_rules:
-        own = patterns(each.expression, semantics, pairs=False)
-        yield each, (*before, Block(True, own))
-        before = (*before, Block(False, own))
-        if EVERYTHING in own:
+    for topic_rule in rule.topic_rules:
+        globs = patterns(topic_rule.expression, semantics, pairs=False)
+        yield topic_rule, (*before, Block(True, globs))
+        before = (*before, Block(False, globs))
+        if EVERYTHING in globs:
             return

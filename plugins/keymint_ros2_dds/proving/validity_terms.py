@@ -24,35 +24,38 @@ def of_certificates(files: Mapping[str, bytes], folder: str) -> Iterator[Validit
     """Yield a term for each certificate of an enclave, and for its revocation list.
 
     Raises:
-        KeymintError: a file holds no certificate.
+        KeymintError: a file contains no certificate.
     """
     for name in (CERTIFICATE, IDENTITY_CA, PERMISSIONS_CA, CA):
         if name in files:
             code = "certificate" if name == CERTIFICATE else "authority"
             where = Origin(f"{folder}/{name}")
             try:
-                found = _certificates(files[name])
+                periods = _certificates(files[name])
             except KeymintError as error:
-                raise KeymintError.of([replace(each, where=where) for each in error.diagnostics]) from None
-            for subject, period in found:
+                raise KeymintError.of([replace(diagnostic, where=where) for diagnostic in error.diagnostics]) from None
+            for subject, period in periods:
                 yield ValidityTerm(code, f"the certificate of {subject!r}", where, (period,))
-    if CRL in files and (listed := revocation_period(files[CRL])):
-        yield ValidityTerm("revocation-list", "the revocation list", Origin(f"{folder}/{CRL}"), (listed,))
+    if CRL in files and (revocations := revocation_period(files[CRL])):
+        yield ValidityTerm("revocation-list", "the revocation list", Origin(f"{folder}/{CRL}"), (revocations,))
 
 
 # Enclaves usually have the same authorities.
 @lru_cache(maxsize=64)
 def _certificates(pem: bytes) -> tuple[tuple[str, Period], ...]:
     return tuple(
-        (distinguished_names.to_text(each.subject), (each.not_valid_before_utc, each.not_valid_after_utc))
-        for each in certificates.load_bundle(pem)
+        (
+            distinguished_names.to_text(certificate.subject),
+            (certificate.not_valid_before_utc, certificate.not_valid_after_utc),
+        )
+        for certificate in certificates.load_bundle(pem)
     )
 
 
 def of_grants(document: PermissionsDocument, subject_name: str) -> Iterator[ValidityTerm]:
     """Yield the periods in which a grant is in force, by model; models that agree share a term.
 
-    A model that refuses the document, or finds no grant in it, has none; a claim reports that.
+    A model that refuses the document, or has no matching grant in it, yields no term; a claim reports that.
 
     Args:
         document: the permissions document.
@@ -74,10 +77,10 @@ def of_grants(document: PermissionsDocument, subject_name: str) -> Iterator[Vali
 
 def joined(periods: Iterable[Period]) -> tuple[Period, ...]:
     """Return periods in order; those that touch or overlap become one. Dates have a resolution of a second."""
-    found: list[Period] = []
+    merged: list[Period] = []
     for first, last in sorted(periods):
-        if found and first <= min(found[-1][1], _LAST) + _SECOND:
-            found[-1] = (found[-1][0], max(found[-1][1], last))
+        if merged and first <= min(merged[-1][1], _LAST) + _SECOND:
+            merged[-1] = (merged[-1][0], max(merged[-1][1], last))
         else:
-            found.append((first, last))
-    return tuple(found)
+            merged.append((first, last))
+    return tuple(merged)

@@ -124,7 +124,7 @@ class GovernanceDocument:
             min_only_is_exact: a range that has only a minimum is that one domain.
         """
         for rule in self.domain_rules:
-            if any(each.contain(domain, min_only_is_exact=min_only_is_exact) for each in rule.domains):
+            if any(domains.contain(domain, min_only_is_exact=min_only_is_exact) for domains in rule.domains):
                 return rule
         return None
 
@@ -155,11 +155,13 @@ def _read(content: bytes) -> GovernanceDocument:
     if root.tag != "dds" or root.find("domain_access_rules") is None:
         where = Origin(GOVERNANCE_XML, line(root))
         raise KeymintError("this is not a governance document", where=where, code="document-kind")
-    violation, found = quirks.of_schema(root, GOVERNANCE, GOVERNANCE_XML)
+    violation, document_quirks = quirks.of_schema(root, GOVERNANCE, GOVERNANCE_XML)
     if violation is None:
-        found = tuple(sorted(_quirks(content, root), key=lambda quirk: quirk.line))
+        document_quirks = tuple(sorted(_quirks(content, root), key=lambda quirk: quirk.line))
     rules = tuple(map(_domain_rule, root.iterfind("domain_access_rules/domain_rule")))
-    return GovernanceDocument(GOVERNANCE_XML, rules, violation.diagnostics[0].message if violation else "", found)
+    return GovernanceDocument(
+        GOVERNANCE_XML, rules, violation.diagnostics[0].message if violation else "", document_quirks
+    )
 
 
 def _domain_rule(element: etree._Element) -> DocumentDomainRule:

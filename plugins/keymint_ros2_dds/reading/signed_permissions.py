@@ -140,15 +140,20 @@ def read(content: bytes, file: str = "permissions.xml", offset: int = 0) -> Perm
     if root.tag != "dds" or root.find("permissions") is None:
         where = Origin(file, line(root) + offset)
         raise KeymintError("this is not a permissions document", where=where, code="document-kind")
-    violation, found = quirks.of_schema(root, "permissions", file)
+    violation, document_quirks = quirks.of_schema(root, "permissions", file)
     crash = next(_crashes(root), None)
     if violation is None:
-        found = (*quirks.of_bytes(content), *quirks.of_domain_ids(root), *_quirks(root), *filter(None, [crash]))
+        document_quirks = (
+            *quirks.of_bytes(content),
+            *quirks.of_domain_ids(root),
+            *_quirks(root),
+            *filter(None, [crash]),
+        )
     return PermissionsDocument(
         file,
         tuple(_grant(element, file, offset) for element in root.iterfind("permissions/grant")),
         _diagnostics(violation, file, offset) if violation else (),
-        tuple(sorted(found, key=lambda quirk: quirk.line)),
+        tuple(sorted(document_quirks, key=lambda quirk: quirk.line)),
         crash,
         offset,
     )
@@ -156,8 +161,8 @@ def read(content: bytes, file: str = "permissions.xml", offset: int = 0) -> Perm
 
 def _diagnostics(error: ComArmorError, file: str, offset: int) -> tuple[Diagnostic, ...]:
     return tuple(
-        replace(each, where=Origin(file, each.where.line + offset) if each.where and each.where.line else Origin(file))
-        for each in error.diagnostics
+        replace(item, where=Origin(file, item.where.line + offset) if item.where and item.where.line else Origin(file))
+        for item in error.diagnostics
     )
 
 

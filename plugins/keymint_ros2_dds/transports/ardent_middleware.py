@@ -45,7 +45,7 @@ def created(distro: str, edge: Edge) -> tuple[Edge, ...]:
 
 @dataclass(frozen=True, slots=True)
 class ArdentMiddleware:
-    """Implements :class:`keymint.api.Transport`: what the middleware gets from a transport that is asked for it."""
+    """Implements :class:`keymint.api.Transport`: asks a transport about the endpoints that the middleware creates."""
 
     transport: Transport
 
@@ -60,14 +60,14 @@ class ArdentMiddleware:
         distros = {enclave.subject: enclave.distro for enclave in enclaves}
         pending: deque[tuple[Edge, int]] = deque()
 
-        def asked() -> Iterator[Edge]:
+        def endpoints() -> Iterator[Edge]:
             for edge in edges:
                 needed = created(distros[edge.subject], edge)
                 pending.append((edge, len(needed)))
                 yield from needed
 
         answers: list[tuple[Edge, Verdict]] = []
-        for answer in self.transport.label(enclaves, asked(), tier):
+        for answer in self.transport.label(enclaves, endpoints(), tier):
             answers.append(answer)
             edge, count = pending[0]
             if len(answers) == count:

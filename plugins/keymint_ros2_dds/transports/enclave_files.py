@@ -45,7 +45,7 @@ def signed_documents(folder: Path, environment: Environment) -> SignedDocuments:
     permissions, governance = content(folder, PERMISSIONS_P7S), content(folder, GOVERNANCE_P7S)
     certificate = content(folder, CERTIFICATE)
     files = (authority, permissions, governance, certificate)
-    key = b"".join(hashlib.sha256(each).digest() for each in files)
+    key = b"".join(hashlib.sha256(file).digest() for file in files)
     documents = environment.opened.get(key)
     if not isinstance(documents, SignedDocuments):
         verified = [
@@ -144,9 +144,9 @@ def raise_if_unread(error: KeymintError, folder: Path) -> None:
     Raises:
         KeymintError: with the path of the file.
     """
-    found = error.diagnostics[0]
-    if found.code != mime.UNREAD or found.where is None:
+    diagnostic = error.diagnostics[0]
+    if diagnostic.code != mime.UNREAD or diagnostic.where is None:
         return
-    place = Origin(str(folder / found.where.file), found.where.line)
-    message = f"{found.message}; so it is not known what vendors permit here"
-    raise KeymintError.of([replace(found, message=message, where=place)])
+    place = Origin(str(folder / diagnostic.where.file), diagnostic.where.line)
+    message = f"{diagnostic.message}; so it is not known what vendors permit here"
+    raise KeymintError.of([replace(diagnostic, message=message, where=place)])

@@ -67,7 +67,7 @@ class EnclaveModel:
             return ""
         if self.decide(variation, endpoint).allowed != allowed:
             return ""
-        deviations = decision.explain(lambda each: self.decide(each, endpoint).allowed, variation)
+        deviations = decision.explain(lambda other: self.decide(other, endpoint).allowed, variation)
         return "; ".join(map(str, deviations))
 
 

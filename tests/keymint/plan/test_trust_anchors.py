@@ -59,4 +59,4 @@ def test_without_the_workspaces_authority_nothing_is_proven(keymint: Callable, p
         outcome = keymint(*arguments, "-w", provisioned)
         assert outcome.code == 3, outcome.out
         assert f"public/{role}.cert.pem: error: the certificate of the authority '{role}' is missing" in outcome.err
-        assert "restore it from a copy of the workspace" in outcome.err
+        assert "restore it from a backup of the workspace" in outcome.err

@@ -51,7 +51,7 @@ def test_what_protects_less_is_found_with_its_line(
     (finding,), signed = edited(files, f"<{tag}>{old}<", f"<{tag}>{new}<")
     assert (finding.code, finding.severity, finding.subject) == ("governance-weaker", "error", "/talker")
     assert finding.message.startswith(f"{tag} is {new}{scope}")
-    assert finding.message.endswith(f"but the sources say {old}")
+    assert finding.message.endswith(f"but the sources require {old}")
     line = signed.splitlines()[finding.where.line - 1]
     assert f"<{tag}>".encode() in line or (scope and b"<topic_rule>" in line)
 
