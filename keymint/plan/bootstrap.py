@@ -11,7 +11,7 @@ from keymint.session import Inputs, Session
 from keymint.workspace import PROFILE_MARKER
 
 STAGE = "init"
-_IGNORED = b"# Secrets, and what Keymint can make anew.\n/private/\n/build/\n/install/\n/.keymint/\n"
+_IGNORED = b"# Secrets, and files that Keymint can build again.\n/private/\n/build/\n/install/\n/.keymint/\n"
 
 
 def plan_init(inputs: Inputs, profile_type: str, request: Bootstrap) -> Plan:

@@ -1,4 +1,4 @@
-"""Hints: what is asked for, from counts and from graphs; what is wrong is said with its line."""
+"""Hints, read from counts and from graphs; errors are reported with their line."""
 
 from __future__ import annotations
 

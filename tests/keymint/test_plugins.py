@@ -1,4 +1,4 @@
-"""Plugins are found by their entry points, and whatever is wrong with one is said by its name."""
+"""Plugins are found by their entry points; an error names the plugin."""
 
 from __future__ import annotations
 

@@ -148,7 +148,7 @@ def test_a_profile_that_never_applies_because_of_a_typo(tmp_path: Path) -> None:
 
 
 def test_a_denial_of_something_allowed_is_not_reported(tmp_path: Path) -> None:
-    # The rule is in vain because of the denial: which of them is meant is for the author to say, and only once.
+    # The denial makes the rule unreachable. The author must decide which one is meant; it is reported once.
     assert found(tmp_path, profile("/s", deny(*SUB, "/*"), rule(*SUB, "/a"))) == [("rule-shadowed", 4)]
 
 

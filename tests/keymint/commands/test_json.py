@@ -17,7 +17,7 @@ SCHEMA = json.loads((CHECKOUT / "schemas/keymint/report.schema.json").read_text(
 
 
 def held(outcome: Outcome) -> dict:
-    """Return the document, held against the schema, the exit code and silence elsewhere."""
+    """Return the document, after checking it against the schema, the exit code and an otherwise silent run."""
     document = outcome.document
     jsonschema.validate(document, SCHEMA)
     assert document["exit_code"] == outcome.code

@@ -48,7 +48,7 @@ def test_a_counterexample_names_the_rule_the_line_and_both_names(keymint: Callab
         assert one["document"]["line"] > 0
     said = keymint("prove", "-w", provisioned, "talker").err
     assert "policy.xml:5: error: /talker: the document does not permit it to publish 'rt/chatter'" in said
-    assert said.count("error:") == 1, "what all models have in common is said once"
+    assert said.count("error:") == 1, "findings that all models share are reported once"
 
 
 @pytest.mark.parametrize("option", ["--states=1", "--seconds=0"])

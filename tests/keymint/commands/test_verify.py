@@ -1,4 +1,4 @@
-"""``keymint verify``: what transports decide is held against the policy, and what differs is found with its reason."""
+"""``keymint verify``: the decisions of transports are compared with the policy, and mismatches are reported with their reason."""
 
 from __future__ import annotations
 

@@ -129,7 +129,7 @@ def test_an_authority_is_not_replaced_because_its_key_is_not_here(keymint, provi
     with_a_root(provisioned)
     assert keymint("install", cwd=provisioned).code == 0
     (provisioned / f"private/{name}.key.pem").unlink()
-    for part in ("identities", "permissions", "governance"):  # so that everything is to be signed anew
+    for part in ("identities", "permissions", "governance"):  # so that everything must be signed again
         path = provisioned / f"profile/package.defaults/{part}.xml"
         path.write_text(
             path.read_text().replace("<not_after>2028-01-14", "<not_after>2028-01-10").replace(">SIGN<", ">ENCRYPT<")

@@ -78,7 +78,7 @@ class TestAuthorities:
         outcome = keymint("build", "--json", cwd=ws)
         assert outcome.code == 0
         codes = sorted(code for code in outcome.codes() if code.startswith("portability"))
-        # The hash is said at each package's identity; the authorities once for all packages.
+        # The hash is reported at each package's identity, the authorities once for all packages.
         assert codes.count("portability-chain") == 1
         assert codes.count("portability-authority-key") == 2
         assert "portability-hash" in codes

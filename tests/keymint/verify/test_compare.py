@@ -134,7 +134,7 @@ def test_memory_does_not_grow_with_the_edges() -> None:
 @pytest.mark.parametrize("tier", [Tier.DECISION, Tier.EXCHANGE])
 @pytest.mark.parametrize("fault", ["leaves one out", "stops early", "answers twice"])
 def test_a_transport_that_does_not_answer_what_it_is_asked_is_an_error(tier: Tier, fault: str) -> None:
-    """Labels that slip by one would be held against the wrong edges."""
+    """Labels shifted by one would be compared with the wrong edges."""
 
     class Faulty(Transport):
         def label(self, enclaves, edges, tier):

@@ -1,4 +1,4 @@
-"""Claims about names of all bytes, held against the matchers that vendors call, over all short names.
+"""Claims about names of all bytes, compared with the matchers that vendors call, over all short names.
 
 In full: ``python -m tests.plugins.keymint_ros2_dds.proving.byte_names 20000``.
 """
@@ -49,7 +49,7 @@ _UTF8 = "C.UTF-8"
 
 @dataclass(frozen=True)
 class Case:
-    """A policy, and a document that is held against it: expressions of ``topic`` rules about publishing."""
+    """A policy and a document to compare with it: expressions of ``topic`` rules about publishing."""
 
     denied: tuple[str, ...]
     allowed: tuple[str, ...]
@@ -239,4 +239,4 @@ if __name__ == "__main__":
     number = int(sys.argv[1]) if len(sys.argv) > 1 else 20_000
     for kind, times in sorted(run(number, 8, cyclone=has_cyclone()).items()):
         sys.stdout.write(f"{times:>8,} {kind}\n")
-    sys.stdout.write(f"each held against {len(NAMES):,} names: nothing is proven that a name refutes\n")
+    sys.stdout.write(f"each compared with {len(NAMES):,} names: nothing is proven that a name refutes\n")

@@ -1,4 +1,4 @@
-"""Decision lists of documents and policies, held against the decision point and against the definition."""
+"""Decision lists of documents and policies, compared with the decision point and with the definition."""
 
 from __future__ import annotations
 
