@@ -91,3 +91,9 @@ def test_a_place_of_somebodys_machine_is_seen() -> None:
         "https://host/work/x",
     ):
         assert not SOMEONES_MACHINE.search(name)
+
+
+def test_every_source_file_names_its_licence() -> None:
+    sources = [path for path in project_files() if path.suffix in {".py", ".c", ".cpp"}]
+    assert len(sources) > 400
+    assert [path for path in sources if "SPDX-License-Identifier: Apache-2.0" not in path.read_text()[:200]] == []

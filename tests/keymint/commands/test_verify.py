@@ -1,4 +1,4 @@
-"""``keymint verify``: the decisions of transports are compared with the policy, and mismatches are reported with their reason."""
+"""``keymint verify``: decisions of transports are compared with the policy; mismatches are reported with a reason."""
 
 from __future__ import annotations
 
