@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 # `make demo` and `make test` install everything they need: a virtual environment, and system packages by apt.
 VENV ?= .venv
 DEMO ?= demo_ws

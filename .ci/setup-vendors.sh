@@ -1,4 +1,5 @@
 #!/usr/bin/env bash
+# SPDX-License-Identifier: Apache-2.0
 # Installs the real DDS software that tests/real uses (Debian or Ubuntu), the compilers for its probes, and the browser for
 # the tests of reports. If that fails, it prints the reason, and the tests that need it skip. With
 # KEYMINT_REQUIRE_VENDORS=1 they fail, and so does this script.

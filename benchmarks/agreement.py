@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Compare the simulated vendors with the real ones; print counts and disagreements, and exit with 1 if there are any.
 
 usage: python benchmarks/agreement.py [--documents N] [--requests N] [--seed N] [cyclonedds] [fastdds]

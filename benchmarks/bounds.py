@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Check that random policies stay within the limits; print the most steps of each stage, and exit with 1 if not.
 
 usage: python benchmarks/bounds.py [--policies N] [--seed N] [--families]

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Measure decisions per second of the policy, the simulated transports and the real vendors, relative to the policy.
 
 usage: python benchmarks/decisions.py [--edges N] [--policy PATH]

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Compare diff with brute force; print the counts and every pair of policies where diff is wrong.
 
 usage: python benchmarks/diff.py [--pairs N] [--seed N]

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Random permissions documents and requests: as compilers or people write them, and unusual but legal ones."""
 
 from __future__ import annotations

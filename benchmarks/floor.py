@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The floor: the least work that provisions N enclaves, with bare ``cryptography`` calls.
 
 A key, a certificate, two S/MIME signatures and seven files per enclave; no policy, no validation, no safe writing.

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The policy of a robot's navigation and manipulation: one enclave for a dozen nodes, with every name that they use.
 
 The names are the defaults of Nav2 and MoveIt. They are words, not numbers, as in a document for a real robot. Every

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Check that every topic which a governance opens is reported, on random documents and policies.
 
 For each document and domain, every name of a small set is decided by brute force (implemented here independently), by

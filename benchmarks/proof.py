@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Measure proofs: equality of lists of K patterns, hard families, and the enclaves of a fleet.
 
 usage: python benchmarks/proof.py [--sizes 10,100,1000,5000] [--fleet 1000]

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Measure the cost of provisioning N enclaves, relative to bare ``cryptography`` calls, and of a run without changes.
 
 usage: python benchmarks/provision.py [--sizes 10,100,1000] [--repeat 3]

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Check that all readers see the same content in every signed file that Keymint accepts; exit with 1 if not.
 
 Mutated files are read by Keymint, by OpenSSL's functions as the vendors call them, by ``openssl smime -verify``, by

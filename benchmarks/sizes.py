@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Measure the size of permissions (plain, grouped, and as written) of the fleet example and of many exact rules.
 
 usage: python benchmarks/sizes.py [--rules 1000]

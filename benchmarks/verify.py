@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Measure how the time and memory of verify grow with subjects and objects, for all edges of the completion.
 
 usage: python benchmarks/verify.py [--sizes 25x250,50x500,100x1000,200x2000] [--transport NAME]...

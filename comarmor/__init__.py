@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """ComArmor: mandatory access control for communication graphs, as AppArmor is for Linux processes.
 
 Profiles attach to subjects (a ROS 2 node or enclave), and their rules allow or deny permissions on objects (topics,

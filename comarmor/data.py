@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Locate the schemas and templates that ship with a package."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Diagnostics with their severity and place, the error type that carries them, and the exit codes."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Legal ROS names: ``/`` and segments of letters, digits and ``_`` that do not begin with a digit.
 
 Source: ROS 2 design, "Topic and Service name mapping to DDS".

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Rules, and their vocabulary: effects, and the kinds of objects with their permissions."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Text for messages: escaped, quoted, counted, with the nearest known word, and safe for JSON."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Keymint: a meta-build tool that mints keys and notarizes access-control documents for robots."""
 
 __version__ = "0.1.0"

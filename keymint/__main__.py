@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """``python -m keymint`` and the command ``keymint``."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Planned changes: the files to write and to remove, by folder, step and plan."""
 
 from __future__ import annotations

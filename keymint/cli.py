@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The command line: finds the verbs. The only module that reads the clock, the environment and the umask."""
 
 from __future__ import annotations

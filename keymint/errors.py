@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The error type and the exit codes, under the names that Keymint and its plugins use."""
 
 from comarmor.errors import ComArmorError as KeymintError

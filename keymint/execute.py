@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Carry out a plan step by step, and report each step."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Primitives of the store: create one file or folder, and report errors of the system.
 
 Everything here works on names in a folder that is already open, so no symbolic link is followed.

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Stage the replacement of a folder: changed files are written, everything else is carried over.
 
 The folder of an enclave may contain the folders of other enclaves, and files that Keymint does not know. Files are

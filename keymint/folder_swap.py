@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Replace a folder with a complete new one, atomically where the file system can.
 
 Linux exchanges two names at once (``renameat2`` with ``RENAME_EXCHANGE``; see renameat2(2)). If a file system cannot

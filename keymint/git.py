@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Run git, and extract files of a revision. No other module runs git."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Semantic access graphs: subjects, objects, and the permissions that subjects have, or request, on objects.
 
 The terms are those of White et al. 2018: *G_s* is the graph of what an application does; *G_fc* completes it, every

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Semantic access graphs as JSON: the format of ``docs/graph.md``, read strictly and written canonically."""
 
 from __future__ import annotations

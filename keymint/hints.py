@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Read hints for the order of rules: how often subjects request access, from a CSV file of counts or from a graph.
 
 A file of counts is CSV (RFC 4180) with a header line::

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The intermediate representation: the rules of a subject, independent of policy format and transport.
 
 A policy plugin turns its format into these types, and a build plugin turns them into a transport's documents.

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Check the names of subjects, which become names of packages and paths of folders.
 
 A subject is a fully qualified ROS name (:mod:`comarmor.ros_names`). No name becomes a path before it is checked here.

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Find plugins by their entry points, check their version, and report every failure.
 
 The only module that touches :mod:`importlib.metadata`.

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Standard streams that exist and report failed writes, and an orderly end on signals.
 
 Only the command line uses this module; everything else gets its streams from there.

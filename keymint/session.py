@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The inputs of every stage: the workspace, its record, the plugins, the clock, and the loaded profile."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Stamps: which inputs led to which outputs, so that a stage knows what it has done.
 
 The record saves work and recognises manual edits. If it is lost, every stage recomputes its result and compares it with

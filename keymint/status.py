@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The stage and validity of every package: ``keymint status``."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The only writer: confined, locked, atomic, and strict about modes.
 
 * Every path is walked from one of the store's roots without following a link, so nothing is written elsewhere.

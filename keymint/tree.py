@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A read-only view of the workspace's files: the disk, overlaid with planned changes.
 
 Stages plan against this view, so that one run can plan all of them before its first byte is written.

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A workspace: its root, its spaces, and the packages in its source space."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The workspace lock. Readers hold it only while they read their inputs into memory."""
 
 from __future__ import annotations

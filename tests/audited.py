@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Runs the command line with an audit hook, to see which of our modules open, write or list files, or start processes.
 
     python -m tests.audited FOLDER < steps.json

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Runs policies through all stages and counts the steps. ``python benchmarks/bounds.py`` runs the full sweep."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Fixtures for all tests: the command line, run in this process."""
 
 from __future__ import annotations

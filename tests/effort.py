@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The cost of a call, counted instead of timed since machines are noisy; and how many cases the suite tries."""
 
 from __future__ import annotations

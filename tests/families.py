@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Policies of any size in several shapes, to measure how the cost of a stage grows with the size."""
 
 from __future__ import annotations

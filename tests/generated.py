@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Random policies with all features, from a seed: nesting, tunables, placeholders, partitions, denials, both dialects.
 
 A policy is a list of tokens, so that it can be written with an element on each line, or all on one line.

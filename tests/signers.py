@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Signs documents as other tools do: ``openssl smime``, ``openssl cms``, and SROS2, which uses ``cryptography``."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """What messages and documents tell people to type exists: each verb, each option, and each option on its verb."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Rules of the architecture that no linter can check: which imports are slow, and what may be committed."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """What README and the pages in docs/ show is what happens."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Who writes, who starts programs, and who reads the workspace: seen by an audit hook while all verbs run."""
 
 from __future__ import annotations

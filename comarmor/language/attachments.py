@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 r"""Parse and expand attachments: expressions with ``{name}``, ``{namespace}`` and ``@{TUNABLE}``.
 
 Loading splits an attachment into pieces. The text of a piece is a complete ``fnmatch`` expression in canonical

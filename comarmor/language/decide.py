@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The reference evaluator: decides one request by testing every rule. Compilers are tested against it."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Load policies from files and directories."""
 
 from __future__ import annotations

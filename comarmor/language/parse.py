@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Parse XML elements into a policy: both dialects of attachments, tunables and includes."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Read policy tests: the requests that the author of a policy expects it to allow and to deny."""
 
 from __future__ import annotations

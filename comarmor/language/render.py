@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Render a policy as XML in canonical form: tunables and includes expanded, one dialect."""
 
 from __future__ import annotations

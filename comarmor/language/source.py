@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Read the files of a policy and resolve their includes, which are confined to the policy's folder.
 
 ``xi:include`` (XInclude 1.0, W3C 2006) is resolved here and not by a library for three reasons: the origin of every

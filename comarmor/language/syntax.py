@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The abstract syntax of a policy (profiles, rules, tunables), and decisions."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Tunables (variables of a policy) in lexical scopes."""
 
 from __future__ import annotations

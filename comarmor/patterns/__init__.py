@@ -1,1 +1,2 @@
+# SPDX-License-Identifier: Apache-2.0
 """Patterns of names: how they are read and printed, what they match, and proofs about lists of them."""

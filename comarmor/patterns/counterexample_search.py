@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Search for a shortest word that some decision lists permit and another one denies.
 
 Such words are a union of cubes "matches p, and q, and none of these". This module makes the cubes;

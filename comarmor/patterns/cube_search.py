@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Search one cube, the words that some patterns match and none of some others: breadth first, with antichains.
 
 A state is one position in each positive pattern, and the set of positions that the excluded patterns can be in. Of two

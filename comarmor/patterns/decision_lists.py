@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Decision lists, the words that a question covers, and the answers."""
 
 from __future__ import annotations

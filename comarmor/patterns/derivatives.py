@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Partial derivatives of patterns, hash-consed: equal rests of different patterns are one integer.
 
 A node is the rest of a pattern that is still to be matched (V. Antimirov, "Partial derivatives of regular expressions

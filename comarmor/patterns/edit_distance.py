@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Find names that differ by a typing mistake, by a walk through a trie instead of comparing all pairs."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Evaluate decision lists: decide about one word."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 r"""Attachment expressions of policies: the dialect :data:`comarmor.patterns.tokens.COMARMOR` of ``fnmatch``."""
 
 from __future__ import annotations

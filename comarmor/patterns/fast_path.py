@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Compare decision lists without a search: fast, sound and incomplete; False means unknown, and the caller searches.
 
 This answers the ordinary question, in which both sides have the same patterns. Literal words are decided one by one. Of

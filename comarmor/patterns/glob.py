@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Patterns as tuples of tokens, in a normal form.
 
 A :data:`Glob` is normalised: runs of literal characters are one string, sets of one character are literals, and in

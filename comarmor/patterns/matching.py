@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Match patterns against names."""
 
 from __future__ import annotations

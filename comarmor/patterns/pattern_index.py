@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Index patterns by the texts that they begin and end with."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Test whether a pattern can match a fully qualified ROS name, and advise what to write instead.
 
 See :mod:`comarmor.ros_names` for the form of these names.

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Write patterns as ``fnmatch`` expressions."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The second engine: determinise both sides together, letter by letter, as far as needed.
 
 A state is the rest of every list. If both sides are equal from there on, nothing is left to search.

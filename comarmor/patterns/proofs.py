@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Compare decision lists over all words of a universe: the answer is exact, or unknown.
 
 What the fast path does not answer is searched by two engines in turn. The cube search is the first: it alone decides

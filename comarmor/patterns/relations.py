@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Relations between patterns: disjointness, inclusion, intersection.
 
 Answers are exact, except for inclusion, which determinises lazily up to a number of states: where these do not suffice,

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Whether a rule applies to a request."""
 
 from __future__ import annotations

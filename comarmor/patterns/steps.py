@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Count the steps of a search, so that every search ends, after the same work on every machine.
 
 A step is one pair of patterns compared, or one state visited. The caller sets the limit (:func:`step_limit`), the

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 r"""Split ``fnmatch`` expressions into tokens; the dialects are data.
 
 All dialects share the notation of POSIX (IEEE Std 1003.1, 2.13; 1003.2-1992, B.6 and 3.13) without flags: ``*`` and

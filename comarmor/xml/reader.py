@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Read one XML document from bytes, with limits, without DOCTYPE, entities or network, and with exact line numbers.
 
 The document is parsed twice: expat first checks the limits without building a tree, then lxml builds the tree. So a

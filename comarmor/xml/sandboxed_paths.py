@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Access files inside a folder only: neither ``..`` nor a symbolic link leads outside, and reads are bounded."""
 
 from __future__ import annotations

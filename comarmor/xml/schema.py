@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Validates XML against XSDs, and explains each violation: where, what was expected, how to fix it."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Find likely mistakes in attachments that give a subject unintended rights: copied profiles and too wide wildcards.
 
 Mistakes can look like intent, so the documented styles cause no warning: a profile for all subjects, a profile around

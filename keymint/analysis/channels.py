@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Find channels by which data can flow from one subject to another: topics, and requests and replies of services.
 
 A channel is a name that one subject may write to and another one may read from. Actions and parameters consist of

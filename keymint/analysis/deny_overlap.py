@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Check whether a denial may have an effect for a subject that a policy does not name.
 
 Examples do not show this where rules depend on the subject by ``{namespace}`` and ``{name}``: an ALLOW may overlap the

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """List the effective permissions of a subject: what its ALLOW rules allow after its DENY rules."""
 
 from __future__ import annotations

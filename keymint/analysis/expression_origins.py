@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Find the attachment of a policy file that each expression of a rule comes from."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Report unreachable, redundant and suspicious policy rules.
 
 A rule is reported only if it has no effect for every subject that it applies to: those that the policy names, and an

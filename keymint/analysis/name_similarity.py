@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Find likely typos: similar names where one of them would fit the other's use."""
 
 from __future__ import annotations

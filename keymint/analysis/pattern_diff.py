@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Compare two policies for all subjects that neither names: what any of them gains or loses.
 
 Only a rule in just one of the policies can make a difference. For each such rule one search covers all subjects and

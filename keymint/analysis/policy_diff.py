@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Compare two policies semantically: what each subject gains and loses, over all possible subjects and names."""
 
 from __future__ import annotations

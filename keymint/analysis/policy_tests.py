@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Check the expectations of policy tests, and which rules they cover."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Check with a build type whether the rules of a policy can be compiled portably, without a package."""
 
 from __future__ import annotations

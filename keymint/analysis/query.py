@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Parse queries such as ``who can publish /scan``."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A budget of search states shared by all queries of a command."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Find rules without effect: unreachable rules, and rules that repeat others.
 
 Every check has a limit of steps, and so have all checks together. Checks that reach it are reported as unknown.

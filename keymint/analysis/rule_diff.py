@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Compare two versions of a subject's rules semantically: gained and lost permissions, over all possible names."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Convert rules to decision lists of the proof engine, one for each kind and permission without parts.
 
 A word is the name of an object; for kind ``topic`` it is a partition, NUL and the name of the DDS topic. An endpoint in

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Patterns of subjects: which profiles and rules apply to them, and examples for them.
 
 A subject's rules depend on the profiles that match it, and on its namespace and name through the placeholders

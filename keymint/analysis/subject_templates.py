@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Expressions that depend on the subject, as patterns of words with characters for ``{namespace}`` and ``{name}``.
 
 A subject is ``"/" + namespace + name``: the namespace is empty or ends with ``/``, the name is the last segment. In a

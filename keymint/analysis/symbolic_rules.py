@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Rules of a policy for patterns of subjects, as input of the symbolic search."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 r"""Search all subjects at once that a policy does not name, by patterns.
 
 A word is ``namespace NUL name NUL object``; the object is symbolic (:mod:`keymint.analysis.subject_templates`). Rules

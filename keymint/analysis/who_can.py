@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Find the subjects with a permission, among all possible subjects, not only those that a policy names."""
 
 from __future__ import annotations

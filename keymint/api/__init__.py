@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The plugin interface: protocols that plugins implement, and the data types that they exchange with Keymint.
 
 A plugin is an object with an attribute ``API = "1.0"`` that is registered under one of the entry-point groups

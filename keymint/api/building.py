@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Build types: build unsigned documents of a package, sign and install them, and check installed enclaves."""
 
 from __future__ import annotations

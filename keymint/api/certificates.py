@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Specifications of keys and certificates that a profile or a package requests."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Graph sources, which discover access graphs, and policy learners, which derive policies from them."""
 
 from __future__ import annotations

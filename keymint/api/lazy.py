@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Lazy methods: plugins name their functions, which are imported when they are first called."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Source packages: identity, permissions and governance of one subject."""
 
 from __future__ import annotations

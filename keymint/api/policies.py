@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Policy types: loaded policies, their rules, decisions, structure and tests."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Profile types and package types: bootstrap and load the profile and the source packages of a workspace."""
 
 from __future__ import annotations

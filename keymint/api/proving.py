@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Provers: prove that installed documents permit exactly what the policy allows, for all names."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Transports, simulated and real, and their decisions."""
 
 from __future__ import annotations

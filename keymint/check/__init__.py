@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Compare the installed keystore with its expected state: ``keymint check``.
 
 The build type checks the content of an enclave. This package checks the workspace: modes, the record of installed

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Check the authorities: keys and certificates that do not match, were replaced, or expire soon."""
 
 from __future__ import annotations

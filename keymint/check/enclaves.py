@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Check one installed enclave: its key, its files on the disk, and the record."""
 
 from __future__ import annotations

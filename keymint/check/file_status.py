@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Check modes, owners, links and kinds of the files and folders of a workspace.
 
 Whoever can write to a folder can replace its files, whatever their modes. Whoever can write to the profile or the

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Find private keys that git tracks, or that ``git add`` would add."""
 
 from __future__ import annotations

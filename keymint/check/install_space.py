@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Check the files of the install space outside the enclaves."""
 
 from __future__ import annotations

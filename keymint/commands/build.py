@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """``keymint build``: unsigned documents, and keys."""
 
 from __future__ import annotations

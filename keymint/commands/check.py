@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """``keymint check``: compare the installed keystore with its expected state."""
 
 from __future__ import annotations

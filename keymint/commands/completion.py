@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """``keymint completion``: print the completion script for a shell."""
 
 from __future__ import annotations

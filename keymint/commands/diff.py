@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """``keymint diff``: compare two policies by meaning."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """``keymint discover``: record the graph of a running system, or read captures of one."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """``keymint graph``: draw a policy, or the graph of a system."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """``keymint init``: create a workspace."""
 
 from __future__ import annotations

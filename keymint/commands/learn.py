@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """``keymint learn``: generate the smallest policy that allows a graph."""
 
 from __future__ import annotations

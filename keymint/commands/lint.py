@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """``keymint lint``: reports unreachable, redundant and suspicious rules of a policy."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """``keymint plugins``: the installed plugins, and whether they load."""
 
 from __future__ import annotations

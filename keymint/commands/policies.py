@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Load the policies that the command line names: files, directories and workspaces."""
 
 from __future__ import annotations

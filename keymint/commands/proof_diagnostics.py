@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Report claims that are refuted or unknown: one line per cause."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Require a proof of every enclave before anything is installed."""
 
 from __future__ import annotations

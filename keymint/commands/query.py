@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """``keymint query``: answer questions about a policy, for all names and subjects."""
 
 from __future__ import annotations

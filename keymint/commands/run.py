@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """One run of a verb: the workspace that it works on, and how plans are made and executed."""
 
 from __future__ import annotations

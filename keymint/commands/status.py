@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """``keymint status``: stage and expiry of every package."""
 
 from __future__ import annotations

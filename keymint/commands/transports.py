@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """``keymint transports``: usable transports on this machine, and how to install the others."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Files that the command line names: read with limits, written by the store."""
 
 from __future__ import annotations

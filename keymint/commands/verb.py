@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Makes click commands of the functions that carry out verbs."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """``keymint verify``: report mismatches between policy and transports."""
 
 from __future__ import annotations

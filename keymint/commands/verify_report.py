@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Write the web page and the pictures of ``keymint verify --report``."""
 
 from __future__ import annotations

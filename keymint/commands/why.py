@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """``keymint why``: explain one decision, from policy to transport."""
 
 from __future__ import annotations

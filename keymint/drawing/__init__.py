@@ -1,1 +1,2 @@
+# SPDX-License-Identifier: Apache-2.0
 """Pictures of semantic access graphs: SVG, PNG, Graphviz DOT, and a report in HTML. All of it is pure."""

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Names and labels as display text: names come from networks and may be unprintable or long."""
 
 from __future__ import annotations

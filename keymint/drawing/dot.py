@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Write labelled graphs in Graphviz' DOT language, for other layouts."""
 
 from __future__ import annotations

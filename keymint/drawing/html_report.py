@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Write the report on a labelled graph: one HTML file that works without network and without scripts.
 
 A script adds search and filters. The page's content security policy allows only its own style sheet and script, by

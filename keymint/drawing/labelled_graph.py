@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Labelled graphs: the decisions of a policy and of transports on every edge, as data to draw."""
 
 from __future__ import annotations

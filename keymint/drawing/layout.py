@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Lay out a bipartite graph: subjects and objects in columns, with few crossings.
 
 Every label is inside its own box and every edge has its own port, so labels never overlap; boxes grow with their edges.

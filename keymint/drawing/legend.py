@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The legend of a picture: entries for what the picture contains, and no others."""
 
 from __future__ import annotations

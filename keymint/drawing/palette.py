@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Colours and line styles of pictures, for light and dark backgrounds, as one style sheet.
 
 Nothing depends on colour alone: arrowheads of denied edges are hollow and barred, false labels are solid and heavy,

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Options for drawing a graph."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Make the graph of a policy: the subjects that it names, the objects of its rules, and its decisions."""
 
 from __future__ import annotations

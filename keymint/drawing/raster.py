@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Convert SVG to PNG with resvg, an optional dependency: a wheel without system libraries."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Reduce a graph to what a picture has room for.
 
 Common rules become a mark, subjects of a namespace become a group, and objects with the same edges become one. Then

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Draw labelled graphs as SVG, as the paper does: subjects green, topics blue, services purple, edges by role."""
 
 from __future__ import annotations

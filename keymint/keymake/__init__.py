@@ -1,1 +1,2 @@
+# SPDX-License-Identifier: Apache-2.0
 """Compiler passes over patterns and names that know no transport."""

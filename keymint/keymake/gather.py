@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Replace names by fewer patterns that match exactly these names.
 
 Names that differ in one position share a pattern with a set of characters there: ``axle1 axle2 axle3`` become

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Turn "deny overrides allow" into decision lists, in which the first matching block decides.
 
 :func:`arrange` turns two unordered sets of patterns into ``allow free; deny; allow rest`` and drops patterns without

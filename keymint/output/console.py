@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Show reports and progress on a terminal, or reports as JSON."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The differences of two policies in words."""
 
 from __future__ import annotations

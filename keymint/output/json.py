@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The JSON of all verbs, as Python objects; ``docs/json.md`` describes it."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """JUnit XML, the format in which CI servers read test results."""
 
 from __future__ import annotations

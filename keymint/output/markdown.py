@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The differences of two policies as Markdown, for a comment on a code review."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Requests, rules and mismatches between policy and transports, in words and as diagnostics."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """SARIF 2.1.0 logs (OASIS, "Static Analysis Results Interchange Format"), for code review and security dashboards."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Public key infrastructure: names, keys, certificates, S/MIME and verification. Bytes in, bytes out.
 
 Nothing here reads a file, the clock or the environment: times and passwords are arguments.

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Certificates: issued from a specification, and compared with it so that none is issued again without need."""
 
 from __future__ import annotations

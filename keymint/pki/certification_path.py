@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Certification paths: from a certificate to a self-signed authority (RFC 5280, section 6).
 
 ``cryptography.x509.verification`` is for the web: it requires a subjectAltName. This module checks each link: name

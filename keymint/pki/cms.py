@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Detached CMS signatures (RFC 5652): one signer, its certificate inside, SHA-2, signed attributes.
 
 ``cryptography`` makes them with SHA-256. This module verifies them, also with SHA-384 and SHA-512, which openssl and

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The part of the Distinguished Encoding Rules (ITU-T X.690) that CMS and raw extensions need.
 
 ``cryptography`` signs CMS but does not verify it, and its own ASN.1 interface is declared unstable. The reader is

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Distinguished names: parsed from text, and rendered as DDS vendors compare them.
 
 Names are written in *certificate order*, first RDN first: ``C=US, O=Acme, CN=ca``. RFC 4514 prints a name the

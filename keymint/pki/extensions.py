@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """X.509 v3 extensions, parsed from OpenSSL's ``x509v3_config`` notation."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The fields of a certificate to issue: its specification, the defaults of its role, and the limits of its issuer."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Private keys: minted, stored as PKCS #8 PEM, read back, and compared with certificates.
 
 No error here contains key material, or a message of the library that could contain it.

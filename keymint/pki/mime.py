@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The frame of a signed document: ``multipart/signed`` (RFC 8551, 3.5.3) with the inner ``text/plain`` of OpenSSL.
 
 DDS vendors read the frame with OpenSSL's ``SMIME_read_PKCS7`` (``crypto/asn1/asn_mime.c``), which is lenient: a line

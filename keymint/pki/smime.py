@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Signed documents: S/MIME, as DDS Security requires for permissions and governance (DDS Security 1.1, 9.4.1.1).
 
 They are written in one form, which Cyclone DDS and Fast DDS read. They are read in the forms that Keymint, openssl and

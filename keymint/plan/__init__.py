@@ -1,1 +1,2 @@
+# SPDX-License-Identifier: Apache-2.0
 """Plans: what each stage would do to the workspace, computed without touching it."""

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The authorities of a workspace: a key and a certificate for each, minted once and kept."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Evidence in the workspace that contradicts the certificate of an authority.
 
 Proofs rest on the certificates in ``public/``. The workspace has other evidence of what these should be: the private

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The key and certificate files of an authority, and checks that they are the ones in use.
 
 A replaced key or certificate is an error here: only a person can know which of the files is right.

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The stage ``init``: the profile of a new workspace, and the policy that it names."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The stage ``build``: from source packages to unsigned documents and a private key for each subject."""
 
 from __future__ import annotations

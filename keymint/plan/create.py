@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The stage ``create``: from the policy to source packages."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The installed enclaves: their names, files and certificates."""
 
 from __future__ import annotations

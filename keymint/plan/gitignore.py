@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The ``.gitignore`` files that keep git out of spaces with secrets or generated files.
 
 Each such space has one at its top, wherever an option puts the space. No enclave contains one, so none is copied to a

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The private key of each subject: minted once, restored from its enclave, and never replaced without a request.
 
 A replaced key would give the subject's permissions to whoever replaced it.

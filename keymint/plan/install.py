@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The stage ``install``: sign the built documents and lay out the enclaves for deployment."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The record of key pairs, which distinguishes a private key that was replaced from one that Keymint minted.
 
 The record has fingerprints of public keys only. If it is lost, the installed enclaves serve in its place.

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Lifetimes of grants and certificates in the sources, and warnings where they are not in force.
 
 A grant permits nothing outside its validity, or after its authority's certificate expired; a certificate ends at the

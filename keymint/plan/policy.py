@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Load the workspace's policy, and record what it was read from."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Report where the source packages do not follow the policy: changed rules, and subjects without a package."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Load stored private keys: read their passwords, and check that their kind is the specified one."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The record of proofs: the claims about an enclave that were all proven, as the outputs of a stamp."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The stage ``prove``: prove claims about installed enclaves. It writes nothing but the record of proofs.
 
 The proof of an enclave whose claims were all proven is cached until its files, its policy or the tool change.

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Plan the files of the install space that all enclaves share."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Issue the certificate of a package's subject, and sign its documents."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Validity periods of the documents that a proof rests on: whether and until when they are in force."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Trust anchors: the workspace's authorities that an enclave must rest on, and where it does not."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Compare the decisions of transports with the policy, edge by edge: ``keymint verify`` and ``keymint why``.
 
 After White et al., "Procedurally Provisioned Access Control for Robotic Systems" (IROS 2018): the completed semantic

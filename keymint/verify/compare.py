@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Compare the labels of a transport with those of the policy, keeping only counts and mismatches."""
 
 from __future__ import annotations

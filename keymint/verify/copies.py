@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Copies of enclaves for transports, which read files and may take long.
 
 A concurrent install neither waits for them nor changes the files that they read. Messages name the original

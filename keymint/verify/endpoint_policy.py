@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Decide edges by the policy where it is enforced: on the endpoints of a transport.
 
 Rules on ROS names and rules on names of the transport both apply there: ``ALLOW publish`` of the topic ``rt/chatter``

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Explain mismatches: find the rule of the document that decided."""
 
 from __future__ import annotations

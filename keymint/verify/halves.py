@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Find single endpoints that a transport allows although it denies the service, action or parameter.
 
 A transport allows a ROS service only if it allows both of its topics. The edge of the service does not show a document

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The rules that apply to an edge, and the rule that nearly does."""
 
 from __future__ import annotations

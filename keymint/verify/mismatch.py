@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Mismatches between policy and transports, and their counts."""
 
 from __future__ import annotations

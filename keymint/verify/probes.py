@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Generate names to test without a graph: names in the policy, and names that probe its patterns.
 
 A pattern is probed inside, where it must match, and just outside, where it must not: an empty text, one character, a

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The scope of a verification: installed enclaves, their naming, and the edges to test."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Select transports: those to test, and those that name the rule that decides."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The workspace format ``keymint_ros``: profiles and source packages as XML, for ROS 2."""
 
 from __future__ import annotations

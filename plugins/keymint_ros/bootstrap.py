@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """New profiles and packages: conservative defaults, written out so that a person can see and change them."""
 
 from __future__ import annotations

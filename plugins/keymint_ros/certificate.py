@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Certificates and keys in profile and package documents, completed by their defaults."""
 
 from __future__ import annotations

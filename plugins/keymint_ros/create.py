@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Creates source packages from the rules of a subject."""
 
 from __future__ import annotations

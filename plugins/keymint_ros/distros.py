@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The ROS 2 distributions, and the policy fragments that ship for each."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Reads the XML documents of profiles and packages: safely, strictly, and identical ones only once.
 
 Many packages of a workspace contain identical documents. The result of reading one is therefore cached by content.

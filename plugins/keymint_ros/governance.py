@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Governance: the protection of domains and topics, from a package's document and its defaults."""
 
 from __future__ import annotations

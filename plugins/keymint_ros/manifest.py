@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """``keymint_package.xml``: makes a folder a package, and names the documents of its parts."""
 
 from __future__ import annotations

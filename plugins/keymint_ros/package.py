@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Loads source packages, completed by the defaults of their profile."""
 
 from __future__ import annotations

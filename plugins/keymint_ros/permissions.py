@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Reads ``permissions.xml``: the policy's rules for one subject as a document that a person can read and edit.
 
 It has the rules of the intermediate representation in the vocabulary of ComArmor, flat and fully expanded. The root has

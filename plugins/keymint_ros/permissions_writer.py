@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Writes ``permissions.xml``, the document of a subject's rules."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Placeholders in distinguished names, such as ``{name}``; braces have no other use there."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Loads the profile of a workspace, changes its policy path, and returns its settings as options of ``init``."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Periods of validity: two dates, or a date and an ISO 8601 duration."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Policy type ``keymint_ros2_comarmor``: loads ComArmor policies, and learns them from graphs."""
 
 from __future__ import annotations

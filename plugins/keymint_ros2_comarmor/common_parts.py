@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Move rules that several subjects share into included files, where that makes the policy shorter."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Learn the smallest ComArmor policy that allows a graph, as aa-genprof generates AppArmor profiles.
 
 With the learned policy, a subject may do exactly what its edges require. An edge on an action or parameter requires all

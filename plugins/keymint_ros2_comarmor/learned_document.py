@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Write learned rules as XML, in the canonical form of :func:`comarmor.render` with includes added."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The needs of subjects (permissions on objects in partitions), and the rules that grant them."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The structure of a ComArmor policy as it is written, for analyses of subjects that it does not name."""
 
 from __future__ import annotations

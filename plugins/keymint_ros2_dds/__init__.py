@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Build type for DDS Security: rules to permissions and governance documents, signed, installed and checked."""
 
 from __future__ import annotations

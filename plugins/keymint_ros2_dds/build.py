@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The build stage: turns a package into unsigned documents."""
 
 from __future__ import annotations

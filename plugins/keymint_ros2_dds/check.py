@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """``keymint check``: findings on an installed enclave, from its files."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """``keymint check``: findings on an installed governance that opens topics or protects less than its sources."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """``keymint check``: findings that concern several enclaves of a keystore."""
 
 from __future__ import annotations

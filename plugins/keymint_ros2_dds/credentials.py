@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Checks of the credentials in an enclave: certificate, key and revocation list."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Ranges of DDS domain ids."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Emits the permissions document: the smallest form that is proven to mean what the policy's rules mean.
 
 Every compiled form is rendered and compared with the rules over all names, so rewriting may be bold. If a form is

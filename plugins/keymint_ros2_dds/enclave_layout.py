@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The files of an enclave, by layout of the keystore."""
 
 from __future__ import annotations

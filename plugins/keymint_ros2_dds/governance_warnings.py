@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Warns at build of topics and domains that the governance leaves open, at the rule that does so.
 
 Where a governance rule puts no access control on a topic, every vendor admits every participant, whatever the policy

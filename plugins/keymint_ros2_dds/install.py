@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The install stage: signs the documents of a package and returns the files of its enclave."""
 
 from __future__ import annotations

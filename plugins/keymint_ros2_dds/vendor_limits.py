@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Checks limits of DDS vendors: keys and certificates that they accept, and the size of documents."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Policies written into a temporary folder."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Schemas and templates are located in a wheel or a checkout."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Legal ROS names."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The vocabulary of rules: each permission has one kind, and composite permissions have parts."""
 
 from __future__ import annotations

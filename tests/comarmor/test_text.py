@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Text of messages: escaped, quoted, counted, with suggestions."""
 
 from __future__ import annotations

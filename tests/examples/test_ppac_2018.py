@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The published figures of White et al. 2018, from the command line, on simulated transports."""
 
 from __future__ import annotations

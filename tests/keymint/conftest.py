@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A workspace to run verbs in."""
 
 from __future__ import annotations

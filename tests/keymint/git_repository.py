@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A git repository around a workspace."""
 
 from __future__ import annotations

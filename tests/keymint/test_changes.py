@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Planned changes: what differs, and what the next stage sees."""
 
 from __future__ import annotations

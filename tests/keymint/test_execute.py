@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A plan is carried out in order, marked while it runs, and recorded when it is done."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """One file or folder is created with its mode, and errors of the system name their place."""
 
 from __future__ import annotations

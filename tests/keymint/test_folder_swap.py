@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A folder changes as a whole: no path shows a mix, whatever is nested, and nothing is lost at a kill."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Trees of files at a revision."""
 
 from __future__ import annotations

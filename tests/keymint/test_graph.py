@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Graphs are canonical, and a completion has every permission of every subject on every object."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Graphs as JSON: what is written is read, what is read strictly, and errors say where."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Hints, read from counts and from graphs; errors are reported with their line."""
 
 from __future__ import annotations

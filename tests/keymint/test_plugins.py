@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Plugins are found by their entry points; an error names the plugin."""
 
 from __future__ import annotations

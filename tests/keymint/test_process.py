@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Standard streams report failed writes, and signals end the process in order."""
 
 from __future__ import annotations

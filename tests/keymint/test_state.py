@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The record of earlier runs: it survives being written, and being damaged."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The only writer: confinement, modes, whole or not at all, the lock, and what the system refuses."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The read-only view: what lies on the disk, overlaid by what is planned."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Where a workspace and its packages are, and where they must not be."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Readers share the workspace lock, and wait for a writer; without a lock they read."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The distribution, built once, and environments to install it into, all without network."""
 
 from __future__ import annotations

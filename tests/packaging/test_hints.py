@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Hints of Keymint to install a package: the package exists, and goes into Keymint's environment."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The plugin in ``examples/out_of_tree_plugin``, installed with pip into a fresh environment, runs the stages."""
 
 from __future__ import annotations

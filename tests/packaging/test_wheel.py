@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The wheel, the source distribution and an editable install are complete, and find their data."""
 
 from __future__ import annotations

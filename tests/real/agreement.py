@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Compares the decisions of a policy with those of the vendors' code on the documents compiled from it.
 
 The names of ROS 2 on DDS are said here once more, in the simplest way, and not taken from the compiler.

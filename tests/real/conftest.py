@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Fixtures for tests on real DDS software. If a vendor is missing, they skip and report what to install.
 
 With ``KEYMINT_REQUIRE_VENDORS=1`` in the environment (as in CI) a missing vendor is a failure.

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Enclaves written with ``cryptography`` alone, to test vendors on documents that Keymint does not write."""
 
 from __future__ import annotations

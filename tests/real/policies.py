@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Hypothesis strategies for ComArmor policies of one subject, with few names, so that rules often overlap."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Other readers of signed files, to compare Keymint with: OpenSSL as vendors call it, its command, a vendor, Python.
 
 Each returns the content with LF line ends, or None where it refuses the file.

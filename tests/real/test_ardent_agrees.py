@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Random policies with names of ROS 2 Ardent: real access control decides topics and partitions as the policy does."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Documents with names beyond printable ASCII: the claims are right about what the vendors permit, byte for byte."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Decisions of Cyclone DDS's access control on handmade documents: the facts that the compiler relies on."""
 
 from __future__ import annotations

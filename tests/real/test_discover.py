@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Discover a running system, learn its policy, and run the system secured by it."""
 
 from __future__ import annotations

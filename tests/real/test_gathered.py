@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Gathered permissions on real vendors: they decide as the policy does, and fit into a handshake."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Policies written by people: provisioned unchanged, real access control decides as the policies do."""
 
 from __future__ import annotations

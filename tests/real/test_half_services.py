@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """``keymint verify`` reports each endpoint of a service, action or parameter permitted against the policy.
 
 Documents get endpoints of random composites, and are signed properly. The expected findings are derived from the ROS

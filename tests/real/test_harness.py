@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The harness itself: missing vendors are visible, and no process or port outlives its test."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """An install space written by Keymint, in real participants: they behave as the policy decides."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The policy of a navigation stack, one enclave for a dozen nodes, fits into the handshakes of real vendors."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A sample of the comparisons of ``benchmarks/open_governance.py``."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Real access control decides as the policy does, for any policy."""
 
 from __future__ import annotations

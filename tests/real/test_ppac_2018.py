@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The published figures of White et al. 2018, on real Cyclone DDS and from the script of the example."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Signed files as OpenSSL, Cyclone DDS and Fast DDS read them: a file that we accept has the same content for all."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Unusual documents: the models read them as the vendors do.
 
 Where a model says that it does not know, nothing is compared; ``docs/vendors.md`` has the kinds.

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The real transports, as ``keymint verify`` uses them, compared with their models."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Decisions of both vendors on handmade documents, in real participants: the facts that portability relies on."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """``keymint verify`` on real vendors: the examples have no mismatches, and an edit by hand is reported."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """An unsecured participant of Cyclone DDS, alone in its process: ``python unsecured.py DOMAIN`` and a line of JSON.
 
 The line on standard input says what it is: ``{"name": …, "user_data": …, "edges": [[permission, topic, partitions]]}``.

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Hostile conditions of a run: its environment, streams and clock, and the names of files."""
 
 from __future__ import annotations

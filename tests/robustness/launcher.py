@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Runs the command line repeatedly, each time in its own process, so that a tracer can disturb it.
 
     strace -f -e inject=renameat:signal=SIGKILL:when=400 … python launcher.py JOBS RESULTS

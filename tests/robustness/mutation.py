@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Mutates files: their bytes, or their trees. Deterministic for a seed."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Runs to disturb, and checks of the workspace after a disturbance."""
 
 from __future__ import annotations

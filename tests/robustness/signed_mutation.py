@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 # ruff: noqa: E501 - lists of what is tried
 """Mutates signed files where readers of S/MIME differ: boundaries, headers, parts, line ends. Deterministic for a seed."""
 

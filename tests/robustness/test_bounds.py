@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Random policies with all features stay within the limits; a sample of ``python benchmarks/bounds.py``."""
 
 from __future__ import annotations

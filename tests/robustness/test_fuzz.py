@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Any file is either accepted, or rejected quickly with one line and a place; then nothing is written."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """No run ends in a traceback, an internal error or an escape sequence, whatever its conditions.
 
 Every verb meets some of the surroundings; with ``KEYMINT_FULL=1`` each meets all of them.

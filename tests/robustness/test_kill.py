@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A run disturbed at any system call leaves complete files, and a later run completes its work.
 
 With ``KEYMINT_FULL=1`` every call that may change the workspace is disturbed in turn, otherwise a sample of them.

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Two runs in one workspace at once: one waits, and reports it."""
 
 from __future__ import annotations

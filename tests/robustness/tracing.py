@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Disturbs a run at a chosen system call: kills it, interrupts it, or makes the call fail."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A build type in a separate package: access rules as signed JSON.
 
 A gateway between robots and a web page does not speak DDS Security, but must know who may do what. This build type

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The compiler: from the lowered rules of a subject to the rules of the grant in its permissions document.
 
 The passes in order: ``plans`` and ``partitions`` make decision lists, ``rules`` puts these into an order that every

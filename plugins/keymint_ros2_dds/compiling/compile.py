@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Compiles the rules of a subject to the rules of a grant, in the plain form and in smaller equivalent forms."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Gathers topics into bracket expressions, where that makes a document much smaller.
 
 Cyclone DDS lets every bracket expression match ``]`` as well (see :mod:`keymint_ros2_dds.lowering.portable`). So rules

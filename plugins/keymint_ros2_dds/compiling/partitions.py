@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Partitions: the lists of partitions in which each topic pattern is allowed.
 
 A policy decides on each partition separately: an endpoint is allowed if each of its partitions is. A permissions

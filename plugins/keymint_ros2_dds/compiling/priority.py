@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Moves rules and expressions that are requested more often to the front, where that changes no decision.
 
 For every endpoint, DDS vendors try the rules of a grant, and the expressions of a rule, from first to last.

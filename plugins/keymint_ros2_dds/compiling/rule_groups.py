@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Groups the patterns of an action so that groups share no name.
 
 A group has simple rules if its patterns share a list of partitions, and a detailed decision list otherwise.

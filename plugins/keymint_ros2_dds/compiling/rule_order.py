@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Orders the rules of a grant so that every DDS vendor decides in the same way.
 
 The form, for a subject that is allowed anything at all::

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The policy decision point: decide by a permissions document, as the standard and each vendor do."""
 
 from __future__ import annotations

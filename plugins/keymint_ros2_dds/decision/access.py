@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Decide about an endpoint by both documents: the governance determines whether the permissions are checked at all.
 
 DDS Security 1.1, 9.4.3: the participant must be allowed to join; then the first topic rule that matches the topic

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Evaluate a permissions document: Algorithm 1 of White et al. 2018 (DDS Security 1.1, 9.4.1.3) and vendor deviations.
 
 Subject name and validity select a grant. The first criteria, in document order, that match domain, action, topic,

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The dialects of ``fnmatch`` in which implementations read the expressions of a permissions document.
 
 All compare bytes, as the vendors do in the C locale: text is encoded as UTF-8, and each byte is one character. No

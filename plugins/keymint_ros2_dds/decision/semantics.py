@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The points on which implementations of DDS Security differ from the standard.
 
 Each point is a field of :class:`Semantics`; the defaults are the standard's. A :class:`Deviation` changes fields, and a

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Match the subject name of a grant with that of an identity, as text in the order of RFC 2253 (last RDN first)."""
 
 from __future__ import annotations

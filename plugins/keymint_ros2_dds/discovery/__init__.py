@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Graph source ``keymint_ros2_dds``: graphs of ROS 2 nodes, observed on DDS or captured by RTI Admin Console."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Read captures of RTI Admin Console: XML of the participants it discovered, with publications and subscriptions.
 
 The document nests ``system/processes//domain_participants``; each participant holds ``participant_data`` (the sample

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The participants and endpoints that were discovered in a DDS domain."""
 
 from __future__ import annotations

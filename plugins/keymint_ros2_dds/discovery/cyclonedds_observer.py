@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Observe a DDS domain through the built-in topics of Cyclone DDS 0.10, by ctypes.
 
 Cyclone DDS reads its network configuration from ``CYCLONEDDS_URI``, as for any application. The capture includes

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Translate DDS endpoints into ROS 2 entities: topics, services, and the actions and parameters made of these."""
 
 from __future__ import annotations

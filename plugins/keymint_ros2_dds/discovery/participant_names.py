@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Name the subjects of participants.
 
 How a participant announces its name differs between releases. The first of these is used:

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Translate names of DDS topics back to ROS 2 (design.ros2.org, "Topic and Service name mapping to DDS").
 
 Bouncy and later put the prefix into the topic's name: ``rt/chatter`` in the default partition. Ardent put prefix and

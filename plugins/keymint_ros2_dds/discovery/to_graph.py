@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Make a graph of a capture of a DDS domain."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """DDS Security documents in the XML form that all vendors read: compact text, no comments, schema order."""
 
 from __future__ import annotations

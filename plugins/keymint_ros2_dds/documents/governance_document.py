@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Writes the governance document: how domains and topics are protected (DDS Security 1.1, 9.4.1.2)."""
 
 from __future__ import annotations

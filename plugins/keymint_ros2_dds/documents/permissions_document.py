@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Writes the permissions document: a grant for one subject (DDS Security 1.1, 9.4.1.3)."""
 
 from __future__ import annotations

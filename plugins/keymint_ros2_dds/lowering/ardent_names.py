@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """ROS names as DDS topics in ROS 2 Ardent: the namespace is a DDS partition, the topic has the base name only.
 
 The topic ``/a/b`` is the DDS topic ``b`` in the partition ``rt/a``, and ``/b`` is ``b`` in ``rt``; the service ``/a/s``

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The DDS topics that a ROS entity uses (design.ros2.org, "Topic and Service name mapping to DDS")."""
 
 from __future__ import annotations

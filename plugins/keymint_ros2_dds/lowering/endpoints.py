@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Maps edges on ROS names to the DDS endpoints that they need, and DDS endpoints back to such edges."""
 
 from __future__ import annotations

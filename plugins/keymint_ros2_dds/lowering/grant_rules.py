@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Rules of a grant: the decision list that a permissions document holds (DDS Security 1.1, 9.4.1.3.2.3)."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Lowers the rules of a subject to DDS: the topic patterns that each rule allows or denies, by action.
 
 Order has no meaning yet: deny overrides allow.

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Mapping of ROS names to DDS topics and partitions, by ROS 2 distribution.
 
 Since Bouncy the full ROS name is part of the topic name, and partitions are not used: the topic ``/a`` is the DDS topic

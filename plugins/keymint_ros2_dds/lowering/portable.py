@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Portable expressions: how to write a pattern in a document so that every DDS vendor matches the same names.
 
 Cyclone DDS matches with a function of its own, Fast DDS with ``fnmatch(FNM_NOESCAPE)``. They agree on literals, ``*``

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Prove that permissions documents permit exactly what the policy allows, over all names.
 
 The installed, signed document is read again and translated into decision lists: as the standard reads it, and as the

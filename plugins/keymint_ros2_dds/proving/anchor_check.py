@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Compare the trust anchors of an enclave with the authorities of the workspace.
 
 Vendors trust the authorities in the enclave. If someone else issued all its files, they are consistent with each

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Prove or refute the claims about one permissions document."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Read the expressions of a permissions document as patterns, in the dialect of each implementation."""
 
 from __future__ import annotations

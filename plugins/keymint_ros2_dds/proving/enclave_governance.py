@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The governance document of an enclave, and which of its openings the sources accept."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Prove an installed enclave: read its files again, and verify their signatures."""
 
 from __future__ import annotations

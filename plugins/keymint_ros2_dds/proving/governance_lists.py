@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Translate a governance document into decision lists, and compare a policy with governance and permissions together.
 
 In a domain each topic is open (permissions are not checked), controlled (they are), or refused (no topic rule matches).

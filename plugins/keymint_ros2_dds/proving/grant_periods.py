@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The periods in which the grants of a document are in force."""
 
 from __future__ import annotations

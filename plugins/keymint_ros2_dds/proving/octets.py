@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The names that claims cover: all DDS names, as bytes.
 
 A DDS name is a C string: bytes other than NUL. In the C locale vendors compare bytes, and so do claims: each byte is

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Translate grants, as each implementation reads them, and policies into decision lists.
 
 If partitions are used, a word is ``partition NUL topic``, and a rule is the product of its partitions and topics; then

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Evaluate a policy for one endpoint by its rules; independent of the compiler's translation, to check it.
 
 An endpoint is a raw topic, and may be part of ROS entities; rules that match any of these apply.

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Prove permissions documents from their bytes, and cache the claims: an installed document was often just built."""
 
 from __future__ import annotations

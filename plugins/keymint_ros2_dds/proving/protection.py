@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Refute claims about domains: who may join, and how topics are protected.
 
 Permissions bind participants that joined with an identity and a rule. A governance that lets others join, or protects a

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Collect the periods of validity of an enclave: of its certificates, and of its grants as each model reads dates."""
 
 from __future__ import annotations

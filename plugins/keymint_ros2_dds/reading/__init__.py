@@ -1,1 +1,2 @@
+# SPDX-License-Identifier: Apache-2.0
 """Read signed and unsigned DDS Security documents into data types that know their lines."""

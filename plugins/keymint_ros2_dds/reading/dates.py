@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Read the dates of a grant's validity (``xs:dateTime``), as each implementation does; None if it is invalid."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Find what makes vendors read a signed document differently from a plain one.
 
 The models of vendors hold for plain documents: what the schema allows, as elements and text. Comments between elements,

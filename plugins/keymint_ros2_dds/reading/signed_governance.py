@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Read a governance document into data types that know their lines (DDS Security 1.1, 9.4.1.2).
 
 It determines who may join a domain, and for which topics permissions are checked. The first domain rule that contains a

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Read a permissions document into data types that know their lines (DDS Security 1.1, 9.4.1.3).
 
 Documents that the schema does not allow are read as well, since vendors accept some of them.

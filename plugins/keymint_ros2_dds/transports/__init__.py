@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Transports: DDS implementations that decide about installed enclaves, simulated and real.
 
 Simulated transports are always usable; real ones depend on the machine. Each is imported when it is opened.

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Ask real participants of a vendor, each in its own process, which endpoints they may create."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The middleware of ROS 2 Ardent, on any transport: the partitions in which it creates the endpoints of services.
 
 It created the endpoints of a service in the empty partition first, and moved them to the service's partition later

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The installed Cyclone DDS 0.10: its access-control plugin alone, participants, or data between processes."""
 
 from __future__ import annotations

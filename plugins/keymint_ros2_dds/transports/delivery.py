@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The tier *exchange*: test whether data is delivered between two processes.
 
 For each endpoint of an edge, search for an enclave that may be its other end. If a participant of the subject may have

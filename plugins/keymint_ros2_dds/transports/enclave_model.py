@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Decide about installed enclaves by the models of vendors."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Transports with participants of a real vendor: their tiers, and the build of their probe programs."""
 
 from __future__ import annotations

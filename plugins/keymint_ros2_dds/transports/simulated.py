@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Simulated transports: the decision point on the signed documents of installed enclaves."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Call the access-control plugin of Cyclone DDS 0.10 directly: no participant, no network, no handshake.
 
 The shared object is the one that participants load. It exports ``init_access_control``, which fills a table of

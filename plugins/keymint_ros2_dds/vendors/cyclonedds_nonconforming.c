@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: Apache-2.0
 /* An access-control plugin for Cyclone DDS 0.10 whose participant ignores its own permissions: its local checks always
  * succeed, and the vendor's plugin does everything else. Peers get its true identity and permissions, and only they can
  * refuse it. KEYMINT_VENDOR_PLUGIN is the path of the vendor's plugin. */

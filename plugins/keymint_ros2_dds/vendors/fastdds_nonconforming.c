@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: Apache-2.0
 /* Preloaded into a participant of Fast DDS 2.9, it makes the participant ignore its own permissions: the local checks of
  * writers and readers always succeed. Peers get its true identity and permissions, and only they can refuse it. These
  * names replace the library's functions, because its table of virtual functions is bound by name. */

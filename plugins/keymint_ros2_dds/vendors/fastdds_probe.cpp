@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: Apache-2.0
 // A secure participant of Fast DDS 2.9. It reads one command per line from stdin, and answers each with one line on
 // stdout. participants.py, which starts it, describes the protocol.
 

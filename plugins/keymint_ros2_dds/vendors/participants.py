@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Secure participants of a real vendor on loopback, each in a process of its own.
 
 A participant is a probe (:mod:`probes`) that reads one command per line. The words of a line are separated by

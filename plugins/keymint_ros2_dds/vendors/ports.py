@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Blocks of UDP ports on loopback, so that systems of tests with the same domain id never communicate."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Detect the vendors, and build their probes: small programs with one secure participant each.
 
 A probe is built from its source in this folder, against the vendor's packages, once for each version of source,

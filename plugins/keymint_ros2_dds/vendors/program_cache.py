@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Find a folder for compiled probes: this user's cache if nobody else can write there, else a folder of this run.
 
 A program from the cache runs with the rights of the user, so only a safe place is trusted.

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Texts of policies, made of their elements."""
 
 from __future__ import annotations

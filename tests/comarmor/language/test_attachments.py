@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Attachments: placeholders for the subject's name, and errors of their notation."""
 
 from __future__ import annotations

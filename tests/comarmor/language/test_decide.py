@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The meaning of the language, by the examples and sentences of its definition."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Policies are loaded from files, folders and libraries."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Whatever is in a policy's files: it loads, or it is refused with a place; never anything else."""
 
 from __future__ import annotations

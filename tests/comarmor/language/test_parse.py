@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Both dialects of a policy, and its defects: each is reported with its place, the expected element and a hint."""
 
 from __future__ import annotations

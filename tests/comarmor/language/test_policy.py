@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A loaded policy: the profiles and rules that apply to a subject, and the subjects that it names."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Unit tests of a policy, as files."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The canonical form: it decides as the policy does, and is its own canonical form."""
 
 from __future__ import annotations

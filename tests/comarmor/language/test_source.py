@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Includes are confined to the policy's folder, and bounded: attacks by somebody who may edit a policy."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Attachments, rules of profiles and decisions, as data."""
 
 from __future__ import annotations

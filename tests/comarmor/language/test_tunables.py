@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Tunables: expansion, scopes, the order of declaration and use, and limits."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Small words and lists, and the first difference by definition: the engine is compared with it."""
 
 from __future__ import annotations

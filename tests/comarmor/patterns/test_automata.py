@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The engine agrees with a library that determinises."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The search over cubes returns a shortest word that all of some lists permit and another one denies."""
 
 from __future__ import annotations

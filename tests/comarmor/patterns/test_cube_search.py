@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The search of a cube returns a shortest word that all positive and no excluded patterns match."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Universes contain the words of their fields, and budgets end a search."""
 
 from __future__ import annotations

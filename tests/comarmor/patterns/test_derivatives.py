@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Derivatives accept what their patterns match, and the inclusion test is sound."""
 
 from __future__ import annotations

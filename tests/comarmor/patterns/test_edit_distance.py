@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The trie returns the names within an edit distance."""
 
 from __future__ import annotations

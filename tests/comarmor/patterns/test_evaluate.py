@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The fast evaluator decides as the definition does."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Expressions of policies; the oracle is ``fnmatch()`` of the C library."""
 
 from __future__ import annotations

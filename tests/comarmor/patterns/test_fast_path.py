@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """What the fast path proves agrees with the definition and with both engines."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Mutations of documents: every one that changes the meaning is detected.
 
 The definition decides whether a fault changes the meaning: every small pair of a partition and a topic is tried.

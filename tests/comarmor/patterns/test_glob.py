@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Patterns match as the C library does, and partial derivatives are exact."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Matching agrees with the definition of a pattern, whatever its shape, and takes polynomial time."""
 
 from __future__ import annotations

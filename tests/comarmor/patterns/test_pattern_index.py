@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The index returns the same patterns as a comparison of all pairs."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A pattern matches a ROS name or not, exactly; and the advice on what to write instead."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Expressions that are written for patterns are read as these patterns."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The product search returns a shortest word on which a conjunction of lists and another list differ."""
 
 from __future__ import annotations

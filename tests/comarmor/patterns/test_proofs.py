@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Comparisons agree with the definition on all small words."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The algebra of expressions, against all words over a small alphabet."""
 
 from __future__ import annotations

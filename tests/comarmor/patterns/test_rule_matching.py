@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A rule applies to objects and partitions that its expressions match, and to the parts of composite permissions."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The count of steps limits searches and does not depend on earlier calls."""
 
 from __future__ import annotations

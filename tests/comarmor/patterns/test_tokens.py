@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Expressions are split into tokens as the dialect says; see also the tests of each dialect in use."""
 
 from __future__ import annotations

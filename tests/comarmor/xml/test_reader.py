@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """XML documents are read with limits, without DOCTYPE, and with exact places."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Access to files stays inside a folder, and reads are bounded."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Violations of a schema are explained, with file, line and the nearest known name."""
 
 from __future__ import annotations

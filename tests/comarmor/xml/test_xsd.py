@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The elements that an XSD allows inside an element."""
 
 from __future__ import annotations

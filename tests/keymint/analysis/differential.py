@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """``diff`` against brute force, on policies that are one edit apart. In full: ``python benchmarks/diff.py``."""
 
 from __future__ import annotations

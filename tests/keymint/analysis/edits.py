@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Random policies that are one edit apart: for tests that compare the reported differences with what both decide."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Likely mistakes in attachments, and names that no ROS object can have."""
 
 from __future__ import annotations

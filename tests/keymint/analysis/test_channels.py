@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Channels by which data can flow between subjects."""
 
 from __future__ import annotations

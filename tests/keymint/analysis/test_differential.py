@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """``diff`` agrees with brute force; a sample of what ``python benchmarks/diff.py`` does in full."""
 
 from __future__ import annotations

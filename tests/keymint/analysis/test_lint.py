@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Unreachable, redundant and suspicious rules."""
 
 from __future__ import annotations

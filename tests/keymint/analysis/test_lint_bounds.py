@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Steps of linting grow linearly with the policy; exceeded limits are reported as notes."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A policy on one line means what it means with an element on each line, and findings are the same."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Semantic comparison of two policies."""
 
 from __future__ import annotations

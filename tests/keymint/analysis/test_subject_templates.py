@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Rewriting patterns with placeholders: over-approximation where wide, else under-approximation."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Subjects with a permission, among all possible subjects."""
 
 from __future__ import annotations

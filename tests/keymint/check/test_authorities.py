@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """``keymint check`` of authorities: shared, foreign, or without a password."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """``keymint check``: every kind of damage is a finding with a stable code."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """``keymint check`` of single enclaves."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """``keymint check``: who else can write what lies in the workspace, and what does not belong there."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """No private key gets into git: not by ``git add -A``, and not without a finding."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """``keymint discover`` from captures; from running systems: ``tests/real/test_discover.py``."""
 
 from __future__ import annotations

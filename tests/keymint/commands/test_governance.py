@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A governance that leaves topics open: found at build, refused by install and prove, accepted in the profile."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """``--json``: one documented shape on every verb."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """``keymint learn``: files, and what stands in the way."""
 
 from __future__ import annotations

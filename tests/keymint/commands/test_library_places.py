@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Rules of the shipped library are cited by the name that policies include them by, wherever a person reads it."""
 
 from __future__ import annotations

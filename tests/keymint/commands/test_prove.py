@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """``keymint prove``: proven, refuted, unknown; and what the record saves."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Verbs that only look read their inputs at one moment, and hold no lock while they think about them."""
 
 from __future__ import annotations

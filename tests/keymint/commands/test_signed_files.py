@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Signed files that other tools wrote: every verb reads them with the one reader, and claims nothing beyond it."""
 
 from __future__ import annotations

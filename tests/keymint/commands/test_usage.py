@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A value that is out of a known set is a usage error: exit code 2, in every verb, and nothing is written."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """``keymint verify``: decisions of transports are compared with the policy; mismatches are reported with a reason."""
 
 from __future__ import annotations

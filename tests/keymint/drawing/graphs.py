@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Graphs to draw, and names as an attacker would choose them."""
 
 from __future__ import annotations

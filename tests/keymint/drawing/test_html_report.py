@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The HTML report as a document; ``test_html_report_in_chromium.py`` uses it in a browser."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The report as a person uses it, in headless Chromium: scripts, keyboard, themes, and no network.
 
 Where Chromium is missing these skip; with ``KEYMINT_REQUIRE_VENDORS=1`` in the environment (as in CI) they fail.

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Labels, counts and selections."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The contrast of the palettes."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Pictures as PNG, and as DOT for Graphviz."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Reducing a graph to what a picture has room for."""
 
 from __future__ import annotations

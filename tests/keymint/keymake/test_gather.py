@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Gathered patterns match exactly the names."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Decision lists permit what is allowed and not denied, and contain nothing without effect."""
 
 from __future__ import annotations

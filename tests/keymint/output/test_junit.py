@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """JUnit XML, as CI servers read it."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The differences of two policies, as text and as Markdown."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Diagnostics of reports: merged if only the subject differs, and the exit code that they lead to."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """SARIF logs: rules by index, and places with the places that include them."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Specifications of certificates, and the openssl command that judges what we emit."""
 
 from __future__ import annotations

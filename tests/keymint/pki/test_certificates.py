@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Certificates: issued as openssl accepts them, read back, and compared with their specification."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Detached signatures: made and verified, and refused if any byte of them or of the text is another."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The fields of issued certificates: defaults of the role, extensions that it must or must not have, and limits."""
 
 from __future__ import annotations

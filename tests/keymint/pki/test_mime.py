@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The frame of signed documents: what is wrapped is unwrapped, also with other line ends, and nothing else is."""
 
 from __future__ import annotations

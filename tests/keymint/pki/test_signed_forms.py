@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """One reader of signed files: it takes what Keymint, openssl and SROS2 sign, and only what has exactly one reading."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Workspaces before the stages ``build`` and ``install``."""
 
 from __future__ import annotations

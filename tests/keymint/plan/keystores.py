@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Keys and files of the workspace ``ws``, for tests of keys and authorities."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Authorities: minted once, reissued for the same key, offline, replaced only on request."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Proofs rest on the authorities in ``public/``; other evidence in the workspace may speak against these files."""
 
 from __future__ import annotations

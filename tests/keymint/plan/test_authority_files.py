@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Keys and certificates of authorities that were swapped, lost or damaged are never replaced without being asked."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The stage ``build``: what is rebuilt, and edits by hand."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The stage ``create``: packages follow the policy, and edits by hand are kept."""
 
 from __future__ import annotations

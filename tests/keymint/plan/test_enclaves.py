@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """No false green: what is hidden, not created or cannot be read is a finding, and never stops or removes the rest."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The ``.gitignore`` files keep git out of spaces with secrets or generated files."""
 
 from __future__ import annotations

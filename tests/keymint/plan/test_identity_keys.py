@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Private keys of subjects: minted once, restored from the enclave, never replaced without being asked."""
 
 from __future__ import annotations

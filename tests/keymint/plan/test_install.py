@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The stage ``install``: what is written again, repaired, refused."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """What is built and signed though it is not in force, or outlasts its authority: said at each run, with its line."""
 
 from __future__ import annotations

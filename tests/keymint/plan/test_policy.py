@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Loading the policy of a workspace."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A policy that changed after its packages were created is reported."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Stored private keys: their passwords, and who signs."""
 
 from __future__ import annotations

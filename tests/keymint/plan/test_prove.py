@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The stage ``prove``: which proofs are cached, and which are not."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The files that all enclaves of the flat layout share."""
 
 from __future__ import annotations

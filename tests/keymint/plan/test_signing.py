@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Certificates and signed documents of the enclaves."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Proofs report when the documents are valid, also when the proof is cached."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """An enclave must rest on the authorities of its workspace."""
 
 from __future__ import annotations

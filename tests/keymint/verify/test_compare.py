@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Labels are compared as they come, whatever a transport does meanwhile."""
 
 from __future__ import annotations

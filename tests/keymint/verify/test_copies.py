@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Transports read copies of enclaves, with keys only if they need them; messages name the originals."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """What a policy means on endpoints: rules on ROS names and on DDS names meet there."""
 
 from __future__ import annotations

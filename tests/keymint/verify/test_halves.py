@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """An endpoint that a transport allows is a mismatch of its own if the policy denies all that needs it."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Names that probe patterns: inside, just outside, and never too many."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """New profiles are complete, loadable and conservative."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """New packages, and changes of the policy: an unedited document follows the policy, an edited one is kept."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The policy fragments of each ROS 2 distribution, and the flat layout of Ardent."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The example policies decide as their READMEs describe."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Governance documents, completed by their defaults."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """``keymint_package.xml``: names, documents and authorities of a package."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Packages, completed by the defaults of their profile, and their defects."""
 
 from __future__ import annotations

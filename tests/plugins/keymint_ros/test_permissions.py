@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """``permissions.xml``: the same rules as the intermediate representation, or those of an edit."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Placeholders in the distinguished names of authorities and packages."""
 
 from __future__ import annotations

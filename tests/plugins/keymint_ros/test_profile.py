@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Profiles: authorities and their hierarchy, policies, and defects."""
 
 from __future__ import annotations

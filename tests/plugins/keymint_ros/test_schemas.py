@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Two independent validators accept the XSDs; the readers report an error for any broken document."""
 
 from __future__ import annotations

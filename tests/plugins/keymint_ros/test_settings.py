@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The settings of a profile, as options of ``keymint init``."""
 
 from __future__ import annotations

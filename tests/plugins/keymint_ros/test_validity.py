@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Periods of validity: dates and durations."""
 
 from __future__ import annotations

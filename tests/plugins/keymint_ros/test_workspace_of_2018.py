@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A workspace of 2018 loads unmodified, once its permissions are recreated from its policy."""
 
 from __future__ import annotations

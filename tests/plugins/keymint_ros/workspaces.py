@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A bootstrapped profile and a package of it, as files in memory."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Needs that several subjects share move into included files, where that makes the policy shorter."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Learning: the policy allows what the graph has, nothing else of its completion, in few words."""
 
 from __future__ import annotations

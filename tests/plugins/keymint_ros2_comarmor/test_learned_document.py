@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Learned rules are written as files that load, in the canonical form, and their sizes are exact."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Needs of subjects are merged, and folded into rules that grant exactly them."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """An existing policy is compared with a graph: edges that it denies, and permissions that no edge uses."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The structure of a policy as it is written: nesting, includes, and what is not used."""
 
 from __future__ import annotations

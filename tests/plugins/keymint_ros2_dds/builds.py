@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Packages built to documents, and what is written in these."""
 
 from __future__ import annotations

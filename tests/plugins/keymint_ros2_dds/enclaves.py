@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Enclaves made of real certificates, and inspections of them."""
 
 from __future__ import annotations

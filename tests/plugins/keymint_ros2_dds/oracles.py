@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """What a policy and a document mean, written down a second time, plainly and without the code under test.
 
 ``policy`` is the language (deny overrides, each partition by itself). ``omg``, ``cyclone`` and ``fastdds`` decide by an

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Packages to build, as a package type would load them."""
 
 from __future__ import annotations

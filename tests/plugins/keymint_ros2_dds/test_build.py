@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The build stage: what the documents hold, what is refused, and what is only said."""
 
 from __future__ import annotations

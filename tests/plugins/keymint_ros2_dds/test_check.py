@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Findings on installed enclaves."""
 
 from __future__ import annotations

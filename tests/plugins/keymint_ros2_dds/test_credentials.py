@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Revocation lists beside a certificate."""
 
 from __future__ import annotations

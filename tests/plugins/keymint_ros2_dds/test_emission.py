@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The forms of a permissions document: in full, folded, gathered, by demand; all of them mean what the rules say."""
 
 from __future__ import annotations

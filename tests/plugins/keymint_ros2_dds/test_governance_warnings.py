@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """What the governance of a package leaves open."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The install stage: layouts, signatures that are kept while they hold, and what is refused."""
 
 from __future__ import annotations

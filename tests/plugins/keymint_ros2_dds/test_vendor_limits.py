@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Sizes and settings that vendors do not support."""
 
 from __future__ import annotations

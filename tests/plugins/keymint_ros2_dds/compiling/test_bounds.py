@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """What compiling may cost: counted in steps, refused beyond them with a place and what to do, never left out."""
 
 from __future__ import annotations

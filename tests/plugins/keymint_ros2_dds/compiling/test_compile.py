@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The law of the compiler: for every name, the standard and the vendors decide as the policy does, or it refuses."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Gathering topics into bracket expressions changes no decision."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The lists of partitions in which topic patterns are allowed."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """What is requested more often comes first, where that changes no decision."""
 
 from __future__ import annotations

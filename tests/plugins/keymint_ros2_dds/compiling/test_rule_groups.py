@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Groups of rules that share no name, and rules merged into others."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The order of rules that every vendor reads in the same way."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A second reading of Cyclone DDS's ``ac_fnmatch`` that shares no code with Keymint: the tests' oracle."""
 
 from __future__ import annotations

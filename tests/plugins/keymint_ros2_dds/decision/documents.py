@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Permissions documents, written plainly."""
 
 from __future__ import annotations

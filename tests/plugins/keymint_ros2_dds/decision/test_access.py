@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """What a governance document makes of an endpoint, by the standard and by each vendor."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Each deviation of a vendor, by the row of the table in docs/vendors.md that it models."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The decision point by the standard, and against the plain oracles on whatever the compiler may write."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The dialects against what they model: the C library's matcher and, where it is installed, Cyclone DDS's."""
 
 from __future__ import annotations

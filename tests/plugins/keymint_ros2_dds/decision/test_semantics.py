@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """What each vendor does with documents that are not plain; measured, and measured again by ``tests/real``."""
 
 from __future__ import annotations

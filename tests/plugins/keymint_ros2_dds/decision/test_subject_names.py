@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The subject name of a grant against that of an identity, as each implementation compares them."""
 
 from __future__ import annotations

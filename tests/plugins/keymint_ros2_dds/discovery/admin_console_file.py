@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A small file of the form in which RTI Admin Console writes what it discovered."""
 
 from __future__ import annotations

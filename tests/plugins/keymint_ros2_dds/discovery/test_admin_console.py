@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Captures of RTI Admin Console."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Observing where Cyclone DDS is not installed; where it is: ``tests/real/test_discover.py``."""
 
 from __future__ import annotations

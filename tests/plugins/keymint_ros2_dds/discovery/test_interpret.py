@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """DDS names back to ROS: the inverse of the mapping, for both mappings, and nothing more."""
 
 from __future__ import annotations

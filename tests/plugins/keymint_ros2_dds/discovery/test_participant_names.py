@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """How participants come by the names of subjects."""
 
 from __future__ import annotations

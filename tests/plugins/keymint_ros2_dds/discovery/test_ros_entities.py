@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Names and types of DDS topics back to ROS, for both mappings."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A capture of a DDS domain as a graph."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Large documents: no blanks that handshakes would carry, and still a line for each topic."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The permissions document: one grant for one subject."""
 
 from __future__ import annotations

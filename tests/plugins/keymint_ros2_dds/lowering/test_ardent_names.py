@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """ROS 2 Ardent: namespaces are partitions, and the law of the compiler holds for pairs of partition and topic."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The DDS topics that each permission needs."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Edges on ROS names and the DDS endpoints that they stand for."""
 
 from __future__ import annotations

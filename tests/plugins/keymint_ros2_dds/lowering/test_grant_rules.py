@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Expressions that are names: they match themselves and nothing else, in every dialect."""
 
 from __future__ import annotations

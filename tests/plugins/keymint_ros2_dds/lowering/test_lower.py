@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The rules of a subject as DDS patterns, by action."""
 
 from __future__ import annotations

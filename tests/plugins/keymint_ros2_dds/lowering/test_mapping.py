@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """ROS names as DDS topics: the image of an expression is exact."""
 
 from __future__ import annotations

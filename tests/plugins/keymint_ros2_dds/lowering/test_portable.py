@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Patterns are written so that Cyclone DDS and Fast DDS match the same names."""
 
 from __future__ import annotations

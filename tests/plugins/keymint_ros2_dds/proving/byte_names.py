@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Claims about names of all bytes, compared with the matchers that vendors call, over all short names.
 
 In full: ``python -m tests.plugins.keymint_ros2_dds.proving.byte_names 20000``.

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """An enclave vouches for nothing: only what rests on the workspace's authorities is proven."""
 
 from __future__ import annotations

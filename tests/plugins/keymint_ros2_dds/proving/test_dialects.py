@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The expressions of a document as patterns over bytes."""
 
 from __future__ import annotations

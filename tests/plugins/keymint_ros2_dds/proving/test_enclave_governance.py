@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The signed governance is part of every claim: what it opens, refuses, or protects less, is found."""
 
 from __future__ import annotations

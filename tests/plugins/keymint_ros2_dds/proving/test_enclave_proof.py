@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Claims about enclaves: what is installed is proven, and what is broken gets the right shortest counterexample."""
 
 from __future__ import annotations

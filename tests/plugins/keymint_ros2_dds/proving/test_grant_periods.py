@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The periods in which grants are in force, against decisions at single moments."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Claims are about every name of bytes: what is beyond printable ASCII is not passed over."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Decision lists of documents and policies, compared with the decision point and with the definition."""
 
 from __future__ import annotations

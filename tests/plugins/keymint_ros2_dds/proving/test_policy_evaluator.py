@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The evaluator of policies against a second one, written down without the code under test."""
 
 from __future__ import annotations

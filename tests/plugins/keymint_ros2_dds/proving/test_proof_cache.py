@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """What was proven of the bytes of a document is not proven again in a run; what was not is asked again."""
 
 from __future__ import annotations

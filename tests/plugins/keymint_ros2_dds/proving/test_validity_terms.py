@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """When a document is in force, as each model reads dates: held against the decision point at that time."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The dates of a validity period, as each implementation reads them."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """What makes vendors read a document differently from a plain one."""
 
 from __future__ import annotations

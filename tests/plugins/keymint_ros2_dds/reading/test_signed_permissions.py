@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A permissions document as data types that know their lines."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The middleware of ROS 2 Ardent asks for other endpoints than the names of an edge say."""
 
 from __future__ import annotations

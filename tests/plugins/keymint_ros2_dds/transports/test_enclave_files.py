@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The files of an installed enclave."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Simulated transports on installed enclaves: every file counts, and a refusal says why."""
 
 from __future__ import annotations

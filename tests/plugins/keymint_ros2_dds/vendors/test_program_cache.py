@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Compiled probes come from a place that is ours alone, or are built in one."""
 
 from __future__ import annotations
