@@ -15,6 +15,8 @@ import pytest
 
 from tests.conftest import CHECKOUT
 
+pytestmark = pytest.mark.xdist_group("audit")  # one worker, so that the verbs run once
+
 WRITERS = {f"keymint/{name}.py" for name in ("store", "folder_staging", "folder_swap", "file_writing")}
 TEMPORARY = {"keymint/git.py", "keymint/verify/copies.py"}
 """Extract trees of a revision, or copy enclaves for transports, into a temporary folder that they remove."""
