@@ -7,8 +7,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from comarmor.rules import PERMISSIONS
 from comarmor.text import printable
-from keymint.drawing.display_text import shorten
+from keymint.drawing.display_text import KINDS, shorten
 
 
 @pytest.mark.parametrize(("text", "shown"), [("/a_b", "/a_b"), ("a\u202eb\x01", "a\\u202eb\\x01"), ("漢", "漢")])
@@ -34,3 +35,7 @@ def test_shortened(text: str, longest: int) -> None:
 )
 def test_shortened_names_are_cut_between_words(text: str, longest: int, shown: str) -> None:
     assert shorten(text, longest) == shown
+
+
+def test_pictures_name_every_kind_of_object() -> None:
+    assert set(KINDS) == set(PERMISSIONS)
