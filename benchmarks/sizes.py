@@ -36,9 +36,9 @@ from keymint.api import (
     DomainRange,
     DomainRule,
     Governance,
+    Grant,
     KeySpec,
     Package,
-    Permissions,
     PolicySource,
     Validity,
 )
@@ -55,7 +55,7 @@ def package(rules: SubjectRules) -> Package:
     validity, domains = Validity(begin, begin + timedelta(days=365)), (DomainRange(0, 0),)
     name = f"OU=0f,CN={rules.subject}"
     identity = CertificateSpec(name, validity, None, "identity_ca", "SHA256", KeySpec("ec", "SECP256R1"), (), HERE)
-    permissions = Permissions("permissions_ca", rules.subject, name, validity, domains, rules, HERE)
+    permissions = Grant("permissions_ca", rules.subject, name, validity, domains, rules, HERE)
     domain_rule = DomainRule(domains, False, True, "ENCRYPT", "ENCRYPT", "ENCRYPT", (), HERE)
     governance = Governance("permissions_ca", (domain_rule,))
     return Package(rules.subject[1:], rules.subject, "keymint_ros2_dds", "jazzy", identity, permissions, governance)

@@ -18,9 +18,9 @@ from keymint.api import (
     DomainRange,
     DomainRule,
     Governance,
+    Grant,
     KeySpec,
     Package,
-    Permissions,
     Validity,
 )
 from keymint.errors import KeymintError
@@ -63,7 +63,7 @@ def portability(
 def _of_package(
     build_type: BuildType, package: Package, reported: set[tuple[str, Origin | None, str]]
 ) -> Iterator[Diagnostic]:
-    rules = package.permissions.rules.rules
+    rules = package.grant.rules.rules
     places = {rule.origin.spot for rule in rules}
     for each in (*_relay_only(rules), *_built(build_type, package)):
         where = each.where
@@ -104,8 +104,6 @@ def package_of(name: str, distro: str, subject: str, rules: tuple[Rule, ...], no
         identity=CertificateSpec(
             common_name, validity, None, "identity", "SHA256", KeySpec("ec", "SECP256R1"), (), origin
         ),
-        permissions=Permissions(
-            "permissions", subject, common_name, validity, everywhere, SubjectRules(subject, rules), origin
-        ),
+        grant=Grant("permissions", subject, common_name, validity, everywhere, SubjectRules(subject, rules), origin),
         governance=Governance("permissions", (protection,)),
     )

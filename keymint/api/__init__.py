@@ -41,8 +41,8 @@ from keymint.api.graphs import PolicyLearner as PolicyLearner
 from keymint.api.packages import DomainRange as DomainRange
 from keymint.api.packages import DomainRule as DomainRule
 from keymint.api.packages import Governance as Governance
+from keymint.api.packages import Grant as Grant
 from keymint.api.packages import Package as Package
-from keymint.api.packages import Permissions as Permissions
 from keymint.api.packages import TopicProtection as TopicProtection
 from keymint.api.policies import AppliedProfile as AppliedProfile
 from keymint.api.policies import LoadedPolicy as LoadedPolicy

@@ -76,12 +76,12 @@ class Governance:
 
 
 @dataclass(frozen=True, slots=True)
-class Permissions:
+class Grant:
     """The grant of a subject: its rules, domains and validity.
 
     Attributes:
         issuer: name of the authority that signs the document.
-        grant_name: the grant's name attribute.
+        name: the grant's name attribute.
         subject_name: distinguished name as text; must equal that of the identity.
         domains: domains in which the grant is valid.
         domains_origin: where these are written, if not at ``origin``.
@@ -89,7 +89,7 @@ class Permissions:
     """
 
     issuer: str
-    grant_name: str
+    name: str
     subject_name: str
     validity: Validity
     domains: tuple[DomainRange, ...]
@@ -117,6 +117,6 @@ class Package:
     build_type: str
     distro: str
     identity: CertificateSpec
-    permissions: Permissions
+    grant: Grant
     governance: Governance
     issuers: tuple[Authority, ...] = ()

@@ -35,7 +35,7 @@ def inspection(session: Session, package: Package, within: timedelta) -> tuple[I
         folder=session.workspace.shown(session.enclaves / package.name),
         layout=session.profile.layout,
         identity_ca=chains.get(package.identity.issuer, b""),
-        permissions_ca=chains.get(package.permissions.issuer, b""),
+        permissions_ca=chains.get(package.grant.issuer, b""),
         now=session.now,
         within_days=within / timedelta(days=1),
     )

@@ -87,8 +87,8 @@ def _refused_edits(session: Session, plan: Plan, subjects: Collection[str]) -> l
             if diagnostic.code == HAND_EDITED and diagnostic.subject == subject
         ]
         discard = {where: f"keymint build -f {name}" for where in built if where}
-        if package.permissions.edited:
-            discard[package.permissions.origin] = f"keymint create -f {name}"
+        if package.grant.edited:
+            discard[package.grant.origin] = f"keymint create -f {name}"
         for where, command in discard.items():
             message = f"a manual edit changes what {subject} may do"
             help_ = f"change the policy instead; '{command}' discards the edit"

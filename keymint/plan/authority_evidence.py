@@ -41,7 +41,7 @@ def contradictions(session: Session) -> Contradictions:
 
 def contradictions_for(contradictions: Contradictions, package: Package) -> tuple[Diagnostic, ...]:
     """Return the contradictions of the authorities that the enclave of a package rests on, each once."""
-    issuers = (package.identity.issuer, package.permissions.issuer)
+    issuers = (package.identity.issuer, package.grant.issuer)
     return tuple(dict.fromkeys(each for issuer in issuers for each in contradictions.get(issuer, ())))
 
 

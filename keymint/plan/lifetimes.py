@@ -44,7 +44,7 @@ class Lifetime:
 
 def lifetimes(package: Package) -> tuple[Lifetime, ...]:
     """Return the lifetimes of a package's grant and certificate."""
-    grant, identity = package.permissions, package.identity
+    grant, identity = package.grant, package.identity
     return (
         _lifetime("grant", grant.validity, grant.issuer, grant.origin),
         _lifetime("certificate", identity.validity, identity.issuer, identity.origin),

@@ -212,7 +212,7 @@ class _ProofRun:
         task = ProofTask(
             rules,
             package.distro,
-            package.permissions.domains,
+            package.grant.domains,
             files,
             folder,
             anchors_of(self._session, package, self._chains),

@@ -39,12 +39,12 @@ def sign(
         KeymintError: an authority is unknown or cannot sign, or the documents cannot be signed.
     """
     issuer = _authority(authorities, package.identity.issuer, package.identity.origin)
-    notary = _authority(authorities, package.permissions.issuer, package.permissions.origin)
-    if package.governance.issuer != package.permissions.issuer:
+    notary = _authority(authorities, package.grant.issuer, package.grant.origin)
+    if package.governance.issuer != package.grant.issuer:
         raise KeymintError(
-            f"governance is signed by {package.governance.issuer!r}, permissions by {package.permissions.issuer!r}, "
+            f"governance is signed by {package.governance.issuer!r}, permissions by {package.grant.issuer!r}, "
             "but participants verify both with one permissions authority",
-            where=package.permissions.origin,
+            where=package.grant.origin,
             help="give both the same issuer_name",
             code="authority-mismatch",
         )

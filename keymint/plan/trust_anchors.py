@@ -29,7 +29,7 @@ def anchors_of(session: Session, package: Package, chains: Mapping[str, bytes]) 
 
     return TrustAnchors(
         anchor(package.identity.issuer),
-        anchor(package.permissions.issuer),
+        anchor(package.grant.issuer),
         package.identity.subject_name,
         session.profile.layout,
     )

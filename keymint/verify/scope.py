@@ -59,8 +59,8 @@ def verification_scope(session: Session, names: Sequence[str]) -> VerificationSc
         naming = naming_of(session, package)
         if naming:
             namings[package.subject] = naming
-        if package.permissions.domains:
-            domains[package.subject] = package.permissions.domains[0].first
+        if package.grant.domains:
+            domains[package.subject] = package.grant.domains[0].first
     return VerificationScope(dict(sorted(enclaves.items())), namings, domains)
 
 

@@ -107,7 +107,7 @@ def granted_domains(session: Session, subject: str) -> tuple[DomainRange, ...]:
     name = subject.removeprefix("/")
     if name not in packages(session.tree, session.workspace.src):
         return ()
-    return session.package(name).permissions.domains
+    return session.package(name).grant.domains
 
 
 def explain(
@@ -170,7 +170,7 @@ def _package(session: Session, name: str, edge: Edge) -> tuple[Sequence[MatchedR
         return None, None
     files = session.package_files(name)
     package = session.package(name)
-    rules = package.permissions.rules.rules
+    rules = package.grant.rules.rules
     places = _places(session, name, files, rules)
     naming = naming_of(session, package)
     matching = matching_rules(rules, _with_meanings(edge, naming))

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, TypeVar
 from comarmor.errors import Diagnostic, Origin
 from comarmor.text import did_you_mean
 from comarmor.xml.reader import line
-from keymint.api import Authority, CertificateSpec, Governance, Package, Permissions, WorkspaceProfile
+from keymint.api import Authority, CertificateSpec, Governance, Grant, Package, WorkspaceProfile
 from keymint.errors import KeymintError
 from keymint_ros import certificate, governance, manifest, permissions, placeholders, validity
 from keymint_ros.document import Reader, file_in, incomplete, normal_path, text
@@ -124,7 +124,7 @@ class _PackageLoader:
         self.known_authority(spec.issuer, certificate.issuer(own, defaults)[1], "issues the certificate")
         return spec
 
-    def permissions(self) -> Permissions:
+    def permissions(self) -> Grant:
         """Return the grant of the subject."""
         part, subject = self.manifest.permissions, f"/{self.name}"
         file, content = self.own(part, create=f"'keymint create {self.name}' creates it from the policy")
@@ -136,9 +136,9 @@ class _PackageLoader:
         if subject_name is None or period is None:
             missing = "subject_name" if subject_name is None else "validity"
             raise incomplete("grant", missing, Origin(defaults_file, defaults.line))
-        return Permissions(
+        return Grant(
             issuer=self.signer(part, defaults.issuer, Origin(defaults_file, defaults.line)),
-            grant_name=grant.name,
+            name=grant.name,
             subject_name=placeholders.expand(subject_name, self.values),
             validity=period,
             domains=grant.domains or defaults.domains or governance.DEFAULT_DOMAINS,
@@ -218,7 +218,7 @@ def load(profile: WorkspaceProfile, name: str, folder: str, files: Mapping[str, 
         build_type=package_manifest.build_type,
         distro=profile.distro,
         identity=identity,
-        permissions=grant,
+        grant=grant,
         governance=protection,
         issuers=tuple(_issuers(profile, identity.issuer)),
     )

@@ -54,7 +54,7 @@ def build(package: Package, options: BuildOptions) -> BuildResult:
 
 def _check(package: Package) -> Iterator[Diagnostic]:
     """Yield the contradictions in a package."""
-    granted = package.permissions
+    granted = package.grant
     identity = package.identity
     if granted.subject_name != identity.subject_name and _canonical(granted.subject_name, granted.origin) != _canonical(
         identity.subject_name, identity.origin

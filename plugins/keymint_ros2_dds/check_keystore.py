@@ -64,7 +64,7 @@ def _shared_authorities(inspections: Sequence[Inspection]) -> Iterator[Diagnosti
             severity = Severity.NOTE if inspection.layout == "flat" else Severity.WARNING
             yield Diagnostic(
                 "authority-shared", severity,
-                f"the authority {inspection.package.permissions.issuer!r} issues identities and signs permissions: on "
+                f"the authority {inspection.package.grant.issuer!r} issues identities and signs permissions: on "
                 "older releases of DDS implementations an identity can sign permissions for itself (CVE-2023-24010)",
                 Origin(f"{inspection.folder}/{CERTIFICATE}"),
                 "use two authorities", inspection.package.subject,
@@ -78,7 +78,7 @@ def _different_authorities(inspections: Sequence[Inspection]) -> Iterator[Diagno
         if first and inspection.permissions_ca != first.permissions_ca:
             yield Diagnostic(
                 "authorities-differ", Severity.WARNING,
-                f"its permissions are signed by {inspection.package.permissions.issuer!r}, those of "
-                f"{first.package.subject} by {first.package.permissions.issuer!r}: on Fast DDS they cannot communicate",
+                f"its permissions are signed by {inspection.package.grant.issuer!r}, those of "
+                f"{first.package.subject} by {first.package.grant.issuer!r}: on Fast DDS they cannot communicate",
                 Origin(inspection.folder), "sign all permissions by one authority", inspection.package.subject,
             )  # fmt: skip

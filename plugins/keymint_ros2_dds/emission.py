@@ -55,7 +55,7 @@ def emit(package: Package, options: BuildOptions) -> Emitted:
         KeymintError: the rules cannot be expressed portably, or are invalid, with ``file:line``; or no form of the
             document means what the rules mean.
     """
-    compiled = compile_rules(package.permissions, package.distro, options)
+    compiled = compile_rules(package.grant, package.distro, options)
     with step_limit(STEPS):
         return _smallest_proven(package, options, compiled)
 
@@ -64,17 +64,15 @@ def _smallest_proven(package: Package, options: BuildOptions, compiled: Compiled
     """Return the document in its first form that is proven, else in its plain form."""
     diagnostics: list[Diagnostic] = []
     for rules in _forms(compiled, optimise=options.optimise):
-        document = dds_xml.render(document_tree(package.permissions, rules), PERMISSIONS)
+        document = dds_xml.render(document_tree(package.grant, rules), PERMISSIONS)
         open_claims = _open_claims(package, compiled.lowered, document, _models(compiled))
         if not open_claims or rules is compiled.plain:
             diagnostics += compiled.diagnostics
             diagnostics += _plain_unproven(package, compiled, open_claims)
-            diagnostics += vendor_notes(rules, package.permissions)
+            diagnostics += vendor_notes(rules, package.grant)
             break
         diagnostics.append(_form_unproven(package, open_claims[0]))
-    plain = (
-        document if rules == compiled.plain else dds_xml.serialize(document_tree(package.permissions, compiled.plain))
-    )
+    plain = document if rules == compiled.plain else dds_xml.serialize(document_tree(package.grant, compiled.plain))
     return Emitted(document, len(plain), compiled.lowered, tuple(diagnostics))
 
 
@@ -94,8 +92,8 @@ def is_form_of(package: Package, document: bytes) -> bool:
     Raises:
         KeymintError: the document cannot be read, or the rules cannot be compiled.
     """
-    compiled = compile_rules(package.permissions, package.distro, BuildOptions(allow_vendor_specific=True))
-    trees = (document_tree(package.permissions, rules) for rules in (*compiled.forms, compiled.plain))
+    compiled = compile_rules(package.grant, package.distro, BuildOptions(allow_vendor_specific=True))
+    trees = (document_tree(package.grant, rules) for rules in (*compiled.forms, compiled.plain))
     forms = [dds_xml.render(tree, PERMISSIONS) for tree in trees]
     if document in forms:
         return True
@@ -122,12 +120,10 @@ def _models(compiled: Compiled) -> tuple[str, ...]:
 def _open_claims(package: Package, lowered: Lowered, document: bytes, models: Sequence[str]) -> list[Claim]:
     """Return the claims about a document that are not proven."""
     spec = ProofSpec(
-        distinguished_names.render(
-            distinguished_names.parse(package.permissions.subject_name, package.permissions.origin)
-        ),
-        package.permissions.rules,
+        distinguished_names.render(distinguished_names.parse(package.grant.subject_name, package.grant.origin)),
+        package.grant.rules,
         package.distro,
-        package.permissions.domains,
+        package.grant.domains,
         STATES,
         lambda: True,
     )
@@ -140,7 +136,7 @@ def _form_unproven(package: Package, claim: Claim) -> Diagnostic:
         "rewriting-unproven",
         Severity.WARNING,
         f"the smaller form of the permissions is not proven to mean what the rules mean: {_reason(claim)}",
-        package.permissions.origin,
+        package.grant.origin,
         "the plain form is written; '--no-optimise' writes it without this warning",
         package.subject,
     )
@@ -156,13 +152,11 @@ def _plain_unproven(package: Package, compiled: Compiled, open_claims: Sequence[
         message = f"the permissions are not proven to mean what the rules mean: {_reason(claim)}"
         if compiled.portable and claim.proof is Proof.COUNTEREXAMPLE:
             raise KeymintError(
-                message, where=package.permissions.origin, code="compile-refuted",
+                message, where=package.grant.origin, code="compile-refuted",
                 help="this is a defect of Keymint: simplify the rules, and report it",
             )  # fmt: skip
         help_ = "'keymint prove' may decide it with more time"
-        yield Diagnostic(
-            "compile-unproven", Severity.WARNING, message, package.permissions.origin, help_, package.subject
-        )
+        yield Diagnostic("compile-unproven", Severity.WARNING, message, package.grant.origin, help_, package.subject)
 
 
 def _reason(claim: Claim) -> str:

@@ -83,7 +83,7 @@ def _open_domain(rule: DomainRule, domains: tuple[DomainRange, ...]) -> Iterator
 def _open_topics(
     package: Package, rule: DomainRule, domains: tuple[DomainRange, ...], lowered: Lowered | None
 ) -> Iterator[_Finding]:
-    inside = any(a.first <= b.last and b.first <= a.last for a in domains for b in package.permissions.domains)
+    inside = any(a.first <= b.last and b.first <= a.last for a in domains for b in package.grant.domains)
     earlier: list[Glob] = []
     for topic in rule.topic_rules:
         patterns = governance_document.patterns(topic, package.distro)
@@ -92,7 +92,7 @@ def _open_topics(
             continue
         open_ = [action for action in ACCESS if not _controls(topic, action)]
         if open_ and inside and lowered is None:
-            lowered = lower(package.permissions.rules, package.distro)
+            lowered = lower(package.grant.rules, package.distro)
         for action in open_:
             if inside and lowered is not None and _allowed(lowered, action, tuple(earlier), tuple(effective)):
                 continue

@@ -46,7 +46,7 @@ def install(
         raise KeymintError(
             f"{package.subject} has one authority for identities and another for permissions, but the layout 'flat' "
             "has one file for both",
-            where=package.permissions.origin,
+            where=package.grant.origin,
             help="name one authority for both, or use the layout 'sros2'",
             code="layout-authorities",
         )

@@ -97,7 +97,7 @@ def check_size(size: int, kind: str, package: Package, lowered: Lowered | None =
     limit = BROKEN if size > BROKEN else TIGHT
     effect = "handshakes fail on Fast DDS" if size > BROKEN else "handshakes may fail on some vendors"
     message = f"the signed {kind} document has about {size:,} bytes; beyond {limit:,} {effect}"
-    where = package.permissions.origin
+    where = package.grant.origin
     help_ = "allow entire namespaces with a wildcard where that is intended, or split the subject"
     if lowered is not None:
         rules = Counter(rule for _, _, _, rule in lowered.patterns())

@@ -23,9 +23,9 @@ from keymint.api import (
     DomainRange,
     DomainRule,
     Governance,
+    Grant,
     KeySpec,
     Package,
-    Permissions,
     PolicySource,
     TopicProtection,
     Validity,
@@ -123,7 +123,7 @@ def compiled(policy: Path, subject: str) -> tuple[str, str]:
     validity = Validity(now - timedelta(days=2), now + timedelta(days=10))
     name, domains = f"CN={subject}", (DomainRange(0, 0),)
     identity = CertificateSpec(name, validity, None, "identity", "SHA256", KeySpec("ec", "SECP256R1"), (), _HERE)
-    permissions = Permissions("permissions", subject, name, validity, domains, rules, _HERE)
+    permissions = Grant("permissions", subject, name, validity, domains, rules, _HERE)
     everything = TopicProtection("topic", "*", True, True, True, True, "ENCRYPT", "ENCRYPT", _HERE)
     domain_rule = DomainRule(domains, False, True, "ENCRYPT", "ENCRYPT", "SIGN", (everything,), _HERE)
     governance = Governance("permissions", (domain_rule,))

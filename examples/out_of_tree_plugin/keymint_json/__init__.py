@@ -38,7 +38,7 @@ class JsonBuildType:
     def build(self, package: Package, options: BuildOptions) -> BuildResult:
         """Return the rules as JSON: the same bytes for the same rules, whatever their order in the policy."""
         del options  # JSON can express every rule, so the options for lenient builds do not apply
-        permissions = package.permissions
+        grant = package.grant
         rules: list[dict[str, Any]] = [
             {
                 "effect": str(rule.effect),
@@ -47,13 +47,13 @@ class JsonBuildType:
                 "expressions": sorted(rule.expressions),
                 "partitions": sorted(rule.partitions),
             }
-            for rule in permissions.rules.rules
+            for rule in grant.rules.rules
         ]
         document = {
             "subject": package.subject,
-            "not_before": permissions.validity.not_before.isoformat(),
-            "not_after": permissions.validity.not_after.isoformat(),
-            "domains": [[domains.first, domains.last] for domains in sorted(permissions.domains)],
+            "not_before": grant.validity.not_before.isoformat(),
+            "not_after": grant.validity.not_after.isoformat(),
+            "domains": [[domains.first, domains.last] for domains in sorted(grant.domains)],
             "rules": sorted(rules, key=lambda rule: json.dumps(rule, sort_keys=True)),
         }
         return BuildResult({DOCUMENT: (json.dumps(document, indent=2, sort_keys=True) + "\n").encode()})

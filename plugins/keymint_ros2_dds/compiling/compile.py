@@ -13,7 +13,7 @@ from comarmor.patterns.printing import exact
 from comarmor.patterns.relations import disjoint, sort_key
 from comarmor.patterns.steps import StepLimitError, step_limit
 from comarmor.rules import Effect
-from keymint.api import BuildOptions, Hint, Permissions
+from keymint.api import BuildOptions, Grant, Hint
 from keymint.errors import KeymintError
 from keymint.ir import Rule
 from keymint_ros2_dds.compiling import partitions
@@ -51,7 +51,7 @@ class Compiled:
     diagnostics: tuple[Diagnostic, ...]
 
 
-def compile_rules(permissions: Permissions, distro: str, options: BuildOptions) -> Compiled:
+def compile_rules(permissions: Grant, distro: str, options: BuildOptions) -> Compiled:
     """Compile the rules of a subject to rules that every vendor reads in the same way.
 
     Args:
@@ -183,7 +183,7 @@ class _PortabilityReport:
         return next(exact, None) or next(overlapping, None)
 
 
-def vendor_notes(rules: Iterable[GrantRule[str]], permissions: Permissions) -> Iterator[Diagnostic]:
+def vendor_notes(rules: Iterable[GrantRule[str]], permissions: Grant) -> Iterator[Diagnostic]:
     """Yield notes on what only some vendors do differently with the rules, once for a package."""
     subject = permissions.rules.subject
     rules = tuple(rules)

@@ -9,7 +9,7 @@ from lxml import etree
 
 from comarmor.errors import Diagnostic, Severity
 from comarmor.rules import Effect
-from keymint.api import Permissions
+from keymint.api import Grant
 from keymint.errors import KeymintError
 from keymint.pki import distinguished_names
 from keymint_ros2_dds.documents import dds_xml
@@ -21,7 +21,7 @@ _MAX_YEAR = 2261
 """Cyclone DDS counts time in nanoseconds of 64 bits, and reads later years as expired."""
 
 
-def document_tree(permissions: Permissions, rules: Iterable[GrantRule[str]]) -> etree._Element:
+def document_tree(permissions: Grant, rules: Iterable[GrantRule[str]]) -> etree._Element:
     """Return the root element of the permissions document; a pure function of its arguments.
 
     Raises:
@@ -39,7 +39,7 @@ def document_tree(permissions: Permissions, rules: Iterable[GrantRule[str]]) -> 
         raise KeymintError.of(problems)
     root = dds_xml.root(PERMISSIONS)
     grant = dds_xml.child(dds_xml.child(root, "permissions"), "grant")
-    grant.set("name", permissions.grant_name)
+    grant.set("name", permissions.name)
     dds_xml.child(
         grant,
         "subject_name",
@@ -54,7 +54,7 @@ def document_tree(permissions: Permissions, rules: Iterable[GrantRule[str]]) -> 
     return root
 
 
-def _add_rule(grant: etree._Element, permissions: Permissions, rule: GrantRule[str]) -> None:
+def _add_rule(grant: etree._Element, permissions: Grant, rule: GrantRule[str]) -> None:
     element = dds_xml.child(grant, "allow_rule" if rule.effect is Effect.ALLOW else "deny_rule")
     dds_xml.domains(element, permissions.domains)
     for action, expressions in rule.topics.items():

@@ -58,7 +58,7 @@ def test_identities_and_permissions_have_different_authorities() -> None:
     assert {authority.certificate.issuer for authority in profile.authorities} == {""}
     assert {authority.certificate.key for authority in profile.authorities} == {KeySpec("ec", "SECP256R1")}
     assert package.identity.issuer == "identity_ca"
-    assert (package.permissions.issuer, package.governance.issuer) == ("permissions_ca", "permissions_ca")
+    assert (package.grant.issuer, package.governance.issuer) == ("permissions_ca", "permissions_ca")
 
 
 def test_the_flat_layout_has_one_authority_for_identities_and_permissions() -> None:
@@ -66,7 +66,7 @@ def test_the_flat_layout_has_one_authority_for_identities_and_permissions() -> N
     profile, package = workspace.load_profile(), workspace.load()
     assert profile.layout == "flat"
     assert [authority.name for authority in profile.authorities] == ["ca"]
-    assert {package.identity.issuer, package.permissions.issuer, package.governance.issuer} == {"ca"}
+    assert {package.identity.issuer, package.grant.issuer, package.governance.issuer} == {"ca"}
 
 
 def test_validity_begins_at_least_a_day_ago_and_is_written_out() -> None:
@@ -75,7 +75,7 @@ def test_validity_begins_at_least_a_day_ago_and_is_written_out() -> None:
     assert authority.not_before == datetime(2026, 11, 20, tzinfo=UTC)
     assert NOW - authority.not_before >= timedelta(days=1)
     assert authority.not_after - authority.not_before == timedelta(days=3650)
-    assert package.identity.validity == package.permissions.validity
+    assert package.identity.validity == package.grant.validity
     assert package.identity.validity.not_after - NOW > timedelta(days=362)
 
 
@@ -88,7 +88,7 @@ def test_validity_begins_at_least_a_day_ago_and_is_written_out() -> None:
 )
 def test_subject_formats(subject_format: str, expected: str) -> None:
     package = Workspace.new(replace(REQUEST, subject_format=subject_format)).load()
-    assert (package.identity.subject_name, package.permissions.subject_name) == (expected, expected)
+    assert (package.identity.subject_name, package.grant.subject_name) == (expected, expected)
 
 
 def test_a_long_name_keeps_its_subject_unique() -> None:

@@ -84,7 +84,7 @@ def test_an_edit_and_a_change_of_the_policy_conflict(edited: Workspace) -> None:
 @pytest.mark.parametrize("new_rules", [RULES, rules("/other")])
 def test_force_replaces_an_edit(edited: Workspace, new_rules: SubjectRules) -> None:
     files = edited.create(new_rules, force=True)
-    loaded = replace(edited, package={**edited.package, **files}).load().permissions.rules
+    loaded = replace(edited, package={**edited.package, **files}).load().grant.rules
     assert loaded == new_rules
 
 
@@ -92,7 +92,7 @@ def test_an_edit_that_the_policy_now_contains_is_no_longer_an_edit(workspace: Wo
     edited = workspace.edit("permissions.xml", "/robot1/chatter", "/robot1/mine")
     new_rules = replace(RULES, rules=(replace(RULES.rules[0], expressions=("/robot1/mine",)), RULES.rules[1]))
     settled = replace(edited, package={**edited.package, **edited.create(new_rules)})
-    assert settled.load().permissions.rules == new_rules
+    assert settled.load().grant.rules == new_rules
     assert replace(settled, package={**settled.package, **settled.create(rules("/x"))}).load()
 
 
@@ -117,8 +117,8 @@ def test_overrides_of_the_grant_survive_a_change_of_the_policy(workspace: Worksp
     )
     assert tuned.create(RULES) == {}
     files = tuned.create(rules("/other"))
-    grant = replace(tuned, package={**tuned.package, **files}).load().permissions
-    assert (grant.grant_name, grant.domains[0].first, grant.subject_name) == ("mine", 7, "CN=a&b")
+    grant = replace(tuned, package={**tuned.package, **files}).load().grant
+    assert (grant.name, grant.domains[0].first, grant.subject_name) == ("mine", 7, "CN=a&b")
     assert grant.rules == rules("/other")
 
 
@@ -154,7 +154,7 @@ def test_the_manifest_gives_the_path_of_the_permissions(workspace: Workspace) ->
     moved = workspace.edit("keymint_package.xml", "<export>", manifest)
     files = moved.create(RULES)
     assert list(files) == ["my/rules.xml"]
-    assert replace(moved, package={**moved.package, **files}).load().permissions.rules == RULES
+    assert replace(moved, package={**moved.package, **files}).load().grant.rules == RULES
 
 
 def test_the_plugins_have_the_current_api() -> None:

@@ -19,8 +19,8 @@ def test_a_new_package_uses_only_defaults(workspace: Workspace) -> None:
     package = workspace.load()
     assert (package.name, package.subject) == ("robot1/talker", "/robot1/talker")
     assert (package.build_type, package.distro) == ("keymint_ros2_dds", "jazzy")
-    assert package.permissions.rules == RULES
-    assert package.permissions.grant_name == "/robot1/talker"
+    assert package.grant.rules == RULES
+    assert package.grant.name == "/robot1/talker"
     assert package.identity.key == KeySpec("ec", "SECP256R1")
     assert str(package.identity.origin).startswith("/ws/profile/package.defaults/identities.xml:")
 
@@ -36,7 +36,7 @@ def test_a_package_without_governance_and_identities_has_the_defaults(workspace:
 def test_defaults_in_the_package_override_those_of_the_profile(workspace: Workspace) -> None:
     own = workspace.profile["package.defaults/permissions.xml"].replace(b"<id>0</id>", b"<id>9</id>")
     package = replace(workspace, package={**workspace.package, "package.defaults/permissions.xml": own}).load()
-    assert package.permissions.domains == (DomainRange(9, 9),)
+    assert package.grant.domains == (DomainRange(9, 9),)
 
 
 def test_a_single_authority_need_not_be_named(workspace: Workspace) -> None:
@@ -48,7 +48,7 @@ def test_a_single_authority_need_not_be_named(workspace: Workspace) -> None:
         unnamed.load()
     authorities = b'<profile><authorities><authority name="identity_ca"/></authorities></profile>'
     alone = replace(unnamed, profile={**unnamed.profile, "authorities.xml": authorities}).load()
-    assert alone.permissions.issuer == "identity_ca"
+    assert alone.grant.issuer == "identity_ca"
 
 
 def test_the_defects_of_all_documents_are_reported_at_once(workspace: Workspace) -> None:

@@ -53,7 +53,7 @@ _WORKSPACE = Workspace.new()
 def test_created_rules_are_loaded_unchanged(rules_: SubjectRules) -> None:
     profile = _WORKSPACE.load_profile()
     files = package_type.create(profile, rules_, {}, force=False)
-    assert package_type.load(profile, "robot1/talker", "src", files).permissions.rules == rules_
+    assert package_type.load(profile, "robot1/talker", "src", files).grant.rules == rules_
     assert package_type.create(profile, rules_, files, force=False) == {}
 
 
@@ -62,7 +62,7 @@ def test_an_unedited_document_follows_the_policy(before: SubjectRules, after: Su
     profile = _WORKSPACE.load_profile()
     files = package_type.create(profile, before, {}, force=False)
     changed = {**files, **package_type.create(profile, after, files, force=False)}
-    loaded = package_type.load(profile, "robot1/talker", "src", changed).permissions.rules
+    loaded = package_type.load(profile, "robot1/talker", "src", changed).grant.rules
     assert [(rule.effect, rule.kind, rule.expressions) for rule in loaded.rules] == [
         (rule.effect, rule.kind, rule.expressions) for rule in after.rules
     ]
@@ -82,10 +82,10 @@ def test_the_digest_depends_neither_on_order_nor_on_origins() -> None:
 
 
 def test_rules_of_an_edited_document_come_from_that_document() -> None:
-    before = _WORKSPACE.load().permissions.rules.rules
+    before = _WORKSPACE.load().grant.rules.rules
     assert [rule.origin for rule in before] == [rule.origin for rule in RULES.rules]
     edited = _WORKSPACE.edit("permissions.xml", "/robot1/chatter", "/robot1/other")
-    after = edited.load().permissions.rules.rules
+    after = edited.load().grant.rules.rules
     assert after[0].expressions == ("/robot1/other",)
     assert [str(rule.origin) for rule in after] == [
         "src/robot1/talker/permissions.xml:7",
@@ -102,8 +102,8 @@ def test_a_grant_overrides_the_defaults() -> None:
              <subject_name>CN={name}</subject_name>
              <validity><not_before>2026-01-01T00:00:00</not_before><duration>P1M</duration></validity>""",
     )
-    grant = edited.load().permissions
-    assert grant.grant_name == "mine"
+    grant = edited.load().grant
+    assert grant.name == "mine"
     assert [(domain.first, domain.last) for domain in grant.domains] == [(3, 3), (5, 7)]
     assert grant.subject_name == "CN=robot1/talker"
     assert grant.validity.not_after.isoformat() == "2026-02-01T00:00:00+00:00"

@@ -45,11 +45,11 @@ def test_its_profile(profile: WorkspaceProfile) -> None:
 @pytest.mark.parametrize("name", ["talker", "listener"])
 def test_its_packages(profile: WorkspaceProfile, name: str) -> None:
     package = _load(profile, name)
-    assert package.identity.subject_name == f"CN={name}" == package.permissions.subject_name
-    assert (package.identity.issuer, package.permissions.issuer, package.governance.issuer) == ("ca", "ca", "ca")
+    assert package.identity.subject_name == f"CN={name}" == package.grant.subject_name
+    assert (package.identity.issuer, package.grant.issuer, package.governance.issuer) == ("ca", "ca", "ca")
     assert package.identity.serial is None
-    assert package.permissions.domains == (DomainRange(0, 0),)
-    assert len(package.permissions.rules.rules) == 8
+    assert package.grant.domains == (DomainRange(0, 0),)
+    assert len(package.grant.rules.rules) == 8
     (domain,) = package.governance.domain_rules
     assert [(rule.expression, rule.enable_liveliness_protection) for rule in domain.topic_rules] == [("*", True)]
 

@@ -13,9 +13,9 @@ from keymint.api import (
     DomainRange,
     DomainRule,
     Governance,
+    Grant,
     KeySpec,
     Package,
-    Permissions,
     TopicProtection,
     Validity,
 )
@@ -46,7 +46,7 @@ def package(*rules: Rule, subject: str = "/talker", distro: str = "jazzy", name:
     subject_name = name or f"OU=x1,CN={subject}"
     key = KeySpec("ec", "SECP256R1")
     identity = CertificateSpec(subject_name, VALIDITY, None, "identity_ca", "SHA256", key, (), ORIGIN)
-    usual = Permissions("permissions_ca", subject, subject_name, VALIDITY, DOMAIN, SubjectRules(subject, rules), ORIGIN)
+    usual = Grant("permissions_ca", subject, subject_name, VALIDITY, DOMAIN, SubjectRules(subject, rules), ORIGIN)
     governance = Governance("permissions_ca", (domain_rule(),))
     permissions = replace(usual, **fields)
     return Package(subject[1:], subject, "keymint_ros2_dds", distro, identity, permissions, governance)

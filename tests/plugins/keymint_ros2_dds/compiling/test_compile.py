@@ -56,7 +56,7 @@ FEW = tuple(topic for topic in TOPICS if len(topic) < 6)
 
 def differences(loaded, document: bytes, topics=TOPICS, asked=((),)):
     for action, topic, partitions in itertools.product(("publish", "subscribe"), topics, asked):
-        wanted = policy(loaded.permissions.rules, action, topic, partitions)
+        wanted = policy(loaded.grant.rules, action, topic, partitions)
         for vendor in (omg, cyclone, fastdds):
             if vendor(document, action, topic, partitions) != wanted:
                 yield vendor.__name__, action, topic, partitions, wanted

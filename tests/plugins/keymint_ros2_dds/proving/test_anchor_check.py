@@ -27,7 +27,7 @@ SUBSETS = list(chain.from_iterable(combinations(SIGNIFICANT, size) for size in r
 
 def claims(files, wanted=None):
     return prove(ProofTask(
-        PLAIN.permissions.rules, PLAIN.distro, PLAIN.permissions.domains, files, "install/talker",
+        PLAIN.grant.rules, PLAIN.distro, PLAIN.grant.domains, files, "install/talker",
         wanted or anchors(PLAIN), 10_000, lambda: True,
     ))  # fmt: skip
 

@@ -38,7 +38,7 @@ def sign(content: bytes) -> bytes:
 
 def obligation(loaded, files, **fields):
     given_ = {
-        "rules": loaded.permissions.rules, "distro": loaded.distro, "domains": loaded.permissions.domains,
+        "rules": loaded.grant.rules, "distro": loaded.distro, "domains": loaded.grant.domains,
         "files": files, "folder": "install/talker", "anchors": anchors(loaded),
         "states": 200_000, "go_on": lambda: True,
     }  # fmt: skip
@@ -106,7 +106,7 @@ def test_a_document_of_another_policy_is_refuted_where_a_name_tells_them_apart(d
         names = ("rt/a", "rt/b", "rt/ab", "rt/", "x", "rt", "rq/aRequest", "rr/aReply")
 
         def differ(name: str, action: str = claim.action) -> bool:
-            told, said = loaded.permissions.rules, wrong.permissions.rules
+            told, said = loaded.grant.rules, wrong.grant.rules
             return oracle(told, action, name, ()) != oracle(said, action, name, ())
 
         if claim.proof is Proof.PROVEN:
@@ -289,9 +289,9 @@ def test_only_the_models_that_are_asked_for(models):
 @pytest.mark.parametrize(("old", "new"), [("", ""), ("rt/camera/*", "rt/camera/?*")])
 def test_a_document_that_is_not_signed_yet(old, new):
     content = ENCLAVE["permissions.xml"].decode().replace(old, new).encode()
-    rules = PLAIN.permissions.rules
+    rules = PLAIN.grant.rules
     name = subject_name(ENCLAVE["cert.pem"], Origin("cert.pem"))
-    held = proving.ProofSpec(name, rules, PLAIN.distro, PLAIN.permissions.domains, states=200_000, go_on=lambda: True)
+    held = proving.ProofSpec(name, rules, PLAIN.distro, PLAIN.grant.domains, states=200_000, go_on=lambda: True)
     question = proving.ProofQuestion(decision.read(content), held, lower(rules, PLAIN.distro))
     found = proving.prove_document(question)
     signed = proving.prove(obligation(PLAIN, {**ENCLAVE, "permissions.xml": content, "permissions.p7s": sign(content)}))

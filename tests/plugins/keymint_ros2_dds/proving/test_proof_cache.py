@@ -18,9 +18,9 @@ LOADED = package(rule("ALLOW", "ros_topic", "ros_publish", "/once"))
 def proven(document: bytes, *, models=None, **fields):
     usual = {
         "subject_name": "CN=/talker,OU=x1",
-        "rules": LOADED.permissions.rules,
+        "rules": LOADED.grant.rules,
         "distro": "jazzy",
-        "domains": LOADED.permissions.domains,
+        "domains": LOADED.grant.domains,
         "states": 1000,
         "go_on": lambda: True,
     }
@@ -41,7 +41,7 @@ def test_what_was_built_is_known_when_it_is_installed(document: bytes) -> None:
 @pytest.mark.parametrize(
     "fields",
     [
-        {"rules": package(rule("ALLOW", "ros_topic", "ros_publish", "/other")).permissions.rules},
+        {"rules": package(rule("ALLOW", "ros_topic", "ros_publish", "/other")).grant.rules},
         {"subject_name": "CN=/talker,OU=x2"},
         {"domains": (DomainRange(0, 1),)},
         {"distro": "ardent"},
