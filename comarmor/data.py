@@ -17,7 +17,7 @@ def locate(package: str, kind: str) -> Path:
     a stray checkout.
 
     Args:
-        package: name of the package that owns the files, e.g. ``keymint_ros2_dds``.
+        package: name of the package that owns the files, e.g. ``keymint_ros``.
         kind: ``"schemas"`` or ``"templates"``.
 
     Raises:

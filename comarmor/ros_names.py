@@ -8,6 +8,8 @@ from __future__ import annotations
 
 import re
 
+RAW_PREFIXES = ("rt/", "rq/", "rr/", "rs/", "ra/")
+"""What ROS 2 puts before the names of raw topics: of topics, requests, replies, services and actions."""
 _SEGMENT = re.compile(r"[A-Za-z_][A-Za-z0-9_]*")
 _FULLY_QUALIFIED = re.compile(rf"(?:/{_SEGMENT.pattern})+")
 

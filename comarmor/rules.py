@@ -28,7 +28,7 @@ class Rule:
         permissions: permissions of that kind, without duplicates.
         expressions: POSIX ``fnmatch`` expressions (flags 0, ``\\`` escapes); the rule applies to an object when any of
             them matches its full name.
-        partitions: DDS partitions as ``fnmatch`` expressions, for kind ``topic`` only. If empty, an ALLOW applies to
+        partitions: partitions as ``fnmatch`` expressions, for kind ``topic`` only. If empty, an ALLOW applies to
             the default partition (the empty name), a DENY to every partition.
         audit: requests that match the rule are to be logged; changes no decision.
         origin: where the rule is written.
@@ -53,7 +53,7 @@ class Expectation:
         subject: ``fnmatch`` expression of subjects.
         permission: a permission; its prefix ``ros_`` may be omitted.
         object: ``fnmatch`` expression of objects.
-        partition: DDS partition; empty for the default one.
+        partition: the partition; empty for the default one.
         where: where the expectation is written.
     """
 

@@ -92,7 +92,7 @@ class _Verbs(click.Group):
 @click.group(cls=_Verbs, context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 110})
 @click.version_option(__version__, prog_name="keymint")
 def cli() -> None:
-    """Mint keys and notarize access control for robots: from a ComArmor policy to a DDS Security keystore.
+    """Mint keys and notarize access control for robots: from a ComArmor policy to a keystore.
 
     \b
     keymint provision POLICY -w WORKSPACE     everything in one step; or stage by stage:

@@ -22,7 +22,7 @@ MAX_BYTES = 16 * 2**20
 MAX_NAME = 1024
 """Maximum length of a name."""
 MAX_DOMAIN = 232
-"""Highest DDS domain id with valid port numbers (RTPS 2.2, 9.6.1.1, with the default gains)."""
+"""Highest domain id of ROS 2 (``ROS_DOMAIN_ID``)."""
 
 _CONTROL = re.compile(r"[\x00-\x1f\x7f\ud800-\udfff\ufffe\uffff]")
 
@@ -201,7 +201,7 @@ class _GraphReader:
         permission = self._one_of((*path, "permission"), edge["permission"], KIND_OF, "permission")
         domain = edge.get("domain", 0)
         if isinstance(domain, bool) or not isinstance(domain, int) or not 0 <= domain <= MAX_DOMAIN:
-            self._refuse((*path, "domain"), f"is {_shown(domain)}, expected a DDS domain id from 0 to {MAX_DOMAIN}")
+            self._refuse((*path, "domain"), f"is {_shown(domain)}, expected a domain id from 0 to {MAX_DOMAIN}")
         subject = self._subject((*path, "subject"), edge["subject"])
         return Edge(subject, permission, self._object(path, edge, KIND_OF[permission]), domain)
 
@@ -217,7 +217,7 @@ class _GraphReader:
         if kind == "topic":
             return Object(kind, name, partitions(names))
         if items:
-            self._refuse((*path, "partitions"), f"a {kind} has no partitions", "only DDS topics have")
+            self._refuse((*path, "partitions"), f"a {kind} has no partitions", "only objects of kind topic have")
         if not name.startswith("/"):
             self._refuse((*path, "object"), f"{_shown(name)} does not begin with '/'", "write the absolute ROS name")
         return Object(kind, name)

@@ -171,13 +171,21 @@ class Plugins:
         """The versions of all plugins as one text; when it changes, builds are stale."""
         return "\n".join(f"{info.group}/{info.name}/{info.distribution}/{info.version}" for info in self.infos)
 
+    def names(self, group: str) -> tuple[str, ...]:
+        """Return the names of the plugins of a group, sorted, without loading them.
+
+        Args:
+            group: a key of :data:`GROUPS`.
+        """
+        return tuple(sorted(self._entries.get(group, {})))
+
     def profile_type(self, name: str, where: Origin | None = None) -> ProfileType:
         """Return the profile type of this name; see :meth:`load`."""
         return cast("ProfileType", self.load("keymint.profile_types", name, where))
 
     def profile_types(self) -> Mapping[str, ProfileType]:
         """Return all profile types by name; see :meth:`load`."""
-        return {name: self.profile_type(name) for name in sorted(self._entries.get("keymint.profile_types", {}))}
+        return {name: self.profile_type(name) for name in self.names("keymint.profile_types")}
 
     def package_type(self, name: str, where: Origin | None = None) -> PackageType:
         """Return the package type of this name; see :meth:`load`."""
@@ -202,7 +210,7 @@ class Plugins:
 
     def transports(self) -> Mapping[str, Transport]:
         """Return all transports by name, sorted; see :meth:`transport`."""
-        return {name: self.transport(name) for name in sorted(self._entries.get("keymint.transports", {}))}
+        return {name: self.transport(name) for name in self.names("keymint.transports")}
 
     def graph_source(self, name: str, where: Origin | None = None) -> GraphSource:
         """Return the graph source of this name; see :meth:`load`."""

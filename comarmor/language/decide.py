@@ -20,7 +20,7 @@ def decide(rules: Sequence[Rule], kind: str, permission: str, name: str, partiti
         kind: kind of the object.
         permission: a permission of that kind.
         name: name of the object, any text.
-        partitions: DDS partitions of the endpoint; none means the default partition, whose name is empty. The
+        partitions: partitions of the endpoint; none means the default partition, whose name is empty. The
             request is allowed if it is allowed in each of them.
 
     Raises:

@@ -126,7 +126,7 @@ class Policy:
             kind: kind of the object, e.g. ``ros_topic``.
             permission: a permission of that kind, e.g. ``ros_publish``.
             object: name of the object; any text.
-            partitions: DDS partitions of the endpoint; none means the default partition.
+            partitions: partitions of the endpoint; none means the default partition.
 
         Raises:
             ComArmorError: the kind or the permission is not known.

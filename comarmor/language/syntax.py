@@ -106,7 +106,7 @@ class Decision:
         kind: kind of the object.
         permission: the requested permission.
         object: name of the object.
-        partitions: DDS partitions of the endpoint; empty: only the default partition.
+        partitions: partitions of the endpoint; empty: only the default partition.
         effect: allow or deny.
         rules: the deciding rules in the order of the policy; none if the request is denied because no rule allows it.
         reason: one line for a person.

@@ -11,12 +11,12 @@ from collections.abc import Iterator
 
 from comarmor.patterns.glob import Glob, parse, units
 from comarmor.patterns.tokens import PatternError, Star, Token
+from comarmor.ros_names import RAW_PREFIXES
 
 _START, _SLASH, _SEGMENT = range(3)
 """The previous character: none, a ``/``, or one of a segment. A name ends in a segment."""
 _DIGITS = "0123456789"
 _LETTERS = "ABCDEFGHIJKLMNOPQRSTUVWXYZabcdefghijklmnopqrstuvwxyz_"
-_DDS_PREFIX = re.compile(r"/?(rt|rq|rr|rs|ra)/")
 
 
 def matches_ros_name(pattern: Glob) -> bool:
@@ -57,9 +57,9 @@ def advice(expression: str) -> str:
     if plain.startswith("~"):
         rest = plain[1:].removeprefix("/")
         return f"'~' is not expanded in a policy: write the node's full name, {{namespace}}{{name}}/{rest}".rstrip("/")
-    if (dds := _DDS_PREFIX.match(expression)) and not expression.startswith("/"):
-        name, prefix = "/" + expression[dds.end() :], f"{dds[1]}/"
-        return f"write {name!r}: {prefix!r} is the prefix of the DDS topic, which only a rule of kind 'topic' names"
+    if prefix := next(filter(expression.startswith, RAW_PREFIXES), ""):
+        name = f"/{expression.removeprefix(prefix)}"
+        return f"write {name!r}: {prefix!r} is the prefix of the raw topic, which only a rule of kind 'topic' names"
     if any(char in expression for char in "(|)"):
         return "'(', '|' and ')' are literal characters: write an <attachment> for each alternative"
     if ".*" in expression:

@@ -10,7 +10,7 @@ from comarmor.patterns.tokens import ANY, MAX_CODE, Bracket, Charset, Star, Toke
 
 
 def exact(glob: Glob, *, unescaped: str = "") -> str:
-    r"""Return an expression that POSIX ``fnmatch`` reads as the pattern; Cyclone DDS and Fast DDS know no escapes.
+    r"""Return an expression that POSIX ``fnmatch`` reads as the pattern; some readers know no escapes.
 
     Args:
         glob: pattern.

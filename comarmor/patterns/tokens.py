@@ -52,7 +52,7 @@ class Dialect:
         classes: sets may have classes such as ``[:alpha:]``.
         errors: undefined notation that raises :class:`PatternError`.
         closing_bracket_is_member: the ``]`` that ends a set is also a member of it and may begin a range, so that the
-            set goes on; an unclosed set matches nothing (Cyclone DDS 0.10, ``ac_fnmatch``).
+            set goes on; an unclosed set matches nothing.
     """
 
     escapes: bool = True

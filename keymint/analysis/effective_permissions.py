@@ -27,7 +27,7 @@ class EffectivePermission:
     Attributes:
         permission: the permission.
         expression: the expression of the rule.
-        partitions: DDS partitions of the rule.
+        partitions: partitions of the rule.
         but: expressions of DENY rules that deny a part of it.
         audit: the rule asks for monitoring.
         where: the rule.

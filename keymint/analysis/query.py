@@ -72,7 +72,7 @@ def parse_query(words: Sequence[str]) -> PolicyQuery:
 def parse_permission(text: str, name: str) -> tuple[str, str]:
     """Return the kind and the permission for a word; ``ros_`` is optional.
 
-    ``publish``, ``subscribe`` and ``relay`` mean a DDS topic if the name cannot be a ROS name.
+    ``publish``, ``subscribe`` and ``relay`` mean a raw topic if the name cannot be a ROS name.
 
     Args:
         text: the word, e.g. ``publish`` or ``ros_call``.

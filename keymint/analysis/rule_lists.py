@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Convert rules to decision lists of the proof engine, one for each kind and permission without parts.
 
-A word is the name of an object; for kind ``topic`` it is a partition, NUL and the name of the DDS topic. An endpoint in
+A word is the name of an object; for kind ``topic`` it is a partition, NUL and the name of the raw topic. An endpoint in
 several partitions is allowed if it is allowed in each of them, so deciding one partition at a time is enough.
 """
 
@@ -43,7 +43,7 @@ def legal_names(kind: str) -> DecisionList:
     """Return the decision list of the legal names of a kind (ROS 2 design, "Topic and Service name mapping").
 
     A fully qualified ROS name consists of segments of letters, digits and ``_`` that do not begin with a digit, each
-    after a ``/``. A DDS topic has any nonempty name.
+    after a ``/``. A raw topic has any nonempty name.
     """
     return _RAW_NAMES if kind == RAW else _ROS_NAMES
 
@@ -90,7 +90,7 @@ def matching_rule(rules: Sequence[Rule], effect: Effect, kind: str, permission: 
 
 
 def in_partition(partition: str, name: Glob) -> Glob:
-    """Return the pattern of a DDS topic in the partitions that an expression matches."""
+    """Return the pattern of a raw topic in the partitions that an expression matches."""
     return normalise((*parse(partition), SEPARATOR, *name))
 
 

@@ -22,9 +22,15 @@ class DiscoveredGraph:
 
 
 class GraphSource(Protocol):
-    """Discovers access graphs in a running system or in a capture file."""
+    """Discovers access graphs in a running system or in a capture file.
+
+    Attributes:
+        API: version of the plugin interface.
+        CAPTURES: what :meth:`read` reads, for messages, e.g. ``XML of an administration console``.
+    """
 
     API: str
+    CAPTURES: str
 
     def usable(self) -> Availability:
         """Return whether a running system can be observed on this machine; never raises."""
@@ -32,10 +38,13 @@ class GraphSource(Protocol):
     def observe(self, domain: int, go_on: Callable[[], bool], names: Mapping[str, str]) -> DiscoveredGraph:
         """Observe a domain, and return its graph in the transport's terms (objects of kind ``topic``).
 
+        An empty graph comes with a diagnostic that says where to look.
+
         Args:
-            domain: DDS domain id.
+            domain: domain id.
             go_on: polled; the observation ends when it returns False.
-            names: subjects by GUID (hexadecimal) or GUID prefix, which override discovered names.
+            names: subjects by an identifier in the running system, or the beginning of one, which override discovered
+                names.
 
         Raises:
             KeymintError: software that the observation needs is missing or fails.

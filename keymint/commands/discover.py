@@ -19,6 +19,7 @@ import click
 from comarmor.errors import Diagnostic, Origin, Severity
 from keymint import graph_json
 from keymint.api import DiscoveredGraph, GraphSource
+from keymint.commands.graph_sources import graph_source
 from keymint.commands.options import PATH, Number, PluginOption, usage_error
 from keymint.commands.run import Run
 from keymint.commands.user_files import exists, read_input, show_written, write_outputs
@@ -31,7 +32,7 @@ _EXIT_CODES = {signal.SIGINT: ExitCode.INTERRUPTED, signal.SIGTERM: ExitCode.TER
 
 
 @verb(workspace=False, dry_run=True)
-@click.option("--domain", type=click.IntRange(0, 232), metavar="N", help="DDS domain id [$ROS_DOMAIN_ID, else 0].")
+@click.option("--domain", type=click.IntRange(0, 232), metavar="N", help="Domain id [$ROS_DOMAIN_ID, else 0].")
 @click.option(
     "--seconds",
     type=Number(min=0, min_open=True, max=86_400),
@@ -46,7 +47,7 @@ _EXIT_CODES = {signal.SIGINT: ExitCode.INTERRUPTED, signal.SIGTERM: ExitCode.TER
     type=PATH,
     multiple=True,
     metavar="FILE",
-    help="Read a capture instead: XML of RTI Admin Console, or a Keymint graph. May be repeated.",
+    help="Read a Keymint graph, or a capture that the source knows, instead (docs/graph.md). May be repeated.",
 )
 @click.option(
     "--append",
@@ -60,17 +61,15 @@ _EXIT_CODES = {signal.SIGINT: ExitCode.INTERRUPTED, signal.SIGTERM: ExitCode.TER
     "--subject",
     "subjects",
     multiple=True,
-    metavar="GUID=NAME",
-    help="Name the participant whose GUID has this prefix; -v shows GUIDs. May be repeated.",
+    metavar="ID=NAME",
+    help="Name the subject whose identifier begins with ID; -v shows identifiers. May be repeated.",
 )
 @click.option(
     "--source",
     "source_name",
     cls=PluginOption,
     group="keymint.graph_sources",
-    default="keymint_ros2_dds",
-    show_default=True,
-    help="Plugin that observes and reads graphs.",
+    help="Plugin that observes and reads graphs [the only one that is installed].",
 )
 def discover(
     run: Run,
@@ -81,20 +80,19 @@ def discover(
     output: Path | None,
     no_fold: bool,
     subjects: tuple[str, ...],
-    source_name: str,
+    source_name: str | None,
 ) -> Report:
     """Record the graph of a running system: the topics, services, actions and parameters that each subject uses.
 
-    Observes a DDS domain with Cyclone DDS, whatever DDS the nodes use, or reads captures. Short-lived clients may be
-    missed: observe longer, or again with --append. Ctrl-C stops early and keeps the result (exit code 130).
-    docs/graph.md describes the JSON.
+    Observes the nodes of a domain, or reads captures. Short-lived clients may be missed: observe longer, or again with
+    --append. Ctrl-C stops early and keeps the result (exit code 130). docs/graph.md describes the JSON.
 
     \b
     keymint discover --seconds 30 -o graph.json      while the application runs, without security
     keymint learn graph.json -o policy.xml
     keymint provision policy.xml -w ws
     """
-    source = run.plugins.graph_source(source_name)
+    source = graph_source(run, source_name, "--source")
     names = _names(subjects)
     if captures and domain is not None:
         raise usage_error("--domain cannot be combined with --from", "a capture contains its domain")
@@ -132,10 +130,10 @@ def discover(
 def _names(typed: Iterable[str]) -> dict[str, str]:
     names: dict[str, str] = {}
     for item in typed:
-        guid, equals, name = item.partition("=")
+        identifier, equals, name = item.partition("=")
         if not equals:
-            raise usage_error(f"--subject {item!r} is not GUID=NAME", "e.g. --subject 0110d9a4=/talker")
-        names[guid] = name
+            raise usage_error(f"--subject {item!r} is not ID=NAME", "e.g. --subject 0110d9a4=/talker")
+        names[identifier] = name
     return names
 
 
@@ -148,7 +146,7 @@ def _load(run: Run, source: GraphSource, path: Path, names: dict[str, str]) -> D
     raise KeymintError(
         "is neither a graph nor a known capture format",
         where=Origin(str(path)),
-        help="expected JSON as in docs/graph.md, or XML of RTI Admin Console",
+        help=f"expected JSON as in docs/graph.md, or {source.CAPTURES}",
         code="capture",
     )
 
@@ -176,22 +174,14 @@ def _observe(
             help="--append GRAPH observes again and adds to the graph",
         )
         return replace(observed, diagnostics=(*observed.diagnostics, early)), ending.exit_code
-    if observed.graph.subjects:
-        return observed, None
-    nothing = Diagnostic(
-        "discovery-empty",
-        Severity.WARNING,
-        f"no participant seen in domain {chosen} in {seconds:g} s",
-        help="check --domain, --seconds, CYCLONEDDS_URI and the network; secured participants are invisible",
-    )
-    return replace(observed, diagnostics=(*observed.diagnostics, nothing)), None
+    return observed, None
 
 
 def _domain(run: Run) -> int:
     text = run.setting.environment.get("ROS_DOMAIN_ID", "").strip() or "0"
     if not text.isdecimal() or int(text) > graph_json.MAX_DOMAIN:
         raise usage_error(
-            f"ROS_DOMAIN_ID is {text!r}, expected a DDS domain id from 0 to {graph_json.MAX_DOMAIN}",
+            f"ROS_DOMAIN_ID is {text!r}, expected a domain id from 0 to {graph_json.MAX_DOMAIN}",
             "set it, or use --domain",
         )
     return int(text)

@@ -13,6 +13,7 @@ import click
 from comarmor.errors import Diagnostic, Origin
 from keymint import graph_json
 from keymint.api import LoadedPolicy
+from keymint.commands.graph_sources import graph_source
 from keymint.commands.options import (
     PATH,
     Number,
@@ -116,9 +117,7 @@ class _Shown:
     "--source-type",
     cls=PluginOption,
     group="keymint.graph_sources",
-    default="keymint_ros2_dds",
-    show_default=True,
-    help="Plugin that reads a capture.",
+    help="Plugin that reads a capture [the only one that is installed].",
 )
 def graph(
     run: Run,
@@ -131,7 +130,7 @@ def graph(
     scale: float,
     title: str | None,
     policy_options: PolicyOptions,
-    source_type: str,
+    source_type: str | None,
 ) -> Report:
     """Draw a policy, or the graph of a system, as a picture or a web page.
 
@@ -190,14 +189,14 @@ def _format(output: Path | None, kind: str | None) -> str:
     return chosen
 
 
-def _graph(run: Run, source: Path, source_type: str) -> tuple[Graph | None, tuple[Diagnostic, ...]]:
+def _graph(run: Run, source: Path, source_type: str | None) -> tuple[Graph | None, tuple[Diagnostic, ...]]:
     """Return the graph in a file, or None if the file must be a policy."""
     if (run.setting.cwd / source).is_dir():
         return None, ()
     content = read_input(run, source)
     if graph_json.recognises(content):
         return graph_json.load(content, str(source)), ()
-    reader = run.plugins.graph_source(source_type)
+    reader = graph_source(run, source_type, "--source-type")
     if not reader.recognises(content):
         return None, ()
     try:

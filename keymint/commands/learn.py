@@ -93,10 +93,10 @@ def _about_domains(domains: Sequence[int], output: Path | None) -> Iterator[Diag
     if domains in ([], [0]):
         return
     if len(domains) == 1:
-        message = f"the graph was recorded in DDS domain {domains[0]}; policies contain no domain"
+        message = f"the graph was recorded in domain {domains[0]}; policies contain no domain"
         help_ = f"keymint provision {output or 'POLICY'} --domain {domains[0]}"
     else:
-        message = f"the graph has DDS domains {', '.join(map(str, domains))}; the policy allows every edge in each"
+        message = f"the graph has domains {', '.join(map(str, domains))}; the policy allows every edge in each"
         help_ = "to keep the domains separate, run discover and learn for each, with one workspace each"
     yield Diagnostic("learn-domain", Severity.WARNING, message, Origin(str(output)) if output else None, help_)
 

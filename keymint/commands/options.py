@@ -214,7 +214,7 @@ profile_options = option_group(
         help=f"Plugin that makes the profile; 'keymint plugins' lists them [{DEFAULT_PROFILE_TYPE}].",
     ),
     click.option("--distro", metavar="NAME", help="ROS 2 distribution [$ROS_DISTRO, else jazzy]."),
-    click.option("--domain", type=click.IntRange(0, 230), metavar="N", help="DDS domain id [0]."),
+    click.option("--domain", type=click.IntRange(0, 230), metavar="N", help="Domain id [0]."),
     click.option(
         "--layout",
         type=click.Choice(["sros2", "flat"]),
@@ -246,7 +246,7 @@ document_options = option_group(
     click.option(
         "--allow-vendor-specific",
         is_flag=True,
-        help="Report rules that DDS vendors decide differently as warnings, not as errors.",
+        help="Report rules that vendors of a transport decide differently as warnings, not as errors.",
     ),
     click.option(
         "--optimise/--no-optimise",
@@ -280,7 +280,7 @@ prove_option = click.option(
 standard_only_option = click.option(
     "--allow-vendor-specific",
     is_flag=True,
-    help="Prove documents by the DDS Security standard only; for builds with --allow-vendor-specific.",
+    help="Prove documents by the transport's standard only; for builds with --allow-vendor-specific.",
 )
 
 

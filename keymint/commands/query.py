@@ -13,6 +13,7 @@ import click
 from comarmor.errors import Diagnostic, Severity
 from comarmor.patterns.decision_lists import Equal
 from comarmor.patterns.glob import literal, parse
+from comarmor.ros_names import RAW_PREFIXES
 from comarmor.text import counted
 from keymint.analysis.channels import Channel, ChannelSearch
 from keymint.analysis.effective_permissions import effective_permissions
@@ -37,7 +38,7 @@ _Answer = tuple[str, dict[str, Any]]
 @click.argument("words", nargs=-1, metavar="[POLICY] QUESTION...")
 @click.option("--except", "but", multiple=True, metavar="OBJECT", help="flows, isolated: ignore these objects.")
 @click.option("--infrastructure", is_flag=True, help="flows, isolated: also count what the library allows every node.")
-@click.option("--partition", default="", metavar="NAME", help="DDS partition of a raw topic [the default one].")
+@click.option("--partition", default="", metavar="NAME", help="Partition of a raw topic [the default one].")
 @policy_options
 def query(
     run: Run,
@@ -102,9 +103,9 @@ def _doubts(policy: LoadedPolicy, question: PolicyQuery, partition: str, verdict
     if isinstance(find_permitted(kind, allow_only(query_pattern(kind, name, partition))), Equal):
         help_ = "segments are letters, digits and '_', do not begin with a digit, and none is empty"
         yield Diagnostic("query-object", Severity.WARNING, f"no {kind} can have a name like {name!r}", help=help_)
-    elif kind == RAW and verdict == "no" and not name.startswith(("rt/", "rq/", "rr/")):
+    elif kind == RAW and verdict == "no" and not name.startswith(RAW_PREFIXES):
         help_ = f"a ROS name begins with '/': did you mean {'/' + name!r}?"
-        yield Diagnostic("query-object", Severity.WARNING, f"{name!r} is read as a raw DDS topic", help=help_)
+        yield Diagnostic("query-object", Severity.WARNING, f"{name!r} is read as a raw topic", help=help_)
 
 
 def _read(words: Sequence[str], folder: Path) -> tuple[Path | None, PolicyQuery]:

@@ -13,7 +13,7 @@ from string import ascii_letters, digits
 MEMBERS = frozenset(ascii_letters + digits + "_")
 """Characters that are allowed in a set: none of them is special there."""
 RANGE_MARK = "-"
-"""No set is put before it: Cyclone DDS reads it as a range."""
+"""No set is put before it: some readers take it for a range."""
 
 Pattern = tuple[str, ...]
 """For each position one character, or the sorted members of a set."""

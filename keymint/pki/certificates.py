@@ -81,7 +81,7 @@ def load_bundle(pem: bytes, where: Origin | None = None) -> tuple[x509.Certifica
 
 
 def load_first(pem: bytes, where: Origin | None = None) -> x509.Certificate:
-    """Return the first certificate of a PEM file: the permissions authority, as Cyclone DDS and OpenDDS read it.
+    """Return the first certificate of a PEM file: the one that software which expects one authority reads.
 
     PEM readers differ in what begins a block: some accept text before it in its line, or other labels such as
     ``TRUSTED CERTIFICATE``. So five hyphens may only occur in the first and last line of a certificate's block, and its
@@ -250,10 +250,10 @@ def certificate_satisfies(
 
 
 def can_sign_documents(certificate: x509.Certificate, where: Origin | None = None) -> Diagnostic | None:
-    """Return why an authority may not sign permissions and governance, or None if it may.
+    """Return why an authority may not sign documents, or None if it may.
 
-    These are the rules of OpenSSL's purpose ``smimesign`` (RFC 8550, 4.4.2 and 4.4.4), which older releases of the DDS
-    vendors enforce.
+    These are the rules of OpenSSL's purpose ``smimesign`` (RFC 8550, 4.4.2 and 4.4.4), which some software
+    that verifies documents enforces.
     """
     usage = extensions.value(certificate, x509.KeyUsage)
     extended = extensions.value(certificate, x509.ExtendedKeyUsage)

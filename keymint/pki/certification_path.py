@@ -23,9 +23,9 @@ _UNDERSTOOD = (
     x509.SubjectAlternativeName,
     x509.CertificatePolicies,
 )
-"""Extensions that may be critical: they are checked here, or do not restrict what DDS needs."""
+"""Extensions that may be critical: they are checked here, or do not restrict what a keystore needs."""
 _MAX_PATH = 16
-"""Maximum certificates of a path; DDS vendors accept one authority, or a few."""
+"""Maximum certificates of a path; transports accept one authority, or a few."""
 
 
 def verify_chain(

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Detached CMS signatures (RFC 5652): one signer, its certificate inside, SHA-2, signed attributes.
 
-``cryptography`` makes them with SHA-256. This module verifies them, also with SHA-384 and SHA-512, which openssl and
-SROS2 support: every field is either compared with its one legal value, or covered by the signature.
+``cryptography`` makes them with SHA-256. This module verifies them, also with SHA-384 and SHA-512, which openssl
+supports: every field is either compared with its one legal value, or covered by the signature.
 """
 
 from __future__ import annotations

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Distinguished names: parsed from text, and rendered as DDS vendors compare them.
+"""Distinguished names: parsed from text, and written as text.
 
 Names are written in *certificate order*, first RDN first: ``C=US, O=Acme, CN=ca``. RFC 4514 prints a name the
-other way round, and so do permissions documents: see :func:`render`.
+other way round.
 """
 
 from __future__ import annotations
@@ -22,11 +22,9 @@ from keymint.errors import KeymintError
 MAX_COMMON_NAME = 64
 """ub-common-name of RFC 5280, appendix A.1."""
 MAX_SEGMENTS = 16
-"""Maximum path segments of a common name, so that further RDNs fit into :data:`MAX_TOKENS`."""
-MAX_TOKENS = 20
-"""Maximum tokens, split at ``,`` ``/`` and ``|``, of a subject name that Cyclone DDS compares; it refuses more."""
+"""Maximum path segments of a common name: some software compares at most 20 parts of a name, RDNs included."""
 
-# Short name -> OID, upper bound of RFC 5280, appendix A.1. The short names are OpenSSL's: vendors print them.
+# Short name -> OID, upper bound of RFC 5280, appendix A.1. The short names are OpenSSL's.
 _TYPES: dict[str, tuple[x509.ObjectIdentifier, int]] = {
     "CN": (NameOID.COMMON_NAME, MAX_COMMON_NAME),
     "C": (NameOID.COUNTRY_NAME, 2),
@@ -73,9 +71,6 @@ _TYPE_THEN_EQUALS = re.compile(r"\s*([A-Za-z][A-Za-z0-9.-]*|[0-9][0-9.]*)\s*=")
 _HEX_PAIR = re.compile(r"[0-9A-Fa-f]{2}")
 _ESCAPABLE = frozenset(',+"\\<>;=/# ')
 _ESCAPED_IN_TEXT = frozenset(',+"\\<>;')
-_AMBIGUOUS = frozenset('"\\<>;|')
-"""Characters that some vendor escapes or treats as a separator when it compares names."""
-_DDS_ESCAPES = re.compile(r"^#|[,+]")
 _EXAMPLE = "write e.g. CN=/robot/camera,OU=x1 or /C=US/O=Acme/CN=ca"
 
 
@@ -99,54 +94,18 @@ def parse(text: str, where: Origin | None = None) -> x509.Name:
     return x509.Name([_attribute(kind, value, text, where) for kind, value in _pairs(text, where)])
 
 
+def attributes(name: x509.Name) -> Iterator[tuple[str, str]]:
+    """Yield the attributes of a name in certificate order: the type's short name or dotted OID, and the value."""
+    yield from ((_SHORT.get(part.oid, part.oid.dotted_string), _string(part)) for part in name)
+
+
 def to_text(name: x509.Name) -> str:
     r"""Return a name as text in certificate order, ``O=Acme\, Inc,CN=ca``; :func:`parse` reads it back."""
-    return ",".join(f"{_SHORT.get(part.oid, part.oid.dotted_string)}={_escape(_string(part))}" for part in name)
-
-
-def render(name: x509.Name, where: Origin | None = None) -> str:
-    """Return the text of ``<subject_name>`` in a DDS permissions document.
-
-    This is how OpenSSL prints the certificate's subject with ``XN_FLAG_RFC2253``, last RDN first: Fast DDS 2.9 compares
-    exactly this text, Cyclone DDS accepts the RDNs in any order (DDS Security 1.1, 9.4.1.3.2.1, leaves the
-    comparison to the vendor). A certificate with ``OU=x1,CN=/robot`` is ``CN=/robot,OU=x1`` here.
-
-    Raises:
-        KeymintError: the name contains something that vendors read differently.
-    """
-    for part in name:
-        value = _string(part)
-        kind = _SHORT.get(part.oid)
-        if kind is None:
-            raise _not_portable(f"has the attribute {part.oid.dotted_string}", where)
-        if not value.isascii():
-            raise _not_portable(f"has characters beyond ASCII in {kind}={value!r}", where)
-        if odd := sorted(_AMBIGUOUS.intersection(value)):
-            raise _not_portable(f"has {' and '.join(map(repr, odd))} in {kind}={value!r}", where)
-        if value != " ".join(value.split()):
-            raise _not_portable(f"has leading, trailing or repeated spaces in {kind}={value!r}", where)
-    # In a name without the characters refused above, OpenSSL escapes only these.
-    escaped = ((_SHORT[part.oid], _DDS_ESCAPES.sub(r"\\\g<0>", _string(part))) for part in reversed(list(name)))
-    shown = ",".join(f"{kind}={value}" for kind, value in escaped)
-    tokens = sum(1 for token in re.split(r"[,/]", shown) if token)
-    if tokens > MAX_TOKENS:
-        raise _not_portable(
-            f"has {tokens} parts between ',' and '/', the maximum is {MAX_TOKENS}: {shown[:60]}…", where
-        )
-    return shown
-
-
-def parse_rendered(text: str) -> x509.Name:
-    """Parse a ``<subject_name>``: the inverse of :func:`render`.
-
-    Raises:
-        KeymintError: the text is not a name.
-    """
-    return x509.Name(reversed(list(parse(text))))
+    return ",".join(f"{kind}={_escape(value)}" for kind, value in attributes(name))
 
 
 def common_name(subject: str) -> str:
-    """Return the common name of a subject: its name, or its last segments if that exceeds a limit of X.509 or a vendor.
+    """Return the common name of a subject: its name, or its last segments if that exceeds a limit.
 
     A shortened common name is not unique: combine it with an RDN of :func:`unique_suffix`.
 
@@ -164,15 +123,6 @@ def common_name(subject: str) -> str:
 def unique_suffix(subject: str) -> str:
     """Return 32 hexadecimal digits that are unique to a subject: half of the SHA-256 of its name."""
     return hashlib.sha256(subject.encode()).hexdigest()[:32]
-
-
-def _not_portable(problem: str, where: Origin | None) -> KeymintError:
-    return KeymintError(
-        f"the subject name {problem}, which DDS vendors compare differently",
-        where=where,
-        help="use letters, digits and '/', '_', '-', '.', '@', e.g. CN=/robot/camera,OU=x1",
-        code="portability-subject-name",
-    )
 
 
 def _invalid(text: str, problem: str, where: Origin | None, help_: str = "") -> KeymintError:

@@ -23,7 +23,7 @@ _Hash = hashes.SHA256 | hashes.SHA384 | hashes.SHA512
 HASHES: Mapping[str, _Hash] = MappingProxyType(
     {"SHA256": hashes.SHA256(), "SHA384": hashes.SHA384(), "SHA512": hashes.SHA512()}
 )
-"""Hash algorithms of certificates. All DDS vendors accept SHA256; the others are for keys that only some accept."""
+"""Hash algorithms of certificates. The others than SHA256 are for keys that only some software accepts."""
 _MAX_SERIAL = 1 << 159
 """Exclusive: 20 octets, positive (RFC 5280, 4.1.2.2)."""
 _SIGNS_DOCUMENTS = (ExtendedKeyUsageOID.EMAIL_PROTECTION, ExtendedKeyUsageOID.ANY_EXTENDED_KEY_USAGE)

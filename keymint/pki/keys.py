@@ -42,7 +42,7 @@ _CURVE_ALIASES = {
     "NISTP521": "SECP521R1",
 }
 MIN_RSA_BITS = 2048
-"""NIST SP 800-57 part 1, 5.6.2: 112 bits of security; DDS Security 1.1, 9.3.1, has RSA-2048."""
+"""NIST SP 800-57 part 1, 5.6.2: 112 bits of security."""
 MAX_RSA_BITS = 16384
 """OpenSSL verifies no larger ones (OPENSSL_RSA_MAX_MODULUS_BITS)."""
 _PUBLIC_EXPONENT = 65537
@@ -187,7 +187,7 @@ def _curve(spec: KeySpec, where: Origin | None) -> ec.EllipticCurve | None:
         raise KeymintError(
             f"an RSA key of {spec.size} bits is not between {MIN_RSA_BITS} and {MAX_RSA_BITS}",
             where=where,
-            help="2048 is what every DDS vendor accepts",
+            help="2048 is what every transport accepts",
             code="key-type-unknown",
         )
     return None

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """The frame of a signed document: ``multipart/signed`` (RFC 8551, 3.5.3) with the inner ``text/plain`` of OpenSSL.
 
-DDS vendors read the frame with OpenSSL's ``SMIME_read_PKCS7`` (``crypto/asn1/asn_mime.c``), which is lenient: a line
+Much software reads the frame with OpenSSL's ``SMIME_read_PKCS7`` (``crypto/asn1/asn_mime.c``), which is lenient: a line
 that *begins* with ``--BOUNDARY`` is a separator, everything after ``--BOUNDARY--`` is ignored, a line longer than 1023
 bytes is read in pieces that count as lines, headers may be repeated, folded, and in any case. Other MIME readers are
 lenient in other ways. So this reader accepts a grammar in which all of them see the same content, and refuses others::
@@ -27,7 +27,7 @@ lenient in other ways. So this reader accepts a grammar in which all of them see
 TYPE is ``application/x-pkcs7-signature``, or the same without ``x-``; the digest is SHA-256, SHA-384 or SHA-512.
 BOUNDARY has 8 to 70 characters, none of which any reader treats specially (OpenSSL loses one of a single character).
 ``--BOUNDARY`` occurs nowhere else, not even within a line. Only blank lines follow. The frame, the text part and the
-base64 each use one kind of line end, LF or CRLF: Keymint writes LF, SROS2 (``cryptography``) CRLF, ``openssl smime
+base64 each use one kind of line end, LF or CRLF: Keymint writes LF, ``cryptography`` CRLF, ``openssl smime
 -sign -text`` LF around a text part in CRLF, and with ``-crlfeol`` CRLF around base64 in LF.
 """
 
@@ -45,7 +45,7 @@ from keymint.errors import KeymintError
 from keymint.pki import der
 
 UNREAD = "smime-form"
-"""Error code for a file in a form that this reader refuses: how vendors read it is unknown."""
+"""Error code for a file in a form that this reader refuses: how other software reads it is unknown."""
 
 _BOUNDARY = 32
 _TYPE = b"application/x-pkcs7-signature"
@@ -76,7 +76,7 @@ class SignedDocument:
     """The parts of a signed file. Only :func:`keymint.pki.smime.read` returns one with a verified signature.
 
     Attributes:
-        content: the signed document, with LF line ends. Vendors pass it to their parsers with CRLF.
+        content: the signed document, with LF line ends. Readers pass it to their parsers with CRLF.
         signature: the detached signature, CMS in DER.
         lines_before: number of lines of the file before the content.
         digest: the digest algorithm that the frame names: ``sha256``, ``sha384`` or ``sha512``.

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Signed documents: S/MIME, as DDS Security requires for permissions and governance (DDS Security 1.1, 9.4.1.1).
+"""Signed documents: S/MIME ``multipart/signed`` (RFC 8551).
 
-They are written in one form, which Cyclone DDS and Fast DDS read. They are read in the forms that Keymint, openssl and
-SROS2 write, and only if every reader sees the same content.
+They are written in one form, which every reader that was measured takes. They are read in the forms that Keymint,
+openssl and ``cryptography`` write, and only if every reader sees the same content.
 """
 
 from __future__ import annotations
@@ -70,18 +70,18 @@ def sign(content: bytes, certificate: x509.Certificate, key: keys.PrivateKey, wh
 def read(signed: bytes, ca_pem: bytes, *, at: datetime | None = None, where: Origin | None = None) -> SignedDocument:
     """Verify a signed document and return it: the only reader of signed files, used by every claim.
 
-    It accepts the forms that Keymint, ``openssl smime -sign -text`` and SROS2 write, if they have exactly one reading
-    (:mod:`keymint.pki.mime`). The signer must be the permissions authority itself, as vendors that pass
+    It accepts the forms that Keymint, ``openssl smime -sign -text`` and ``cryptography`` write, if they have exactly
+    one reading (:mod:`keymint.pki.mime`). The signer must be the authority itself, as readers that pass
     ``PKCS7_NOINTERN`` require; a certificate that the authority issued is not enough (CVE-2023-24010).
 
     Args:
         signed: the bytes of the signed file.
-        ca_pem: certificate of the permissions authority, PEM; the first one of a bundle, as for the vendors.
+        ca_pem: certificate of the authority, PEM; the first one of a bundle.
         at: also check that the authority's certificate is valid at this time (aware).
         where: the file, for messages.
 
     Raises:
-        KeymintError: ``smime-form``: vendors may read the file differently. ``smime-altered``: the signature is
+        KeymintError: ``smime-form``: other software may read the file differently. ``smime-altered``: the signature is
             invalid. ``smime-signer``: another signer. ``authority-cannot-sign``,
             ``smime-authority-expired`` and ``certificate-invalid``: the authority may not sign, or cannot be read.
     """
@@ -90,7 +90,7 @@ def read(signed: bytes, ca_pem: bytes, *, at: datetime | None = None, where: Ori
     authority = certificates.load_first(ca_pem, where)
     if signature.certificate != authority.public_bytes(serialization.Encoding.DER):
         raise KeymintError(
-            "signed by another certificate than the permissions authority's",
+            "signed by another certificate than the authority's",
             where=where,
             help="sign it again with keymint install",
             code="smime-signer",
@@ -99,7 +99,7 @@ def read(signed: bytes, ca_pem: bytes, *, at: datetime | None = None, where: Ori
         raise KeymintError.of([problem])
     if at is not None and not authority.not_valid_before_utc <= at <= authority.not_valid_after_utc:
         raise KeymintError(
-            "the permissions authority's certificate is valid "
+            "the authority's certificate is valid "
             f"from {authority.not_valid_before_utc:%Y-%m-%d} "
             f"to {authority.not_valid_after_utc:%Y-%m-%d}, not at {at:%Y-%m-%d}",
             where=where,

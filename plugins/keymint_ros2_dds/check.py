@@ -11,7 +11,7 @@ from comarmor.errors import Diagnostic, Origin, Severity
 from keymint.api import DomainRange, Inspection
 from keymint.errors import KeymintError
 from keymint.pki import certificates, certification_path, distinguished_names, keys, smime
-from keymint_ros2_dds import check_governance, vendor_limits
+from keymint_ros2_dds import check_governance, subject_name_text, vendor_limits
 from keymint_ros2_dds.credentials import CredentialCheck, revocation_period
 from keymint_ros2_dds.documents import dds_xml
 from keymint_ros2_dds.domains import in_words, uncovered
@@ -209,7 +209,7 @@ class _EnclaveCheck(CredentialCheck):
 
     def _certificate_subject(self) -> str | None:
         try:
-            return distinguished_names.render(certificates.load(self._files.get(CERTIFICATE, b"")).subject)
+            return subject_name_text.render(certificates.load(self._files.get(CERTIFICATE, b"")).subject)
         except KeymintError:
             return None
 

@@ -15,6 +15,7 @@ from comarmor.patterns.steps import step_limit
 from keymint.api import BuildOptions, Claim, Package, Proof
 from keymint.errors import KeymintError
 from keymint.pki import distinguished_names
+from keymint_ros2_dds import subject_name_text
 from keymint_ros2_dds.compiling.compile import Compiled, compile_rules, vendor_notes
 from keymint_ros2_dds.decision import OMG
 from keymint_ros2_dds.documents import dds_xml
@@ -120,7 +121,7 @@ def _models(compiled: Compiled) -> tuple[str, ...]:
 def _open_claims(package: Package, lowered: Lowered, document: bytes, models: Sequence[str]) -> list[Claim]:
     """Return the claims about a document that are not proven."""
     spec = ProofSpec(
-        distinguished_names.render(distinguished_names.parse(package.grant.subject_name, package.grant.origin)),
+        subject_name_text.render(distinguished_names.parse(package.grant.subject_name, package.grant.origin)),
         package.grant.rules,
         package.distro,
         package.grant.domains,

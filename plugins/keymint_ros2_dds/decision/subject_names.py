@@ -7,9 +7,7 @@ import re
 
 from keymint.errors import KeymintError
 from keymint.pki import distinguished_names
-
-_MAX_PARTS = 20
-"""Parts of a name that Cyclone DDS has room for."""
+from keymint_ros2_dds import subject_name_text
 
 
 def same_name(grant: str, identity: str) -> bool:
@@ -21,7 +19,7 @@ def same_name(grant: str, identity: str) -> bool:
     if text == identity:
         return True
     try:
-        identity_rdns = list(distinguished_names.parse_rendered(identity).rdns)
+        identity_rdns = list(subject_name_text.parse_rendered(identity).rdns)
         grant_rdns = list(distinguished_names.parse(text).rdns)
     except KeymintError:
         return False
@@ -31,9 +29,8 @@ def same_name(grant: str, identity: str) -> bool:
 def parts_occur(grant: str, identity: str) -> bool:
     """Compare as Cyclone DDS: split at ``,``, ``/`` and ``|``; the grant must have every part of the identity."""
     identity_parts, grant_parts = _parts(identity), _parts(grant)
-    return (
-        len(identity_parts) <= _MAX_PARTS and len(grant_parts) <= _MAX_PARTS and set(identity_parts) <= set(grant_parts)
-    )
+    most = max(len(identity_parts), len(grant_parts))
+    return most <= subject_name_text.MAX_TOKENS and set(identity_parts) <= set(grant_parts)
 
 
 def _parts(name: str) -> list[str]:

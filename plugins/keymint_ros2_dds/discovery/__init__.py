@@ -13,6 +13,7 @@ class DdsGraphs:
     """Implements :class:`keymint.api.GraphSource` for ROS 2 on DDS; listing plugins must not load a vendor."""
 
     API = API_VERSION
+    CAPTURES = "XML of RTI Admin Console"
 
     usable = lazy("keymint_ros2_dds.discovery.cyclonedds_observer:usable")
     observe = lazy("keymint_ros2_dds.discovery.cyclonedds_observer:observe")

@@ -10,10 +10,12 @@ from __future__ import annotations
 import ctypes
 from collections.abc import Callable, Iterator, Mapping
 from ctypes import POINTER, Structure, byref, c_bool, c_char_p, c_int32, c_int64, c_size_t, c_uint32, c_uint64, c_void_p
+from dataclasses import replace
 from functools import cache, partial
 from threading import Event
 from typing import Any, Self
 
+from comarmor.errors import Diagnostic, Severity
 from keymint.api import Availability, DiscoveredGraph
 from keymint.errors import KeymintError
 from keymint_ros2_dds.discovery.capture import Capture, DiscoveredEndpoint, DiscoveredParticipant
@@ -124,7 +126,7 @@ def usable() -> Availability:
 
 
 def observe(domain: int, go_on: Callable[[], bool], names: Mapping[str, str]) -> DiscoveredGraph:
-    """Return the graph of all participants and endpoints that appear in a domain.
+    """Return the graph of all participants and endpoints that appear in a domain; a warning if there are none.
 
     Args:
         domain: DDS domain id.
@@ -142,7 +144,16 @@ def observe(domain: int, go_on: Callable[[], bool], names: Mapping[str, str]) ->
         pause = Event()
         while go_on():
             pause.wait(_PAUSE)
-        return discovered(observer.capture(), names)
+        observed = discovered(observer.capture(), names)
+    if observed.graph.subjects:
+        return observed
+    nothing = Diagnostic(
+        "discovery-empty",
+        Severity.WARNING,
+        f"no participant seen in domain {domain}",
+        help="check --domain, --seconds, CYCLONEDDS_URI and the network; secured participants are invisible",
+    )
+    return replace(observed, diagnostics=(*observed.diagnostics, nothing))
 
 
 class _Observer:

@@ -12,6 +12,7 @@ from comarmor.rules import Effect
 from keymint.api import Grant
 from keymint.errors import KeymintError
 from keymint.pki import distinguished_names
+from keymint_ros2_dds import subject_name_text
 from keymint_ros2_dds.documents import dds_xml
 from keymint_ros2_dds.domains import check_domains
 from keymint_ros2_dds.enclave_layout import PERMISSIONS
@@ -43,7 +44,7 @@ def document_tree(permissions: Grant, rules: Iterable[GrantRule[str]]) -> etree.
     dds_xml.child(
         grant,
         "subject_name",
-        distinguished_names.render(distinguished_names.parse(permissions.subject_name, permissions.origin)),
+        subject_name_text.render(distinguished_names.parse(permissions.subject_name, permissions.origin)),
     )
     validity = dds_xml.child(grant, "validity")
     dds_xml.child(validity, "not_before", dds_xml.date(permissions.validity.not_before))

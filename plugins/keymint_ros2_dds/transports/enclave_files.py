@@ -13,7 +13,8 @@ from cryptography import x509
 from comarmor.errors import Origin
 from keymint.api import Enclave, Environment
 from keymint.errors import KeymintError
-from keymint.pki import certificates, distinguished_names, mime, smime
+from keymint.pki import certificates, mime, smime
+from keymint_ros2_dds import subject_name_text
 from keymint_ros2_dds.enclave_layout import (
     CA,
     CERTIFICATE,
@@ -114,7 +115,7 @@ def subject_name(certificate: bytes, where: Origin) -> str:
     """
     loaded: x509.Certificate = certificates.load(certificate, where)
     try:
-        return distinguished_names.render(loaded.subject)
+        return subject_name_text.render(loaded.subject)
     except KeymintError:  # not portable; ``keymint check`` reports it
         return loaded.subject.rfc4514_string()
 

@@ -102,7 +102,7 @@ def test_as_json(keymint, capture: str) -> None:
         (["--from", "."], 1, "not a regular file"),
         (["--from", "junk"], 1, "neither a graph nor a known capture"),
         (["--from", "c.xml", "--domain", "3"], 2, "--domain cannot be combined with --from"),
-        (["--from", "c.xml", "--subject", "x"], 2, "GUID=NAME"),
+        (["--from", "c.xml", "--subject", "x"], 2, "ID=NAME"),
         (["--from", "c.xml", "--subject", "x=/a"], 2, "'x' is not a GUID"),
         (["--from", "c.xml", "--source", "keymint_ros2_dd"], 2, "did you mean 'keymint_ros2_dds'?"),
         (["--from", "c.xml", "-o", "link.json"], 1, "symbolic link"),

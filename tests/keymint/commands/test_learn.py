@@ -137,7 +137,7 @@ def test_what_is_refused(keymint, tmp_path: Path, arguments: list[str], words: s
 
 @pytest.mark.parametrize(
     ("domains", "expected"),
-    [([0], ""), ([42], "'keymint provision p.xml --domain 42'"), ([0, 42], "has DDS domains 0, 42")],
+    [([0], ""), ([42], "'keymint provision p.xml --domain 42'"), ([0, 42], "has domains 0, 42")],
 )
 def test_the_domain_of_a_graph_is_not_forgotten(keymint, tmp_path: Path, domains: list[int], expected: str) -> None:
     edges = [replace(edge, domain=domain) for edge in GRAPH.edges for domain in domains]

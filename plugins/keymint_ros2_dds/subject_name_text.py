@@ -1,0 +1,70 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The text of ``<subject_name>`` in a permissions document: a distinguished name as DDS vendors compare it.
+
+It is written last RDN first: the other way round than in a certificate and in :mod:`keymint.pki.distinguished_names`.
+"""
+
+from __future__ import annotations
+
+import re
+
+from cryptography import x509
+
+from comarmor.errors import Origin
+from keymint.errors import KeymintError
+from keymint.pki import distinguished_names
+
+MAX_TOKENS = 20
+"""Maximum tokens, split at ``,`` ``/`` and ``|``, of a subject name that Cyclone DDS compares; it refuses more."""
+_AMBIGUOUS = frozenset('"\\<>;|')
+"""Characters that some vendor escapes or treats as a separator when it compares names."""
+_ESCAPED = re.compile(r"^#|[,+]")
+
+
+def render(name: x509.Name, where: Origin | None = None) -> str:
+    """Return the text of ``<subject_name>``.
+
+    This is how OpenSSL prints the certificate's subject with ``XN_FLAG_RFC2253``, last RDN first: Fast DDS 2.9 compares
+    exactly this text, Cyclone DDS accepts the RDNs in any order (DDS Security 1.1, 9.4.1.3.2.1, leaves the
+    comparison to the vendor). A certificate with ``OU=x1,CN=/robot`` is ``CN=/robot,OU=x1`` here.
+
+    Raises:
+        KeymintError: the name contains something that vendors read differently.
+    """
+    attributes = list(distinguished_names.attributes(name))
+    for kind, value in attributes:
+        if kind[0].isdigit():
+            raise _not_portable(f"has the attribute {kind}", where)
+        if not value.isascii():
+            raise _not_portable(f"has characters beyond ASCII in {kind}={value!r}", where)
+        if odd := sorted(_AMBIGUOUS.intersection(value)):
+            raise _not_portable(f"has {' and '.join(map(repr, odd))} in {kind}={value!r}", where)
+        if value != " ".join(value.split()):
+            raise _not_portable(f"has leading, trailing or repeated spaces in {kind}={value!r}", where)
+    # In a name without the characters refused above, OpenSSL escapes only these.
+    escaped = ((kind, _ESCAPED.sub(r"\\\g<0>", value)) for kind, value in reversed(attributes))
+    shown = ",".join(f"{kind}={value}" for kind, value in escaped)
+    tokens = sum(1 for token in re.split(r"[,/]", shown) if token)
+    if tokens > MAX_TOKENS:
+        raise _not_portable(
+            f"has {tokens} parts between ',' and '/', the maximum is {MAX_TOKENS}: {shown[:60]}…", where
+        )
+    return shown
+
+
+def parse_rendered(text: str) -> x509.Name:
+    """Parse a ``<subject_name>``: the inverse of :func:`render`.
+
+    Raises:
+        KeymintError: the text is not a name.
+    """
+    return x509.Name(reversed(list(distinguished_names.parse(text))))
+
+
+def _not_portable(problem: str, where: Origin | None) -> KeymintError:
+    return KeymintError(
+        f"the subject name {problem}, which DDS vendors compare differently",
+        where=where,
+        help="use letters, digits and '/', '_', '-', '.', '@', e.g. CN=/robot/camera,OU=x1",
+        code="portability-subject-name",
+    )

@@ -1,0 +1,97 @@
+# SPDX-License-Identifier: Apache-2.0
+from __future__ import annotations
+
+import shutil
+from pathlib import Path
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from keymint_ros2_dds import subject_name_text
+
+from comarmor.errors import Origin
+from keymint.errors import KeymintError
+from keymint.pki import certificates, distinguished_names, keys
+from tests.keymint.pki.conftest import P256, Openssl, make_spec
+
+HERE = Origin("identities.xml", 3)
+
+
+@given(
+    st.lists(
+        st.tuples(
+            st.sampled_from(["CN", "O", "OU"]),
+            st.from_regex(r"[A-Za-z0-9/_.@-]+( [A-Za-z0-9/_.@-]+)?", fullmatch=True).map(lambda v: v[:64].strip()),
+        ),
+        min_size=1,
+        max_size=3,
+    )
+)
+def test_what_is_rendered_for_dds_is_read_back(pairs: list[tuple[str, str]]) -> None:
+    name = distinguished_names.parse(",".join(f"{kind}={value}" for kind, value in pairs))
+    try:
+        text = subject_name_text.render(name)
+    except KeymintError as error:
+        assert "parts between" in str(error)  # noqa: PT017 - the one refusal that these names can meet
+        return
+    assert text == ",".join(f"{kind}={value}" for kind, value in reversed(pairs))
+    assert subject_name_text.parse_rendered(text) == name
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "CN=/robot",
+        "OU=x1,CN=/robot/camera",
+        r"C=US,ST=CA,L=San Jose,O=Acme\, Inc,CN=ca,emailAddress=a@b.c",
+        r"O=\#1 a\+b #2,CN=a=b",
+        "street=s,postalCode=1,DC=a,UID=u,serialNumber=12,SN=s,GN=g,title=t,dnQualifier=q,pseudonym=p,CN=/r",
+    ],
+)
+def test_what_is_rendered_is_what_openssl_prints_for_the_vendors(tmp_path: Path, text: str) -> None:
+    if shutil.which("openssl") is None:
+        pytest.skip("openssl is not installed: apt-get install openssl")
+    openssl = Openssl(tmp_path)
+    issued = certificates.issue_authority(make_spec(text), keys.generate(P256), None)
+    openssl.put(ca=issued.pem)
+    printed = openssl.run("x509", "-in", "ca", "-noout", "-subject", "-nameopt", "RFC2253").stdout.decode()
+    assert subject_name_text.render(issued.certificate.subject) == printed.strip().removeprefix("subject=")
+    assert (
+        subject_name_text.parse_rendered(subject_name_text.render(issued.certificate.subject))
+        == issued.certificate.subject
+    )
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        (r"CN=a\;b", "';'"),
+        (r"CN=a\\b", "DDS vendors compare"),
+        ("CN=a|b", "'|'"),
+        ("CN=é", "ASCII"),
+        ("1.2.3.4=a", "1.2.3.4"),
+        (r"CN=\ a", "spaces"),
+        ("CN=a  b", "spaces"),
+        ("CN=" + "/a" * 20, "21 parts"),
+    ],
+)
+def test_names_that_vendors_compare_differently_are_refused(text: str, message: str) -> None:
+    with pytest.raises(KeymintError) as caught:
+        subject_name_text.render(distinguished_names.parse(text), HERE)
+    assert message in str(caught.value)
+    assert caught.value.diagnostics[0].code == "portability-subject-name"
+
+
+def test_nineteen_path_segments_are_what_cyclone_takes() -> None:
+    assert subject_name_text.render(distinguished_names.parse("CN=" + "/a" * 19)) == "CN=" + "/a" * 19
+
+
+SUBJECTS = st.lists(st.from_regex(r"[A-Za-z_][A-Za-z0-9_]{0,79}", fullmatch=True), min_size=1, max_size=30).map(
+    lambda segments: "/" + "/".join(segments)
+)
+
+
+@given(SUBJECTS)
+def test_the_common_name_and_the_unique_suffix_of_a_subject_fit_together(subject: str) -> None:
+    common, unit = distinguished_names.common_name(subject), distinguished_names.unique_suffix(subject)
+    assert subject_name_text.render(distinguished_names.parse(f"OU={unit},CN={common}")) == f"CN={common},OU={unit}"

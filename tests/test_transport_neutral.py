@@ -1,0 +1,198 @@
+# SPDX-License-Identifier: Apache-2.0
+"""``keymint/`` and ``comarmor/`` know no transport: words of DDS and of Zenoh stand in the plugins only.
+
+The scan covers what a reader or a user sees of the code: names, texts, docstrings and comments. Kinds, permissions and
+partitions are words of the policy language, and so of every transport.
+"""
+
+from __future__ import annotations
+
+import io
+import re
+import tokenize
+from collections.abc import Iterator
+from pathlib import Path
+from typing import NamedTuple
+
+import pytest
+from lxml import etree
+
+from tests.conftest import CHECKOUT
+
+WORDS = {
+    "dds": r"(?:fast|cyclone|open|micro|rti)?[ -]?dds",
+    "cyclone": r"cyclone",
+    "vendors' names": r"connext|rti|eprosima",
+    "omg": r"omg",
+    "rtps": r"rtps",
+    "rmw": r"rmw",
+    "sros2": r"sros2?",
+    "governance": r"governance",
+    "permissions document": r"permissions(?:[ _](?:documents?|authority|authorities|ca)|\.xml|\.p7s)",
+    "s/mime file": r"p7s",
+    "pkcs#11 file": r"p11",
+    "participant": r"participants?",
+    "guid": r"guids?",
+    "wire prefix": r"r[tqrsa](?=/)",
+    "zenoh": r"zenoh",
+    "router": r"routers?",
+    "json5": r"json5",
+    "key expression": r"key[ _]?expr(?:ession)?s?",
+    "liveliness": r"liveliness",
+    "advanced publisher": r"@adv",
+}
+"""Words of transports: name, and the expression that finds them in lower case."""
+
+_FOUND = {name: re.compile(rf"(?<![a-z0-9@])(?:{expression})(?![a-z0-9])") for name, expression in WORDS.items()}
+_CAMEL_CASE = re.compile(r"(?<=[a-z0-9])(?=[A-Z])")
+_SEEN = frozenset({tokenize.NAME, tokenize.STRING, tokenize.COMMENT, getattr(tokenize, "FSTRING_MIDDLE", -1)})
+FOLDERS = ("keymint", "comarmor")
+SOURCES = sorted(path for folder in FOLDERS for path in (CHECKOUT / folder).rglob("*.py"))
+SCHEMAS = sorted(path for folder in FOLDERS for path in (CHECKOUT / "schemas" / folder).iterdir() if path.is_file())
+
+
+class Allowed(NamedTuple):
+    """A word of a transport that may stand in a file, and why."""
+
+    file: str
+    word: str
+    reason: str
+
+
+EXCEPTIONS = (
+    Allowed("comarmor/ros_names.py", "dds", "the title of the ROS 2 design document"),
+    Allowed("comarmor/ros_names.py", "wire prefix", "the names of raw topics in policies, for advice on mistaken ones"),
+    Allowed("keymint/pki/mime.py", "s/mime file", "the file name that RFC 8551, 3.2.1, gives to a signature"),
+)
+PENDING = frozenset(
+    {
+        ("keymint/analysis/portability.py", "dds"),
+        ("keymint/analysis/portability.py", "governance"),
+        ("keymint/api/__init__.py", "governance"),
+        ("keymint/api/building.py", "governance"),
+        ("keymint/api/building.py", "permissions document"),
+        ("keymint/api/building.py", "sros2"),
+        ("keymint/api/packages.py", "dds"),
+        ("keymint/api/packages.py", "governance"),
+        ("keymint/api/packages.py", "liveliness"),
+        ("keymint/api/packages.py", "participant"),
+        ("keymint/api/packages.py", "rtps"),
+        ("keymint/api/profiles.py", "dds"),
+        ("keymint/api/profiles.py", "governance"),
+        ("keymint/api/profiles.py", "sros2"),
+        ("keymint/api/proving.py", "dds"),
+        ("keymint/api/proving.py", "governance"),
+        ("keymint/api/proving.py", "participant"),
+        ("keymint/api/proving.py", "sros2"),
+        ("keymint/api/transports.py", "participant"),
+        ("keymint/check/enclaves.py", "permissions document"),
+        ("keymint/commands/create.py", "governance"),
+        ("keymint/commands/create.py", "permissions document"),
+        ("keymint/commands/init.py", "governance"),
+        ("keymint/commands/init.py", "permissions document"),
+        ("keymint/commands/lint.py", "dds"),
+        ("keymint/commands/options.py", "sros2"),
+        ("keymint/commands/prove.py", "dds"),
+        ("keymint/commands/prove.py", "governance"),
+        ("keymint/commands/provision.py", "permissions document"),
+        ("keymint/commands/why.py", "dds"),
+        ("keymint/drawing/display_text.py", "dds"),
+        ("keymint/graph.py", "dds"),
+        ("keymint/names.py", "sros2"),
+        ("keymint/plan/authorities.py", "participant"),
+        ("keymint/plan/authority_evidence.py", "dds"),
+        ("keymint/plan/enclaves.py", "dds"),
+        ("keymint/plan/enclaves.py", "pkcs#11 file"),
+        ("keymint/plan/enclaves.py", "rmw"),
+        ("keymint/plan/enclaves.py", "s/mime file"),
+        ("keymint/plan/prove.py", "governance"),
+        ("keymint/plan/signing.py", "governance"),
+        ("keymint/plan/signing.py", "participant"),
+        ("keymint/plan/signing.py", "permissions document"),
+        ("keymint/verify/endpoint_policy.py", "wire prefix"),
+        ("keymint/verify/explain.py", "dds"),
+        ("keymint/verify/explain.py", "permissions document"),
+        ("keymint/verify/explain.py", "s/mime file"),
+        ("keymint/verify/probes.py", "dds"),
+        ("keymint/verify/scope.py", "dds"),
+        ("keymint/verify/why.py", "dds"),
+        ("keymint/workspace.py", "sros2"),
+    }
+)
+"""Words that still stand in modules that move to the plugins."""
+
+
+def words(text: str) -> Iterator[tuple[str, int]]:
+    """Yield the words of transports in a text, each with the offset of its line."""
+    for offset, line in enumerate(text.split("\n")):
+        plain = _CAMEL_CASE.sub("_", line).lower()
+        yield from ((name, offset) for name, found in _FOUND.items() if found.search(plain))
+
+
+def words_of_source(path: Path) -> Iterator[tuple[str, int]]:
+    """Yield the words of transports in a module, each with its line."""
+    for token in tokenize.generate_tokens(io.StringIO(path.read_text()).readline):
+        if token.type in _SEEN:
+            yield from ((word, token.start[0] + offset) for word, offset in words(token.string))
+
+
+def name_of(path: Path) -> str:
+    return path.relative_to(CHECKOUT).as_posix()
+
+
+def test_no_module_names_a_transport() -> None:
+    allowed = {(each.file, each.word) for each in EXCEPTIONS} | PENDING
+    found = [
+        f"{name_of(path)}:{line}: {word}"
+        for path in SOURCES
+        for word, line in words_of_source(path)
+        if (name_of(path), word) not in allowed
+    ]
+    assert found == []
+
+
+def test_every_exception_is_needed() -> None:
+    found = {(name_of(path), word) for path in SOURCES for word, _ in words_of_source(path)}
+    assert [each for each in EXCEPTIONS if (each.file, each.word) not in found] == []
+    assert len({(each.file, each.word) for each in EXCEPTIONS}) == len(EXCEPTIONS)
+
+
+@pytest.mark.parametrize("path", SCHEMAS, ids=name_of)
+def test_no_schema_of_the_language_or_of_a_graph_names_a_transport(path: Path) -> None:
+    assert [(word, line + 1) for word, line in words(path.read_text())] == []
+
+
+def test_no_word_of_the_language_is_taken_for_one_of_a_transport() -> None:
+    tree = etree.parse(CHECKOUT / "schemas/comarmor/comarmor.xsd")
+    names = [str(name) for name in tree.xpath("//@name")]
+    assert {"ros_topic", "topic", "publish", "ros_subscribe", "partitions"} <= set(names)
+    assert [name for name in names if list(words(name))] == []
+
+
+@pytest.mark.parametrize(
+    ("source", "word"),
+    [
+        ("DdsDomain = 1", "dds"),
+        ("dds_name = 1", "dds"),
+        ("# as Cyclone DDS does", "cyclone"),
+        ("x = f'{1} of Fast-DDS'", "dds"),
+        ('"""The governance\n\nof a participant."""', "participant"),
+        ("DEFAULT = 'keymint_ros2_zenoh'", "zenoh"),
+        ("FILES = ('permissions.xml',)", "permissions document"),
+        ("SUFFIXES = ('.p7s',)", "s/mime file"),
+        ("x = 'rt/chatter'", "wire prefix"),
+    ],
+)
+def test_the_scan_finds(source: str, word: str, tmp_path: Path) -> None:
+    path = tmp_path / "module.py"
+    path.write_text(source + "\n")
+    assert word in {found for found, _ in words_of_source(path)}
+
+
+@pytest.mark.parametrize(
+    "source", ["head, _, tail = text.partition('/')", "adds = 1", "# embeds, start/end", "artist = 1"]
+)
+def test_the_scan_ignores(source: str, tmp_path: Path) -> None:
+    path = tmp_path / "module.py"
+    path.write_text(source + "\n")
+    assert list(words_of_source(path)) == []
