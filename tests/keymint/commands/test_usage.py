@@ -37,7 +37,7 @@ def closed() -> list[tuple[str, str, str]]:
             name = option.opts[-1]
             if not isinstance(option, click.Option) or option.is_flag or f"{verb} {name}" in OPEN:
                 continue
-            if isinstance(option.type, click.Choice) or option.metavar in {"NAME", "PERIOD", "GUID=NAME"}:
+            if isinstance(option.type, click.Choice) or option.metavar in {"NAME", "PERIOD", "ID=NAME"}:
                 found.append((verb, name, "no-such-value"))
             elif isinstance(option.type, click.types._NumberRangeBase):
                 found += [(verb, name, value) for value in ("-1", "1e300", "nan", "x", "", "\u0662\u200f")]
