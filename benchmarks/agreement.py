@@ -64,7 +64,7 @@ class Enclaves:
         }
         for name, content in files.items():
             (folder / name).write_bytes(content)
-        return Enclave(subject, folder, "humble")
+        return Enclave(subject, folder, "humble", folder.parent)
 
     def sign(self, content: bytes) -> bytes:
         """Sign a document with the permissions authority."""

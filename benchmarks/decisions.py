@@ -54,7 +54,7 @@ def main() -> int:
         subprocess.run(command, check=True)
         root = workspace / "install" / "enclaves"
         enclaves = [
-            Enclave(f"/{path.parent.relative_to(root)}", path.parent, "humble") for path in root.rglob("cert.pem")
+            Enclave(f"/{path.parent.relative_to(root)}", path.parent, "humble", root) for path in root.rglob("cert.pem")
         ]
         plugins = Plugins(environment=Environment(datetime.now(UTC), Path(scratch) / "cache", dict(os.environ)))
         subjects = sorted(enclave.subject for enclave in enclaves)

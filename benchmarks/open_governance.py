@@ -279,7 +279,7 @@ def wrong_claims(case: Case, claims: Sequence[Claim], counts: Counter[str]) -> I
             continue
         example = claim.counterexample
         endpoint = example.endpoint
-        name, partitions, domain = endpoint.object.name, endpoint.object.partitions, endpoint.domain
+        name, partitions, domain = endpoint.name, endpoint.partitions, endpoint.domain
         allowed = by_policy(case, claim.action, name, partitions, domain)
         permitted = by_documents(case, claim.model, claim.action, name, partitions, domain)
         alone = by_permissions(case, claim.model, claim.action, name, partitions, domain)

@@ -68,8 +68,10 @@ from keymint.api.proving import Prover as Prover
 from keymint.api.proving import TrustAnchor as TrustAnchor
 from keymint.api.proving import TrustAnchors as TrustAnchors
 from keymint.api.proving import ValidityTerm as ValidityTerm
+from keymint.api.transports import ActionMapping as ActionMapping
 from keymint.api.transports import Availability as Availability
 from keymint.api.transports import Enclave as Enclave
+from keymint.api.transports import Endpoint as Endpoint
 from keymint.api.transports import Environment as Environment
 from keymint.api.transports import Tier as Tier
 from keymint.api.transports import Transport as Transport

@@ -12,7 +12,7 @@ from typing import Protocol, runtime_checkable
 from comarmor.errors import Diagnostic, Origin
 from keymint.api.packages import DomainRange, Governance
 from keymint.api.policies import PolicyDecision
-from keymint.api.transports import Verdict
+from keymint.api.transports import Endpoint, Verdict
 from keymint.graph import Edge
 from keymint.ir import SubjectRules
 
@@ -93,18 +93,23 @@ class Counterexample:
     """A shortest name on which policy and document differ.
 
     Attributes:
-        endpoint: the edge of kind ``topic``, with its partition if that matters.
+        endpoint: the action and the shortest name, with its partition if that matters.
         meaning: the edge on a ROS name that the endpoint implements, or None.
         policy: the policy's decision, with its rule.
-        document: the document's decision, with its line.
-        help: how to fix it, if the permissions are not the cause.
+        document: the document's decision, with its place.
+        help: how to fix it, if the rules are not the cause.
+        cause: the place to fix, if the rules are not the cause.
+        difference: what differs, in words; empty if the document permits the endpoint and the policy does not, or the
+            other way round.
     """
 
-    endpoint: Edge
+    endpoint: Endpoint
     meaning: Edge | None
     policy: PolicyDecision
     document: Verdict
     help: str = ""
+    cause: Origin | None = None
+    difference: str = ""
 
 
 @dataclass(frozen=True, slots=True)
@@ -113,8 +118,7 @@ class Claim:
 
     Attributes:
         model: the standard, or a vendor.
-        action: ``publish`` or ``subscribe``. Only if refuted: ``join`` (no participant without a rule may join a
-            domain) or ``protect`` (topics are protected as the sources require).
+        action: the action, in the words of the prover; or what else it proves, e.g. that nobody else may join.
         domains: the DDS domains that the claim covers.
         universe: the names that the claim covers, in words.
         proof: the result.

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 from datetime import datetime
 from enum import StrEnum
 from pathlib import Path
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 from comarmor.errors import Origin
 from keymint.graph import Edge
@@ -55,11 +55,33 @@ class Enclave:
         subject: its subject.
         folder: absolute path of its folder.
         distro: ROS 2 distribution whose name mapping applies.
+        install: absolute path of the install space, with the files that enclaves share and the enclaves of the
+            infrastructure. ``verify`` gives transports a copy.
     """
 
     subject: str
     folder: Path
     distro: str
+    install: Path
+
+
+@dataclass(frozen=True, slots=True, order=True)
+class Endpoint:
+    """An action of a subject on a name of its transport.
+
+    Attributes:
+        subject: the subject.
+        action: the action, in the words of the transport.
+        name: the name on the transport; empty if the action is on no name.
+        partitions: the partitions of the name, if the transport has them. Empty is the default partition.
+        domain: the domain id.
+    """
+
+    subject: str
+    action: str
+    name: str
+    partitions: tuple[str, ...] = ()
+    domain: int = 0
 
 
 @dataclass(frozen=True, slots=True)
@@ -69,16 +91,15 @@ class Verdict:
     Attributes:
         allowed: the decision.
         reason: one line, without the place: the rule of the document, or the transport's message.
-        line: line of the rule in the signed document that decided, or 0.
+        where: the rule that decided, with the path of its file; without a line if no rule of the file did. None if no
+            file decided.
         deviation: the row in the table of vendor deviations that explains a difference from the standard, or empty.
-        where: the deciding place in a signed document, or None.
     """
 
     allowed: bool
     reason: str = ""
-    line: int = 0
-    deviation: str = ""
     where: Origin | None = None
+    deviation: str = ""
 
 
 @dataclass(frozen=True, slots=True)
@@ -118,9 +139,36 @@ class Transport(Protocol):
 
 
 class TransportType(Protocol):
-    """The registered entry point of a transport: opens it, without side effects."""
+    """The registered entry point of a transport: opens it, without side effects.
+
+    Attributes:
+        BUILD_TYPE: name of the build type whose files the transport reads.
+    """
 
     API: str
+    BUILD_TYPE: str
 
     def open(self, environment: Environment) -> Transport:
         """Return the transport; its method ``usable`` reports whether it can be used. Never raises."""
+
+
+@runtime_checkable
+class ActionMapping(Protocol):
+    """Optional capability of a build type: tells what its transport must permit for an edge.
+
+    Attributes:
+        NOUN: the word for the names of its endpoints, e.g. ``key expression``.
+    """
+
+    NOUN: str
+
+    def actions(self, distro: str, edge: Edge) -> Sequence[Endpoint]:
+        """Return the endpoints that the transport must all permit for an edge.
+
+        Args:
+            distro: ROS 2 distribution whose name mapping applies.
+            edge: an edge of a kind that the build type can express.
+
+        Raises:
+            KeymintError: the distribution or the permission is not known.
+        """

@@ -15,8 +15,6 @@ from keymint.plan.prove import EnclaveProof, ProofEffort, ProofResults
 
 SECONDS = 10.0
 STATES = 500_000
-OF_DOMAINS = frozenset(("join", "protect"))
-"""Actions of claims about a domain, not about a topic; see :class:`keymint.api.Claim`."""
 
 
 def merged_packages(diagnostics: Iterable[Diagnostic], shown: Callable[[str], str]) -> Iterator[Diagnostic]:
@@ -60,7 +58,7 @@ def diagnostics_of(enclave: EnclaveProof) -> Iterator[Diagnostic]:
     for claim in enclave.claims:
         if claim.counterexample is not None:
             found = claim.counterexample
-            key = (found.endpoint, found.policy, found.document.allowed, found.document.line, found.document.reason)
+            key = (found.endpoint, found.policy, found.document.allowed, found.document.where, found.document.reason)
             together.setdefault(key, []).append(claim)
         elif claim.proof is Proof.UNKNOWN:
             together.setdefault((claim.reason,), []).append(claim)
@@ -79,18 +77,18 @@ def diagnostics_of(enclave: EnclaveProof) -> Iterator[Diagnostic]:
 
 def _refutation(subject: str, counterexample: Counterexample, models: str) -> Diagnostic:
     endpoint, policy, document = counterexample.endpoint, counterexample.policy, counterexample.document
-    where = policy.where or (None if document.line else document.where)
+    where = policy.where or counterexample.cause
     by_document = f"{document.where}: {document.reason}" if document.where else document.reason
-    if endpoint.permission in OF_DOMAINS:
-        message = f"{subject}: {policy.reason}; {by_document} [{models}]"
+    if counterexample.difference:
+        message = f"{subject}: {counterexample.difference}; {by_document} [{models}]"
         return Diagnostic("counterexample", Severity.ERROR, message, where, counterexample.help, subject)
     may = "permits" if document.allowed else "does not permit"
     allows = "allows" if policy.allowed else "does not allow"
-    name = f"{endpoint.object.name!r}" + "".join(f" in the partition {p!r}" for p in endpoint.object.partitions)
+    name = f"{endpoint.name!r}" + "".join(f" in the partition {p!r}" for p in endpoint.partitions)
     ros = f" ({_entity(counterexample.meaning)})" if counterexample.meaning else ""
     domain = f" in domain {endpoint.domain}" if endpoint.domain else ""
     message = (
-        f"{subject}: the document {may} it to {endpoint.permission} {name}{ros}{domain}, but the policy {allows} it: "
+        f"{subject}: the document {may} it to {endpoint.action} {name}{ros}{domain}, but the policy {allows} it: "
         f"{policy.reason}; {by_document} [{models}]"
     )
     deviation = f"; docs/vendors.md, {document.deviation}" if document.deviation else ""

@@ -11,7 +11,7 @@ import click
 
 from comarmor.errors import Diagnostic, Origin, Severity
 from comarmor.text import counted
-from keymint.api import Claim, Counterexample, Proof, Verdict
+from keymint.api import Claim, Counterexample, Proof
 from keymint.changes import Action, Step
 from keymint.commands.options import Number, complete_package, standard_only_option
 from keymint.commands.proof_diagnostics import SECONDS, STATES, dated_of, diagnostics_of, effort_of, merged_packages
@@ -216,10 +216,8 @@ def _claim(claim: Claim, until: datetime | None, run: Run) -> dict[str, Any]:
 def _counterexample(counterexample: Counterexample, run: Run) -> dict[str, Any]:
     meaning = counterexample.meaning
     return {
-        "dds_name": legible(counterexample.endpoint.object.name)
-        if counterexample.endpoint.object.kind == "topic"
-        else None,
-        "partitions": [legible(each) for each in counterexample.endpoint.object.partitions],
+        "name": legible(counterexample.endpoint.name) or None,
+        "partitions": [legible(each) for each in counterexample.endpoint.partitions],
         "domain": counterexample.endpoint.domain,
         "ros": None if meaning is None else _ros(meaning),
         "policy": {
@@ -230,7 +228,7 @@ def _counterexample(counterexample: Counterexample, run: Run) -> dict[str, Any]:
         "document": {
             "allowed": counterexample.document.allowed,
             "reason": counterexample.document.reason,
-            **_document_place(counterexample.document, run),
+            **_place(counterexample.document.where, run),
             "deviation": counterexample.document.deviation,
         },
     }
@@ -244,8 +242,3 @@ def _place(where: Origin | None, run: Run) -> Mapping[str, Any]:
     if where is None:
         return {"file": None, "line": None}
     return {"file": run.typed(where.file), "line": where.line or None}
-
-
-def _document_place(verdict: Verdict, run: Run) -> Mapping[str, Any]:
-    """Return the line of the permissions that decided, or the place in the governance."""
-    return {"file": None, "line": verdict.line} if verdict.line else _place(verdict.where, run)

@@ -26,6 +26,7 @@ from keymint.output.junit import junit as junit_document
 from keymint.output.mismatches import SARIF_RULES, diagnostics, junit_suites, sarif_results
 from keymint.output.report import Report
 from keymint.output.sarif import sarif as sarif_log
+from keymint.plan.enclaves import installed
 from keymint.plan.policy import load_policy
 from keymint.plan.trust_anchors import differences
 from keymint.verify.compare import compare
@@ -98,14 +99,15 @@ def verify(
     policy = load_policy(session)
     subjects = tuple(scope.enclaves)
     transports = choose(run.plugins, chosen, Tier(tier))
-    with copied(inputs.tree, session.enclaves, scope.enclaves, transports) as copies:
+    others = [session.enclaves / name for name in installed(session)]
+    with copied(inputs.tree, workspace.install, scope.enclaves, transports.values(), others) as copies:
         transports = copies.read_by(transports)
         if graph is None:
             edges = edges_of_policy(policy, replace(scope, enclaves=copies.enclaves))
         else:
             subjects, edges = edges_of_graph(load(read_input(run, graph), str(graph)), scope, only=bool(names))
         endpoint_policy = EndpointPolicy(policy, scope.namings)
-        explain = Explainer(endpoint_policy, transports, lambda: copies.read_by(models(run.plugins)), inputs.tree)
+        explain = Explainer(endpoint_policy, transports, lambda: copies.read_by(models(run.plugins)))
         outcomes: list[Comparison] = []
         with run.console.progress((1 + len(transports)) * len(subjects), run.setting.monotonic) as advance:
             labels = label(endpoint_policy, edges(), _advancing(advance, "policy"))

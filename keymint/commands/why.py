@@ -14,7 +14,7 @@ from keymint.commands.options import transport_option
 from keymint.commands.run import Run
 from keymint.commands.verb import verb
 from keymint.errors import ExitCode
-from keymint.graph import LABELLED, Edge
+from keymint.graph import LABELLED
 from keymint.output.json import decision_json, edge_json, place_json, verdict_json
 from keymint.output.mismatches import (
     document_reason,
@@ -31,7 +31,7 @@ from keymint.plan.trust_anchors import differences
 from keymint.session import Session
 from keymint.verify.mismatch import Mismatch
 from keymint.verify.usable_transports import choose, models
-from keymint.verify.why import Explanation, MatchedRule, explain, granted_domains, request
+from keymint.verify.why import Explanation, MatchedRule, Need, explain, granted_domains, request
 
 _PERMISSIONS = [permission for permissions in LABELLED.values() for permission in permissions]
 
@@ -133,7 +133,7 @@ def _lines(explanation: Explanation, typed: Callable[[str], str]) -> Iterator[st
     layers["package"] = [rule(each) for each in explanation.package] or ["no rule applies"]
     if not explanation.packaged:
         layers["package"] = ["missing ('keymint create' creates it)"]
-    layers["needs"] = [_need(each) for each in explanation.endpoints]
+    layers["needs"] = [_need(each) for each in explanation.needs]
     layers["enclave"] = list(_labels(explanation, typed))
     in_domain = f" in domain {explanation.edge.domain}" if explanation.edge.domain else ""
     yield f"{request_text(explanation.edge)}{in_domain}: the policy {verb_of(explanation.policy.allowed)} it"
@@ -142,9 +142,10 @@ def _lines(explanation: Explanation, typed: Callable[[str], str]) -> Iterator[st
             yield f"{title if index == 0 else '':<10}{line}"
 
 
-def _need(endpoint: Edge) -> str:
-    partitions = "".join(f" in partition {name!r}" for name in endpoint.object.partitions)
-    return f"{endpoint.permission} on the DDS topic {endpoint.object.name!r}{partitions}"
+def _need(need: Need) -> str:
+    endpoint = need.endpoint
+    partitions = "".join(f" in partition {name!r}" for name in endpoint.partitions)
+    return f"{endpoint.action} on the {need.noun} {endpoint.name!r}{partitions}"
 
 
 def _at(where: Origin, typed: Callable[[str], str]) -> str:
@@ -196,11 +197,11 @@ def _document(explanation: Explanation, typed: Callable[[str], str]) -> dict[str
         "package": [rule(each) for each in explanation.package] if explanation.packaged else None,
         "endpoints": [
             {
-                "action": each.permission,
-                "topic": each.object.name,
-                "partitions": list(each.object.partitions),
+                "action": each.endpoint.action,
+                "name": each.endpoint.name,
+                "partitions": list(each.endpoint.partitions),
             }
-            for each in explanation.endpoints
+            for each in explanation.needs
         ],
         "installed": explanation.installed,
         "transports": [

@@ -106,7 +106,7 @@ def label_enclave(
         diagnostic = error.diagnostics[0]
         if diagnostic.code != ENCLAVE_REFUSED:
             raise
-        refused = Verdict(allowed=False, reason=f"the enclave is refused: {diagnostic.message}")
+        refused = Verdict(False, f"the enclave is refused: {diagnostic.message}", diagnostic.where)
         yield from ((edge, refused) for edge in unanswered)
         yield from ((edge, refused) for edge in waiting)
 

@@ -1,15 +1,15 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Copies of enclaves for transports, which read files and may take long.
+"""Copies of installed files for transports, which read them and may take long.
 
-A concurrent install neither waits for them nor changes the files that they read. Messages name the original
-directories, not the copies.
+A concurrent install neither waits for them nor changes the files that they read. The copies have the same places in
+their install space as the originals. Messages name the original directories, not the copies.
 """
 
 from __future__ import annotations
 
 import contextlib
 import tempfile
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -27,13 +27,13 @@ class Copies:
 
     Attributes:
         enclaves: the copies by subject.
-        root: the directory of the copies.
-        place: the directory of the originals.
+        root: the install space of the copies.
+        install: the install space of the originals.
     """
 
     enclaves: Mapping[str, Enclave]
     root: Path
-    place: Path
+    install: Path
 
     def read_by(self, transports: Mapping[str, Transport]) -> dict[str, Transport]:
         """Return transports that read the copies instead of the originals."""
@@ -41,42 +41,62 @@ class Copies:
 
     def back(self, text: str) -> str:
         """Replace the directory of the copies by the directory of the originals."""
-        return text.replace(str(self.root), str(self.place))
+        return text.replace(str(self.root), str(self.install))
 
     def named(self, error: KeymintError) -> KeymintError:
         """Return an error that names the originals."""
         return KeymintError.of(map(self._diagnostic, error.diagnostics), error.exit_code)
 
     def _diagnostic(self, diagnostic: Diagnostic) -> Diagnostic:
-        where = diagnostic.where and replace(diagnostic.where, file=self.back(diagnostic.where.file))
+        where = diagnostic.where and diagnostic.where.with_files(self.back)
         return replace(diagnostic, message=self.back(diagnostic.message), where=where, help=self.back(diagnostic.help))
 
 
 @contextlib.contextmanager
 def copied(
-    tree: Tree, place: Path, enclaves: Mapping[str, Enclave], transports: Mapping[str, Transport]
+    tree: Tree,
+    install: Path,
+    enclaves: Mapping[str, Enclave],
+    transports: Iterable[Transport],
+    others: Collection[Path] = (),
+    infrastructure: Collection[Path] = (),
 ) -> Iterator[Copies]:
-    """Copy enclaves into a private temporary directory, which is removed at the end.
+    """Copy enclaves and shared files into a private temporary directory, which is removed at the end.
 
     Args:
         tree: the snapshot.
-        place: the directory of the enclaves.
+        install: the install space.
         enclaves: the enclaves by subject.
         transports: their readers; private keys are copied only if one of them needs more than documents.
+        others: the folders of all further enclaves, whose files are not shared.
+        infrastructure: those of them that belong to the infrastructure of a transport; they are copied too.
     """
-    keys = not all(names_rules(each.usable()) for each in transports.values())
+    keys = not all(names_rules(each.usable()) for each in transports)
     with tempfile.TemporaryDirectory(prefix="keymint-") as folder:
         root = Path(folder).resolve()
         own = {
-            subject: replace(each, folder=root / each.folder.relative_to(place)) for subject, each in enclaves.items()
+            subject: replace(each, folder=root / each.folder.relative_to(install), install=root)
+            for subject, each in enclaves.items()
         }
-        for subject, copy in own.items():
-            _copy(tree, enclaves[subject].folder, copy.folder, keys=keys)
-        copies = Copies(own, root, place)
+        folders = {each.folder for each in enclaves.values()}
+        shared = _shared(tree, install, folders.union(others))
+        for source in sorted({*folders, *infrastructure, *shared}):
+            _copy(tree, source, root / source.relative_to(install), keys=keys)
+        copies = Copies(own, root, install)
         try:
             yield copies
         except KeymintError as error:
             raise copies.named(error) from error
+
+
+def _shared(tree: Tree, folder: Path, enclaves: Collection[Path]) -> Iterator[Path]:
+    """Yield a folder and those below it that are in no enclave; hidden ones are ignored."""
+    if folder in enclaves:
+        return
+    yield folder
+    for name, is_folder in tree.names(folder):
+        if is_folder and not name.startswith("."):
+            yield from _shared(tree, folder / name, enclaves)
 
 
 def _copy(tree: Tree, source: Path, target: Path, *, keys: bool) -> None:
@@ -120,6 +140,7 @@ class _OnCopies:
         own = [self._copies.enclaves[each.subject] for each in enclaves]
         try:
             for edge, verdict in self._transport.label(own, edges, tier):
-                yield edge, replace(verdict, reason=self._copies.back(verdict.reason))
+                where = verdict.where and verdict.where.with_files(self._copies.back)
+                yield edge, replace(verdict, reason=self._copies.back(verdict.reason), where=where)
         except KeymintError as error:
             raise self._copies.named(error) from error

@@ -11,25 +11,20 @@ from comarmor.errors import Origin
 from keymint.api import Enclave, Tier, Transport, Verdict
 from keymint.errors import KeymintError
 from keymint.graph import Edge
-from keymint.tree import Tree
 from keymint.verify.compare import error_of, label_enclave
 from keymint.verify.endpoint_policy import EndpointPolicy
 from keymint.verify.mismatch import Mismatch
 from keymint.verify.usable_transports import names_rules
-
-DOCUMENTS = ("permissions.xml", "permissions.p7s")
-"""Documents with the rules of an enclave, unsigned and signed."""
 
 
 class Explainer:
     """Explains the labels of transports; a real one is explained by its simulation.
 
     Args:
-        judge: the policy on endpoints.
-        asked: the transports to explain, by name.
-        find_models: returns, on first use, simulated transports by name, whose verdicts have the line of a rule;
-            ``cyclonedds-0.10`` simulates ``cyclonedds``. The first one explains transports without a simulation.
-        tree: the files of the enclaves.
+        policy: the policy on endpoints.
+        transports: the transports to explain, by name.
+        find_models: returns, on first use, simulated transports by name, whose verdicts have the place of a rule;
+            ``name-1.2`` simulates ``name``. The first one explains transports without a simulation.
     """
 
     def __init__(
@@ -37,9 +32,7 @@ class Explainer:
         policy: EndpointPolicy,
         transports: Mapping[str, Transport],
         find_models: Callable[[], Mapping[str, Transport]],
-        tree: Tree,
     ) -> None:
-        self._tree = tree
         self._policy = policy
         self._explains_itself = frozenset(name for name, each in transports.items() if names_rules(each.usable()))
         self._find_models = find_models
@@ -56,9 +49,9 @@ class Explainer:
                 error_of(verdict.allowed),
                 edge,
                 self._policy.decide(edge),
-                replace(verdict, line=modelled_verdict.line, deviation=modelled_verdict.deviation),
-                _reason(modelled_verdict),
-                document(self._tree, enclave, modelled_verdict.line),
+                replace(verdict, where=modelled_verdict.where, deviation=modelled_verdict.deviation),
+                modelled_verdict.reason,
+                modelled_verdict.where or Origin(str(enclave.folder)),
                 model,
             )
             for (edge, verdict), (modelled_verdict, model) in zip(wrong, modelled, strict=True)
@@ -88,14 +81,3 @@ class Explainer:
             (model, name) if model.allowed == verdict.allowed else (verdict, "")
             for (_, verdict), model in zip(wrong, models, strict=True)
         ]
-
-
-def _reason(verdict: Verdict) -> str:
-    """Return the reason of a verdict, with its place if that is not in the permissions."""
-    return f"{verdict.where}: {verdict.reason}" if verdict.where and not verdict.line else verdict.reason
-
-
-def document(tree: Tree, enclave: Enclave, line: int) -> Origin:
-    """Return a place in the document with the rules of an enclave."""
-    paths = [path for name in DOCUMENTS if tree.status(path := enclave.folder / name) is not None]
-    return Origin(str(paths[0] if paths else enclave.folder / DOCUMENTS[-1]), line)

@@ -21,7 +21,7 @@ class Mismatch:
         policy: the policy's decision.
         verdict: the transport's decision, in its own words.
         reason: one line, from the simulation of the transport if there is one.
-        document: the rule in the enclave's document that decided; without a line if no rule did.
+        document: the rule in a document that decided; without a line if no rule did.
         model: the simulated transport that explains the verdict of a real one, or empty.
     """
 

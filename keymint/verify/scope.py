@@ -55,7 +55,9 @@ def verification_scope(session: Session, names: Sequence[str]) -> VerificationSc
     domains: dict[str, int] = {}
     for name in sorted(names):
         package = session.package(name)
-        enclaves[package.subject] = Enclave(package.subject, session.enclaves / name, package.distro)
+        enclaves[package.subject] = Enclave(
+            package.subject, session.enclaves / name, package.distro, session.workspace.install
+        )
         naming = naming_of(session, package)
         if naming:
             namings[package.subject] = naming

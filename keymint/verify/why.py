@@ -8,7 +8,18 @@ from dataclasses import dataclass
 
 from comarmor.errors import Origin
 from comarmor.text import did_you_mean, nearest_word
-from keymint.api import AppliedProfile, DomainRange, Enclave, LoadedPolicy, PolicyDecision, RuleLocator, Tier, Transport
+from keymint.api import (
+    ActionMapping,
+    AppliedProfile,
+    DomainRange,
+    Enclave,
+    Endpoint,
+    LoadedPolicy,
+    PolicyDecision,
+    RuleLocator,
+    Tier,
+    Transport,
+)
 from keymint.errors import ExitCode, KeymintError
 from keymint.graph import LABELLED, Edge, Object
 from keymint.ir import Rule
@@ -36,6 +47,14 @@ class MatchedRule:
 
 
 @dataclass(frozen=True, slots=True)
+class Need:
+    """An endpoint that a transport must permit for a request, and the word for its name."""
+
+    endpoint: Endpoint
+    noun: str
+
+
+@dataclass(frozen=True, slots=True)
 class Explanation:
     """The decision of every layer on a request.
 
@@ -48,9 +67,9 @@ class Explanation:
         similar: if the policy does not name the subject, a subject with a similar name.
         package: the rules of the source package that apply to the request.
         packaged: there is a source package.
-        endpoints: the endpoints that the subject needs on the transport.
+        needs: what the transports must permit.
         installed: there is an enclave.
-        labels: the decision of each transport, with the place in the enclave's document.
+        labels: the decision of each transport, with the place in its document.
     """
 
     edge: Edge
@@ -61,7 +80,7 @@ class Explanation:
     similar: str
     package: Sequence[MatchedRule]
     packaged: bool
-    endpoints: Sequence[Edge]
+    needs: Sequence[Need]
     installed: bool
     labels: Mapping[str, Mismatch]
 
@@ -130,7 +149,7 @@ def explain(
         KeymintError: the source package has defects, or a transport does not work.
     """
     name = edge.subject.removeprefix("/")
-    package, naming = _package(session, name, edge)
+    package, naming, needs = _package(session, name, edge)
     endpoint_policy = EndpointPolicy(policy, {edge.subject: naming} if naming else {})
     decision = endpoint_policy.decide(edge)
     profiles = policy.profiles(edge.subject)
@@ -142,10 +161,12 @@ def explain(
     is_installed = name in installed(session)
     labels: dict[str, Mismatch] = {}
     if is_installed:
-        enclave = Enclave(edge.subject, session.enclaves / name, session.profile.distro)
-        with copied(session.tree, session.enclaves, {edge.subject: enclave}, transports) as copies:
+        install, folder = session.workspace.install, session.enclaves / name
+        enclave = Enclave(edge.subject, folder, session.profile.distro, install)
+        others = [session.enclaves / each for each in installed(session)]
+        with copied(session.tree, install, {edge.subject: enclave}, transports.values(), others) as copies:
             readers = copies.read_by(transports)
-            explainer = Explainer(endpoint_policy, readers, lambda: copies.read_by(find_models()), session.tree)
+            explainer = Explainer(endpoint_policy, readers, lambda: copies.read_by(find_models()))
             for each, transport in readers.items():
                 verdicts = list(label_enclave(transport, enclave, [edge], Tier.DECISION))
                 (labels[each],) = explainer(each, enclave, verdicts)
@@ -158,23 +179,29 @@ def explain(
         similar=nearest_word(edge.subject, subjects) if package is None and edge.subject not in subjects else "",
         package=package or (),
         packaged=package is not None,
-        endpoints=naming.endpoints(edge) if naming else (),
+        needs=needs,
         installed=is_installed,
         labels=labels,
     )
 
 
-def _package(session: Session, name: str, edge: Edge) -> tuple[Sequence[MatchedRule] | None, Naming | None]:
+def _package(
+    session: Session, name: str, edge: Edge
+) -> tuple[Sequence[MatchedRule] | None, Naming | None, Sequence[Need]]:
     """Return the rules of a source package that apply to a request, and the naming of the package."""
     if name not in packages(session.tree, session.workspace.src):
-        return None, None
+        return None, None, ()
     files = session.package_files(name)
     package = session.package(name)
     rules = package.grant.rules.rules
     places = _places(session, name, files, rules)
     naming = naming_of(session, package)
     matching = matching_rules(rules, _with_meanings(edge, naming))
-    return [MatchedRule(rules[at], places[at]) for at in matching], naming
+    needs: list[Need] = []
+    build_type = session.plugins.build_type(package.build_type, session.package_marker(name))
+    if isinstance(build_type, ActionMapping):
+        needs += (Need(each, build_type.NOUN) for each in build_type.actions(package.distro, edge))
+    return [MatchedRule(rules[at], places[at]) for at in matching], naming, needs
 
 
 def _with_meanings(edge: Edge, naming: Naming | None) -> Sequence[Edge]:

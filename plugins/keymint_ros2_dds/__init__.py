@@ -14,10 +14,12 @@ __all__ = ["DdsSecurity", "build_type"]
 class DdsSecurity:
     """The build type for DDS Security 1.1 as Cyclone DDS and Fast DDS implement it.
 
-    Implements :class:`keymint.api.BuildType`, :class:`keymint.api.NameMapping` and :class:`keymint.api.Prover`.
+    Implements :class:`keymint.api.BuildType`, :class:`keymint.api.NameMapping`, :class:`keymint.api.ActionMapping` and
+    :class:`keymint.api.Prover`.
     """
 
     API = API_VERSION
+    NOUN = "DDS topic"
 
     build = lazy("keymint_ros2_dds.build:build")
     install = lazy("keymint_ros2_dds.install:install")
@@ -26,6 +28,7 @@ class DdsSecurity:
     check_all = lazy("keymint_ros2_dds.check_keystore:check_all")
 
     endpoints = lazy("keymint_ros2_dds.lowering.endpoints:endpoints")
+    actions = lazy("keymint_ros2_dds.lowering.endpoints:actions")
     meanings = lazy("keymint_ros2_dds.lowering.endpoints:meanings")
     document_topics = lazy("keymint_ros2_dds.transports.enclave_files:document_topics")
 

@@ -165,4 +165,4 @@ def _reason(claim: Claim) -> str:
     if example is None:
         return f"{claim.model}, {claim.action}: {claim.reason}"
     verb = "permits" if example.document.allowed else "does not permit"
-    return f"{claim.model} {verb} it to {claim.action} {example.endpoint.object.name!r}"
+    return f"{claim.model} {verb} it to {claim.action} {example.endpoint.name!r}"

@@ -73,8 +73,8 @@ def hold(case: Case, by: Callable[[str], int], model: str, answers: Callable[[st
             assert not any(differing >> NAMES.index(name) & 1 for name in names), (case, claim)
         elif claim.counterexample is not None:
             found = claim.counterexample
-            if _is_text(found.endpoint.object.name.encode("utf-8", "surrogateescape")):
-                assert answers(found.endpoint.object.name) is found.document.allowed, (case, claim)
+            if _is_text(found.endpoint.name.encode("utf-8", "surrogateescape")):
+                assert answers(found.endpoint.name) is found.document.allowed, (case, claim)
 
 
 @pytest.mark.cyclonedds

@@ -83,7 +83,7 @@ def pair(authorities: Authorities, tmp_path: Path) -> list[Enclave]:
             name="/listener",
         ),
     }
-    return [Enclave(subject, folder, "humble") for subject, folder in folders.items()]
+    return [Enclave(subject, folder, "humble", folder.parent) for subject, folder in folders.items()]
 
 
 def labelled(transport: Transport, enclaves: list[Enclave], tier: Tier, *edges: Edge) -> list[Verdict]:
@@ -104,7 +104,7 @@ def test_all_tiers_make_the_same_decisions(transport: Transport, pair: list[Encl
     found = labelled(transport, pair, tier, *EDGES, Edge("/listener", "publish", Y))
     assert [verdict.allowed for verdict in found] == [True, False, False, True, True]
     assert all(verdict.reason for verdict in found)
-    assert found[0].line
+    assert found[0].where.line
 
 
 def test_allowed_samples_are_delivered_and_an_intruder_is_refused(transport: Transport, pair: list[Enclave]) -> None:
@@ -118,7 +118,9 @@ def test_samples_are_exchanged_within_a_partition(
 ) -> None:
     both = criteria("publish", ["rt/x"], ["a"]) + criteria("subscribe", ["rt/x"], ["a"])
     enclaves = [
-        Enclave(f"/{name}", enclave(authorities, tmp_path / name, rule("allow", both), name=f"/{name}"), "humble")
+        Enclave(
+            f"/{name}", enclave(authorities, tmp_path / name, rule("allow", both), name=f"/{name}"), "humble", tmp_path
+        )
         for name in ("talker", "listener")
     ]
     places = [Object("topic", "rt/x", partitions) for partitions in (("a",), ("b",), ())]
@@ -134,7 +136,7 @@ def test_a_refused_enclave_denies_every_edge_and_reports_the_reason(
 ) -> None:
     content = permissions_document("CN=/somebody", rule("allow", criteria("publish", ["rt/x"])))
     folder = enclave(authorities, tmp_path, name="/talker", permissions=content)
-    [found] = labelled(transport, [Enclave("/talker", folder, "humble")], tier, talker("publish", X))
+    [found] = labelled(transport, [Enclave("/talker", folder, "humble", folder.parent)], tier, talker("publish", X))
     assert not found.allowed
     assert "refuse" in found.reason
 
@@ -143,7 +145,7 @@ def test_domains_are_decided_separately(authorities: Authorities, transport: Tra
     wide = governance_document(domains="<id_range><min>0</min><max>9</max></id_range>")
     folder = enclave(authorities, tmp_path, rule("allow", criteria("publish", ["rt/x"])), governance=wide)
     edges = [talker("publish", X, domain) for domain in (0, 1)]
-    found = labelled(transport, [Enclave("/talker", folder, "humble")], Tier.DECISION, *edges)
+    found = labelled(transport, [Enclave("/talker", folder, "humble", folder.parent)], Tier.DECISION, *edges)
     assert found[0].allowed
     assert found[1].allowed == found[1].deviation.startswith("row 10, domains-unused")
 
@@ -155,7 +157,9 @@ def test_a_document_that_crashes_cyclone_dds_is_not_given_to_it(
     crashing = rule("allow", criteria("publish", ["rt/x"])).replace("<id>0</id>", "<id_range><max>3</max></id_range>")
     folder = enclave(authorities, tmp_path, crashing)
     opened = real_cyclonedds.open(environment)
-    [found] = labelled(opened, [Enclave("/talker", folder, "humble")], Tier.DECISION, talker("publish", X))
+    [found] = labelled(
+        opened, [Enclave("/talker", folder, "humble", folder.parent)], Tier.DECISION, talker("publish", X)
+    )
     assert (found.allowed, "crashes Cyclone DDS" in found.reason) == (False, True)
 
 
@@ -170,7 +174,9 @@ def test_cyclone_dds_prints_nothing_on_our_standard_output(
     """Its parser prints for each document that it refuses, which would corrupt the output of ``--json``."""
     folder = enclave(authorities, tmp_path, rule("allow", criteria("publish", ["rt/x"]), domain=231))
     opened = real_cyclonedds.open(environment)
-    [found] = labelled(opened, [Enclave("/talker", folder, "humble")], Tier.DECISION, talker("publish", X))
+    [found] = labelled(
+        opened, [Enclave("/talker", folder, "humble", folder.parent)], Tier.DECISION, talker("publish", X)
+    )
     ctypes.CDLL(None).fflush(None)
     assert not found.allowed
     assert capfd.readouterr().out == ""

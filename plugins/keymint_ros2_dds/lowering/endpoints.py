@@ -6,6 +6,7 @@ from __future__ import annotations
 from functools import lru_cache
 
 from comarmor.rules import parts
+from keymint.api import Endpoint
 from keymint.errors import KeymintError
 from keymint.graph import Edge, Object
 from keymint_ros2_dds.lowering.dds_topics import DDS_TOPICS
@@ -82,3 +83,15 @@ def meanings(distro: str, endpoint: Edge) -> tuple[Edge, ...]:
                     name = path[len(prefix) : len(path) - len(suffix)]
                     result.append(Edge(endpoint.subject, permission, Object(kind, name, partitions), endpoint.domain))
     return tuple(result)
+
+
+def actions(distro: str, edge: Edge) -> tuple[Endpoint, ...]:
+    """Return what a DDS implementation must permit for an edge; see :meth:`keymint.api.ActionMapping.actions`.
+
+    Raises:
+        KeymintError: the distribution or the permission is unknown.
+    """
+    return tuple(
+        Endpoint(each.subject, each.permission, each.object.name, each.object.partitions, each.domain)
+        for each in endpoints(distro, edge)
+    )

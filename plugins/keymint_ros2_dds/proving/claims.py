@@ -19,8 +19,7 @@ from comarmor.patterns.decision_lists import (
 from comarmor.patterns.proofs import difference
 from comarmor.patterns.tokens import PatternError
 from comarmor.rules import Effect
-from keymint.api import Claim, Counterexample, DomainRange, PolicyDecision, Proof, Verdict
-from keymint.graph import Edge
+from keymint.api import Claim, Counterexample, DomainRange, Endpoint, PolicyDecision, Proof, Verdict
 from keymint.ir import SubjectRules
 from keymint_ros2_dds import decision
 from keymint_ros2_dds.decision import OMG, VARIATIONS, DocumentEvaluator, EndpointDecision, Variation
@@ -327,7 +326,7 @@ class _Model:
     ) -> Claim:
         example = self._counterexample(action, domain, era, witness.word, inside=inside, permitted=not witness.left)
         if example.policy.allowed is not witness.left or example.document.allowed is witness.left:
-            name = example.endpoint.object.name
+            name = example.endpoint.name
             return claim(
                 Proof.UNKNOWN, f"the engine and the plain evaluators disagree on {name!r}: a defect of Keymint"
             )
@@ -351,12 +350,18 @@ class _Model:
             reason = "no rule allows it" if inside else "not its domain"
             policy = PolicyDecision(allowed=False, where=None, reason=Reason((reason,)))
         verdict = self._verdict(action, domain, era, (topic, partition), permitted=permitted)
+        by_governance = (
+            self._governance is not None
+            and verdict.where is not None
+            and verdict.where.file == self._governance.document.file
+        )
         return Counterexample(
-            Edge(rules.subject, action, edges[0].object, domain),
+            Endpoint(rules.subject, action, topic, edges[0].object.partitions, domain),
             next((edge for edge in edges[1:] if policy_evaluator.is_ros_name(edge.object.name)), None),
             policy,
             verdict,
-            protection.help_for(self._governance, domain) if verdict.where and not verdict.line else "",
+            protection.help_for(self._governance, domain) if by_governance else "",
+            verdict.where if by_governance else None,
         )
 
     def _verdict(
@@ -392,7 +397,7 @@ class _Model:
         reason = outcome.reason
         if len(self._eras) > 1:
             reason += f" (by the grant in force from {era.begin:{_DATE}} to {era.end:{_DATE}})"
-        return Verdict(outcome.allowed, reason, outcome.line, deviation, outcome.where)
+        return Verdict(outcome.allowed, reason, outcome.where, deviation)
 
     def _never(self) -> Verdict:
         """Return why no grant is ever in force."""
@@ -402,4 +407,4 @@ class _Model:
             return Verdict(allowed=False, reason=f"no grant applies to {name!r}")
         dates = f"{grant.not_before.strip()} to {grant.not_after.strip()}"
         reason = f"the grant of {name!r} is never valid ({dates})"
-        return Verdict(allowed=False, reason=reason, line=grant.line, where=document.place(grant.line))
+        return Verdict(allowed=False, reason=reason, where=document.place(grant.line))

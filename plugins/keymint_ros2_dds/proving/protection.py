@@ -10,12 +10,11 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass
 
-from comarmor.errors import Reason
+from comarmor.errors import Origin, Reason
 from comarmor.patterns.decision_lists import Block, DecisionList, SearchBudget, Universe, Unknown, Witness
 from comarmor.patterns.glob import EVERYTHING
 from comarmor.patterns.proofs import escapes
-from keymint.api import Claim, Counterexample, DomainRange, PolicyDecision, Proof, Verdict
-from keymint.graph import Edge, Object
+from keymint.api import Claim, Counterexample, DomainRange, Endpoint, PolicyDecision, Proof, Verdict
 from keymint_ros2_dds.decision.access import DomainAccess
 from keymint_ros2_dds.decision.semantics import Semantics
 from keymint_ros2_dds.proving import octets
@@ -116,12 +115,9 @@ def _join(
         UNAUTHENTICATED: f"{UNAUTHENTICATED} is true: participants without identity and permissions may join",
     }
     reason = f"{who[tag]}{f' domain {domains.first}' if domains.first else ''}"
-    policy = PolicyDecision(
-        allowed=False, where=None, reason=Reason(("only subjects with a rule of the policy may join",))
-    )
-    endpoint = Edge(subject, "join", Object("domain", str(domains.first)), domains.first)
-    verdict = Verdict(allowed=True, reason=reason, where=where)
-    example = Counterexample(endpoint, None, policy, verdict, help_for(governance, domains.first))
+    expected = "only subjects with a rule of the policy may join"
+    endpoint = Endpoint(subject, "join", "", domain=domains.first)
+    example = _example(endpoint, expected, reason, where, help_for(governance, domains.first))
     return Claim(model, "join", (domains,), JOINS, Proof.COUNTEREXAMPLE, "", example)
 
 
@@ -133,12 +129,17 @@ def _protect(
     where = governance.document.place(element.line)
     scope = f" for the topic {element.topic!r}" if element.topic else f" in domain {domains.first}"
     reason = f"{element.tag} is {element.text}{scope}, but the sources require {element.required}"
-    policy = PolicyDecision(allowed=False, where=None, reason=Reason(("the sources require stronger protection",)))
-    object_ = Object("topic", element.topic) if element.topic else Object("domain", str(domains.first))
-    verdict = Verdict(allowed=True, reason=reason, where=where)
+    endpoint = Endpoint(subject, "protect", element.topic, domain=domains.first)
     help_ = "run 'keymint install' to sign the governance that the sources build"
-    example = Counterexample(Edge(subject, "protect", object_, domains.first), None, policy, verdict, help_)
+    example = _example(endpoint, "the sources require stronger protection", reason, where, help_)
     return Claim(model, "protect", (domains,), PROTECTED, Proof.COUNTEREXAMPLE, "", example)
+
+
+def _example(endpoint: Endpoint, expected: str, reason: str, where: Origin, help_: str) -> Counterexample:
+    policy = PolicyDecision(allowed=False, where=None, reason=Reason((expected,)))
+    return Counterexample(
+        endpoint, None, policy, Verdict(allowed=True, reason=reason, where=where), help_, where, expected
+    )
 
 
 STRICT = DocumentDomainRule(

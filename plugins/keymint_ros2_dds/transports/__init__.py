@@ -24,6 +24,7 @@ class Opener:
     """Implements :class:`keymint.api.TransportType`."""
 
     API = API_VERSION
+    BUILD_TYPE = "keymint_ros2_dds"
 
     def __init__(self, make: Callable[[Environment], Transport]) -> None:
         self._make = make

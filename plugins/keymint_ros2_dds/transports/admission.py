@@ -50,7 +50,8 @@ def verdict(
         line = modelled.line if modelled.allowed == allowed else 0
         if not allowed:
             break
-    return Verdict(allowed, message or ("it is allowed" if allowed else "it is denied"), line, deviation)
+    reason = message or ("it is allowed" if allowed else "it is denied")
+    return Verdict(allowed, reason, enclave_model.place(line), deviation)
 
 
 def admission(
@@ -76,7 +77,8 @@ def admission(
                     participant = system.open(enclave.folder, domain)
                 except RefusedError as error:
                     reason = f"the participant is refused: {error}"
-                    yield from ((edge, Verdict(allowed=False, reason=reason)) for edge in group)
+                    refused = Verdict(allowed=False, reason=reason, where=enclave_model.place())
+                    yield from ((edge, refused) for edge in group)
                     continue
                 for edge in group:
                     needed = endpoints(enclave.distro, edge)

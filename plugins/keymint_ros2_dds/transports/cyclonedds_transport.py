@@ -56,7 +56,7 @@ class CycloneDDSTransport(RealTransport):
                     opened[edge.domain] = _open(enclave_model, enclave.folder, edge.domain, stack)
                 access = opened[edge.domain]
                 if isinstance(access, str):
-                    yield edge, Verdict(allowed=False, reason=access)
+                    yield edge, Verdict(allowed=False, reason=access, where=enclave_model.place())
                     continue
                 needed = endpoints(enclave.distro, edge)
                 yield edge, admission.verdict(enclave_model, self.MODEL, needed, _answers(access, needed))

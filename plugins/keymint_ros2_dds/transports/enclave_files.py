@@ -22,6 +22,7 @@ from keymint_ros2_dds.enclave_layout import (
     KEY,
     PERMISSIONS_CA,
     PERMISSIONS_P7S,
+    PERMISSIONS_XML,
 )
 from keymint_ros2_dds.reading import signed_governance, signed_permissions
 from keymint_ros2_dds.reading.signed_governance import GovernanceDocument
@@ -88,6 +89,11 @@ def document_topics(enclave: Enclave) -> tuple[tuple[str, tuple[str, ...]], ...]
         for topic in criteria.topics
     )
     return tuple(dict.fromkeys(topics))
+
+
+def rules_file(folder: Path) -> Path:
+    """Return the permissions document of an enclave: the unsigned one if it is there, else the signed one."""
+    return folder / (PERMISSIONS_XML if (folder / PERMISSIONS_XML).exists() else PERMISSIONS_P7S)
 
 
 def content(folder: Path, name: str) -> bytes:

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 
+from comarmor.errors import Origin
 from keymint.api import Enclave, Environment
 from keymint.errors import KeymintError
 from keymint.graph import Edge
@@ -31,6 +32,7 @@ class EnclaveModel:
     """
 
     def __init__(self, enclave: Enclave, environment: Environment, domain: int) -> None:
+        self._rules = str(enclave_files.rules_file(enclave.folder))
         self._now = environment.now
         self._domain = domain
         self._evaluators: dict[str, tuple[DocumentEvaluator, DomainAccess]] = {}
@@ -55,6 +57,10 @@ class EnclaveModel:
         evaluator, access = evaluators
         topic = endpoint.object
         return access.decide(evaluator, endpoint.permission, topic.name, topic.partitions)
+
+    def place(self, line: int = 0) -> Origin:
+        """Return a place in the permissions document, for verdicts."""
+        return Origin(self._rules, line)
 
     def deviation(self, variation: Variation, endpoint: Edge, *, allowed: bool) -> str:
         """Return the deviations that explain why a vendor decides differently from the standard.

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 from keymint.api import Availability, Enclave, Environment, Tier, Verdict
 from keymint.graph import Edge
-from keymint_ros2_dds.decision import OMG, VARIATIONS, Variation
+from keymint_ros2_dds.decision import OMG, VARIATIONS, EndpointDecision, Variation
 from keymint_ros2_dds.lowering.endpoints import endpoints
 from keymint_ros2_dds.transports.enclave_model import EnclaveModel, EnclaveModels
 
@@ -35,14 +35,19 @@ class Simulated:
 
     def _verdict(self, enclave_model: EnclaveModel, needed: Sequence[Edge]) -> Verdict:
         deviation = ""
-        verdict = Verdict(allowed=False, reason="this maps to no DDS endpoint")
+        verdict = Verdict(allowed=False, reason="this maps to no DDS endpoint", where=enclave_model.place())
         for endpoint in needed:
             modelled = enclave_model.decide(self.variation, endpoint)
             deviation = deviation or enclave_model.deviation(self.variation, endpoint, allowed=modelled.allowed)
-            verdict = Verdict(modelled.allowed, modelled.reason, modelled.line, deviation, modelled.where)
+            verdict = Verdict(modelled.allowed, _reason(modelled), enclave_model.place(modelled.line), deviation)
             if not modelled.allowed:
                 break
         return verdict
+
+
+def _reason(modelled: EndpointDecision) -> str:
+    """Return the reason of a decision, with its place if that is not in the permissions."""
+    return f"{modelled.where}: {modelled.reason}" if modelled.where and not modelled.line else modelled.reason
 
 
 def simulated(name: str, environment: Environment) -> Simulated:

@@ -41,7 +41,7 @@ def test_a_counterexample_names_the_rule_the_line_and_both_names(keymint: Callab
     found = [claim["counterexample"] for claim in enclave["claims"] if claim["proof"] == "counterexample"]
     assert len(found) == 3
     for one in found:
-        assert one["dds_name"] == "rt/chatter"
+        assert one["name"] == "rt/chatter"
         assert one["ros"] == {"kind": "ros_topic", "permission": "ros_publish", "name": "/chatter"}
         assert one["policy"]["allowed"] is True
         assert (one["policy"]["file"], one["policy"]["line"]) == ("policy.xml", 5)

@@ -70,7 +70,7 @@ def test_a_deny_that_decides(why) -> None:
     assert [each["audit"] for each in result["profiles"]] == [True, True]
     assert [each["effect"] for each in result["rules"]] == ["DENY", "ALLOW"]
     assert [each["effect"] for each in result["package"]] == ["DENY", "ALLOW"]
-    assert result["endpoints"] == [{"action": "publish", "topic": "rt/estop", "partitions": []}]
+    assert result["endpoints"] == [{"action": "publish", "name": "rt/estop", "partitions": []}]
     (omg,) = result["transports"]
     assert omg["allowed"] is False
     assert omg["rule"]["file"] == "ws/install/enclaves/cell/arm/permissions.xml"
@@ -99,7 +99,7 @@ def test_in_words(why) -> None:
 def test_an_action_needs_all_its_parts(why) -> None:
     result = why("/cell/arm", "ros_request", "/move", "--json").document["result"]
     assert result["policy"]["allowed"]
-    topics = {each["topic"] for each in result["endpoints"]}
+    topics = {each["name"] for each in result["endpoints"]}
     assert {"rq/move/_action/send_goalRequest", "rr/move/_action/send_goalReply", "rt/move/_action/status"} <= topics
     assert len(topics) == 8
 

@@ -19,7 +19,7 @@ from keymint.graph import ConfusionMatrix, Edge, Graph, Object, complete
 from keymint.verify.compare import ENCLAVE_REFUSED, compare, error_of, label_enclave
 from keymint.verify.mismatch import Mismatch
 
-ENCLAVES = {name: Enclave(name, Path("/nowhere") / name[1:], "humble") for name in ("/a", "/b", "/c")}
+ENCLAVES = {name: Enclave(name, Path("/nowhere") / name[1:], "humble", Path("/nowhere")) for name in ("/a", "/b", "/c")}
 
 
 @dataclass

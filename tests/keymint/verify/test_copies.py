@@ -43,20 +43,21 @@ class Transport:
                 f"no {enclave.folder}", where=where, help=str(enclave.folder), code="x", exit_code=ExitCode.FINDINGS
             )
         for edge in edges:
-            yield edge, Verdict(True, f"{enclave.folder}/permissions.p7s: {(enclave.folder / 'key.pem').exists()}")
+            reason = f"{enclave.folder}/permissions.p7s: {(enclave.folder / 'key.pem').exists()}"
+            yield edge, Verdict(True, reason, Origin(str(enclave.install / "shared.xml"), 2))
 
 
 @pytest.fixture
 def enclaves(tmp_path: Path) -> dict[str, Enclave]:
     """Return an enclave with documents, a key, an inner folder, a link and a broken link."""
-    folder = tmp_path / "enclaves" / "a" / "b"
+    folder = tmp_path / "install" / "enclaves" / "a" / "b"
     (folder / "inner").mkdir(parents=True)
     for name in ("permissions.p7s", "key.pem", "authority_key.pem"):
         (folder / name).write_bytes(name.encode())
     (tmp_path / "ca.pem").write_bytes(b"linked")
     (folder / "ca.pem").symlink_to(tmp_path / "ca.pem")
     (folder / "gone.pem").symlink_to("nowhere")
-    return {"/a/b": Enclave("/a/b", folder, "humble")}
+    return {"/a/b": Enclave("/a/b", folder, "humble", tmp_path / "install")}
 
 
 def files(folder: Path) -> dict[str, bytes]:
@@ -64,9 +65,9 @@ def files(folder: Path) -> dict[str, bytes]:
 
 
 def test_documents_are_copied_and_removed_at_the_end(tmp_path: Path, enclaves: dict[str, Enclave]) -> None:
-    with copied(Tree(), tmp_path / "enclaves", enclaves, {"t": Transport()}) as copies:
+    with copied(Tree(), tmp_path / "install", enclaves, [Transport()]) as copies:
         folder = copies.enclaves["/a/b"].folder
-        assert folder == copies.root / "a" / "b"
+        assert folder == copies.root / "enclaves" / "a" / "b"
         assert files(folder) == {"permissions.p7s": b"permissions.p7s", "ca.pem": b"linked"}
         assert {stat.S_IMODE(path.lstat().st_mode) for path in folder.iterdir()} == {0o600}
         assert stat.S_IMODE(copies.root.stat().st_mode) == 0o700
@@ -77,15 +78,38 @@ def test_keys_are_copied_if_one_transport_needs_more_than_documents(
     tmp_path: Path, enclaves: dict[str, Enclave]
 ) -> None:
     transports = {"model": Transport(), "real": Transport((Tier.DECISION, Tier.EXCHANGE))}
-    with copied(Tree(), tmp_path / "enclaves", enclaves, transports) as copies:
+    with copied(Tree(), tmp_path / "install", enclaves, transports.values()) as copies:
         assert {"key.pem", "authority_key.pem"} <= set(files(copies.enclaves["/a/b"].folder))
 
 
 def test_a_reason_names_the_original(tmp_path: Path, enclaves: dict[str, Enclave]) -> None:
     transports = {"t": Transport()}
-    with copied(Tree(), tmp_path / "enclaves", enclaves, transports) as copies:
+    with copied(Tree(), tmp_path / "install", enclaves, transports.values()) as copies:
         (labelled,) = copies.read_by(transports)["t"].label(list(enclaves.values()), [EDGE], Tier.DECISION)
-    assert labelled == (EDGE, Verdict(True, f"{enclaves['/a/b'].folder}/permissions.p7s: False"))
+    reason = f"{enclaves['/a/b'].folder}/permissions.p7s: False"
+    assert labelled == (EDGE, Verdict(True, reason, Origin(str(tmp_path / "install/shared.xml"), 2)))
+
+
+def test_shared_files_and_the_infrastructure_are_copied_and_other_enclaves_are_not(
+    tmp_path: Path, enclaves: dict[str, Enclave]
+) -> None:
+    install = tmp_path / "install"
+    for name in ("shared/deep/rights.xml", "enclaves/key.pem", ".hidden/x", "enclaves/server/key.pem", "enclaves/c/x"):
+        (install / name).parent.mkdir(parents=True, exist_ok=True)
+        (install / name).write_bytes(name.encode())
+    others = [install / "enclaves/server", install / "enclaves/c"]
+    real = Transport((Tier.DECISION, Tier.EXCHANGE))
+    with copied(Tree(), install, enclaves, [real], others, others[:1]) as copies:
+        (enclave,) = copies.enclaves.values()
+        assert enclave.install == copies.root
+        found = {str(path.relative_to(copies.root)) for path in copies.root.rglob("*") if path.is_file()}
+        assert found - {f"enclaves/a/b/{name}" for name in files(enclave.folder)} == {
+            "shared/deep/rights.xml",
+            "enclaves/key.pem",
+            "enclaves/server/key.pem",
+        }
+    with copied(Tree(), install, enclaves, [Transport()], others, others[:1]) as copies:
+        assert not list(copies.root.rglob("key.pem"))
 
 
 @pytest.mark.parametrize("inside", [True, False])
@@ -93,7 +117,7 @@ def test_an_error_names_the_originals(tmp_path: Path, enclaves: dict[str, Enclav
     transports = {"t": Transport(fails=True)}
     folder = enclaves["/a/b"].folder
     with pytest.raises(KeymintError) as caught:  # noqa: SIM117, PT012 - the error leaves the copies, or not
-        with copied(Tree(), tmp_path / "enclaves", enclaves, transports) as copies:
+        with copied(Tree(), tmp_path / "install", enclaves, transports.values()) as copies:
             if inside:
                 list(copies.read_by(transports)["t"].label(list(enclaves.values()), [EDGE], Tier.DECISION))
             else:

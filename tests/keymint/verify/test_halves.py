@@ -67,7 +67,7 @@ def compared(judge: EndpointPolicy, allowed: set[str], edges: Sequence[Edge], li
     return with_halves(
         Comparison("fake", "1", Tier.DECISION, ConfusionMatrix(true_negative=len(edges)), (), {}),
         Transport(frozenset(allowed)),
-        {"/s": Enclave("/s", Path("/nowhere"), "humble")},
+        {"/s": Enclave("/s", Path("/nowhere/s"), "humble", Path("/nowhere"))},
         edges,
         [judge.decide(edge).allowed for edge in edges],
         judge,

@@ -220,7 +220,7 @@ def _hold(case: Case, claim: Claim, differing: int, where: str) -> None:
         names = [name for at, name in enumerate(NAMES) if differing >> at & 1]
         assert not names, (case, claim.model, where, names[:3])
     elif claim.counterexample is not None and where == "C":
-        name = claim.counterexample.endpoint.object.name.encode("utf-8", "surrogateescape")
+        name = claim.counterexample.endpoint.name.encode("utf-8", "surrogateescape")
         shorter = [each for at, each in enumerate(NAMES) if differing >> at & 1 and len(each) < len(name)]
         assert not shorter, (case, claim.model, name, shorter[:3])
         if name in NAMES:

@@ -21,7 +21,7 @@ SAMPLE = 250
 def stands(case: Case) -> dict[str, tuple[Proof, str]]:
     """Return how each model's claim stands, with the name or the reason."""
     return {
-        claim.model: (claim.proof, claim.counterexample.endpoint.object.name if claim.counterexample else claim.reason)
+        claim.model: (claim.proof, claim.counterexample.endpoint.name if claim.counterexample else claim.reason)
         for claim in case.claims()
     }
 
@@ -115,7 +115,7 @@ def test_partitions_are_names_as_well():
         for model in VENDORS:
             example = found[model].counterexample
             assert example is not None
-            assert example.endpoint.object.partitions == (extra,)
+            assert example.endpoint.partitions == (extra,)
 
 
 @pytest.mark.parametrize("expression", ["a[!é]", "a[!\t]", "a[!\x7f]", "é", "a\\\\b", "[é]"])

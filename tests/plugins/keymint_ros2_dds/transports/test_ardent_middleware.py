@@ -11,12 +11,14 @@ from keymint_ros2_dds.lowering.endpoints import endpoints
 from keymint_ros2_dds.transports import ardent_omg
 from keymint_ros2_dds.transports.ardent_middleware import DEVIATION, ArdentMiddleware, created
 
+from comarmor.errors import Origin
 from keymint.api import Availability, Enclave, Environment, Tier, Verdict
 from keymint.graph import Edge, Object
 
 SERVICE = Edge("/t", "ros_call", Object("ros_service", "/n/s"))
 TOPIC = Edge("/t", "ros_publish", Object("ros_topic", "/n/x"))
 PARAMETERS = Edge("/t", "ros_write", Object("ros_parameter", "/n"))
+RULE = Origin("permissions.xml", 7)
 RAW = Edge("/t", "publish", Object("topic", "sRequest", ("rq/n",)))
 
 
@@ -34,11 +36,11 @@ class Recorder:
         assert (len(enclaves), tier) == (1, Tier.DECISION)
         for edge in edges:
             self.asked.append(edge)
-            yield edge, Verdict(edge.object.name in self.allowed, edge.object.name, 7)
+            yield edge, Verdict(edge.object.name in self.allowed, edge.object.name, RULE)
 
 
 def label(transport: Recorder, *edges: Edge, distro: str = "ardent") -> list[tuple[Edge, Verdict]]:
-    enclaves = [Enclave("/t", Path("/nowhere"), distro)]
+    enclaves = [Enclave("/t", Path("/nowhere/t"), distro, Path("/nowhere"))]
     return list(ArdentMiddleware(transport).label(enclaves, edges, Tier.DECISION))
 
 
@@ -62,9 +64,9 @@ def test_an_edge_is_allowed_when_all_of_its_endpoints_are():
     assert [edge for edge, _ in labelled] == [SERVICE, TOPIC, RAW]
     assert [verdict.allowed for _, verdict in labelled] == [False, True, True]
     assert labelled[0][1].reason == "subscribe sReply in the empty partition: sReply"
-    assert (labelled[0][1].line, labelled[0][1].deviation) == (7, DEVIATION)
+    assert (labelled[0][1].where, labelled[0][1].deviation) == (RULE, DEVIATION)
     assert (labelled[1][1].reason, labelled[1][1].deviation) == ("publish x in rt/n: x", "")
-    assert labelled[2][1] == Verdict(allowed=True, reason="sRequest", line=7)
+    assert labelled[2][1] == Verdict(allowed=True, reason="sRequest", where=RULE)
     assert label(Recorder("sRequest", "sReply"), SERVICE)[0][1].allowed
 
 
@@ -76,7 +78,7 @@ def test_edges_are_asked_as_they_come():
             assert len(transport.asked) == 2 * number
             yield SERVICE
 
-    enclaves = [Enclave("/t", Path("/nowhere"), "ardent")]
+    enclaves = [Enclave("/t", Path("/nowhere/t"), "ardent", Path("/nowhere"))]
     assert len(list(ArdentMiddleware(transport).label(enclaves, edges(), Tier.DECISION))) == 3
 
 

@@ -31,7 +31,7 @@ RULES = (
 def write(folder: Path, layout: str = "sros2", **authorities: str) -> Enclave:
     for name, content in installed(package(*RULES), layout, **authorities).items():
         (folder / name).write_bytes(content)
-    return Enclave("/talker", folder, "humble")
+    return Enclave("/talker", folder, "humble", folder.parent)
 
 
 def foreign_signature(folder: Path) -> None:
