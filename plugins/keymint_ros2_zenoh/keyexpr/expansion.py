@@ -22,8 +22,6 @@ from keymint_ros2_zenoh.keyexpr.relations import includes
 
 MAX_ALTERNATIVES = 256
 """Key expressions that one pattern may become."""
-MAX_CANDIDATES = 1024
-"""Key expressions that are made for one pattern before those that others include are dropped: a ``*`` doubles them."""
 ALPHABET = tuple(string.ascii_letters + string.digits + "_/")
 """The characters of ROS names."""
 
@@ -47,13 +45,10 @@ def key_exprs(pattern: Glob) -> tuple[KeyExpr, ...]:
         for rest in glob.after(plain, "/"):
             for text in _texts(rest):
                 count += 1
-                if count > MAX_CANDIDATES:
+                if count > MAX_ALTERNATIVES:
                     raise TooManyAlternativesError(_message())
                 found.add(canonical(text))
-    expressions = maximal(_merged(found))
-    if len(expressions) > MAX_ALTERNATIVES:
-        raise TooManyAlternativesError(_message())
-    return expressions
+    return maximal(_merged(found))
 
 
 def _message() -> str:

@@ -1,0 +1,171 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Compile the rules of a subject to the rules of a router's access control.
+
+Order has no meaning: a denial overrides. What no rule allows is denied by the default of the configuration.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import suppress
+from dataclasses import dataclass
+
+from comarmor.errors import Diagnostic, Origin
+from comarmor.patterns.glob import Glob
+from comarmor.patterns.relations import TooComplexError, disjoint, intersection
+from comarmor.rules import Effect
+from keymint.api import DomainRange
+from keymint.errors import KeymintError
+from keymint.ir import Rule, SubjectRules
+from keymint_ros2_zenoh.keyexpr.expansion import TooManyAlternativesError, key_exprs
+from keymint_ros2_zenoh.keyexpr.key_expr import KeyExpr
+from keymint_ros2_zenoh.lowering.deny_wildcards import deny_wildcards
+from keymint_ros2_zenoh.lowering.key_rule import KeyRule
+from keymint_ros2_zenoh.lowering.name_rules import NameRules, name_rules
+from keymint_ros2_zenoh.lowering.names import advanced_key, data_key, graph_key, own_tokens_key
+from keymint_ros2_zenoh.lowering.slots import SLOTS, USERS, Place, Slot, graph_slots
+from keymint_ros2_zenoh.messages import Flow, Message
+
+MAX_DOMAINS = 32
+"""Domains that one subject may have: key expressions have no ranges, so that each domain repeats all of them."""
+
+
+@dataclass(frozen=True, slots=True)
+class Lowered:
+    """The rules of a subject for a router.
+
+    Attributes:
+        names: its rules by permission.
+        rules: what the router must permit or deny.
+        diagnostics: warnings and notes.
+    """
+
+    names: NameRules
+    rules: tuple[KeyRule, ...]
+    diagnostics: tuple[Diagnostic, ...]
+
+
+def lower(rules: SubjectRules, distro: str, domains: Sequence[DomainRange], origin: Origin) -> Lowered:
+    """Return what a router must permit or deny on the link of a subject.
+
+    Args:
+        rules: the subject's rules.
+        distro: ROS 2 distribution.
+        domains: the domains in which they apply.
+        origin: where the domains are written; also the origin of the rules for the graph.
+
+    Raises:
+        KeymintError: Zenoh cannot express a rule, or there are too many domains.
+    """
+    names = name_rules(rules, distro)
+    ids = _domain_ids(domains, origin)
+    return Lowered(names, (*_rules(names, ids), *_graph(rules.subject, ids, origin)), tuple(lower_notes(names)))
+
+
+def lower_notes(names: NameRules) -> Iterator[Diagnostic]:
+    """Yield the warnings and notes about the rules of a subject."""
+    yield from names.diagnostics
+    yield from deny_wildcards(names)
+
+
+def _domain_ids(domains: Iterable[DomainRange], origin: Origin) -> tuple[int, ...]:
+    count = 0
+    ids: set[int] = set()
+    for each in domains:
+        count += max(0, each.last - each.first + 1)
+        if count > MAX_DOMAINS:
+            raise KeymintError(
+                f"the subject may join more than {MAX_DOMAINS} domains: Zenoh has no ranges of them, so that each one "
+                "repeats all rules",
+                where=origin,
+                help="name the domains that it needs",
+                code="zenoh-domains",
+            )
+        ids.update(range(each.first, each.last + 1))
+    return tuple(sorted(ids))
+
+
+def _rules(names: NameRules, domains: tuple[int, ...]) -> Iterator[KeyRule]:
+    """Yield the rules for names, in the order of the policy."""
+    places: dict[tuple[Effect, Rule], dict[tuple[KeyExpr, Place], set[Slot]]] = {}
+    for effect, slots, pattern, rule in slot_rules(names):
+        by_key = places.setdefault((effect, rule), {})
+        for key in key_exprs(pattern):
+            for slot in slots:
+                by_key.setdefault((key, slot.place), set()).add(slot)
+    for (effect, rule), by_key in places.items():
+        groups: dict[frozenset[tuple[Message, Flow]], list[KeyExpr]] = {}
+        for (name, place), own in by_key.items():
+            sides = frozenset((slot.message, slot.flow) for slot in own)
+            for domain in domains:
+                data = data_key(domain, name)
+                groups.setdefault(sides, []).append(data if place is Place.DATA else advanced_key(data))
+        for sides, keys in groups.items():
+            yield from _by_flow(effect, sides, keys, rule.origin)
+
+
+def slot_rules(names: NameRules) -> Iterator[tuple[Effect, tuple[Slot, ...], Glob, Rule]]:
+    """Yield patterns of names with the slots that they allow or deny, and the rule that they come from.
+
+    An ALLOW rule allows what its permission needs. A DENY rule denies all messages in both flows, except what a
+    permission that it does not deny needs, and that an ALLOW rule may grant on one of its names.
+    """
+    for each in names.rules:
+        if each.effect is Effect.ALLOW:
+            yield Effect.ALLOW, SLOTS[each.permission], each.pattern, each.rule
+    denied: dict[tuple[Rule, Glob], set[str]] = {}
+    for each in names.rules:
+        if each.effect is Effect.DENY:
+            denied.setdefault((each.rule, each.pattern), set()).add(each.permission)
+    for (rule, pattern), permissions in denied.items():
+        living = {
+            permission
+            for permission in SLOTS
+            if permission not in permissions
+            and any(not disjoint(allowed, pattern) for allowed in names.patterns(Effect.ALLOW, permission))
+        }
+        yield Effect.DENY, tuple(slot for slot, users in USERS.items() if not users & living), pattern, rule
+        for slot in _shared(permissions, living):
+            for both in _denied_too(names, pattern, USERS[slot] & living):
+                yield Effect.DENY, (slot,), both, rule
+
+
+def _shared(denied: Iterable[str], living: Iterable[str]) -> Iterator[Slot]:
+    """Yield the slots that denied permissions share with others."""
+    others = set(living)
+    for slot in dict.fromkeys(slot for permission in denied for slot in SLOTS[permission]):
+        if USERS[slot] & others:
+            yield slot
+
+
+def _denied_too(names: NameRules, pattern: Glob, permissions: Iterable[str]) -> Iterator[Glob]:
+    """Yield the patterns of the names that a pattern matches and that are denied for other permissions as well."""
+    for permission in sorted(permissions):
+        for other in names.patterns(Effect.DENY, permission):
+            with suppress(TooComplexError, TooManyAlternativesError):  # see SLOTS: a reply alone is no right
+                for both in intersection(pattern, other):
+                    key_exprs(both)
+                    yield both
+
+
+def _by_flow(
+    effect: Effect, sides: Iterable[tuple[Message, Flow]], keys: Iterable[KeyExpr], origin: Origin
+) -> Iterator[KeyRule]:
+    """Yield rules of messages and flows, one if both flows have the same messages."""
+    messages: Mapping[Flow, tuple[Message, ...]] = {
+        flow: tuple(message for message in Message if (message, flow) in sides) for flow in Flow
+    }
+    expressions = tuple(sorted(set(keys)))
+    if messages[Flow.INGRESS] == messages[Flow.EGRESS]:
+        yield KeyRule(effect, messages[Flow.INGRESS], tuple(Flow), expressions, origin)
+        return
+    for flow in Flow:
+        if messages[flow]:
+            yield KeyRule(effect, messages[flow], (flow,), expressions, origin)
+
+
+def _graph(subject: str, domains: tuple[int, ...], origin: Origin) -> Iterator[KeyRule]:
+    """Yield what lets a node announce itself and read the graph. No enclave can announce the nodes of another one."""
+    own = [own_tokens_key(domain, subject) for domain in domains]
+    yield from _by_flow(Effect.ALLOW, {(Message.LIVELINESS_TOKEN, Flow.INGRESS)}, own, origin)
+    yield from _by_flow(Effect.ALLOW, set(graph_slots()), [graph_key(domain) for domain in domains], origin)

@@ -1,0 +1,187 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The rules of a subject by permissions that are not composite, and what Zenoh cannot express of them."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+from comarmor.errors import Diagnostic, Severity
+from comarmor.patterns import glob
+from comarmor.patterns.glob import Glob
+from comarmor.patterns.possible_names import advice, matches_ros_name
+from comarmor.patterns.tokens import PatternError
+from comarmor.rules import Effect, parts
+from comarmor.text import did_you_mean
+from keymint.errors import KeymintError
+from keymint.ir import Rule, SubjectRules
+from keymint_ros2_zenoh.keyexpr.expansion import TooManyAlternativesError, key_exprs
+from keymint_ros2_zenoh.lowering.names import check_distro
+from keymint_ros2_zenoh.lowering.slots import SLOTS
+
+KINDS = ("ros_topic", "ros_service", "ros_action", "ros_parameter")
+"""Kinds of rules that Zenoh can express."""
+DDS_INFRASTRUCTURE = "ros_discovery_info"
+"""The DDS topic by which the nodes of DDS middleware describe themselves; the policy library allows it to every node.
+
+An ALLOW rule on exactly this raw topic grants no right that Zenoh has. The tokens of the graph serve the same purpose,
+and every enclave is permitted its own tokens.
+"""
+
+
+@dataclass(frozen=True, slots=True)
+class NameRule:
+    """A pattern of a rule for one permission.
+
+    Attributes:
+        effect: allow or deny.
+        permission: a key of :data:`SLOTS`.
+        pattern: pattern of names of topics or services that matches at least one legal ROS name.
+        rule: the rule of the policy.
+    """
+
+    effect: Effect
+    permission: str
+    pattern: Glob
+    rule: Rule
+
+
+@dataclass(frozen=True, slots=True)
+class NameRules:
+    """The rules of a subject that Zenoh expresses, and warnings and notes about the others."""
+
+    subject: str
+    rules: tuple[NameRule, ...]
+    diagnostics: tuple[Diagnostic, ...]
+
+    def patterns(self, effect: Effect, permission: str) -> tuple[Glob, ...]:
+        """Return the distinct patterns of an effect and a permission."""
+        found = {each.pattern: None for each in self.rules if (each.effect, each.permission) == (effect, permission)}
+        return tuple(found)
+
+
+def name_rules(rules: SubjectRules, distro: str) -> NameRules:
+    """Return the rules of a subject by permission.
+
+    Args:
+        rules: the rules.
+        distro: ROS 2 distribution.
+
+    Raises:
+        KeymintError: Zenoh cannot express rules, all of which are reported; an expression is invalid; or the
+            distribution has no rmw_zenoh.
+    """
+    check_distro(distro)
+    errors: list[Diagnostic] = []
+    notes: list[Diagnostic] = []
+    found: dict[NameRule, None] = {}
+    for rule in rules.rules:
+        if is_dds_infrastructure(rule):
+            notes = notes or [_dropped(rule, rules.subject)]
+            continue
+        defects = list(_defects(rule, rules.subject))
+        errors += defects
+        if not defects:
+            for expression in rule.expressions:
+                matched, problems = _of_expression(expression, rule, rules.subject)
+                found.update(dict.fromkeys(matched))
+                (notes if matched or problems[0].severity is not Severity.ERROR else errors).extend(problems)
+    if errors:
+        raise KeymintError.of(errors)
+    return NameRules(rules.subject, tuple(found), tuple(notes))
+
+
+def is_dds_infrastructure(rule: Rule) -> bool:
+    """Return whether a rule only allows nodes to describe themselves to each other on DDS."""
+    return (
+        rule.effect is Effect.ALLOW
+        and rule.kind == "topic"
+        and rule.expressions == (DDS_INFRASTRUCTURE,)
+        and not rule.partitions
+        and "relay" not in rule.permissions
+    )
+
+
+def _of_expression(expression: str, rule: Rule, subject: str) -> tuple[list[NameRule], list[Diagnostic]]:
+    """Return the rules of an expression, and either none or one problem."""
+    try:
+        pattern = glob.parse(expression)
+    except PatternError as error:
+        first = error.diagnostics[0]
+        return [], [Diagnostic("expression", Severity.ERROR, first.message, rule.origin, first.help, subject)]
+    result = []
+    try:
+        for permission in rule.permissions:
+            for _, part, suffix in parts(rule.kind, permission):
+                own = glob.surround("", pattern, suffix)
+                if key_exprs(own):
+                    result.append(NameRule(rule.effect, part, own, rule))
+    except TooManyAlternativesError as error:
+        return [], [_too_many(expression, str(error), rule, subject)]
+    return result, [] if matches_ros_name(pattern) else [_never_matches(expression, rule, subject)]
+
+
+def _defects(rule: Rule, subject: str) -> Iterator[Diagnostic]:
+    """Yield what Zenoh cannot express of a rule, whatever its expressions."""
+
+    def defect(code: str, message: str, help_: str) -> Diagnostic:
+        return Diagnostic(code, Severity.ERROR, message, rule.origin, help_, subject)
+
+    this = f"this {rule.effect} {rule.kind} rule"
+    if rule.kind not in KINDS:
+        yield defect(
+            "zenoh-raw-topic",
+            f"{this} names DDS topics by their own names, which Zenoh does not have",
+            "write a rule of kind ros_topic or ros_service, or leave the rule to a policy for DDS",
+        )
+        return
+    if rule.partitions:
+        yield defect("zenoh-partition", f"{this} names partitions, which Zenoh does not have", "remove them")
+    for permission in rule.permissions:
+        if permission.endswith("relay"):
+            yield defect(
+                "zenoh-relay",
+                f"{this} is about relaying, which Zenoh has no right for",
+                "control who may publish and subscribe instead",
+            )
+            continue
+        for _, part, _ in parts(rule.kind, permission):
+            if part not in SLOTS:
+                known = did_you_mean(part, SLOTS)
+                yield defect("permission-unknown", f"Zenoh knows no permission {part!r} of a {rule.kind} rule", known)
+
+
+def _too_many(expression: str, reason: str, rule: Rule, subject: str) -> Diagnostic:
+    return Diagnostic(
+        "zenoh-expression",
+        Severity.ERROR,
+        f"key expressions have no '?' and no brackets, and without them the expression {expression!r} of this "
+        f"{rule.effect} {rule.kind} rule cannot be written: {reason}",
+        rule.origin,
+        "write '*', or list the names",
+        subject,
+    )
+
+
+def _never_matches(expression: str, rule: Rule, subject: str) -> Diagnostic:
+    return Diagnostic(
+        "never-matches",
+        Severity.WARNING,
+        f"the expression {expression!r} of this {rule.effect} {rule.kind} rule matches no name: no ROS object can have "
+        "such a name",
+        rule.origin,
+        advice(expression) if expression else "remove it",
+        subject,
+    )
+
+
+def _dropped(rule: Rule, subject: str) -> Diagnostic:
+    return Diagnostic(
+        "zenoh-infrastructure",
+        Severity.NOTE,
+        f"the rule on {DDS_INFRASTRUCTURE}, which only DDS has, is left out: on Zenoh every enclave may announce its "
+        "own nodes and read the graph",
+        rule.origin,
+        "",
+        subject,
+    )

@@ -1,0 +1,96 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What each permission needs at the router: messages in both flows, on the keys of a name and beside them.
+
+Measured with Zenoh 1.10.2, by leaving out each of them. Ingress is from the subject to the router.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from enum import StrEnum
+from itertools import product
+from types import MappingProxyType
+
+from keymint_ros2_zenoh.messages import Flow, Message
+
+
+class Place(StrEnum):
+    """Which keys of a name: those of its data, or those beside them that serve ``transient_local``."""
+
+    DATA = "data"
+    ADVANCED = "advanced"
+
+
+@dataclass(frozen=True, slots=True, order=True)
+class Slot:
+    """A message in a flow, on the keys of a name at a place."""
+
+    message: Message
+    flow: Flow
+    place: Place = Place.DATA
+
+    @property
+    def action(self) -> str:
+        """The action in words: ``put in``."""
+        direction = "in" if self.flow is Flow.INGRESS else "out"
+        beside = " of transient_local" if self.place is Place.ADVANCED else ""
+        return f"{self.message.replace('_', ' ')} {direction}{beside}"
+
+
+_IN, _OUT, _BESIDE = Flow.INGRESS, Flow.EGRESS, Place.ADVANCED
+
+SLOTS: Mapping[str, tuple[Slot, ...]] = MappingProxyType(
+    {
+        "ros_publish": (
+            Slot(Message.PUT, _IN),
+            Slot(Message.DECLARE_SUBSCRIBER, _OUT),
+            Slot(Message.REPLY, _IN),  # of the cache, to late subscribers
+            Slot(Message.PUT, _IN, _BESIDE),  # heartbeats
+            Slot(Message.DECLARE_SUBSCRIBER, _OUT, _BESIDE),
+            Slot(Message.DECLARE_QUERYABLE, _IN, _BESIDE),
+            Slot(Message.QUERY, _OUT, _BESIDE),
+            Slot(Message.LIVELINESS_TOKEN, _IN, _BESIDE),
+        ),
+        "ros_subscribe": (
+            Slot(Message.DECLARE_SUBSCRIBER, _IN),
+            Slot(Message.PUT, _OUT),
+            Slot(Message.REPLY, _OUT),
+            Slot(Message.DECLARE_SUBSCRIBER, _IN, _BESIDE),
+            Slot(Message.PUT, _OUT, _BESIDE),
+            Slot(Message.QUERY, _IN, _BESIDE),
+            Slot(Message.DECLARE_LIVELINESS_SUBSCRIBER, _IN, _BESIDE),
+            Slot(Message.LIVELINESS_TOKEN, _OUT, _BESIDE),
+        ),
+        "ros_call": (
+            Slot(Message.QUERY, _IN),
+            Slot(Message.REPLY, _OUT),
+            Slot(Message.DECLARE_QUERYABLE, _OUT),
+        ),
+        "ros_execute": (
+            Slot(Message.DECLARE_QUERYABLE, _IN),
+            Slot(Message.REPLY, _IN),
+            Slot(Message.QUERY, _OUT),
+        ),
+    }
+)
+"""The slots of each permission that is not composite.
+
+Only ``reply`` on data belongs to two permissions of a subject: to publish and to execute, or to subscribe and to call.
+A reply needs a query that was permitted to reach the subject. So a reply that is permitted for the one is no right to
+the other.
+"""
+USERS: Mapping[Slot, frozenset[str]] = MappingProxyType(
+    {
+        slot: frozenset(permission for permission, slots in SLOTS.items() if slot in slots)
+        for slot in (Slot(*parts) for parts in product(Message, Flow, Place))
+    }
+)
+"""The permissions that need a slot; for every slot, also for those that no permission needs."""
+
+
+def graph_slots() -> Iterator[tuple[Message, Flow]]:
+    """Yield what a node needs to read the graph, besides announcing its own tokens."""
+    yield Message.LIVELINESS_QUERY, _IN
+    yield Message.DECLARE_LIVELINESS_SUBSCRIBER, _IN
+    yield Message.LIVELINESS_TOKEN, _OUT
