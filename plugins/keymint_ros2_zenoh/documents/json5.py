@@ -1,0 +1,215 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Read one JSON5 document from bytes: with limits, no key twice, and the line of every value.
+
+The document is read twice. A library decides whether it is JSON5 and which values it has; a scanner then finds the
+lines and the doubled keys, which the library does not tell. A document that the two read differently is refused.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator
+from typing import Any, NamedTuple
+
+import pyjson5
+
+from comarmor.errors import Origin
+from comarmor.text import quoted
+from keymint.errors import KeymintError
+
+FILE_BYTES = 16 * 2**20
+"""Bytes of one file: a router's file of 5,000 enclaves has about 8 MB."""
+DEPTH = 32
+"""Nesting depth of objects and arrays; Zenoh's settings are nested 8 deep."""
+
+_TOKEN = re.compile(
+    r"""((?:[ \t\r\n]+|//[^\r\n]*|/\*.*?\*/)*)
+        (?:(?P<mark>[{}\[\]:,])
+        | (?P<text>"(?:[^"\\\r\n]|\\\r\n|\\.)*"|'(?:[^'\\\r\n]|\\\r\n|\\.)*')
+        | (?P<word>[^\s{}\[\]:,"'/]+)
+        | (?P<end>\Z))""",
+    re.VERBOSE | re.DOTALL,
+)
+"""Space and comments, and what follows them: a mark, a text, another word, or the end of the document."""
+# Other line ends and control characters end comments for some readers and not for others.
+_REFUSED = re.compile("[\x00-\x08\x0b\x0c\x0e-\x1f\x7f\u2028\u2029]")
+_NUMBER = re.compile(r"[+-]?(?:0[xX][0-9a-fA-F]+|(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][+-]?[0-9]+)?)")
+_CONSTANTS = {"true": True, "false": False, "null": None}
+_NEAR = re.compile(r"near (\d+)")
+
+
+class Node(NamedTuple):
+    """A value with its line.
+
+    Attributes:
+        value: a dictionary or list of nodes, a text, a number, a truth value, or None.
+        line: the line on which it begins; for a member of an object, the line of its key.
+    """
+
+    value: Any
+    line: int
+
+    def plain(self) -> Any:
+        """Return the value without lines."""
+        if isinstance(self.value, dict):
+            return {key: node.plain() for key, node in self.value.items()}
+        if isinstance(self.value, list):
+            return [node.plain() for node in self.value]
+        return self.value
+
+
+def parse(content: bytes, name: str) -> Node:
+    """Return the root of a JSON5 document.
+
+    Args:
+        content: the document, UTF-8.
+        name: path of the file as the user would type it, for messages.
+
+    Raises:
+        KeymintError: not well-formed, too large or too deep, a key occurs twice, or a number is not finite; with
+            ``file:line``.
+    """
+    if len(content) > FILE_BYTES:
+        raise KeymintError(
+            f"the file has more than the {FILE_BYTES:,} bytes allowed", where=Origin(name), code="json5-limit"
+        )
+    try:
+        text = content.decode("utf-8-sig")
+    except UnicodeDecodeError as error:
+        line = content.count(b"\n", 0, error.start) + 1
+        raise KeymintError(
+            "the file is not UTF-8", where=Origin(name, line), help="save it as UTF-8", code="json5-syntax"
+        ) from None
+    if odd := _REFUSED.search(text):
+        raise KeymintError(
+            f"the character U+{ord(odd[0]):04X} is not allowed",
+            where=Origin(name, text.count("\n", 0, odd.start()) + 1),
+            help="remove it, or write it as an escape sequence",
+            code="json5-syntax",
+        )
+    try:
+        value = pyjson5.decode(text, DEPTH)
+    except pyjson5.Json5NestingTooDeep:
+        raise KeymintError(
+            f"values are nested more than {DEPTH} deep", where=Origin(name), code="json5-limit"
+        ) from None
+    except pyjson5.Json5DecoderException as error:
+        raise _syntax(error, text, name) from None
+    root = _Scanner(text, name).root()
+    if not _same(root.plain(), value):
+        raise KeymintError(
+            "the file is not plain JSON5: readers may understand it differently",
+            where=Origin(name),
+            code="json5-syntax",
+        )
+    return root
+
+
+def _syntax(error: pyjson5.Json5DecoderException, text: str, name: str) -> KeymintError:
+    message = str(error.args[0]) if error.args else ""
+    near = _NEAR.search(message)
+    line = text.count("\n", 0, int(near[1])) + 1 if near else 0
+    reason = re.sub(r"b'(\w+)'", r"\1", message.partition(" near ")[0]).removesuffix(" starting")
+    return KeymintError(f"not well-formed JSON5: {quoted(reason)}", where=Origin(name, line), code="json5-syntax")
+
+
+def _same(first: Any, second: Any) -> bool:
+    """Compare two values and their types: ``1`` is not ``true``."""
+    if isinstance(first, dict) and isinstance(second, dict):
+        return first.keys() == second.keys() and all(_same(value, second[key]) for key, value in first.items())
+    if isinstance(first, list) and isinstance(second, list):
+        return len(first) == len(second) and all(map(_same, first, second))
+    return type(first) is type(second) and bool(first == second)
+
+
+class _Scanner:
+    """Finds the line of each value in a document that a library has accepted.
+
+    Args:
+        text: the document.
+        name: path of the file, for messages.
+    """
+
+    def __init__(self, text: str, name: str) -> None:
+        self._name = name
+        self._line = 1
+        self._parts = self._scan(text)
+
+    def root(self) -> Node:
+        """Return the value of the document.
+
+        Raises:
+            KeymintError: a key occurs twice, or a form that other readers may understand differently.
+        """
+        node = self._value(*self._next())
+        if self._next()[0] != "end":
+            raise self._refused("more follows after the value")
+        return node
+
+    def _scan(self, text: str) -> Iterator[tuple[str, str]]:
+        """Yield kind and text of each part; meanwhile the current line is that on which it begins."""
+        position = 0
+        while match := _TOKEN.match(text, position):
+            position = match.end()
+            space, kind = match[1], match.lastgroup or ""
+            part = match[kind]
+            self._line += space.count("\n")
+            yield kind, part
+            if kind == "text":
+                self._line += part.count("\n")
+        raise self._refused(f"{quoted(text[position : position + 1])} is not expected here")
+
+    def _next(self) -> tuple[str, str]:
+        return next(self._parts)
+
+    def _value(self, kind: str, part: str) -> Node:
+        line = self._line
+        if kind == "text":
+            return Node(self._text(part), line)
+        if part == "{":
+            return Node(self._members(), line)
+        if part == "[":
+            return Node(self._items(), line)
+        if kind == "word" and part in _CONSTANTS:
+            return Node(_CONSTANTS[part], line)
+        if kind == "word" and _NUMBER.fullmatch(part):
+            return Node(pyjson5.decode(part), line)
+        raise self._refused(f"{quoted(part)} is not a value that all readers understand in the same way")
+
+    def _members(self) -> dict[str, Node]:
+        members: dict[str, Node] = {}
+        kind, part = self._next()
+        while part != "}":
+            line = self._line
+            key = self._text(part) if kind == "text" else part
+            if kind not in {"text", "word"} or (kind == "word" and "\\" in part):
+                raise self._refused(f"{quoted(part)} is not a key that all readers understand in the same way")
+            if key in members:
+                raise KeymintError(
+                    f"the key {quoted(key)} occurs twice, first on line {members[key].line}",
+                    where=Origin(self._name, line),
+                    help="remove one of them",
+                    code="json5-doubled",
+                )
+            self._next()  # the colon
+            members[key] = Node(self._value(*self._next()).value, line)
+            kind, part = self._next()
+            if part == ",":
+                kind, part = self._next()
+        return members
+
+    def _items(self) -> list[Node]:
+        items: list[Node] = []
+        kind, part = self._next()
+        while part != "]":
+            items.append(self._value(kind, part))
+            kind, part = self._next()
+            if part == ",":
+                kind, part = self._next()
+        return items
+
+    def _text(self, part: str) -> str:
+        return str(pyjson5.decode(part)) if "\\" in part else part[1:-1]
+
+    def _refused(self, message: str) -> KeymintError:
+        return KeymintError(message, where=Origin(self._name, self._line), code="json5-syntax")

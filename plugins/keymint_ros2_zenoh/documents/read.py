@@ -1,0 +1,239 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Read a configuration: the only reader, for checks, proofs, the model and real routers.
+
+It refuses what Zenoh refuses at start, and every file that two readers could understand differently.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Iterator, Mapping
+from functools import lru_cache
+from typing import Any, TypeVar
+
+import fastjsonschema
+
+from comarmor.data import locate
+from comarmor.errors import Diagnostic, Origin, Severity
+from comarmor.text import did_you_mean, quoted
+from keymint.errors import KeymintError
+from keymint_ros2_zenoh.documents import json5
+from keymint_ros2_zenoh.documents.access_control import AccessControl, AclPolicy, AclRule, AclSubject
+from keymint_ros2_zenoh.documents.configuration import DEFAULT_LISTEN, Configuration, Tls
+from keymint_ros2_zenoh.documents.json5 import Node
+from keymint_ros2_zenoh.messages import Flow, Message, Permission
+
+_T = TypeVar("_T")
+
+_TLS = {
+    "root_ca_certificate": "root_ca",
+    "listen_certificate": "listen_certificate",
+    "listen_private_key": "listen_key",
+    "connect_certificate": "connect_certificate",
+    "connect_private_key": "connect_key",
+    "enable_mtls": "mutual",
+    "verify_name_on_connect": "verify_name",
+    "close_link_on_expiration": "close_expired",
+}
+_MODELLED = frozenset(
+    {
+        "mode",
+        "connect/endpoints",
+        "listen/endpoints",
+        "scouting/gossip/enabled",
+        "scouting/multicast/enabled",
+        "transport/link/protocols",
+        "access_control",
+        *(f"transport/link/tls/{name}" for name in _TLS),
+    }
+)
+
+
+@lru_cache(maxsize=8)
+def read(content: bytes, name: str) -> Configuration:
+    """Return a configuration.
+
+    Args:
+        content: the file.
+        name: its path as the user would type it, for messages and places.
+
+    Raises:
+        KeymintError: not well-formed, or Zenoh would refuse it; every defect with its ``file:line``.
+    """
+    root = json5.parse(content, name)
+    _validate(root, name)
+    return _Reading(root, name).configuration()
+
+
+@lru_cache(maxsize=1)
+def _validator() -> Callable[[Any], Any]:
+    path = locate("keymint_ros2_zenoh", "schemas") / "configuration.schema.json"
+    validator: Callable[[Any], Any] = fastjsonschema.compile(json.loads(path.read_bytes()), use_default=False)
+    return validator
+
+
+def _validate(root: Node, name: str) -> None:
+    try:
+        _validator()(root.plain())
+    except fastjsonschema.JsonSchemaValueException as error:
+        node = root
+        for step in error.path[1:]:
+            inner = node.value.get(step) if isinstance(node.value, dict) else node.value[int(step)]
+            if inner is None:
+                break
+            node = inner
+        place = "/".join(error.path[1:]) or "the file"
+        what = error.message.removeprefix(error.name or "").strip()
+        raise KeymintError(
+            f"{quoted(place, 200)} {quoted(what, 200)}",
+            where=Origin(name, node.line),
+            help="Zenoh refuses it at start",
+            code="zenoh-configuration",
+        ) from None
+
+
+class _Reading:
+    """Turns a valid document into data.
+
+    Args:
+        root: the document.
+        name: path of the file.
+    """
+
+    def __init__(self, root: Node, name: str) -> None:
+        self._name = name
+        self._found: dict[str, Node] = {}
+        self._other: dict[str, Any] = {}
+        self._places: dict[str, Origin] = {}
+        self._collect("", root)
+
+    def _collect(self, path: str, node: Node) -> None:
+        for key, member in node.value.items():
+            inner = f"{path}{key}"
+            self._places[inner] = Origin(self._name, member.line)
+            if "/" in key:  # no setting of Zenoh, but it would read like the path of one
+                self._other[f"{path}{quoted(key)}"] = member.plain()
+            elif inner in _MODELLED:
+                self._found[inner] = member
+            elif isinstance(member.value, dict):
+                self._collect(f"{inner}/", member)
+            elif member.value is not None:
+                self._other[inner] = member.plain()
+
+    def _plain(self, path: str) -> Any:
+        node = self._found.get(path)
+        return None if node is None else node.plain()
+
+    def configuration(self) -> Configuration:
+        """Return the configuration.
+
+        Raises:
+            KeymintError: an id of the access control is not known, or occurs twice.
+        """
+        mode = self._plain("mode") or "peer"
+        tls = {attribute: self._plain(f"transport/link/tls/{name}") for name, attribute in _TLS.items()}
+        return Configuration(
+            mode=mode,
+            connect=tuple(self._in_mode("connect/endpoints", mode, ())),
+            listen=tuple(self._in_mode("listen/endpoints", mode, DEFAULT_LISTEN[mode])),
+            gossip=self._in_mode("scouting/gossip/enabled", mode, True),
+            multicast=self._in_mode("scouting/multicast/enabled", mode, True),
+            protocols=tuple(self._plain("transport/link/protocols") or ()),
+            tls=Tls(**{attribute: value for attribute, value in tls.items() if value is not None}),
+            access_control=self._access_control(),
+            other=self._other,
+            places=self._places,
+        )
+
+    def _in_mode(self, path: str, mode: str, default: _T) -> _T:
+        """Return a setting that may have one value for all modes, or one for each."""
+        value = self._plain(path)
+        if isinstance(value, dict):
+            value = value.get(mode)
+        return default if value is None else value
+
+    def _access_control(self) -> AccessControl:
+        node = self._found.get("access_control")
+        if node is None:
+            return AccessControl(enabled=False, default_permission=Permission.DENY)
+        members = node.value
+        control = AccessControl(
+            enabled=_value(members, "enabled", False),
+            default_permission=Permission(_value(members, "default_permission", "deny")),
+            rules=tuple(self._rule(item) for item in _items(members, "rules")),
+            subjects=tuple(self._subject(item) for item in _items(members, "subjects")),
+            policies=tuple(self._policy(item) for item in _items(members, "policies")),
+            where=Origin(self._name, node.line),
+        )
+        missing = [key for key in ("rules", "subjects", "policies") if key not in members or members[key].value is None]
+        if control.enabled and missing:
+            raise KeymintError(
+                f"the access control has no {' and no '.join(missing)}",
+                where=control.where,
+                help="Zenoh refuses it at start: give all three lists",
+                code="zenoh-configuration",
+            )
+        if defects := [*self._ids(control)]:
+            raise KeymintError.of(defects)
+        return control
+
+    def _rule(self, node: Node) -> AclRule:
+        members = node.value
+        return AclRule(
+            id=members["id"].value,
+            messages=tuple(Message(item.value) for item in members["messages"].value),
+            flows=tuple(Flow(item.value) for item in _items(members, "flows")) or (Flow.EGRESS, Flow.INGRESS),
+            permission=Permission(members["permission"].value),
+            key_exprs=tuple(item.value for item in members["key_exprs"].value),
+            where=Origin(self._name, node.line),
+        )
+
+    def _subject(self, node: Node) -> AclSubject:
+        def texts(key: str) -> tuple[str, ...]:
+            return tuple(item.value for item in _items(node.value, key))
+
+        return AclSubject(
+            id=node.value["id"].value,
+            common_names=texts("cert_common_names"),
+            usernames=texts("usernames"),
+            interfaces=texts("interfaces"),
+            protocols=texts("link_protocols"),
+            zids=texts("zids"),
+            where=Origin(self._name, node.line),
+        )
+
+    def _policy(self, node: Node) -> AclPolicy:
+        return AclPolicy(
+            rules=tuple(item.value for item in node.value["rules"].value),
+            subjects=tuple(item.value for item in node.value["subjects"].value),
+            where=Origin(self._name, node.line),
+        )
+
+    def _ids(self, control: AccessControl) -> Iterator[Diagnostic]:
+        """Yield ids that occur twice and ids that nothing has; Zenoh refuses both at start."""
+        known: dict[str, set[str]] = {"rule": set(), "subject": set()}
+        for kind, items in (("rule", control.rules), ("subject", control.subjects)):
+            for item in items:
+                if item.id in known[kind]:
+                    yield self._defect(f"the {kind} {quoted(item.id)} occurs twice", item.where, "give each its own id")
+                known[kind].add(item.id)
+        for policy in control.policies:
+            for kind, names in (("rule", policy.rules), ("subject", policy.subjects)):
+                for unknown in dict.fromkeys(names):
+                    if unknown not in known[kind]:
+                        help_ = did_you_mean(unknown, known[kind], f"declare the {kind}, or remove its id")
+                        yield self._defect(f"there is no {kind} {quoted(unknown)}", policy.where, help_)
+
+    @staticmethod
+    def _defect(message: str, where: Origin | None, help_: str) -> Diagnostic:
+        return Diagnostic("zenoh-configuration", Severity.ERROR, message, where, help_)
+
+
+def _items(members: Mapping[str, Node], key: str) -> list[Node]:
+    node = members.get(key)
+    return [] if node is None or node.value is None else node.value
+
+
+def _value(members: Mapping[str, Node], key: str, default: Any) -> Any:
+    node = members.get(key)
+    return default if node is None or node.value is None else node.value

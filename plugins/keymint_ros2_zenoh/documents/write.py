@@ -1,0 +1,146 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Write a configuration: JSON with comments, which every JSON5 reader reads, the same bytes for the same data."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from typing import Any
+
+from keymint_ros2_zenoh.documents.access_control import AccessControl, AclPolicy, AclRule, AclSubject
+from keymint_ros2_zenoh.documents.configuration import Configuration, Tls
+
+_WIDTH = 120
+
+
+def write(configuration: Configuration, title: Sequence[str], settings: Mapping[str, Any] | None = None) -> bytes:
+    """Return a configuration as a file.
+
+    Every setting that a :class:`Configuration` has an attribute for is written, also if it has Zenoh's default.
+
+    Args:
+        configuration: what the file says.
+        title: lines of the comment at its beginning.
+        settings: other settings by their path (``transport/unicast/max_sessions``).
+    """
+    members = _tree({**configuration.other, **(settings or {})}, _settings(configuration))
+    lines = [*(f"// {line}".rstrip() for line in title), "{"]
+    blocks = [[f"  {_text(key)}: {part}" for part in [_value(value, 2)]] for key, value in members.items()]
+    blocks.append([*_access_control(configuration.access_control)])
+    for number, block in enumerate(blocks, 1):
+        if number < len(blocks):
+            block[-1] += ","
+        lines += block
+    return "\n".join([*lines, "}", ""]).encode()
+
+
+def _settings(configuration: Configuration) -> Iterator[tuple[str, Any]]:
+    yield "mode", configuration.mode
+    yield "connect/endpoints", list(configuration.connect)
+    yield "listen/endpoints", list(configuration.listen)
+    yield "scouting/gossip/enabled", configuration.gossip
+    yield "scouting/multicast/enabled", configuration.multicast
+    if configuration.protocols:
+        yield "transport/link/protocols", list(configuration.protocols)
+    for name, value in _tls(configuration.tls):
+        if value != "":
+            yield f"transport/link/tls/{name}", value
+
+
+def _tls(tls: Tls) -> Iterator[tuple[str, Any]]:
+    yield "root_ca_certificate", tls.root_ca
+    yield "listen_certificate", tls.listen_certificate
+    yield "listen_private_key", tls.listen_key
+    yield "connect_certificate", tls.connect_certificate
+    yield "connect_private_key", tls.connect_key
+    yield "enable_mtls", tls.mutual
+    yield "verify_name_on_connect", tls.verify_name
+    yield "close_link_on_expiration", tls.close_expired
+
+
+def _tree(other: Mapping[str, Any], settings: Iterable[tuple[str, Any]]) -> dict[str, Any]:
+    """Return settings by path as nested objects; those that access depends on come first."""
+    tree: dict[str, Any] = {}
+    for path, value in (*settings, *sorted(other.items())):
+        *parents, name = path.split("/")
+        place = tree
+        for parent in parents:
+            place = place.setdefault(parent, {})
+        place[name] = value
+    return tree
+
+
+def _access_control(control: AccessControl) -> Iterator[str]:
+    yield '  "access_control": {'
+    yield f'    "enabled": {_text(control.enabled)},'
+    yield f'    "default_permission": {_text(control.default_permission)},'
+    yield from _list("rules", control.rules, _rule)
+    yield from _list("subjects", control.subjects, _subject)
+    yield from _list("policies", control.policies, _policy, end="")
+    yield "  }"
+
+
+def _list(name: str, items: Sequence[Any], member: Any, end: str = ",") -> Iterator[str]:
+    if not items:
+        yield f'    "{name}": []{end}'
+        return
+    yield f'    "{name}": ['
+    for number, item in enumerate(items, 1):
+        comma = "," if number < len(items) else ""
+        yield f"      {_value(dict(member(item)), 6)}{comma}"
+    yield f"    ]{end}"
+
+
+def _rule(rule: AclRule) -> Iterator[tuple[str, Any]]:
+    yield "id", rule.id
+    yield "permission", rule.permission
+    yield "flows", list(rule.flows)
+    yield "messages", list(rule.messages)
+    yield "key_exprs", list(rule.key_exprs)
+
+
+def _subject(subject: AclSubject) -> Iterator[tuple[str, Any]]:
+    yield "id", subject.id
+    for name, values in (
+        ("cert_common_names", subject.common_names),
+        ("usernames", subject.usernames),
+        ("interfaces", subject.interfaces),
+        ("link_protocols", subject.protocols),
+        ("zids", subject.zids),
+    ):
+        if values:
+            yield name, list(values)
+
+
+def _policy(policy: AclPolicy) -> Iterator[tuple[str, Any]]:
+    yield "subjects", list(policy.subjects)
+    yield "rules", list(policy.rules)
+
+
+def _text(value: Any) -> str:
+    """Return a value on one line; other characters than ASCII are escaped, so that no reader mistakes one."""
+    return json.dumps(value)
+
+
+def _value(value: Any, indent: int) -> str:
+    """Return a value on one line if it fits, else one member on each line."""
+    line = _text(value)
+    if indent + len(line) < _WIDTH or not value or not isinstance(value, dict | list):
+        return line
+    inner = " " * (indent + 2)
+    if isinstance(value, list):
+        return "\n".join(["[", *_filled([_value(item, indent + 2) for item in value], inner), " " * indent + "]"])
+    parts = [f"{inner}{_text(key)}: {_value(item, indent + 2)}" for key, item in value.items()]
+    return "\n".join(["{", ",\n".join(parts), " " * indent + "}"])
+
+
+def _filled(parts: Sequence[str], indent: str) -> Iterator[str]:
+    """Yield lines of as many parts as fit."""
+    line = ""
+    for number, part in enumerate(parts, 1):
+        item = part + ("," if number < len(parts) else "")
+        if line and len(indent) + len(line) + len(item) >= _WIDTH:
+            yield indent + line
+            line = ""
+        line = f"{line} {item}" if line else item
+    yield indent + line
