@@ -173,7 +173,9 @@ class _Scanner:
         if kind == "word" and part in _CONSTANTS:
             return Node(_CONSTANTS[part], line)
         if kind == "word" and _NUMBER.fullmatch(part):
-            return Node(pyjson5.decode(part), line)
+            number = pyjson5.decode(part)
+            if isinstance(number, float) or -(2**63) <= number < 2**64:
+                return Node(number, line)
         raise self._refused(f"{quoted(part)} is not a value that all readers understand in the same way")
 
     def _members(self) -> dict[str, Node]:

@@ -7,7 +7,7 @@ It refuses what Zenoh refuses at start, and every file that two readers could un
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from functools import lru_cache
 from typing import Any, TypeVar
 
@@ -21,6 +21,7 @@ from keymint_ros2_zenoh.documents import json5
 from keymint_ros2_zenoh.documents.access_control import AccessControl, AclPolicy, AclRule, AclSubject
 from keymint_ros2_zenoh.documents.configuration import DEFAULT_LISTEN, Configuration, Tls
 from keymint_ros2_zenoh.documents.json5 import Node
+from keymint_ros2_zenoh.keyexpr import key_expr
 from keymint_ros2_zenoh.messages import Flow, Message, Permission
 
 _T = TypeVar("_T")
@@ -173,7 +174,7 @@ class _Reading:
                 help="Zenoh refuses it at start: give all three lists",
                 code="zenoh-configuration",
             )
-        if defects := [*self._ids(control)]:
+        if defects := [*self._ids(control), *self._policy_ids(members), *self._key_exprs(control)]:
             raise KeymintError.of(defects)
         return control
 
@@ -212,7 +213,11 @@ class _Reading:
     def _ids(self, control: AccessControl) -> Iterator[Diagnostic]:
         """Yield ids that occur twice and ids that nothing has; Zenoh refuses both at start."""
         known: dict[str, set[str]] = {"rule": set(), "subject": set()}
-        for kind, items in (("rule", control.rules), ("subject", control.subjects)):
+        named: tuple[tuple[str, Sequence[AclRule | AclSubject]], ...] = (
+            ("rule", control.rules),
+            ("subject", control.subjects),
+        )
+        for kind, items in named:
             for item in items:
                 if item.id in known[kind]:
                     yield self._defect(f"the {kind} {quoted(item.id)} occurs twice", item.where, "give each its own id")
@@ -223,6 +228,24 @@ class _Reading:
                     if unknown not in known[kind]:
                         help_ = did_you_mean(unknown, known[kind], f"declare the {kind}, or remove its id")
                         yield self._defect(f"there is no {kind} {quoted(unknown)}", policy.where, help_)
+
+    def _policy_ids(self, members: Mapping[str, Node]) -> Iterator[Diagnostic]:
+        known: set[str] = set()
+        for policy in _items(members, "policies"):
+            name = _value(policy.value, "id", None)
+            if name in known:
+                where = Origin(self._name, policy.line)
+                yield self._defect(f"the policy {quoted(name)} occurs twice", where, "give each its own id")
+            known |= set() if name is None else {name}
+
+    def _key_exprs(self, control: AccessControl) -> Iterator[Diagnostic]:
+        """Yield the key expressions that are illegal or not canonical; Zenoh refuses them at start."""
+        for rule in control.rules:
+            for text in rule.key_exprs:
+                try:
+                    key_expr.parse(text)
+                except key_expr.KeyExprError as error:
+                    yield self._defect(str(error), rule.where, "Zenoh refuses it at start")
 
     @staticmethod
     def _defect(message: str, where: Origin | None, help_: str) -> Diagnostic:
