@@ -44,6 +44,7 @@ class Stamp:
         secret: which of them are secret.
         context: digest of other inputs that a stage compares separately: the options of a build, the policy of a proof.
         lifetimes: when the result is in force, if the stage knows; see :mod:`keymint.plan.lifetimes`.
+        build_types: names of the build types that made the result, if the stage knows.
     """
 
     inputs: str
@@ -51,6 +52,7 @@ class Stamp:
     secret: tuple[str, ...] = ()
     context: str = ""
     lifetimes: str = ""
+    build_types: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)
@@ -93,7 +95,8 @@ class State:
                         dict(sorted(stamp.outputs.items())),
                         sorted(stamp.secret),
                         stamp.context,
-                        *([stamp.lifetimes] if stamp.lifetimes else []),
+                        *([stamp.lifetimes] if stamp.lifetimes or stamp.build_types else []),
+                        *stamp.build_types,
                     ]
                     for name, stamp in sorted(stamps.items())
                 }
@@ -135,9 +138,10 @@ def _stamps(content: bytes | None) -> dict[str, dict[str, Stamp]]:
                     {str(k): str(v) for k, v in outputs.items()},
                     tuple(map(str, secret)),
                     str(context),
-                    "".join(map(str, lifetimes)),
+                    "".join(map(str, rest[:1])),
+                    tuple(map(str, rest[1:])),
                 )
-                for name, (inputs, outputs, secret, context, *lifetimes) in stamps.items()
+                for name, (inputs, outputs, secret, context, *rest) in stamps.items()
             }
             for stage, stamps in document["stamps"].items()
         }

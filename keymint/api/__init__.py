@@ -21,13 +21,18 @@ from __future__ import annotations
 
 from comarmor.rules import Expectation as Expectation
 from keymint.api.building import Artifact as Artifact
+from keymint.api.building import AuthorityRole as AuthorityRole
 from keymint.api.building import BuildOptions as BuildOptions
 from keymint.api.building import BuildResult as BuildResult
 from keymint.api.building import BuildType as BuildType
 from keymint.api.building import EnclaveCredentials as EnclaveCredentials
 from keymint.api.building import Hint as Hint
 from keymint.api.building import Inspection as Inspection
+from keymint.api.building import Layout as Layout
 from keymint.api.building import NameMapping as NameMapping
+from keymint.api.building import SharedCredentials as SharedCredentials
+from keymint.api.building import SharedDocuments as SharedDocuments
+from keymint.api.building import SharedInspection as SharedInspection
 from keymint.api.building import SigningAuthority as SigningAuthority
 from keymint.api.certificates import Authority as Authority
 from keymint.api.certificates import CertificateSpec as CertificateSpec
@@ -65,6 +70,8 @@ from keymint.api.proving import Counterexample as Counterexample
 from keymint.api.proving import Proof as Proof
 from keymint.api.proving import ProofTask as ProofTask
 from keymint.api.proving import Prover as Prover
+from keymint.api.proving import SharedProofTask as SharedProofTask
+from keymint.api.proving import SharedProver as SharedProver
 from keymint.api.proving import TrustAnchor as TrustAnchor
 from keymint.api.proving import TrustAnchors as TrustAnchors
 from keymint.api.proving import ValidityTerm as ValidityTerm

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 from datetime import datetime
 from typing import Protocol, runtime_checkable
 
-from comarmor.errors import Diagnostic
+from comarmor.errors import Diagnostic, Origin
 from keymint.api.packages import Package
 from keymint.api.transports import Enclave
 from keymint.graph import Edge
@@ -66,22 +66,63 @@ class SigningAuthority:
 
 
 @dataclass(frozen=True, slots=True)
+class Layout:
+    """A layout of the install space.
+
+    Attributes:
+        enclaves: folder of the enclaves below the install space; empty if they lie at its top.
+        reserved: names that the first segment of a subject must not have, in any case.
+    """
+
+    enclaves: str
+    reserved: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
+class AuthorityRole:
+    """An authority that the enclave of a package rests on.
+
+    Attributes:
+        role: what it does, as the build type calls it, e.g. ``identity``.
+        name: its name in the profile.
+        origin: where the package names it.
+        signs: its private key is needed to install the enclave.
+    """
+
+    role: str
+    name: str
+    origin: Origin
+    signs: bool = False
+
+
+@dataclass(frozen=True, slots=True)
 class EnclaveCredentials:
     """The keys and certificates of an enclave, all PEM.
 
     Attributes:
         certificate: the identity certificate.
         key: its private key.
-        identity_ca: certificate of the authority that issued it, followed by the intermediates up to its root.
-        permissions_ca: certificate of the authority that signs permissions and governance.
-        signer: that authority, with its private key.
+        chains: by role, the certificate of the authority, followed by those of the authorities above it.
+        signers: by role, the authorities that sign, with their private keys.
     """
 
     certificate: bytes
     key: bytes = field(repr=False)
-    identity_ca: bytes
-    permissions_ca: bytes
-    signer: SigningAuthority
+    chains: Mapping[str, bytes]
+    signers: Mapping[str, SigningAuthority]
+
+
+@dataclass(frozen=True, slots=True)
+class SharedCredentials:
+    """The authorities that sign the shared documents, or that these name; all PEM.
+
+    Attributes:
+        chains: by role, the chains that the packages have in this role, each once.
+        signers: by role, the authorities that sign, with their private keys; all packages have the same.
+    """
+
+    chains: Mapping[str, bytes]
+    signers: Mapping[str, SigningAuthority]
 
 
 @dataclass(frozen=True, slots=True)
@@ -98,11 +139,11 @@ class Inspection:
 
     Attributes:
         package: the package as its sources define it now.
-        documents: the documents that the current sources build.
-        files: the enclave's files by name.
+        documents: the documents that the build type builds from the current sources.
+        files: the enclave's files by name, those of :meth:`BuildType.files` only.
         folder: the enclave's folder as the user would type it.
-        identity_ca: trusted certificate(s) of the identity authority, PEM.
-        permissions_ca: trusted certificate of the permissions authority, PEM.
+        layout: name of the layout.
+        chains: trusted certificate chains by role, PEM; empty bytes for an authority without a certificate.
         now: the clock, UTC.
         within_days: report certificates and documents that expire within this number of days.
     """
@@ -112,16 +153,65 @@ class Inspection:
     files: Mapping[str, bytes] = field(repr=False)
     folder: str
     layout: str
-    identity_ca: bytes
-    permissions_ca: bytes
+    chains: Mapping[str, bytes]
+    now: datetime
+    within_days: float
+
+
+@dataclass(frozen=True, slots=True)
+class SharedInspection:
+    """The installed shared documents with the expected state that ``keymint check`` compares them with.
+
+    Attributes:
+        packages: all packages of the build type, as their sources define them now.
+        documents: the shared documents that the current sources build, by path relative to the install space.
+        files: the installed ones, and the files beside them that belong to them; a missing one is reported already.
+        enclaves: files of each installed enclave by subject, those of :meth:`BuildType.files` only.
+        folder: the install space as the user would type it.
+        layout: name of the layout.
+        chains: trusted certificate chains by role, PEM, as :class:`SharedCredentials` has them.
+        now: the clock, UTC.
+        within_days: report certificates and documents that expire within this number of days.
+    """
+
+    packages: Sequence[Package]
+    documents: Mapping[str, bytes]
+    files: Mapping[str, bytes] = field(repr=False)
+    enclaves: Mapping[str, Mapping[str, bytes]] = field(repr=False)
+    folder: str
+    layout: str
+    chains: Mapping[str, bytes]
     now: datetime
     within_days: float
 
 
 class BuildType(Protocol):
-    """Builds a transport's documents from a package, and signs and checks them."""
+    """Builds a transport's documents from a package, and signs and checks them.
+
+    A package may have several build types. Their files lie in one enclave; ``cert.pem`` and ``key.pem``, the identity
+    and its private key, are common to all.
+    """
 
     API: str
+    TRANSPORT: str
+    """Short unique name of the transport, for ``keymint init --transport``."""
+    LAYOUTS: Mapping[str, Layout]
+    """The layouts of the install space that it supports, by name; build types agree on the folder of enclaves."""
+    READS: tuple[str, ...]
+    """Suffixes of the files that the transport reads from an enclave, also through links.
+
+    The transport may read such a file although it cannot be read here, so nothing is claimed about an enclave with one.
+    """
+
+    def files(self, layout: str) -> frozenset[str]:
+        """Return the names of all files of it that may lie in an enclave; others are reported as unexpected."""
+
+    def authorities(self, package: Package) -> Sequence[AuthorityRole]:
+        """Return the authorities that the enclave of a package rests on, one for each role.
+
+        Raises:
+            KeymintError: the package names several authorities where the transport has one.
+        """
 
     def build(self, package: Package, options: BuildOptions) -> BuildResult:
         """Return the unsigned documents of a package; a pure function of its arguments.
@@ -142,9 +232,10 @@ class BuildType(Protocol):
 
         Args:
             package: the package.
-            documents: unsigned documents of the build space, which may have been edited by hand.
+            documents: unsigned documents of the build space, which may have been edited by hand; those of the package's
+                other build types are among them.
             credentials: keys and certificates.
-            layout: ``sros2`` or ``flat``.
+            layout: name of the layout, one of :attr:`LAYOUTS`.
             installed: the enclave's current files; a signed file whose content and signer are unchanged is returned
                 unchanged.
 
@@ -153,11 +244,11 @@ class BuildType(Protocol):
         """
 
     def shared(self, artifacts: Mapping[str, Mapping[str, Artifact]], layout: str) -> Mapping[str, Artifact]:
-        """Return the files that all enclaves of a layout share, by path relative to the install space.
+        """Return copies of enclaves' files that a layout has outside of them, by path relative to the install space.
 
         Args:
             artifacts: artifacts by subject, then file name.
-            layout: ``sros2`` or ``flat``.
+            layout: name of the layout.
         """
 
     def check(self, inspection: Inspection) -> Sequence[Diagnostic]:
@@ -165,6 +256,50 @@ class BuildType(Protocol):
 
     def check_all(self, inspections: Sequence[Inspection]) -> Sequence[Diagnostic]:
         """Return findings that involve several enclaves, e.g. names that a vendor confuses."""
+
+
+@runtime_checkable
+class SharedDocuments(Protocol):
+    """Optional capability of a build type: documents over all packages, where one place decides for all of them.
+
+    Their paths are relative to the install space. The files that belong to a document have its path, perhaps with a
+    suffix: ``rights/all.json`` and ``rights/all.json.sig``. No path begins with the folder of enclaves.
+    """
+
+    def build_shared(self, packages: Sequence[Package], options: BuildOptions) -> BuildResult:
+        """Return the unsigned documents by path; a pure function of its arguments.
+
+        Args:
+            packages: all packages of the workspace that have the build type, infrastructure included, sorted by name.
+            options: options of the build.
+
+        Raises:
+            KeymintError: the packages contradict each other; with the ``file:line`` of both.
+        """
+
+    def install_shared(
+        self,
+        packages: Sequence[Package],
+        documents: Mapping[str, bytes],
+        credentials: SharedCredentials,
+        layout: str,
+        installed: Mapping[str, bytes],
+    ) -> Mapping[str, Artifact]:
+        """Return the files to install by path: the documents, and what belongs to them, e.g. signatures.
+
+        Args:
+            packages: as for :meth:`build_shared`.
+            documents: unsigned documents of the build space by path, which may have been edited by hand.
+            credentials: the authorities.
+            layout: name of the layout.
+            installed: the current files; a signature whose content and signer are unchanged is returned unchanged.
+
+        Raises:
+            KeymintError: a document violates its schema.
+        """
+
+    def check_shared(self, inspection: SharedInspection) -> Sequence[Diagnostic]:
+        """Return findings on the installed shared documents; their codes are stable."""
 
 
 @runtime_checkable

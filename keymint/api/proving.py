@@ -10,7 +10,7 @@ from enum import StrEnum
 from typing import Protocol, runtime_checkable
 
 from comarmor.errors import Diagnostic, Origin
-from keymint.api.packages import DomainRange, Governance
+from keymint.api.packages import DomainRange, Package
 from keymint.api.policies import PolicyDecision
 from keymint.api.transports import Endpoint, Verdict
 from keymint.graph import Edge
@@ -37,14 +37,12 @@ class TrustAnchors:
     """The trust anchors of an enclave. They come from the workspace, because an enclave cannot vouch for itself.
 
     Attributes:
-        identity: the authority that issues the identity certificate.
-        permissions: the authority that signs permissions and governance.
+        authorities: by role, as :meth:`keymint.api.BuildType.authorities` names them.
         subject_name: the identity's distinguished name, from the package.
-        layout: ``sros2`` or ``flat``.
+        layout: name of the layout.
     """
 
-    identity: TrustAnchor
-    permissions: TrustAnchor
+    authorities: Mapping[str, TrustAnchor]
     subject_name: str
     layout: str
 
@@ -54,29 +52,58 @@ class ProofTask:
     """A proof to attempt: the documents of an enclave permit exactly what the policy allows, for all names.
 
     Attributes:
+        package: the package of the enclave, with the distribution and the domains in which the policy applies.
         rules: the policy's rules for the subject.
-        distro: ROS 2 distribution whose name mapping applies.
-        domains: the domains in which the policy applies.
-        files: the enclave's installed files by name.
+        files: the enclave's installed files by name, those of other build types included.
         folder: the enclave's folder as the user would type it.
         anchors: the authorities that the enclave must trust.
         states: the most states that the search for one claim may visit.
         go_on: polled; the search ends when it returns False.
         standard_only: omit the claims about vendors, because their deviations are accepted.
-        governance: the expected protection of domains and topics; None if unknown, and then nothing may be open.
-        unsigned: the documents are about to be signed: cite the unsigned ones, in ``folder``.
+        unsigned: the documents are about to be signed: cite the unsigned ones, in ``folder`` and ``shared_folder``.
+        shared: installed shared documents of the build type, and what belongs to them, by path.
+        shared_folder: the folder that these paths are relative to, as the user would type it.
     """
 
+    package: Package
     rules: SubjectRules
-    distro: str
-    domains: tuple[DomainRange, ...]
     files: Mapping[str, bytes] = field(repr=False)
     folder: str
     anchors: TrustAnchors
     states: int
     go_on: Callable[[], bool]
     standard_only: bool = False
-    governance: Governance | None = None
+    unsigned: bool = False
+    shared: Mapping[str, bytes] = field(default_factory=dict, repr=False)
+    shared_folder: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class SharedProofTask:
+    """A proof of claims across subjects to attempt.
+
+    Attributes:
+        packages: all packages of the build type, infrastructure included, sorted by name.
+        rules: the policy's rules by subject.
+        enclaves: files of each installed enclave by subject.
+        folder: the folder of all enclaves as the user would type it.
+        shared: installed shared documents of the build type, and what belongs to them, by path.
+        shared_folder: the folder that these paths are relative to, as the user would type it.
+        anchors: the authorities by role; the chains that the packages have in a role, each once.
+        states: the most states that the search for one claim may visit.
+        go_on: polled; the search ends when it returns False.
+        unsigned: the documents are about to be signed: cite the unsigned ones, in ``folder`` and ``shared_folder``.
+    """
+
+    packages: Sequence[Package]
+    rules: Mapping[str, SubjectRules]
+    enclaves: Mapping[str, Mapping[str, bytes]] = field(repr=False)
+    folder: str
+    shared: Mapping[str, bytes] = field(repr=False)
+    shared_folder: str
+    anchors: Mapping[str, TrustAnchor]
+    states: int
+    go_on: Callable[[], bool]
     unsigned: bool = False
 
 
@@ -165,22 +192,35 @@ class Prover(Protocol):
     def assumptions(self) -> Mapping[str, Sequence[str]]:
         """Return the assumptions of every claim, one line each, by model; the standard comes first."""
 
-    def differences(self, files: Mapping[str, bytes], folder: str, anchors: TrustAnchors) -> Sequence[Diagnostic]:
+    def differences(
+        self,
+        files: Mapping[str, bytes],
+        folder: str,
+        anchors: TrustAnchors,
+        shared: Mapping[str, bytes],
+        shared_folder: str,
+    ) -> Sequence[Diagnostic]:
         """Return an error for each file that the workspace's authorities do not vouch for; their codes are stable.
 
         Args:
-            files: an enclave's files by name.
+            files: an enclave's files by name, those of other build types included.
             folder: its folder as the user would type it.
             anchors: the authorities that it must trust.
+            shared: installed shared documents of the build type, and what belongs to them, by path.
+            shared_folder: the folder that these paths are relative to, as the user would type it.
         """
 
-    def terms(self, files: Mapping[str, bytes], folder: str, anchors: TrustAnchors) -> Sequence[ValidityTerm]:
+    def terms(
+        self,
+        files: Mapping[str, bytes],
+        folder: str,
+        anchors: TrustAnchors,
+        shared: Mapping[str, bytes],
+        shared_folder: str,
+    ) -> Sequence[ValidityTerm]:
         """Return the periods in which an enclave is permitted anything, as each model reads dates; reads no clock.
 
-        Args:
-            files: an enclave's files by name.
-            folder: its folder as the user would type it.
-            anchors: the authorities that it must trust.
+        The arguments are those of :meth:`differences`.
 
         Raises:
             KeymintError: a file cannot be read, or the anchors do not vouch for it.
@@ -191,4 +231,16 @@ class Prover(Protocol):
 
         Raises:
             KeymintError: no document of the enclave can be read, or the anchors do not vouch for it.
+        """
+
+
+@runtime_checkable
+class SharedProver(Protocol):
+    """Optional capability of a build type with shared documents: proofs of claims across subjects."""
+
+    def prove_shared(self, task: SharedProofTask) -> Sequence[Claim]:
+        """Return the claims, e.g. that no receiver's rights include what another one's rules hide.
+
+        Raises:
+            KeymintError: a shared document cannot be read, or the anchors do not vouch for it.
         """

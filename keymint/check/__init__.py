@@ -15,13 +15,13 @@ from datetime import timedelta
 from comarmor.errors import Diagnostic
 from keymint.api import Inspection
 from keymint.check.authorities import authorities, authority_keys, in_defect
-from keymint.check.enclaves import identity_key, inspection, on_disk
+from keymint.check.enclaves import identity_key, inspections, on_disk, unexpected
 from keymint.check.file_status import file_status
 from keymint.check.git_exposure import git_exposure
 from keymint.check.install_space import shared_files
 from keymint.errors import KeymintError
 from keymint.plan import identity_keys
-from keymint.plan.enclaves import not_installed, unaccounted
+from keymint.plan.enclaves import enclave_files, not_installed, unaccounted
 from keymint.plan.identity_keys import Keyring
 from keymint.session import Session
 
@@ -38,11 +38,12 @@ def check(session: Session, names: Sequence[str], within: timedelta) -> tuple[Di
     keyring = Keyring(session, authority_keys(session))
     fingerprints: dict[str, str] = {}
     findings: list[Diagnostic] = []
-    inspections: dict[str, list[Inspection]] = {}
+    by_type: dict[str, list[Inspection]] = {}
     for name in names:
         try:
             package = session.package(name)
-            seen, unread = inspection(session, package, within)
+            files, unreadable = enclave_files(session, name)
+            seen = inspections(session, package, files, within)
         except KeymintError as error:
             findings += error.diagnostics
             continue
@@ -50,16 +51,19 @@ def check(session: Session, names: Sequence[str], within: timedelta) -> tuple[Di
         findings += key_findings
         if fingerprint:
             fingerprints[name] = fingerprint
+        unread = [each for each in unreadable if each.code != "symlink-refused"]  # reported with the modes
         findings += unread
-        if not seen.files and not unread:
-            findings.append(not_installed(name, seen.folder))
+        if not files and not unread:
+            findings.append(not_installed(name, session.workspace.shown(session.enclaves / name)))
             continue
-        findings += on_disk(session, name, seen.files)
-        defects = session.plugins.build_type(package.build_type, session.package_marker(package.name)).check(seen)
+        findings += on_disk(session, name, files)
+        findings += unexpected(session, package, files)
         unread_places = {each.where for each in unread}
+        defects = dict.fromkeys(each for build_type, own in seen.values() for each in build_type.check(own))
         findings += (each for each in defects if each.code != "file-missing" or each.where not in unread_places)
-        inspections.setdefault(package.build_type, []).append(seen)
-    for build_type, of_type in sorted(inspections.items()):
+        for build_type, (_, own) in seen.items():
+            by_type.setdefault(build_type, []).append(own)
+    for build_type, of_type in sorted(by_type.items()):
         findings += session.plugins.build_type(build_type).check_all(of_type)
     findings += unaccounted(session)
     findings += identity_keys.shared_keys(session, fingerprints)

@@ -3,43 +3,62 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from datetime import timedelta
 
 from comarmor.errors import Diagnostic, Origin, Severity
-from keymint.api import BuildOptions, Inspection, Package
+from keymint.api import BuildOptions, BuildType, Inspection, Package
 from keymint.changes import file_mode
 from keymint.check.file_status import linked_twice, modes
 from keymint.errors import KeymintError
 from keymint.pki import keys
 from keymint.plan import identity_keys, install
 from keymint.plan.authority_files import trusted_chains
-from keymint.plan.enclaves import enclave_files
+from keymint.plan.build_types import build_types_of
 from keymint.plan.private_keys import key_defects
 from keymint.session import Inputs, Session
 from keymint.state import digest
 
+Inspections = Mapping[str, tuple[BuildType, Inspection]]
+"""What each build type of a package sees of its enclave."""
 
-def inspection(session: Session, package: Package, within: timedelta) -> tuple[Inspection, tuple[Diagnostic, ...]]:
-    """Return what a build type needs to check the enclave of a package, and a finding for each unreadable file."""
+
+def inspections(session: Session, package: Package, files: Mapping[str, bytes], within: timedelta) -> Inspections:
+    """Return what each build type needs to check the enclave of a package, by its name.
+
+    Raises:
+        KeymintError: the package has defects.
+    """
     chains = trusted_chains(session)
-    # Differences between vendors were reported and accepted when the package was built.
-    built = session.plugins.build_type(package.build_type, session.package_marker(package.name)).build(
-        package, BuildOptions(allow_vendor_specific=True)
-    )
-    files, unread = enclave_files(session, package.name)
-    seen = Inspection(
-        package=package,
-        documents=built.documents,
-        files=files,
-        folder=session.workspace.shown(session.enclaves / package.name),
-        layout=session.profile.layout,
-        identity_ca=chains.get(package.identity.issuer, b""),
-        permissions_ca=chains.get(package.grant.issuer, b""),
-        now=session.now,
-        within_days=within / timedelta(days=1),
-    )
-    return seen, tuple(each for each in unread if each.code != "symlink-refused")  # reported with the modes
+    found: dict[str, tuple[BuildType, Inspection]] = {}
+    for name, build_type in build_types_of(session, package).items():
+        # Differences between vendors were reported and accepted when the package was built.
+        built = build_type.build(package, BuildOptions(allow_vendor_specific=True))
+        own = build_type.files(session.profile.layout)
+        found[name] = (
+            build_type,
+            Inspection(
+                package=package,
+                documents=built.documents,
+                files={file: content for file, content in files.items() if file in own},
+                folder=session.workspace.shown(session.enclaves / package.name),
+                layout=session.profile.layout,
+                chains={role.role: chains.get(role.name, b"") for role in build_type.authorities(package)},
+                now=session.now,
+                within_days=within / timedelta(days=1),
+            ),
+        )
+    return found
+
+
+def unexpected(session: Session, package: Package, files: Iterable[str]) -> Iterator[Diagnostic]:
+    """Yield a finding for each file of an enclave that belongs to none of the package's build types."""
+    layout = session.profile.layout
+    known = frozenset[str]().union(*(each.files(layout) for each in build_types_of(session, package).values()))
+    for file in sorted({*files} - known):
+        where = Origin(session.workspace.shown(session.enclaves / package.name / file))
+        message = f"does not belong to the layout {layout!r}"
+        yield Diagnostic("file-unexpected", Severity.WARNING, message, where, "remove it", package.subject)
 
 
 def identity_key(

@@ -10,6 +10,7 @@ from keymint.api import Artifact
 from keymint.check.file_status import modes
 from keymint.plan import gitignore
 from keymint.plan.enclaves import enclave_files, installed
+from keymint.plan.shared_files import copies_of
 from keymint.session import Session
 from keymint.workspace import packages
 
@@ -27,7 +28,7 @@ def shared_files(session: Session) -> Iterator[Diagnostic]:
     }
     for info in session.plugins.infos:
         if info.group == "keymint.build_types" and artifacts:
-            shared = session.plugins.build_type(info.name).shared(artifacts, session.profile.layout)
+            shared = copies_of(session, session.plugins.build_type(info.name), artifacts)
             expected |= {path: artifact.content for path, artifact in shared.items()}
     entries = list(session.tree.walk(workspace.install, skipped=""))
     folders = [path for path, is_folder in entries if is_folder]

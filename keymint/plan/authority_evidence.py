@@ -8,12 +8,11 @@ more than one certificate, nothing that rests on it is claimed. Enclaves are no 
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 
 from cryptography import x509
 
 from comarmor.errors import Diagnostic, Origin
-from keymint.api import Package
 from keymint.errors import KeymintError
 from keymint.pki import certificates, keys
 from keymint.plan import authority_files, key_record
@@ -39,9 +38,8 @@ def contradictions(session: Session) -> Contradictions:
     return by_authority
 
 
-def contradictions_for(contradictions: Contradictions, package: Package) -> tuple[Diagnostic, ...]:
-    """Return the contradictions of the authorities that the enclave of a package rests on, each once."""
-    issuers = (package.identity.issuer, package.grant.issuer)
+def contradictions_for(contradictions: Contradictions, issuers: Iterable[str]) -> tuple[Diagnostic, ...]:
+    """Return the contradictions of some authorities, each once."""
     return tuple(dict.fromkeys(each for issuer in issuers for each in contradictions.get(issuer, ())))
 
 

@@ -8,10 +8,11 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from comarmor.errors import Diagnostic, Origin
-from keymint.api import BuildOptions, BuildResult
+from keymint.api import BuildOptions, BuildResult, Package
 from keymint.changes import Action, DocumentSize, File, FolderChange, Plan, Step, changed
 from keymint.errors import KeymintError
 from keymint.plan import identity_keys, key_record, lifetimes
+from keymint.plan.build_types import build_types_of, two_writers
 from keymint.plan.lifetimes import Lifetime
 from keymint.session import Inputs, Session
 from keymint.state import Stamp, digest, digest_files
@@ -119,7 +120,7 @@ def _plan_package(
             step = Step(STAGE, name, Action.KEPT if edited else Action.UNCHANGED, detail=detail)
             return _PackageBuild(step, lifetimes=lifetimes.recalled(session, name, stamp))
     package = session.package(name)
-    built = session.plugins.build_type(package.build_type, session.package_marker(package.name)).build(package, options)
+    built = _built(session, package, options)
     if not force:
         _refuse_edits(session, name, folder, built.documents)
     changes = changed(session.tree, folder, {file: File(content) for file, content in built.documents.items()})
@@ -137,8 +138,40 @@ def _plan_package(
     sizes = _sizes(built)
     step = Step(STAGE, name, action, (*minted, *changes), ", ".join(map(_smaller, sizes)), sizes)
     own = lifetimes.lifetimes(package)
-    made = Stamp(sources_digest, outputs, context=options_digest, lifetimes=lifetimes.dump(own, session.workspace))
+    made = Stamp(
+        sources_digest,
+        outputs,
+        context=options_digest,
+        lifetimes=lifetimes.dump(own, session.workspace),
+        build_types=tuple(build_types_of(session, package)),
+    )
     return _PackageBuild(step, made, fingerprint, list(built.diagnostics), own)
+
+
+def _built(session: Session, package: Package, options: BuildOptions) -> BuildResult:
+    """Return what all build types of a package build.
+
+    Raises:
+        KeymintError: the defects that the build types find together, or two of them build a document of one name.
+    """
+    documents: dict[str, bytes] = {}
+    builders: dict[str, str] = {}
+    sizes: dict[str, int] = {}
+    diagnostics: list[Diagnostic] = []
+    errors: list[Diagnostic] = []
+    for name, build_type in build_types_of(session, package).items():
+        try:
+            built = build_type.build(package, options)
+        except KeymintError as error:
+            errors += error.diagnostics
+            continue
+        errors += two_writers(session, package, builders, name, built.documents)
+        documents |= built.documents
+        sizes |= built.plain_sizes
+        diagnostics += built.diagnostics
+    if errors:
+        raise KeymintError.of(list(dict.fromkeys(errors)))
+    return BuildResult(documents, tuple(dict.fromkeys(diagnostics)), sizes)
 
 
 def _sizes(built: BuildResult) -> tuple[DocumentSize, ...]:

@@ -85,13 +85,6 @@ def require_sources(inputs: Inputs) -> None:
         )
 
 
-TAKEN = (".pem", ".p7s", ".p11")
-"""Suffixes of the files that ROS 2 reads from an enclave, also through links (rmw_dds_common, security.cpp).
-
-ROS 2 may read such a file although it cannot be read here, so nothing is claimed about an enclave that has one.
-"""
-
-
 def enclave_files(session: Session, name: str) -> tuple[dict[str, bytes], tuple[Diagnostic, ...]]:
     """Return the files of a package's enclave by name, and a finding for each that cannot be read."""
     files: dict[str, bytes] = {}

@@ -15,6 +15,7 @@ from keymint.errors import KeymintError
 from keymint.pki import certificates, keys
 from keymint.plan import build, identity_keys, key_record, lifetimes
 from keymint.plan.authorities import MintedAuthority
+from keymint.plan.build_types import build_types_of
 from keymint.plan.enclaves import CERTIFICATE, INSTALLED, enclave_files, orphans, require_sources, unaccounted
 from keymint.plan.identity_keys import Keyring
 from keymint.plan.lifetimes import Lifetime
@@ -37,7 +38,7 @@ class _EnclavePlan:
     Attributes:
         step: what is written.
         stamp: the record of it; None if nothing changes.
-        build_type: the package's build type.
+        build_types: the package's build types.
         artifacts: the files of the enclave; empty if nothing changes.
         diagnostics: warnings about the package.
         fingerprint: fingerprint of the subject's key; empty if nothing changes.
@@ -47,7 +48,7 @@ class _EnclavePlan:
 
     step: Step
     stamp: Stamp | None = None
-    build_type: str = ""
+    build_types: tuple[str, ...] = ()
     artifacts: Mapping[str, Artifact] = field(default_factory=dict)
     diagnostics: Sequence[Diagnostic] = ()
     fingerprint: str = ""
@@ -83,7 +84,7 @@ def plan_install(
     if errors:
         raise KeymintError.of(errors)
     # Shared files come first, so that the folder around the enclaves exists before any enclave.
-    changed = {each.step.package: (each.build_type, each.artifacts) for each in planned if each.artifacts}
+    changed = {each.step.package: (each.build_types, each.artifacts) for each in planned if each.artifacts}
     steps = [*shared_steps(session, changed), *(enclave.step for enclave in planned)]
     diagnostics = [diagnostic for enclave in planned for diagnostic in enclave.diagnostics]
     diagnostics += _outdated(session, [enclave.step.package for enclave in planned if enclave.outdated])
@@ -158,7 +159,7 @@ def _plan_enclave(
             tuple(file for file, item in files.items() if item.secret),
             lifetimes=lifetimes.dump(own, workspace),
         ),
-        package.build_type,
+        tuple(build_types_of(session, package)),
         artifacts,
         [
             *warnings,

@@ -12,13 +12,13 @@ from datetime import datetime
 
 from comarmor.errors import Diagnostic, Severity
 from keymint import __version__
-from keymint.api import Claim, LoadedPolicy, Package, Proof, ProofTask, Prover, ValidityTerm
+from keymint.api import BuildType, Claim, LoadedPolicy, Package, Proof, ProofTask, Prover, ValidityTerm
 from keymint.errors import KeymintError
 from keymint.ir import SubjectRules
 from keymint.plan import authority_evidence, proof_record, terms
 from keymint.plan.authority_files import trusted_chains
-from keymint.plan.enclaves import INSTALLED, TAKEN, enclave_files, not_installed
-from keymint.plan.proof_record import BUILD_TYPE
+from keymint.plan.build_types import build_types_of, issuers_of, suffixes_read
+from keymint.plan.enclaves import INSTALLED, enclave_files, not_installed
 from keymint.plan.trust_anchors import anchors_of
 from keymint.session import Session
 from keymint.state import Stamp, State, digest, digest_files
@@ -149,7 +149,9 @@ class _ProofRun:
             self._refuted.add(name)
             return
         if self._contradictions and (
-            contradictions := authority_evidence.contradictions_for(self._contradictions, session.package(name))
+            contradictions := authority_evidence.contradictions_for(
+                self._contradictions, issuers_of(session, session.package(name))
+            )
         ):
             self._proofs.append(EnclaveProof(f"/{name}", (), diagnostics=contradictions))
             return
@@ -159,7 +161,8 @@ class _ProofRun:
             claims, validity = cached
             # The cache does not depend on the clock: whether documents are in force is checked at each run.
             self._proofs.append(EnclaveProof(f"/{name}", claims, cached=True, terms=validity))
-            self._prover(stamp.outputs[BUILD_TYPE], name)
+            for build_type in stamp.build_types:
+                self._prover(session.plugins.build_type(build_type, session.package_marker(name)))
             return
         package = session.package(name)
         rules = _rules(self._policy, package.subject)
@@ -170,24 +173,28 @@ class _ProofRun:
         if proof.diagnostics or any(claim.proof is not Proof.PROVEN for claim in proof.claims):
             self._refuted.add(name)
         else:
-            outputs = proof_record.dump(proof.claims, proof.terms, rules, package.build_type, self._shown(name))
-            self._stamps[name] = Stamp(inputs, outputs, context=self._policy_digest)
+            outputs = proof_record.dump(proof.claims, proof.terms, (rules,), self._shown(name))
+            build_types = tuple(build_types_of(session, package))
+            self._stamps[name] = Stamp(inputs, outputs, context=self._policy_digest, build_types=build_types)
 
     def _of_enclave(self, name: str, unread: Sequence[Diagnostic]) -> tuple[Diagnostic, ...]:
         """Return the diagnostics of unreadable files that belong to the enclave, by the record or by their names."""
+        if not unread:
+            return ()
+        suffixes = suffixes_read(self._session, self._session.package(name))
         stamp = self._session.state.stamp(INSTALLED, name)
         files = [each.where.file.rpartition("/")[2] if each.where else "" for each in unread]
         return tuple(
             each
             for each, file in zip(unread, files, strict=True)
-            if stamp is None or file in {*stamp.outputs, ""} or file.endswith(TAKEN)
+            if stamp is None or file in {*stamp.outputs, ""} or file.endswith(suffixes)
         )
 
     def _same_rules(self, name: str, stamp: Stamp) -> bool:
         """Tell whether the policy has the same rules for a subject as when the stamp was made."""
         if stamp.context == self._policy_digest:
             return True
-        if not proof_record.has_rules(stamp, _rules(self._policy, f"/{name}")):
+        if not proof_record.has_rules(stamp, (_rules(self._policy, f"/{name}"),)):
             return False
         self._stamps[name] = replace(stamp, context=self._policy_digest)
         return True
@@ -200,40 +207,42 @@ class _ProofRun:
 
     def _proof(self, package: Package, rules: SubjectRules, files: Mapping[str, bytes]) -> EnclaveProof:
         subject, folder = package.subject, self._shown(package.name)
-        prover = self._prover(package.build_type, package.name)
-        if prover is None:
-            message = f"the build type {package.build_type} proves nothing"
-            marker = self._session.package_marker(package.name)
-            return EnclaveProof(
-                subject, (), diagnostics=(Diagnostic(NO_PROVER, Severity.ERROR, message, marker, "", subject),)
-            )
         if not files:
             return EnclaveProof(subject, (), diagnostics=(not_installed(package.name, folder),))
-        task = ProofTask(
-            rules,
-            package.distro,
-            package.grant.domains,
-            files,
-            folder,
-            anchors_of(self._session, package, self._chains),
-            self._effort.states,
-            self._effort.deadline(),
-            self._standard_only,
-            package.governance,
-            self._unsigned,
-        )
-        try:
-            claims = tuple(prover.prove(task))
-            validity = prover.terms(task.files, task.folder, task.anchors)
-        except KeymintError as error:
-            return EnclaveProof(
-                subject, (), diagnostics=tuple(replace(each, subject=subject) for each in error.diagnostics)
-            )
-        return EnclaveProof(subject, claims, terms=terms.terms_of(validity, {claim.model for claim in claims}))
+        claims: list[Claim] = []
+        validity: list[ValidityTerm] = []
+        diagnostics: list[Diagnostic] = []
+        for name, build_type in build_types_of(self._session, package).items():
+            prover = self._prover(build_type)
+            if prover is None:
+                message, marker = f"the build type {name} proves nothing", self._session.package_marker(package.name)
+                diagnostics.append(Diagnostic(NO_PROVER, Severity.ERROR, message, marker))
+                continue
+            try:
+                anchors = anchors_of(self._session, package, build_type, self._chains)
+                task = ProofTask(
+                    package,
+                    rules,
+                    files,
+                    folder,
+                    anchors,
+                    self._effort.states,
+                    self._effort.deadline(),
+                    self._standard_only,
+                    self._unsigned,
+                )
+                own = prover.prove(task)
+                terms_ = prover.terms(files, folder, anchors, task.shared, task.shared_folder)
+            except KeymintError as error:
+                diagnostics += error.diagnostics
+                continue
+            claims += own
+            validity += terms.terms_of(terms_, {claim.model for claim in own})
+        of_subject = tuple(replace(each, subject=subject) for each in dict.fromkeys(diagnostics))
+        return EnclaveProof(subject, tuple(claims), diagnostics=of_subject, terms=tuple(dict.fromkeys(validity)))
 
-    def _prover(self, build_type_name: str, package: str) -> Prover | None:
-        """Return the prover of a build type and keep its assumptions; None if the build type has no prover."""
-        build_type = self._session.plugins.build_type(build_type_name, self._session.package_marker(package))
+    def _prover(self, build_type: BuildType) -> Prover | None:
+        """Return a build type as a prover and keep its assumptions; None if it is none."""
         if not isinstance(build_type, Prover):
             return None
         self._assumptions.update(build_type.assumptions())

@@ -3,39 +3,37 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from pathlib import Path
 
-from keymint.api import Artifact
+from keymint.api import Artifact, BuildType
 from keymint.changes import Action, File, Step, changed
 from keymint.plan.enclaves import INSTALLED, KEY, enclave_files, installed
 from keymint.session import Session
 
 
-def shared_steps(session: Session, changed_enclaves: Mapping[str, tuple[str, Mapping[str, Artifact]]]) -> list[Step]:
+def shared_steps(
+    session: Session, changed_enclaves: Mapping[str, tuple[Collection[str], Mapping[str, Artifact]]]
+) -> list[Step]:
     """Return the steps that write the shared files.
 
     Args:
         session: the workspace and its profile.
-        changed_enclaves: build type and files of each enclave that changes, by package.
+        changed_enclaves: build types and files of each enclave that changes, by package.
     """
     if not changed_enclaves:
         return []
-    by_type: dict[str, dict[str, Mapping[str, Artifact]]] = {}
-    types = {build_type for build_type, _ in changed_enclaves.values()}
+    enclaves: dict[str, Mapping[str, Artifact]] = {}
     for name in sorted({*changed_enclaves, *installed(session)}):
         if name in changed_enclaves:
-            build_type, artifacts = changed_enclaves[name]
-            by_type.setdefault(build_type, {})[f"/{name}"] = artifacts
-        elif len(types) == 1:
+            enclaves[f"/{name}"] = changed_enclaves[name][1]
+        else:
             existing, _ = enclave_files(session, name)
-            kept = {file: Artifact(content, secret=file == KEY) for file, content in existing.items()}
-            by_type.setdefault(next(iter(types)), {})[f"/{name}"] = kept
+            enclaves[f"/{name}"] = {file: Artifact(content, secret=file == KEY) for file, content in existing.items()}
     steps = []
-    for name, enclaves in sorted(by_type.items()):
-        plugin = session.plugins.build_type(name)
+    for name in sorted({build_type for of_package, _ in changed_enclaves.values() for build_type in of_package}):
         folders: dict[Path, dict[str, File]] = {}
-        for relative, artifact in plugin.shared(enclaves, session.profile.layout).items():
+        for relative, artifact in copies_of(session, session.plugins.build_type(name), enclaves).items():
             path = session.workspace.install / relative
             folders.setdefault(path.parent, {})[path.name] = File(artifact.content, secret=artifact.secret)
         changes = [change for folder, files in folders.items() for change in changed(session.tree, folder, files)]
@@ -44,3 +42,21 @@ def shared_steps(session: Session, changed_enclaves: Mapping[str, tuple[str, Map
             action = Action.UPDATED if existed else Action.CREATED
             steps.append(Step(INSTALLED, "", action, tuple(changes), "shared by all enclaves"))
     return steps
+
+
+def copies_of(
+    session: Session, build_type: BuildType, enclaves: Mapping[str, Mapping[str, Artifact]]
+) -> Mapping[str, Artifact]:
+    """Return the copies that a build type has outside of the enclaves, by path relative to the install space.
+
+    Args:
+        session: the workspace and its profile.
+        build_type: the build type.
+        enclaves: files of all enclaves, by subject and name.
+    """
+    names = build_type.files(session.profile.layout)
+    own = {
+        subject: {file: artifact for file, artifact in files.items() if file in names}
+        for subject, files in enclaves.items()
+    }
+    return build_type.shared(own, session.profile.layout)

@@ -12,6 +12,7 @@ from keymint.api import Artifact, EnclaveCredentials, Package
 from keymint.errors import KeymintError
 from keymint.pki import certificates, keys
 from keymint.plan.authorities import MintedAuthority
+from keymint.plan.build_types import build_types_of, roles_of, two_writers
 from keymint.plan.enclaves import CERTIFICATE
 from keymint.session import Session
 from keymint.workspace import placed
@@ -39,15 +40,10 @@ def sign(
         KeymintError: an authority is unknown or cannot sign, or the documents cannot be signed.
     """
     issuer = _authority(authorities, package.identity.issuer, package.identity.origin)
-    notary = _authority(authorities, package.grant.issuer, package.grant.origin)
-    if package.governance.issuer != package.grant.issuer:
-        raise KeymintError(
-            f"governance is signed by {package.governance.issuer!r}, permissions by {package.grant.issuer!r}, "
-            "but participants verify both with one permissions authority",
-            where=package.grant.origin,
-            help="give both the same issuer_name",
-            code="authority-mismatch",
-        )
+    roles = {
+        name: [(role, _authority(authorities, role.name, role.origin)) for role in of_type]
+        for name, of_type in roles_of(session, package).items()
+    }
     pem, public = key
     certificate = existing.get(CERTIFICATE)
     warnings: Sequence[Diagnostic] = ()
@@ -57,20 +53,26 @@ def sign(
         issued = certificates.issue_identity(package.identity, public, issuer.issuer)
         certificate = issued.pem
         warnings = [replace(warning, subject=package.subject) for warning in issued.diagnostics]
-    credentials = EnclaveCredentials(
-        certificate=certificate,
-        key=pem,
-        identity_ca=issuer.chain,
-        permissions_ca=notary.chain,
-        signer=notary.signer,
-    )
-    build_type = session.plugins.build_type(package.build_type, session.package_marker(package.name))
-    try:
-        return build_type.install(package, documents, credentials, session.profile.layout, existing), warnings
-    except KeymintError as error:
-        raise KeymintError.of(
-            [placed(diagnostic, session.workspace.build) for diagnostic in error.diagnostics]
-        ) from error
+    artifacts: dict[str, Artifact] = {}
+    writers: dict[str, str] = {}
+    for name, build_type in build_types_of(session, package).items():
+        credentials = EnclaveCredentials(
+            certificate=certificate,
+            key=pem,
+            chains={role.role: authority.chain for role, authority in roles[name]},
+            signers={role.role: authority.signer for role, authority in roles[name] if role.signs},
+        )
+        try:
+            own = build_type.install(package, documents, credentials, session.profile.layout, existing)
+        except KeymintError as error:
+            raise KeymintError.of(
+                [placed(diagnostic, session.workspace.build) for diagnostic in error.diagnostics]
+            ) from error
+        different = {file for file, artifact in own.items() if artifacts.get(file, artifact) != artifact}
+        if conflicts := two_writers(session, package, writers, name, own, different):
+            raise KeymintError.of(conflicts)
+        artifacts |= own
+    return artifacts, warnings
 
 
 def _authority(authorities: Mapping[str, MintedAuthority], name: str, origin: Origin) -> MintedAuthority:

@@ -7,19 +7,21 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 from comarmor.errors import Diagnostic
-from keymint.api import Package, Prover, TrustAnchor, TrustAnchors
+from keymint.api import BuildType, Package, Prover, TrustAnchor, TrustAnchors
 from keymint.plan import authority_evidence
 from keymint.plan.authority_files import trusted_chains
-from keymint.plan.enclaves import TAKEN, enclave_files
+from keymint.plan.build_types import build_types_of, issuers_of, suffixes_read
+from keymint.plan.enclaves import enclave_files
 from keymint.session import Session
 
 
-def anchors_of(session: Session, package: Package, chains: Mapping[str, bytes]) -> TrustAnchors:
+def anchors_of(session: Session, package: Package, build_type: BuildType, chains: Mapping[str, bytes]) -> TrustAnchors:
     """Return the trust anchors that the enclave of a package must rest on.
 
     Args:
         session: the workspace and its profile.
         package: the package.
+        build_type: one of its build types.
         chains: certificates of the authorities by name; see :func:`keymint.plan.authority_files.trusted_chains`.
     """
     workspace = session.workspace
@@ -27,12 +29,9 @@ def anchors_of(session: Session, package: Package, chains: Mapping[str, bytes]) 
     def anchor(name: str) -> TrustAnchor:
         return TrustAnchor(name, workspace.shown(workspace.authority_certificate(name)), chains.get(name, b""))
 
-    return TrustAnchors(
-        anchor(package.identity.issuer),
-        anchor(package.grant.issuer),
-        package.identity.subject_name,
-        session.profile.layout,
-    )
+    roles = build_type.authorities(package)
+    authorities = {role.role: anchor(role.name) for role in roles}
+    return TrustAnchors(authorities, package.identity.subject_name, session.profile.layout)
 
 
 def differences(session: Session, names: Sequence[str]) -> tuple[Diagnostic, ...]:
@@ -47,15 +46,19 @@ def differences(session: Session, names: Sequence[str]) -> tuple[Diagnostic, ...
     chains, contradictions = trusted_chains(session), authority_evidence.contradictions(session)
     for name in names:
         files, unread = enclave_files(session, name)
-        findings += (each for each in unread if each.where is not None and each.where.file.endswith(TAKEN))
-        if not files:
+        if not (files or unread):
             continue
         package = session.package(name)
-        findings += authority_evidence.contradictions_for(contradictions, package)
-        build_type = session.plugins.build_type(package.build_type, session.package_marker(name))
-        if isinstance(build_type, Prover):
-            anchors = anchors_of(session, package, chains)
-            folder = session.workspace.shown(session.enclaves / name)
-            differences = build_type.differences(files, folder, anchors)
-            findings += (replace(each, subject=package.subject) for each in differences)
+        suffixes = suffixes_read(session, package)
+        findings += (each for each in unread if each.where is not None and each.where.file.endswith(suffixes))
+        if not files:
+            continue
+        issuers = issuers_of(session, package)
+        findings += authority_evidence.contradictions_for(contradictions, issuers)
+        folder = session.workspace.shown(session.enclaves / name)
+        for build_type in build_types_of(session, package).values():
+            if isinstance(build_type, Prover):
+                anchors = anchors_of(session, package, build_type, chains)
+                found = build_type.differences(files, folder, anchors, {}, "")
+                findings += (replace(each, subject=package.subject) for each in found)
     return tuple(dict.fromkeys(findings))

@@ -7,6 +7,7 @@ from collections.abc import Mapping, Sequence
 
 from keymint.api import API_VERSION, Claim, ProofTask
 from keymint.api.lazy import lazy
+from keymint_ros2_dds.enclave_layout import LAYOUTS, READS, files
 
 __all__ = ["DdsSecurity", "build_type"]
 
@@ -21,6 +22,12 @@ class DdsSecurity:
     API = API_VERSION
     NOUN = "DDS topic"
 
+    TRANSPORT = "dds"
+    LAYOUTS = LAYOUTS
+    READS = READS
+
+    files = staticmethod(files)
+    authorities = lazy("keymint_ros2_dds.authority_roles:authorities")
     build = lazy("keymint_ros2_dds.build:build")
     install = lazy("keymint_ros2_dds.install:install")
     shared = lazy("keymint_ros2_dds.install:shared")

@@ -11,6 +11,7 @@ from comarmor.errors import Diagnostic, Origin, Severity
 from keymint.api import DomainRange, Inspection
 from keymint.errors import KeymintError
 from keymint.pki import certificates, certification_path, distinguished_names, keys, smime
+from keymint_ros2_dds import authority_roles as roles
 from keymint_ros2_dds import check_governance, subject_name_text, vendor_limits
 from keymint_ros2_dds.credentials import CredentialCheck, revocation_period
 from keymint_ros2_dds.documents import dds_xml
@@ -50,6 +51,7 @@ class _EnclaveCheck(CredentialCheck):
         restore = f"'keymint install {package.name}' writes it again"
         super().__init__(inspection.files, inspection.folder, restore, package.subject)
         self._inspection = inspection
+        self._issuer, self._signer = (inspection.chains[role] for role in (roles.IDENTITY, roles.PERMISSIONS))
         self._names = FILES.get(inspection.layout, ())
 
     def findings(self) -> Iterator[Diagnostic]:
@@ -81,13 +83,10 @@ class _EnclaveCheck(CredentialCheck):
         for name in self._names:
             if name not in self._files:
                 yield self._error("file-missing", name, "is missing")
-        for name in sorted(self._files.keys() - {*self._names, CRL}):
-            message = f"does not belong to the layout {self._inspection.layout!r}"
-            yield self._warning("file-unexpected", name, message, "remove it")
 
     def _revocations(self) -> Iterator[Diagnostic]:
         """Check the revocation list, which Keymint does not write."""
-        problems = [*self._revocation_list(self._inspection.identity_ca, "install a valid list, or remove it")]
+        problems = [*self._revocation_list(self._issuer, "install a valid list, or remove it")]
         yield from problems
         if not problems and (period := revocation_period(self._files.get(CRL, b""))):
             yield from self._validity("revocation list", CRL, *period, slack=timedelta(0))
@@ -97,7 +96,7 @@ class _EnclaveCheck(CredentialCheck):
         if pem is None:
             return
         where = self._where(CERTIFICATE)
-        chain_findings = certification_path.verify_chain(pem, self._inspection.identity_ca, self._inspection.now, where)
+        chain_findings = certification_path.verify_chain(pem, self._issuer, self._inspection.now, where)
         yield from map(self._for_subject, chain_findings)
         try:
             certificate = certificates.load(pem, where)
@@ -119,16 +118,16 @@ class _EnclaveCheck(CredentialCheck):
 
     def _authorities(self) -> Iterator[Diagnostic]:
         trusted = {
-            IDENTITY_CA: self._inspection.identity_ca,
-            PERMISSIONS_CA: self._inspection.permissions_ca,
-            CA: self._inspection.permissions_ca,
+            IDENTITY_CA: self._issuer,
+            PERMISSIONS_CA: self._signer,
+            CA: self._signer,
         }
         for name in (IDENTITY_CA, PERMISSIONS_CA, CA):
             if name in self._names and name in self._files and self._files[name] != trusted[name]:
                 yield self._error("authority-differs", name, "is not the certificate of the workspace's authority")
         try:
             problem = certificates.can_sign_documents(
-                certificates.load_bundle(self._inspection.permissions_ca)[0],
+                certificates.load_bundle(self._signer)[0],
                 self._where(PERMISSIONS_CA if PERMISSIONS_CA in self._names else CA),
             )
         except KeymintError as error:
@@ -184,7 +183,7 @@ class _EnclaveCheck(CredentialCheck):
         """Check a signature; the generator returns the content, or None. An expired authority hides no other defect."""
         for at in (self._inspection.now, None):
             try:
-                return smime.verify(signed, self._inspection.permissions_ca, at=at, where=where)
+                return smime.verify(signed, self._signer, at=at, where=where)
             except KeymintError as error:
                 yield from map(self._for_subject, error.diagnostics)
                 if error.diagnostics[0].code != "smime-authority-expired":

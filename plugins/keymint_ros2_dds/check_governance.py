@@ -11,6 +11,7 @@ from comarmor.patterns.tokens import PatternError
 from keymint.api import Inspection
 from keymint.errors import KeymintError
 from keymint.pki import smime
+from keymint_ros2_dds import authority_roles as roles
 from keymint_ros2_dds import governance_warnings
 from keymint_ros2_dds.decision.access import DomainAccess
 from keymint_ros2_dds.decision.semantics import STANDARD
@@ -37,7 +38,7 @@ def findings(inspection: Inspection) -> Iterator[Diagnostic]:
             yield finding
     file = f"{inspection.folder}/{GOVERNANCE_P7S}"
     try:
-        signed = smime.read(inspection.files[GOVERNANCE_P7S], inspection.permissions_ca, where=Origin(file))
+        signed = smime.read(inspection.files[GOVERNANCE_P7S], inspection.chains[roles.PERMISSIONS], where=Origin(file))
     except KeymintError:
         return  # the check of signatures reports it
     place = (file, signed.lines_before)

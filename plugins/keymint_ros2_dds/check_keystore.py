@@ -11,6 +11,7 @@ from comarmor.errors import Diagnostic, Origin, Severity
 from keymint.api import Inspection
 from keymint.errors import KeymintError
 from keymint.pki import certificates, distinguished_names
+from keymint_ros2_dds import authority_roles as roles
 from keymint_ros2_dds.enclave_layout import CERTIFICATE
 
 
@@ -57,8 +58,8 @@ def _shared_authorities(inspections: Sequence[Inspection]) -> Iterator[Diagnosti
     """Yield one finding for each authority that both issues identities and signs permissions."""
     reported: set[bytes] = set()
     for inspection in inspections:
-        authority = inspection.permissions_ca
-        if authority and authority == inspection.identity_ca and authority not in reported:
+        authority = inspection.chains[roles.PERMISSIONS]
+        if authority and authority == inspection.chains[roles.IDENTITY] and authority not in reported:
             reported.add(authority)
             # The flat layout has no file for a second authority, so there the user cannot act on it.
             severity = Severity.NOTE if inspection.layout == "flat" else Severity.WARNING
@@ -75,7 +76,7 @@ def _different_authorities(inspections: Sequence[Inspection]) -> Iterator[Diagno
     """Yield a finding for each enclave with another permissions authority; Fast DDS requires one for all."""
     first = inspections[0] if inspections else None
     for inspection in inspections[1:]:
-        if first and inspection.permissions_ca != first.permissions_ca:
+        if first and inspection.chains[roles.PERMISSIONS] != first.chains[roles.PERMISSIONS]:
             yield Diagnostic(
                 "authorities-differ", Severity.WARNING,
                 f"its permissions are signed by {inspection.package.grant.issuer!r}, those of "

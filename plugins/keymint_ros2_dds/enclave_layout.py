@@ -1,10 +1,19 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The files of an enclave, by layout of the keystore."""
+"""The layouts of a keystore, and the files of an enclave in each."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 
+from keymint.api import Layout
+
+LAYOUTS: Mapping[str, Layout] = {
+    "sros2": Layout("enclaves"),
+    "flat": Layout("", reserved=("enclaves", "private", "public")),
+}
+"""The layouts; in ``flat``, subjects must not have the names of the folders at the top of ``sros2``."""
+READS = (".pem", ".p7s", ".p11")
+"""Suffixes of the files that ROS 2 reads from an enclave, also through links (rmw_dds_common, security.cpp)."""
 PERMISSIONS = "permissions"
 GOVERNANCE = "governance"
 PERMISSIONS_XML = f"{PERMISSIONS}.xml"
@@ -21,3 +30,8 @@ FILES: Mapping[str, tuple[str, ...]] = {
     "flat": (CA, CERTIFICATE, KEY, GOVERNANCE_P7S, PERMISSIONS_P7S),
 }
 """The files of an enclave: sros2's keystore of Foxy and later, and that of Ardent and Bouncy (rmw, ``security.c``)."""
+
+
+def files(layout: str) -> frozenset[str]:
+    """Return the names of all files that may lie in an enclave; see :meth:`keymint.api.BuildType.files`."""
+    return frozenset((*FILES.get(layout, ()), CRL))

@@ -11,6 +11,7 @@ from keymint import api
 from keymint.api import Artifact, EnclaveCredentials, Package
 from keymint.errors import KeymintError
 from keymint.pki import smime
+from keymint_ros2_dds import authority_roles as roles
 from keymint_ros2_dds.documents import dds_xml
 from keymint_ros2_dds.enclave_layout import (
     CA,
@@ -42,7 +43,7 @@ def install(
     """
     if layout not in FILES:
         raise KeymintError(f"unknown layout {layout!r}", help=f"use {' or '.join(FILES)}", code="layout-unknown")
-    if layout == "flat" and credentials.identity_ca != credentials.permissions_ca:
+    if layout == "flat" and credentials.chains[roles.IDENTITY] != credentials.chains[roles.PERMISSIONS]:
         raise KeymintError(
             f"{package.subject} has one authority for identities and another for permissions, but the layout 'flat' "
             "has one file for both",
@@ -52,9 +53,9 @@ def install(
         )
     permissions, governance = (_document(package, documents, kind) for kind in (PERMISSIONS, GOVERNANCE))
     files = {
-        IDENTITY_CA: Artifact(credentials.identity_ca),
-        PERMISSIONS_CA: Artifact(credentials.permissions_ca),
-        CA: Artifact(credentials.permissions_ca),
+        IDENTITY_CA: Artifact(credentials.chains[roles.IDENTITY]),
+        PERMISSIONS_CA: Artifact(credentials.chains[roles.PERMISSIONS]),
+        CA: Artifact(credentials.chains[roles.PERMISSIONS]),
         CERTIFICATE: Artifact(credentials.certificate),
         KEY: Artifact(credentials.key, secret=True),
         PERMISSIONS_XML: Artifact(permissions),
@@ -79,12 +80,13 @@ def _document(package: Package, documents: Mapping[str, bytes], kind: str) -> by
 
 def _signed(content: bytes, kind: str, credentials: EnclaveCredentials, installed: Mapping[str, bytes]) -> bytes:
     """Return a signed document: the installed one if it is still current, else a new one."""
-    signer = smime.load_signer(credentials.signer)
+    authority = credentials.signers[roles.PERMISSIONS]
+    signer = smime.load_signer(authority)
     present = installed.get(f"{kind}.p7s")
     if present is not None and smime.is_current(present, content, signer.certificate):
         return present
     if kind == GOVERNANCE:
-        return _sign_once(content, credentials.signer)
+        return _sign_once(content, authority)
     return smime.sign(content, signer.certificate, signer.key, Origin(f"{kind}.xml"))
 
 

@@ -16,7 +16,16 @@ from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
 from comarmor.errors import Diagnostic, Origin, Severity
-from keymint.api import Artifact, BuildOptions, BuildResult, EnclaveCredentials, Inspection, Package
+from keymint.api import (
+    Artifact,
+    AuthorityRole,
+    BuildOptions,
+    BuildResult,
+    EnclaveCredentials,
+    Inspection,
+    Layout,
+    Package,
+)
 from keymint.errors import KeymintError
 from keymint.pki import certificates, keys, smime
 from keymint.pki.certification_path import verify_chain
@@ -27,6 +36,8 @@ CERTIFICATE = "cert.pem"
 KEY = "key.pem"
 IDENTITY_CA = "identity_ca.cert.pem"
 PERMISSIONS_CA = "permissions_ca.cert.pem"
+IDENTITY, RIGHTS = "identity", "rights"
+"""Roles of the two authorities."""
 FILES = (SIGNED, CERTIFICATE, KEY, IDENTITY_CA, PERMISSIONS_CA)
 
 
@@ -34,6 +45,21 @@ class JsonBuildType:
     """Implements :class:`keymint.api.BuildType`."""
 
     API = "1.0"
+    TRANSPORT = "json"
+    LAYOUTS: Mapping[str, Layout] = {"sros2": Layout("enclaves"), "flat": Layout("")}
+    READS = (".pem", ".p7s")
+
+    def files(self, layout: str) -> frozenset[str]:
+        """Return the names of the files of an enclave."""
+        del layout  # a gateway's enclave is the same in every layout
+        return frozenset(FILES)
+
+    def authorities(self, package: Package) -> Sequence[AuthorityRole]:
+        """Return the issuer of the identity, and the authority that signs the document."""
+        return (
+            AuthorityRole(IDENTITY, package.identity.issuer, package.identity.origin),
+            AuthorityRole(RIGHTS, package.grant.issuer, package.grant.origin, signs=True),
+        )
 
     def build(self, package: Package, options: BuildOptions) -> BuildResult:
         """Return the rules as JSON: the same bytes for the same rules, whatever their order in the policy."""
@@ -82,7 +108,7 @@ class JsonBuildType:
                 help=f"'keymint build -f {package.name}' rewrites it",
                 code="document-invalid",
             ) from error
-        signer = smime.load_signer(credentials.signer)
+        signer = smime.load_signer(credentials.signers[RIGHTS])
         signed = installed.get(SIGNED)
         if signed is None or not smime.is_current(signed, content, signer.certificate):
             signed = smime.sign(content, signer.certificate, signer.key)
@@ -90,8 +116,8 @@ class JsonBuildType:
             SIGNED: Artifact(signed),
             CERTIFICATE: Artifact(credentials.certificate),
             KEY: Artifact(credentials.key, secret=True),
-            IDENTITY_CA: Artifact(credentials.identity_ca),
-            PERMISSIONS_CA: Artifact(credentials.permissions_ca),
+            IDENTITY_CA: Artifact(credentials.chains[IDENTITY]),
+            PERMISSIONS_CA: Artifact(credentials.chains[RIGHTS]),
         }
 
     def shared(self, artifacts: Mapping[str, Mapping[str, Artifact]], layout: str) -> Mapping[str, Artifact]:
@@ -119,7 +145,7 @@ def _findings(inspection: Inspection) -> Iterator[Diagnostic]:
         return
     yield from _altered_files(inspection)
     where = _where(inspection, CERTIFICATE)
-    yield from verify_chain(inspection.files[CERTIFICATE], inspection.identity_ca, inspection.now, where)
+    yield from verify_chain(inspection.files[CERTIFICATE], inspection.chains[IDENTITY], inspection.now, where)
     try:
         yield from _inconsistencies(inspection)
     except KeymintError as error:
@@ -129,7 +155,7 @@ def _findings(inspection: Inspection) -> Iterator[Diagnostic]:
 def _altered_files(inspection: Inspection) -> Iterator[Diagnostic]:
     """Check the files whose bytes are known or canonical."""
     files = inspection.files
-    for name, trusted in ((IDENTITY_CA, inspection.identity_ca), (PERMISSIONS_CA, inspection.permissions_ca)):
+    for name, trusted in ((IDENTITY_CA, inspection.chains[IDENTITY]), (PERMISSIONS_CA, inspection.chains[RIGHTS])):
         if files[name] != trusted:
             yield _error(inspection, "authority-differs", name, "is not the certificate of the workspace's authority")
     for name, is_canonical in ((CERTIFICATE, certificates.is_canonical), (KEY, keys.is_canonical)):
@@ -145,7 +171,7 @@ def _inconsistencies(inspection: Inspection) -> Iterator[Diagnostic]:
     """
     files = inspection.files
     where = _where(inspection, SIGNED)
-    content = smime.verify(files[SIGNED], inspection.permissions_ca, at=inspection.now, where=where)
+    content = smime.verify(files[SIGNED], inspection.chains[RIGHTS], at=inspection.now, where=where)
     if content != inspection.documents[DOCUMENT]:
         yield _error(inspection, "drift", SIGNED, "signs other content than the sources build")
     if inspection.package.identity.key.password_env:

@@ -16,6 +16,7 @@ from comarmor.errors import Diagnostic, Origin, Severity
 from keymint.api import TrustAnchor, TrustAnchors
 from keymint.errors import KeymintError
 from keymint.pki import certificates, certification_path, distinguished_names, smime
+from keymint_ros2_dds import authority_roles as roles
 from keymint_ros2_dds.credentials import CredentialCheck
 from keymint_ros2_dds.enclave_layout import (
     CA,
@@ -38,14 +39,21 @@ _TIMES = frozenset(("certificate-expired", "certificate-not-yet-valid"))
 """Codes of the findings about time, which do not concern trust."""
 
 
-def differences(files: Mapping[str, bytes], folder: str, anchors: TrustAnchors) -> tuple[Diagnostic, ...]:
+def differences(
+    files: Mapping[str, bytes],
+    folder: str,
+    anchors: TrustAnchors,
+    shared: Mapping[str, bytes] | None = None,
+    shared_folder: str = "",
+) -> tuple[Diagnostic, ...]:
     """See :meth:`keymint.api.Prover.differences`."""
+    del shared, shared_folder  # an enclave is complete
     missing = tuple(_missing(anchors))
     return missing or tuple(_AnchorCheck(files, folder, anchors).findings())
 
 
 def _missing(anchors: TrustAnchors) -> Iterator[Diagnostic]:
-    for anchor in dict.fromkeys((anchors.identity, anchors.permissions)):
+    for anchor in dict.fromkeys((anchors.authorities[roles.IDENTITY], anchors.authorities[roles.PERMISSIONS])):
         if not anchor.chain:
             message = (
                 f"the certificate of the authority {anchor.name!r} is missing, so enclaves cannot be compared with it"
@@ -77,11 +85,12 @@ class _AnchorCheck(CredentialCheck):
     def __init__(self, files: Mapping[str, bytes], folder: str, anchors: TrustAnchors) -> None:
         super().__init__(files, folder, "'keymint install' restores it")
         self._anchors = anchors
+        self._issuer, self._signer = (anchors.authorities[role] for role in (roles.IDENTITY, roles.PERMISSIONS))
 
     def findings(self) -> Iterator[Diagnostic]:
         yield from self._in_place_of()
-        help_ = f"remove it, or replace it with a list signed by the authority {self._anchors.identity.name!r}"
-        yield from self._revocation_list(self._anchors.identity.chain, help_)
+        help_ = f"remove it, or replace it with a list signed by the authority {self._issuer.name!r}"
+        yield from self._revocation_list(self._issuer.chain, help_)
         yield from self._authorities()
         yield from self._identity()
         yield from self._signed(PERMISSIONS_P7S)
@@ -97,9 +106,9 @@ class _AnchorCheck(CredentialCheck):
     def _authorities(self) -> Iterator[Diagnostic]:
         """Compare the authorities in the enclave, including files that its layout does not have."""
         trusted: Mapping[str, TrustAnchor] = {
-            IDENTITY_CA: self._anchors.identity,
-            PERMISSIONS_CA: self._anchors.permissions,
-            CA: self._anchors.permissions,
+            IDENTITY_CA: self._issuer,
+            PERMISSIONS_CA: self._signer,
+            CA: self._signer,
         }
         for name, anchor in trusted.items():
             content = self._files.get(name)
@@ -121,7 +130,7 @@ class _AnchorCheck(CredentialCheck):
         except KeymintError as error:
             yield from error.diagnostics
             return
-        findings = certification_path.verify_chain(pem, self._anchors.identity.chain, _ANY_TIME, where)
+        findings = certification_path.verify_chain(pem, self._issuer.chain, _ANY_TIME, where)
         yield from (finding for finding in findings if finding.code not in _TIMES)
         yield from self._subject_name(certificate, expected)
         # An encrypted key cannot be read without its password, so it is not compared with the certificate.
@@ -130,7 +139,7 @@ class _AnchorCheck(CredentialCheck):
     def _signed(self, name: str) -> Iterator[Diagnostic]:
         try:
             content = enclave_file(self._files, self._folder, name)
-            findings = _signature_findings(content, self._anchors.permissions.chain)
+            findings = _signature_findings(content, self._signer.chain)
         except KeymintError as error:
             findings = error.diagnostics
         for finding in findings:

@@ -9,6 +9,7 @@ from comarmor.errors import Origin
 from keymint.api import Claim, ProofTask, TrustAnchors, ValidityTerm
 from keymint.errors import KeymintError
 from keymint.pki import smime
+from keymint_ros2_dds import authority_roles as roles
 from keymint_ros2_dds import decision
 from keymint_ros2_dds.enclave_layout import (
     CERTIFICATE,
@@ -45,20 +46,27 @@ def prove(task: ProofTask, *, models: Sequence[str] | None = None) -> tuple[Clai
     spec = ProofSpec(
         _subject_name(files, folder),
         task.rules,
-        task.distro,
-        task.domains,
+        task.package.distro,
+        task.package.grant.domains,
         task.states,
         task.go_on,
     )
     return prove_content(content, place, spec, models=models, governance=_read_governance(task))
 
 
-def terms(files: Mapping[str, bytes], folder: str, anchors: TrustAnchors) -> tuple[ValidityTerm, ...]:
+def terms(
+    files: Mapping[str, bytes],
+    folder: str,
+    anchors: TrustAnchors,
+    shared: Mapping[str, bytes] | None = None,
+    shared_folder: str = "",
+) -> tuple[ValidityTerm, ...]:
     """Return the periods of validity of an enclave; see :meth:`keymint.api.Prover.terms`.
 
     Raises:
         KeymintError: a file is missing, cannot be read, or is not signed by the workspace's authority.
     """
+    del shared, shared_folder  # an enclave is complete
     content, place = _document(files, folder, anchors)
     document = decision.read(content, *place)
     of_grants = validity_terms.of_grants(document, _subject_name(files, folder))
@@ -70,7 +78,7 @@ def _document(
 ) -> tuple[bytes, tuple[str, int]]:
     """Return the signed permissions document, its file, and the number of lines before it there."""
     file, where = enclave_file(files, folder, PERMISSIONS_P7S), Origin(f"{folder}/{PERMISSIONS_P7S}")
-    signed = smime.read(file, anchors.permissions.chain, where=where)
+    signed = smime.read(file, anchors.authorities[roles.PERMISSIONS].chain, where=where)
     plain = unsigned or files.get(PERMISSIONS_XML) == signed.content
     name, offset = (PERMISSIONS_XML, 0) if plain else (PERMISSIONS_P7S, signed.lines_before)
     return signed.content, (f"{folder}/{name}", offset)
@@ -80,9 +88,10 @@ def _read_governance(task: ProofTask) -> EnclaveGovernance:
     """Read the signed governance, and the one of the sources."""
     file = f"{task.folder}/{GOVERNANCE_P7S}"
     document = enclave_file(task.files, task.folder, GOVERNANCE_P7S)
-    signed = smime.read(document, task.anchors.permissions.chain, where=Origin(file))
+    signed = smime.read(document, task.anchors.authorities[roles.PERMISSIONS].chain, where=Origin(file))
     place = (f"{task.folder}/{GOVERNANCE_XML}", 0) if task.unsigned else (file, signed.lines_before)
-    return EnclaveGovernance(signed.content, place, task.governance, task.rules.subject, task.distro)
+    package = task.package
+    return EnclaveGovernance(signed.content, place, package.governance, task.rules.subject, package.distro)
 
 
 def _subject_name(files: Mapping[str, bytes], folder: str) -> str:

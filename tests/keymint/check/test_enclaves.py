@@ -38,6 +38,17 @@ def test_a_package_that_is_not_installed(keymint, provisioned: Path) -> None:
     assert "the enclave /talker is not installed (run 'keymint install talker')" in outcome.err
 
 
+def test_a_file_that_belongs_to_no_build_type(keymint, provisioned: Path) -> None:
+    """A revocation list, which Keymint does not write, belongs to the enclave."""
+    for name in ("notes.txt", "crl.pem"):
+        (provisioned / "install/enclaves/talker" / name).touch()
+    found = keymint("check", "--json", cwd=provisioned).document["diagnostics"]
+    [unexpected] = [each for each in found if each["code"] == "file-unexpected"]
+    assert unexpected["file"] == "install/enclaves/talker/notes.txt"
+    assert unexpected["message"] == "does not belong to the layout 'sros2'"
+    assert unexpected["subject"] == "/talker"
+
+
 def test_a_file_that_cannot_be_read(keymint, provisioned: Path) -> None:
     if os.geteuid() == 0:
         pytest.skip("root reads everything")

@@ -58,11 +58,16 @@ def credentials(
     package: Package, identity: str = "identity_ca", permissions: str = "permissions_ca"
 ) -> EnclaveCredentials:
     key = keys.generate(EC)
-    issuer, signer = authority(identity), authority(permissions)
+    issuer = authority(identity)
     issued = certificates.issue_identity(
         package.identity, key.public_key(), certificates.Issuer(issuer.certificate, issuer.key)
     )
-    return EnclaveCredentials(issued.pem, keys.to_pem(key), issuer.pem, signer.pem, signer.signer)
+    chains, signers = _chains(identity, permissions), {"permissions": authority(permissions).signer}
+    return EnclaveCredentials(issued.pem, keys.to_pem(key), chains, signers)
+
+
+def _chains(identity: str, permissions: str) -> dict[str, bytes]:
+    return {"identity": authority(identity).pem, "permissions": authority(permissions).pem}
 
 
 def installed(package: Package, layout: str = "sros2", **authorities: str) -> dict[str, bytes]:
@@ -79,8 +84,7 @@ def inspection(package: Package, files: dict[str, bytes], **fields) -> Inspectio
         files,
         f"install/enclaves/{package.name}",
         "sros2",
-        authority("identity_ca").pem,
-        authority("permissions_ca").pem,
+        _chains("identity_ca", "permissions_ca"),
         NOW,
         30,
     )
@@ -93,7 +97,7 @@ def anchors(package: Package, layout: str = "sros2", **chains: bytes) -> TrustAn
         TrustAnchor(name, f"public/{name}.cert.pem", chains.get(name, authority(name).pem))
         for name in ("identity_ca", "permissions_ca")
     )
-    return TrustAnchors(identity, permissions, package.identity.subject_name, layout)
+    return TrustAnchors({"identity": identity, "permissions": permissions}, package.identity.subject_name, layout)
 
 
 def revoking(issuer: str, serial: int) -> bytes:

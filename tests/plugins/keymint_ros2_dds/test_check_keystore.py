@@ -43,7 +43,7 @@ def test_names_that_a_vendor_confuses():
 def test_one_authority_for_both_jobs_is_said_once():
     ca = authority("ca").pem
     two = [seen(subject, identity="ca", permissions="ca") for subject in ("/a", "/b")]
-    two = [replace(each, identity_ca=ca, permissions_ca=ca) for each in two]
+    two = [replace(each, chains={"identity": ca, "permissions": ca}) for each in two]
     found = [each for each in build_type.check_all(two) if each.code != "names-confused"]
     assert [each.code for each in found] == ["authority-shared"]
     [note] = build_type.check_all([replace(two[0], layout="flat")])
@@ -51,5 +51,6 @@ def test_one_authority_for_both_jobs_is_said_once():
 
 
 def test_permissions_of_different_authorities():
-    other = replace(seen("/b", "CN=/b,OU=2", permissions="other_ca"), permissions_ca=authority("other_ca").pem)
+    chains = {"identity": authority("identity_ca").pem, "permissions": authority("other_ca").pem}
+    other = replace(seen("/b", "CN=/b,OU=2", permissions="other_ca"), chains=chains)
     assert [each.code for each in build_type.check_all([seen("/a", "CN=/a,OU=1"), other])] == ["authorities-differ"]

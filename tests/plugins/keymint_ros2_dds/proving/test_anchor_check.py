@@ -27,8 +27,7 @@ SUBSETS = list(chain.from_iterable(combinations(SIGNIFICANT, size) for size in r
 
 def claims(files, wanted=None):
     return prove(ProofTask(
-        PLAIN.grant.rules, PLAIN.distro, PLAIN.grant.domains, files, "install/talker",
-        wanted or anchors(PLAIN), 10_000, lambda: True,
+        PLAIN, PLAIN.grant.rules, files, "install/talker", wanted or anchors(PLAIN), 10_000, lambda: True,
     ))  # fmt: skip
 
 

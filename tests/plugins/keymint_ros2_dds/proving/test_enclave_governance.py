@@ -28,7 +28,7 @@ def found(loaded, content: bytes | None = None, **fields):
     files = installed(loaded)
     if content is not None:
         files["governance.p7s"] = sign(content)
-    return claims(loaded, files, governance=loaded.governance, **fields)
+    return claims(loaded, files, **fields)
 
 
 def built(loaded) -> str:

@@ -38,7 +38,7 @@ def sign(content: bytes) -> bytes:
 
 def obligation(loaded, files, **fields):
     given_ = {
-        "rules": loaded.grant.rules, "distro": loaded.distro, "domains": loaded.grant.domains,
+        "package": loaded, "rules": loaded.grant.rules,
         "files": files, "folder": "install/talker", "anchors": anchors(loaded),
         "states": 200_000, "go_on": lambda: True,
     }  # fmt: skip

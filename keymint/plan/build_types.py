@@ -1,0 +1,69 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The build types of a package, and what they say about its enclave."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Iterable, Mapping, MutableMapping
+
+from comarmor.errors import Diagnostic, Severity
+from keymint.api import AuthorityRole, BuildType, Package
+from keymint.session import Session
+
+
+def build_types_of(session: Session, package: Package) -> Mapping[str, BuildType]:
+    """Return the build types of a package by name, in the order of its manifest.
+
+    Raises:
+        KeymintError: one is not installed, or fails to load.
+    """
+    marker = session.package_marker(package.name)
+    return {name: session.plugins.build_type(name, marker) for name in (package.build_type,)}
+
+
+def roles_of(session: Session, package: Package) -> Mapping[str, tuple[AuthorityRole, ...]]:
+    """Return the authorities that the enclave of a package rests on, by build type.
+
+    Raises:
+        KeymintError: a build type is not installed, or refuses the package's authorities.
+    """
+    return {name: tuple(each.authorities(package)) for name, each in build_types_of(session, package).items()}
+
+
+def issuers_of(session: Session, package: Package) -> tuple[str, ...]:
+    """Return the names of the authorities that the enclave of a package rests on, each once; errors as above."""
+    roles = (role for of_type in roles_of(session, package).values() for role in of_type)
+    return tuple(dict.fromkeys((package.identity.issuer, *(role.name for role in roles))))
+
+
+def suffixes_read(session: Session, package: Package) -> tuple[str, ...]:
+    """Return the suffixes of the files that the transports read from the enclave of a package."""
+    suffixes = (suffix for each in build_types_of(session, package).values() for suffix in each.READS)
+    return tuple(dict.fromkeys(suffixes))
+
+
+def two_writers(
+    session: Session,
+    package: Package,
+    writers: MutableMapping[str, str],
+    build_type: str,
+    files: Iterable[str],
+    different: Collection[str] | None = None,
+) -> list[Diagnostic]:
+    """Return an error for each file that another build type of a package writes as well.
+
+    Args:
+        session: the workspace and its profile.
+        package: the package.
+        writers: build type by file; the files are added.
+        build_type: name of a build type.
+        files: names of its files.
+        different: those that may not be written twice, because their content differs; by default all.
+    """
+    errors: list[Diagnostic] = []
+    for file in files:
+        other = writers.setdefault(file, build_type)
+        if other != build_type and (different is None or file in different):
+            message = f"the build types {other} and {build_type} both write {file}, each its own"
+            where, help_ = session.package_marker(package.name), "keep one of them"
+            errors.append(Diagnostic("file-conflict", Severity.ERROR, message, where, help_, package.subject))
+    return errors

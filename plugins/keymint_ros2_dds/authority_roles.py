@@ -1,0 +1,30 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The authorities that an enclave rests on: one issues identities, one signs permissions and governance."""
+
+from __future__ import annotations
+
+from keymint.api import AuthorityRole, Package
+from keymint.errors import KeymintError
+
+IDENTITY, PERMISSIONS = "identity", "permissions"
+
+
+def authorities(package: Package) -> tuple[AuthorityRole, ...]:
+    """Return the authorities of a package; see :meth:`keymint.api.BuildType.authorities`.
+
+    Raises:
+        KeymintError: permissions and governance have different issuers (DDS Security 1.1, 9.4.1: one permissions CA).
+    """
+    identity, grant = package.identity, package.grant
+    if package.governance.issuer != grant.issuer:
+        raise KeymintError(
+            f"governance is signed by {package.governance.issuer!r}, permissions by {grant.issuer!r}, "
+            "but participants verify both with one permissions authority",
+            where=grant.origin,
+            help="give both the same issuer_name",
+            code="authority-mismatch",
+        )
+    return (
+        AuthorityRole(IDENTITY, identity.issuer, identity.origin),
+        AuthorityRole(PERMISSIONS, grant.issuer, grant.origin, signs=True),
+    )
