@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Compare the simulated vendors with the real ones; print counts and disagreements, and exit with 1 if there are any.
 
-usage: python benchmarks/agreement.py [--documents N] [--requests N] [--seed N] [cyclonedds] [fastdds]
+usage: python benchmarks/agreement.py [--documents N] [--requests N] [--seed N] [cyclonedds] [fastdds] [zenoh]
 """
 
 from __future__ import annotations
@@ -14,6 +14,7 @@ from datetime import UTC, datetime
 from itertools import islice
 from pathlib import Path
 
+import zenoh_agreement
 from cryptography import x509
 from cryptography.hazmat.primitives import hashes, serialization
 from cryptography.hazmat.primitives.asymmetric import ec
@@ -27,6 +28,9 @@ from keymint.pki import smime
 from keymint.plugins import Plugins
 
 PAIRS = {"cyclonedds": "cyclonedds-0.10", "fastdds": "fastdds-2.9"}
+ZENOH = "zenoh"
+DOCUMENTS_PER_ROUTER = 10
+"""A router's configuration is compared on hundreds of requests of three sessions."""
 CHUNK = 100
 """Documents on the disk at a time."""
 
@@ -106,7 +110,7 @@ def _report(edge: Edge, real: str, modelled: str, enclaves: list[Enclave]) -> st
 def main() -> int:
     """Compare, print, and return the exit code."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("vendors", nargs="*", default=[])
+    parser.add_argument("vendors", nargs="*", default=[], help=f"of {', '.join([*PAIRS, ZENOH])}; all if none is given")
     parser.add_argument("--documents", type=int, default=400)
     parser.add_argument("--requests", type=int, default=40)
     parser.add_argument("--seed", type=int, default=2018)
@@ -115,7 +119,10 @@ def main() -> int:
     wrong = 0
     with tempfile.TemporaryDirectory() as cache:
         plugins = Plugins(environment=Environment(datetime.now(UTC), Path(cache)))
-        for vendor in options.vendors or PAIRS:
+        for vendor in options.vendors or [*PAIRS, ZENOH]:
+            if vendor == ZENOH:
+                wrong += zenoh_agreement.report(options.documents // DOCUMENTS_PER_ROUTER, options.seed)
+                continue
             usable = plugins.transport(vendor).usable()
             if not usable.usable:
                 print(f"{vendor}: not usable: {usable.reason} ({usable.help})")

@@ -12,6 +12,8 @@ from typing import TYPE_CHECKING, NoReturn
 import pytest
 from keymint_ros2_dds.vendors import probe_builds
 from keymint_ros2_dds.vendors.participants import CycloneDDS, FastDDS, System, Vendor
+from keymint_ros2_zenoh.vendors.zenoh_library import MissingZenohError, installed_version
+from keymint_ros2_zenoh.vendors.zenoh_processes import ZenohSystem
 
 from keymint.api import Availability
 
@@ -23,7 +25,7 @@ if TYPE_CHECKING:
     from pathlib import Path
 
 
-def missing(error: probe_builds.MissingVendorError) -> NoReturn:
+def missing(error: probe_builds.MissingVendorError | MissingZenohError) -> NoReturn:
     """Skip the test, or fail it if vendors are required."""
     if os.environ.get("KEYMINT_REQUIRE_VENDORS") == "1":
         pytest.fail(f"KEYMINT_REQUIRE_VENDORS=1, but {error}", pytrace=False)
@@ -71,6 +73,22 @@ def fastdds(probe_cache: Path) -> Vendor:
         return FastDDS(probe_builds.FASTDDS.build(probe_cache))
     except probe_builds.MissingVendorError as error:
         missing(error)
+
+
+@pytest.fixture(scope="session")
+def zenoh_library() -> str:
+    """Require Zenoh; return its version."""
+    try:
+        return installed_version()
+    except MissingZenohError as error:
+        missing(error)
+
+
+@pytest.fixture
+def zenoh_system(zenoh_library: str) -> Iterator[ZenohSystem]:
+    """Return a system without processes; its processes end with the test."""
+    with ZenohSystem(os.environ) as opened:
+        yield opened
 
 
 @pytest.fixture(

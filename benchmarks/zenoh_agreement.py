@@ -1,0 +1,159 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Compare the model of Zenoh's access control with a real router; print counts, and exit with 1 on a disagreement.
+
+usage: python benchmarks/zenoh_agreement.py [--configurations N] [--keys N] [--seed N]
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import random
+import sys
+import tempfile
+from collections.abc import Iterator
+from itertools import count
+from pathlib import Path
+
+from keymint_ros2_zenoh.decision.access import AccessModel, Link
+from keymint_ros2_zenoh.documents.access_control import AccessControl
+from keymint_ros2_zenoh.messages import Flow, Message, Permission
+from keymint_ros2_zenoh.vendors import access_log
+from keymint_ros2_zenoh.vendors.access_log import LoggedDecision
+from keymint_ros2_zenoh.vendors.loopback_ports import free_port
+from keymint_ros2_zenoh.vendors.zenoh_library import MissingZenohError, installed_version
+from keymint_ros2_zenoh.vendors.zenoh_processes import ZenohError, ZenohProcess, ZenohSystem
+from zenoh_configurations import FENCE, NAMES, ROUTER, Identities, random_access_control, random_key_expr, write
+
+_ATTEMPTS = 3
+_SHOWN = 5
+"""Disagreements that are printed in full."""
+
+
+def disagreements(configurations: int, keys: int, seed: int) -> Iterator[tuple[bool, str]]:
+    """Yield for each decision of a real router whether it allows, and a text if the model decides differently.
+
+    Args:
+        configurations: how many random routers.
+        keys: literal keys, and as many with wildcards, for each of three sessions.
+        seed: of the random numbers.
+
+    Raises:
+        AssertionError: the router did not decide on something that a session sent.
+    """
+    randomly = random.Random(seed)
+    with tempfile.TemporaryDirectory() as folder, ZenohSystem(os.environ) as system:
+        identities = Identities.new(Path(folder))
+        identities.issue("router", ROUTER, server=True)
+        for number, name in enumerate(NAMES):
+            identities.issue(f"node{number}", name)
+        router, sessions = system.start(log=access_log.FILTER), system.start()
+        numbers = count()
+        for number in range(configurations):
+            control = random_access_control(randomly)
+            model = AccessModel(control)
+            port = _open_router(system, router, identities, control)
+            for node, name in enumerate(NAMES):
+                file = system.file("session.json5", write(identities.session(port, f"node{node}")))
+                sessions.open(name, file, {})
+                link = Link(name, interface="lo", protocol="tls", zid=sessions.ask("zid", session=name))
+                literal = list(dict.fromkeys(random_key_expr(randomly, literal=True) for _ in range(keys)))
+                wild = list(dict.fromkeys(random_key_expr(randomly) for _ in range(keys)))
+                fence = f"{FENCE}/{next(numbers)}"
+                _send(sessions, name, literal, wild, fence)
+                for each in _decided(router, control, link.zid, literal, wild, fence):
+                    yield _compared(model, link, each, f"seed {seed}, configuration {number}: {control}")
+                sessions.ask("close", session=name)
+            router.ask("close", session="router")
+
+
+def _open_router(system: ZenohSystem, router: ZenohProcess, identities: Identities, control: AccessControl) -> int:
+    """Open a router on a free port; another program may take the port before it does."""
+    for attempt in count():
+        port = free_port()
+        file = system.file("router.json5", write(identities.router(port, control)))
+        try:
+            router.open("router", file, {})
+        except ZenohError:
+            if attempt == _ATTEMPTS:
+                raise
+        else:
+            return port
+    raise AssertionError
+
+
+def _send(sessions: ZenohProcess, name: str, literal: list[str], wild: list[str], fence: str) -> None:
+    """Let a session send all messages, and declare a publisher on the fence last."""
+    sessions.ask("publishers", session=name, keys=literal)
+    sessions.ask("put", session=name, samples=[(key, "x") for key in wild])
+    sessions.ask("delete", session=name, keys=wild)
+    sessions.ask("subscribe", session=name, keys={f"{name} {key}": key for key in wild})
+    sessions.ask("send_queries", session=name, keys=wild)  # before its own queryables, which would answer alone
+    sessions.ask("answer", session=name, keys=wild, text="x")
+    sessions.ask("watch", session=name, keys={f"{name} token {key}": key for key in wild})
+    sessions.ask("publishers", session=name, keys=[fence])
+
+
+def _decided(
+    router: ZenohProcess, control: AccessControl, zid: str, literal: list[str], wild: list[str], fence: str
+) -> list[LoggedDecision]:
+    """Return what the router decided on the messages of a session; one decision if no subject matches it."""
+    found = router.await_decisions(zid, fence)
+    for_all = [each for each in found if not each.message]
+    if for_all:
+        return for_all
+    if missing := _expected(control, literal, wild) - {(each.message, each.flow, each.key) for each in found}:
+        raise AssertionError(f"the router did not decide on {sorted(missing)[:3]}")
+    return found
+
+
+def _expected(control: AccessControl, literal: list[str], wild: list[str]) -> set[tuple[str, str, str]]:
+    """Return the least that the router must log. It does not look at a flow that is allowed and that no rule names."""
+    flows = {flow for rule in control.rules for flow in rule.flows}
+    if control.default_permission is Permission.DENY:
+        flows = set(Flow)
+    every = {(message, flow, key) for message in Message for flow in flows for key in literal}
+    sent = set(Message) - {Message.REPLY, Message.LIVELINESS_TOKEN}
+    return every | {(message, flow, key) for message in sent for flow in flows & {Flow.INGRESS} for key in wild}
+
+
+def _compared(model: AccessModel, link: Link, decision: LoggedDecision, origin: str) -> tuple[bool, str]:
+    """Compare a decision; one for all messages of a link with the model's on any message."""
+    message, flow = Message(decision.message or Message.PUT), Flow(decision.flow or Flow.INGRESS)
+    modelled = model.decide(link, message, flow, decision.key or FENCE)
+    if modelled.allowed == decision.allowed:
+        return decision.allowed, ""
+    return decision.allowed, f"{decision}, but the model says {modelled.reason}; {origin}"
+
+
+def report(configurations: int, seed: int, keys: int = 10) -> int:
+    """Compare, print the counts and the first disagreements, and return how many there are."""
+    try:
+        version = installed_version()
+    except MissingZenohError as error:
+        print(f"zenoh: not usable: {error.reason} ({error.help})")
+        return 0
+    pairs = allowed = wrong = 0
+    for was_allowed, text in disagreements(configurations, keys, seed):
+        pairs, allowed, wrong = pairs + 1, allowed + was_allowed, wrong + bool(text)
+        if text and wrong <= _SHOWN:
+            print(text)
+    print(
+        f"zenoh {version} and its model: {pairs} (configuration, request) pairs of {configurations} configurations, "
+        f"{allowed} allowed, {wrong} disagreements"
+    )
+    return wrong
+
+
+def main() -> int:
+    """Compare; return 1 if there is a disagreement."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--configurations", type=int, default=40)
+    parser.add_argument("--keys", type=int, default=10)
+    parser.add_argument("--seed", type=int, default=2018)
+    options = parser.parse_args()
+    return 1 if report(options.configurations, options.seed, options.keys) else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,205 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The program of a process with real Zenoh sessions; :mod:`zenoh_processes` starts it and talks to it.
+
+It reads one command per line, a JSON object with a member ``do``, and answers each with one line: a JSON object, which
+has a member ``error`` if the command failed. It imports nothing of Keymint. The library writes its log to standard
+output, which therefore is a file; answers go to a copy of the first standard output.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import sys
+import threading
+from typing import Any
+
+import zenoh
+
+
+class _Mailbox:
+    """Samples in the order of their arrival."""
+
+    def __init__(self) -> None:
+        self._samples: list[tuple[str, str]] = []
+        self._arrival = threading.Condition()
+
+    def put(self, key: str, text: str) -> None:
+        with self._arrival:
+            self._samples.append((key, text))
+            self._arrival.notify_all()
+
+    def wait(self, last: str, seconds: float) -> list[tuple[str, str]]:
+        """Return all samples until now, but first wait for one with the text ``last``, up to a time."""
+        with self._arrival:
+            self._arrival.wait_for(lambda: any(text == last for _, text in self._samples), seconds)
+            return list(self._samples)
+
+
+class _Commands:
+    """The commands by name; each gets the other members of its JSON object."""
+
+    def __init__(self) -> None:
+        self._sessions: dict[str, Any] = {}
+        self._mailboxes: dict[str, _Mailbox] = {}
+        self._declared: dict[str, list[Any]] = {}
+
+    def open(self, session: str, file: str, changes: dict[str, str]) -> None:
+        """Open a session with a configuration; ``changes`` are JSON texts by the path of their setting."""
+        config = zenoh.Config.from_file(file)
+        for path, value in changes.items():
+            config.insert_json5(path, value)
+        self._sessions[session] = zenoh.open(config)
+        self._declared[session] = []
+
+    def accept(self, file: str) -> None:
+        """Read a configuration as the library does, without opening a session."""
+        zenoh.Config.from_file(file)
+
+    def close(self, session: str) -> None:
+        """Close a session."""
+        self._declared.pop(session)
+        self._sessions.pop(session).close()
+
+    def publishers(self, session: str, keys: list[str]) -> None:
+        """Declare a publisher on each key."""
+        self._declared[session] += [self._sessions[session].declare_publisher(key) for key in keys]
+
+    def put(self, session: str, samples: list[tuple[str, str]]) -> None:
+        """Publish (key, text) pairs, by a publisher that is not declared."""
+        for key, text in samples:
+            self._sessions[session].put(key, text)
+
+    def publish(self, session: str, samples: list[tuple[str, str]]) -> None:
+        """Publish (key, text) pairs, each by a declared publisher, as a ROS node does."""
+        for key, text in samples:
+            publisher = self._sessions[session].declare_publisher(key)
+            self._declared[session].append(publisher)
+            publisher.put(text)
+
+    def delete(self, session: str, keys: list[str]) -> None:
+        """Send a deletion for each key."""
+        for key in keys:
+            self._sessions[session].delete(key)
+
+    def subscribe(self, session: str, keys: dict[str, str]) -> None:
+        """Declare subscribers on keys, by the names of their mailboxes."""
+        for name, key in keys.items():
+            box = self._mailboxes[name] = _Mailbox()
+
+            def arrived(sample: Any, box: _Mailbox = box) -> None:
+                box.put(str(sample.key_expr), sample.payload.to_string())
+
+            self._declared[session].append(self._sessions[session].declare_subscriber(key, arrived))
+
+    def watch(self, session: str, keys: dict[str, str]) -> None:
+        """Declare subscribers on liveliness tokens, by the names of their mailboxes; a text is ``+`` or ``-``."""
+        for name, key in keys.items():
+            box = self._mailboxes[name] = _Mailbox()
+
+            def changed(sample: Any, box: _Mailbox = box) -> None:
+                box.put(str(sample.key_expr), "+" if sample.kind == zenoh.SampleKind.PUT else "-")
+
+            liveliness = self._sessions[session].liveliness()
+            self._declared[session].append(liveliness.declare_subscriber(key, changed, history=True))
+
+    def received(self, names: list[str], last: str, seconds: float) -> dict[str, list[tuple[str, str]]]:
+        """Return the samples in mailboxes; wait for the text ``last`` in the first of them, up to a time."""
+        first = self._mailboxes[names[0]].wait(last, seconds)
+        return {name: first if name == names[0] else self._mailboxes[name].wait("", 0) for name in names}
+
+    def answer(self, session: str, keys: list[str], text: str, *, complete: bool = True) -> None:
+        """Declare queryables that answer each query with a text, on the key of the query if it is literal."""
+        for key in keys:
+
+            def reply(query: Any, own: str = key) -> None:
+                asked = str(query.key_expr)
+                query.reply(own if "*" in asked else asked, text)
+
+            queryable = self._sessions[session].declare_queryable(key, reply, complete=complete)
+            self._declared[session].append(queryable)
+
+    def query(self, session: str, keys: list[str], last: str, seconds: float) -> dict[str, list[str]]:
+        """Send a query for each key; return the answers by key when the one for ``last`` comes, or after a time.
+
+        Queries and their answers keep their order on a link, so what ``last`` overtakes is not answered.
+        """
+        found: dict[str, list[str]] = {key: [] for key in keys}
+        fence = threading.Event()
+
+        def ask(key: str) -> None:
+            def replied(reply: Any) -> None:
+                if reply.ok is not None:
+                    found[key].append(reply.ok.payload.to_string())
+                    if key == last:
+                        fence.set()
+
+            self._sessions[session].get(key, replied, timeout=max(seconds, 1.0))
+
+        for key in keys:
+            ask(key)
+        fence.wait(seconds)
+        return {key: list(texts) for key, texts in found.items()}
+
+    def send_queries(self, session: str, keys: list[str]) -> None:
+        """Send queries for keys and for liveliness tokens, and do not wait for answers."""
+        for key in keys:
+            self._sessions[session].get(key, lambda _: None, timeout=1.0)
+            self._sessions[session].liveliness().get(key, lambda _: None, timeout=1.0)
+
+    def queriers(self, session: str, keys: list[str], seconds: float) -> dict[str, list[str]]:
+        """Query each key once by a declared querier, as a ROS client does; return the answers after a time."""
+        found: dict[str, list[str]] = {}
+        for key in keys:
+            querier = self._sessions[session].declare_querier(key, timeout=seconds)
+            self._declared[session].append(querier)
+            found[key] = [reply.ok.payload.to_string() for reply in querier.get() if reply.ok is not None]
+        return found
+
+    def tokens(self, session: str, keys: list[str]) -> None:
+        """Declare liveliness tokens."""
+        self._declared[session] += [self._sessions[session].liveliness().declare_token(key) for key in keys]
+
+    def alive(self, session: str, key: str, seconds: float) -> list[str]:
+        """Return the keys of the liveliness tokens that a key expression finds."""
+        replies = self._sessions[session].liveliness().get(key, timeout=seconds)
+        return [str(reply.ok.key_expr) for reply in replies if reply.ok is not None]
+
+    def peers(self, session: str) -> dict[str, list[str]]:
+        """Return the identifiers of the routers and peers that a session is connected to."""
+        info = self._sessions[session].info
+        return {
+            "routers": [str(each) for each in info.routers_zid()],
+            "peers": [str(each) for each in info.peers_zid()],
+        }
+
+    def zid(self, session: str) -> str:
+        """Return the identifier of a session."""
+        return str(self._sessions[session].info.zid())
+
+
+def main(log: str) -> None:
+    """Answer commands until standard input ends.
+
+    Args:
+        log: file for the log of the library, which ``RUST_LOG`` controls.
+    """
+    answers = os.fdopen(os.dup(1), "w", encoding="utf-8")
+    target = os.open(log, os.O_WRONLY | os.O_APPEND | os.O_CREAT, 0o600)
+    os.dup2(target, 1)
+    zenoh.init_log_from_env_or("error")
+    commands = _Commands()
+    for line in sys.stdin:
+        command = json.loads(line)
+        try:
+            answer = {"result": getattr(commands, command.pop("do"))(**command)}
+        except KeyboardInterrupt:
+            return
+        except BaseException as error:  # noqa: BLE001 - a panic of the library is a BaseException
+            answer = {"error": f"{type(error).__name__}: {error}"}
+        answers.write(json.dumps(answer) + "\n")
+        answers.flush()
+
+
+if __name__ == "__main__":
+    main(sys.argv[1])

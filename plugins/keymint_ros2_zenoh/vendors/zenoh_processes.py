@@ -1,0 +1,192 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Processes with real Zenoh sessions, routers among them; :mod:`session_program` lists their commands."""
+
+from __future__ import annotations
+
+import json
+import os
+import select
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Mapping
+from contextlib import ExitStack
+from pathlib import Path
+from typing import IO, Any, Self, cast
+
+from keymint_ros2_zenoh.vendors import access_log
+from keymint_ros2_zenoh.vendors.access_log import LoggedDecision
+
+GRACE_SECONDS = 30.0
+"""How long an answer may take beyond the time of its command before the process counts as hung."""
+
+_PROGRAM = Path(__file__).with_name("session_program.py")
+_INHERITED = ("PATH", "LD_LIBRARY_PATH", "PYTHONPATH")
+
+
+class ZenohError(Exception):
+    """The library refuses a command: a configuration, a session, a declaration."""
+
+
+class ProcessFailedError(Exception):
+    """The process hangs or has died: not a decision of Zenoh."""
+
+
+class ZenohSystem:
+    """Processes of real Zenoh with a private temporary folder; both end with the context.
+
+    Args:
+        variables: environment variables; the processes inherit those that find programs and libraries.
+    """
+
+    def __init__(self, variables: Mapping[str, str]) -> None:
+        self._variables = {name: variables[name] for name in _INHERITED if name in variables}
+        self._stack = ExitStack()
+        self._folder = Path()
+        self._started = 0
+
+    def __enter__(self) -> Self:
+        self._folder = Path(self._stack.enter_context(tempfile.TemporaryDirectory(prefix="keymint-zenoh-")))
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._stack.close()
+
+    def start(self, *, log: str = "error") -> ZenohProcess:
+        """Start a process without sessions.
+
+        Args:
+            log: what the library logs, as in ``RUST_LOG``; :data:`access_log.FILTER` for decisions.
+        """
+        self._started += 1
+        process = ZenohProcess(self._folder / f"log{self._started}", {**self._variables, "RUST_LOG": log})
+        self._stack.callback(process.reap)
+        return process
+
+    def file(self, name: str, content: bytes) -> Path:
+        """Write a private file into the temporary folder."""
+        path = self._folder / name
+        path.touch(0o600)
+        path.write_bytes(content)
+        return path
+
+
+class ZenohProcess:
+    """A process with any number of sessions; :meth:`reap` always ends it."""
+
+    def __init__(self, log: Path, environment: Mapping[str, str]) -> None:
+        self._log = log
+        self._log_offset = 0
+        self._errors: IO[bytes] = tempfile.TemporaryFile()  # noqa: SIM115 - lives as long as the process
+        self._process = subprocess.Popen(  # noqa: S603 - no shell, and no word of it from outside
+            [sys.executable, "-P", str(_PROGRAM), str(log)],
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            stderr=self._errors,
+            env=dict(environment),
+        )
+        self._input, self._output = cast("IO[bytes]", self._process.stdin), cast("IO[bytes]", self._process.stdout)
+        self._pending = b""
+
+    def ask(self, command: str, *, wait: float = 0.0, **members: object) -> Any:
+        """Send a command and return its result.
+
+        Args:
+            command: name of a command.
+            wait: how many seconds the command may wait; it gets them as ``seconds``.
+            members: its other members.
+
+        Raises:
+            ZenohError: the library refuses it.
+            ProcessFailedError: the process hangs or has died.
+        """
+        seconds = {"seconds": wait} if wait else {}
+        line = json.dumps({"do": command, **members, **seconds}).encode() + b"\n"
+        try:
+            self._input.write(line)
+            self._input.flush()
+        except BrokenPipeError:
+            raise self._died(command) from None
+        answer = json.loads(self._line(command, time.monotonic() + wait + GRACE_SECONDS))
+        if "error" in answer:
+            raise ZenohError(answer["error"])
+        return answer["result"]
+
+    def open(self, session: str, file: Path, changes: Mapping[str, object]) -> None:
+        """Open a session with a configuration.
+
+        Args:
+            session: name for it in later commands.
+            file: the configuration.
+            changes: new values of settings by their path, e.g. ``listen/endpoints``.
+
+        Raises:
+            ZenohError: the library refuses the configuration, or a router refuses the session.
+        """
+        texts = {path: json.dumps(value) for path, value in changes.items()}
+        self.ask("open", session=session, file=str(file), changes=texts)
+
+    def decisions(self) -> list[LoggedDecision]:
+        """Return the lines about decisions that were logged since the last call."""
+        if not self._log.exists():
+            return []
+        with self._log.open("rb") as log:
+            log.seek(self._log_offset)
+            content = log.read()
+        complete = content[: content.rfind(b"\n") + 1]
+        self._log_offset += len(complete)
+        return list(access_log.lines(complete.decode(errors="replace")))
+
+    def await_decisions(self, zid: str, fence: str) -> list[LoggedDecision]:
+        """Return the decisions about a session that were logged since the last call.
+
+        Wait until they are complete: until there is one about a fence, a key that the session sent after all others, or
+        until the log says that no subject matches the session.
+
+        Args:
+            zid: identifier of the session.
+            fence: the key; its own decisions are not complete.
+
+        Raises:
+            ProcessFailedError: the expected decisions do not come.
+        """
+        found: list[LoggedDecision] = []
+        deadline = time.monotonic() + GRACE_SECONDS
+        while not any(each.key == fence or not each.message for each in found):
+            if time.monotonic() > deadline:
+                raise ProcessFailedError("Zenoh did not log a decision for each message")
+            if self._process.poll() is not None:
+                raise self._died("log")
+            time.sleep(0.002)
+            found += [each for each in self.decisions() if each.zid == zid]
+        return access_log.combined(each for each in found if each.key != fence)
+
+    def reap(self) -> None:
+        """Kill the process and close its streams; may be called again."""
+        self._process.kill()
+        self._process.wait()
+        for stream in (self._input, self._output, self._errors):
+            try:
+                stream.close()
+            except BrokenPipeError:
+                continue
+
+    def _line(self, command: str, deadline: float) -> bytes:
+        while b"\n" not in self._pending:
+            left = deadline - time.monotonic()
+            if left <= 0 or not select.select([self._output], [], [], left)[0]:
+                self.reap()
+                raise ProcessFailedError(f"Zenoh did not answer the command {command!r} in time")
+            chunk = os.read(self._output.fileno(), 1 << 20)
+            if not chunk:
+                raise self._died(command)
+            self._pending += chunk
+        line, self._pending = self._pending.split(b"\n", 1)
+        return line
+
+    def _died(self, command: str) -> ProcessFailedError:
+        code = self._process.wait(timeout=GRACE_SECONDS)
+        self._errors.seek(0)
+        said = self._errors.read().decode(errors="replace").strip()
+        return ProcessFailedError(f"the process died at {command!r} with exit code {code}: {said}")

@@ -1,0 +1,35 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The model of Zenoh's access control decides as a real router does, on random configurations and messages."""
+
+from __future__ import annotations
+
+import pytest
+
+from tests.effort import tries
+
+from .benchmark_modules import benchmark
+
+pytestmark = pytest.mark.zenoh
+
+
+def test_the_model_agrees_on_random_configurations(zenoh_library: str) -> None:
+    """A sample of the comparisons of ``benchmarks/zenoh_agreement.py``."""
+    compared = list(benchmark("zenoh_agreement").disagreements(tries(5, 25), 10, seed=7))
+    assert [text for _, text in compared if text] == []
+    assert len(compared) > tries(1_000, 10_000)
+    assert {allowed for allowed, _ in compared} == {False, True}
+
+
+def test_a_wrong_model_would_be_seen(zenoh_library: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The comparison itself: with an inclusion that ignores ``@``, the model and the router differ."""
+    from keymint_ros2_zenoh.decision import access
+
+    right = access.includes
+
+    def wrong(outer, inner):
+        from keymint_ros2_zenoh.keyexpr.key_expr import parse
+
+        return right(outer, inner) or right(outer, parse(inner.text.replace("@", "")))
+
+    monkeypatch.setattr(access, "includes", wrong)
+    assert any(text for _, text in benchmark("zenoh_agreement").disagreements(5, 10, seed=7))
