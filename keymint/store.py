@@ -39,6 +39,9 @@ from keymint.folder_staging import FolderContent, add, clear, mount_of, refuse_m
 from keymint.folder_swap import finish, is_waiting, swap_in
 from keymint.workspace_lock import LOCK, wait_for_lock
 
+_EXISTS = {errno.EEXIST, errno.ENOTEMPTY}
+"""Errors of a rename onto a folder that is not empty (POSIX allows either)."""
+
 
 class Store:
     """Writes below its roots.
@@ -232,13 +235,17 @@ class Store:
             try:
                 add(parent, staged, folder, FolderContent(dict(change.files), private=change.private))
                 with reported(folder):
-                    os.rename(staged, folder.name, src_dir_fd=parent, dst_dir_fd=parent)
+                    try:
+                        os.rename(staged, folder.name, src_dir_fd=parent, dst_dir_fd=parent)
+                    except OSError as error:
+                        if error.errno not in _EXISTS:
+                            raise
+                        shutil.rmtree(staged, dir_fd=parent)
+                        return False
                     os.fsync(parent)
-            except BaseException as error:
+            except BaseException:
                 # Only under its temporary name: an interrupt after the rename must not empty the folder.
                 shutil.rmtree(staged, ignore_errors=True, dir_fd=parent)
-                if os.path.isdir(folder) and isinstance(error, KeymintError):
-                    return False
                 raise
         return True
 
