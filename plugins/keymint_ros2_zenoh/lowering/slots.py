@@ -32,10 +32,13 @@ class Slot:
 
     @property
     def action(self) -> str:
-        """The action in words: ``put in``."""
-        direction = "in" if self.flow is Flow.INGRESS else "out"
-        beside = " of transient_local" if self.place is Place.ADVANCED else ""
-        return f"{self.message.replace('_', ' ')} {direction}{beside}"
+        """Message and flow in words: ``put in``."""
+        return action(self.message, self.flow)
+
+
+def action(message: Message, flow: Flow) -> str:
+    """Return a message and a flow in words: ``put in``, ``declare subscriber out``."""
+    return f"{message.replace('_', ' ')} {'in' if flow is Flow.INGRESS else 'out'}"
 
 
 _IN, _OUT, _BESIDE = Flow.INGRESS, Flow.EGRESS, Place.ADVANCED

@@ -1,0 +1,58 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What a router must permit for an edge of a graph."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from functools import lru_cache
+
+from comarmor.rules import parts
+from keymint.api import Endpoint
+from keymint.errors import KeymintError
+from keymint.graph import Edge
+from keymint_ros2_zenoh.keyexpr.key_expr import KeyExprError, canonical
+from keymint_ros2_zenoh.lowering.name_rules import KINDS
+from keymint_ros2_zenoh.lowering.names import advanced_key, check_distro, data_key
+from keymint_ros2_zenoh.lowering.slots import SLOTS, Place, Slot
+
+NOUN = "key expression"
+"""The word for the names of endpoints."""
+
+
+def actions(distro: str, edge: Edge) -> tuple[Endpoint, ...]:
+    """Return the messages that the router must permit for an edge; their key expressions leave type and hash open.
+
+    Args:
+        distro: ROS 2 distribution whose name mapping applies.
+        edge: an edge on a ROS name.
+
+    Raises:
+        KeymintError: the distribution has no rmw_zenoh, or Zenoh cannot express the edge.
+    """
+    return tuple(_endpoints(edge, slots_of(distro, edge.object.kind, edge.permission)))
+
+
+@lru_cache(maxsize=64)
+def slots_of(distro: str, kind: str, permission: str) -> tuple[tuple[Slot, str], ...]:
+    """Return what a permission needs: slots, each with what follows the name.
+
+    Raises:
+        KeymintError: the distribution has no rmw_zenoh, or Zenoh has no such permission.
+    """
+    check_distro(distro)
+    result = []
+    for _, part, suffix in parts(kind, permission):
+        if kind not in KINDS or part not in SLOTS:
+            raise KeymintError(f"Zenoh has no permission {permission!r} on a {kind}", code="permission-unknown")
+        result += [(slot, suffix) for slot in SLOTS[part]]
+    return tuple(result)
+
+
+def _endpoints(edge: Edge, slots: tuple[tuple[Slot, str], ...]) -> Iterator[Endpoint]:
+    for slot, suffix in slots:
+        try:
+            data = data_key(edge.domain, canonical(f"{edge.object.name}{suffix}".removeprefix("/")))
+        except KeyExprError as error:
+            raise KeymintError(f"{edge.object.name!r} is no ROS name: {error}", code="name") from None
+        key = data if slot.place is Place.DATA else advanced_key(data)
+        yield Endpoint(edge.subject, slot.action, key.text, domain=edge.domain)

@@ -1,0 +1,2 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Proofs that the router's file permits each enclave exactly what the policy allows, for all literal keys."""

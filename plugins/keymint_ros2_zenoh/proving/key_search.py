@@ -1,0 +1,151 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Compare what two sides permit, over all literal keys: a shortest key on which they differ, or none, or unknown.
+
+A side is what applies to a link: entries, each with the patterns that it allows and denies. A key is permitted if an
+entry allows it and does not deny it. Both sides are read in step, a character at a time, so that the search visits the
+reachable combinations of positions in all patterns.
+"""
+
+from __future__ import annotations
+
+import string
+from collections import deque
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
+from itertools import pairwise
+
+from comarmor.patterns.decision_lists import BudgetError, Equal, ProofResult, SearchBudget, Unknown, Witness
+from comarmor.patterns.steps import StepLimitError, step_limit
+from comarmor.patterns.tokens import MAX_CODE, Charset, charset
+from keymint_ros2_zenoh.keyexpr.key_expr import VERBATIM
+from keymint_ros2_zenoh.proving.automaton import IN_CHUNK, START, Automaton
+
+Nodes = frozenset[int]
+Side = tuple[tuple[Nodes, Nodes], ...]
+"""For each entry the nodes that it allows, and those that it denies."""
+
+_LEGIBLE = string.ascii_lowercase + "_" + string.ascii_uppercase + string.digits + "/@%:-."
+_LETTERS = charset((ord(char), ord(char)) for char in string.ascii_letters + "_")
+"""First characters of the segments of ROS names, of types and of hashes."""
+
+_FIRST, _IN_FIRST, _NAME, _IN_NAME, _FREE, _IN_FREE = range(6)
+"""Where a word is: before or in its first chunk; in chunks of names; in a verbatim chunk or behind one."""
+
+
+@dataclass(frozen=True, slots=True)
+class _State:
+    left: Side
+    right: Side
+    where: int
+
+
+def difference(automaton: Automaton, left: Side, right: Side, budget: SearchBudget) -> ProofResult:
+    """Compare two sides over all literal keys whose names are legal ROS names.
+
+    The names are the chunks after the first one, up to one that begins with ``@``: they begin with a letter or ``_``.
+
+    Returns:
+        :class:`Equal`, a shortest :class:`Witness` with a key, or :class:`Unknown` if the budget was spent.
+    """
+    if left == right:
+        return Equal()
+    try:
+        with step_limit(budget.steps):
+            return _search(automaton, left, right, budget)
+    except (BudgetError, StepLimitError) as error:
+        return Unknown(str(error))
+
+
+def _search(automaton: Automaton, left: Side, right: Side, budget: SearchBudget) -> ProofResult:
+    count_state = budget.state_counter()
+    alphabet = _Alphabet((*automaton.sets(), IN_CHUNK, START, _LETTERS))
+    start = _State(left, right, _FIRST)
+    before: dict[_State, tuple[_State, str] | None] = {start: None}
+    todo = deque([start])
+    while todo:
+        state = todo.popleft()
+        count_state()
+        if state.where in (_NAME, _FREE):
+            permitted = _permits(automaton, state.left)
+            if permitted is not _permits(automaton, state.right):
+                return Witness(_word(before, state)[:-1], permitted)
+        for char in alphabet.letters(automaton.explicit(_nodes(state))):
+            where = _next(state.where, char)
+            if where is None:
+                continue
+            following = _State(_step(automaton, state.left, char), _step(automaton, state.right, char), where)
+            if following.left != following.right and following not in before:
+                before[following] = (state, char)
+                todo.append(following)
+    return Equal()
+
+
+def _nodes(state: _State) -> Iterator[int]:
+    for allowed, denied in (*state.left, *state.right):
+        yield from allowed
+        yield from denied
+
+
+def _step(automaton: Automaton, side: Side, char: str) -> Side:
+    """Return the side after a character; an entry that allows nothing more denies nothing more either."""
+    entries = []
+    for allowed, denied in side:
+        after = automaton.step(allowed, char)
+        if after:
+            entries.append((after, automaton.step(denied, char)))
+    return tuple(entries)
+
+
+def _permits(automaton: Automaton, side: Side) -> bool:
+    return any(
+        any(map(automaton.accepts, allowed)) and not any(map(automaton.accepts, denied)) for allowed, denied in side
+    )
+
+
+def _word(before: dict[_State, tuple[_State, str] | None], state: _State) -> str:
+    chars = []
+    step = before[state]
+    while step is not None:
+        state, char = step
+        chars.append(char)
+        step = before[state]
+    return "".join(reversed(chars))
+
+
+def _next(where: int, char: str) -> int | None:
+    """Return where a word is after a character; None if no key of the universe goes on so."""
+    if char == "/":
+        return {_IN_FIRST: _NAME, _IN_NAME: _NAME, _IN_FREE: _FREE}.get(where)
+    if char not in IN_CHUNK:
+        return None
+    if where in (_FREE, _IN_FREE) or (where in (_FIRST, _NAME) and char == VERBATIM):
+        return _IN_FREE
+    if where in (_FIRST, _IN_FIRST):
+        return _IN_FIRST
+    return _IN_NAME if where == _IN_NAME or char in _LETTERS else None
+
+
+class _Alphabet:
+    """The characters to try: those that patterns mention, and one of each class that no set distinguishes."""
+
+    def __init__(self, sets: Iterable[Charset]) -> None:
+        distinct = tuple(dict.fromkeys(sets))
+        ends = (edge for each in distinct for low, high in each.ranges for edge in (low, high + 1))
+        edges = sorted({0, MAX_CODE + 1, *ends})
+        regions: dict[tuple[bool, ...], list[tuple[int, int]]] = {}
+        for low, beyond in pairwise(edges):
+            signature = tuple(chr(low) in each for each in distinct)
+            regions.setdefault(signature, []).append((low, beyond - 1))
+        self._classes = tuple(charset(ranges) for ranges in regions.values())
+        self._legible = tuple(tuple(char for char in _LEGIBLE if char in each) for each in self._classes)
+
+    def letters(self, explicit: set[str]) -> list[str]:
+        """Return the explicit characters and one other of each class, legible ones first."""
+        others = []
+        for members, legible in zip(self._classes, self._legible, strict=True):
+            other = next((char for char in legible if char not in explicit), None)
+            if other is None:
+                other = next((char for char in members.chars() if char not in explicit), None)
+            if other is not None:
+                others.append(other)
+        return sorted({*explicit, *others}, key=lambda char: (_LEGIBLE.find(char) % 1000, char))
