@@ -278,12 +278,17 @@ class Plugins:
                 code="plugin-broken",
             ) from error
         version = getattr(plugin, "API", None)
-        if not isinstance(version, str) or version.split(".")[0] != API_VERSION.split(".")[0]:
+        if not isinstance(version, str) or _major(version) != _major(API_VERSION):
             raise KeymintError(
                 f"the {kind} {name!r} ({entry.value}) implements version {version!r} of the plugin interface, "
                 f"this Keymint needs {API_VERSION!r}",
                 where=where,
-                help=f"install a version of {_info(entry).distribution or 'it'} for this Keymint",
+                help=f"install a version of {_info(entry).distribution or 'it'} for this Keymint, "
+                "or change its code as docs/migrating-plugins.md says",
                 code="plugin-version",
             )
         return plugin
+
+
+def _major(version: str) -> str:
+    return version.split(".")[0]

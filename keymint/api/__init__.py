@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """The plugin interface: protocols that plugins implement, and the data types that they exchange with Keymint.
 
-A plugin is an object with an attribute ``API = "1.0"`` that is registered under one of the entry-point groups
+A plugin is an object with an attribute ``API = "2.0"`` that is registered under one of the entry-point groups
 below. Plugins are pure: their methods take and return bytes and data types. They never write files and never read the
 clock or the environment. They read only files that a method's arguments name.
 
@@ -85,4 +85,5 @@ from keymint.api.transports import Transport as Transport
 from keymint.api.transports import TransportType as TransportType
 from keymint.api.transports import Verdict as Verdict
 
-API_VERSION = "1.0"
+API_VERSION = "2.0"
+"""Version of the plugin interface; docs/migrating-plugins.md says what changed from one major version to the next."""

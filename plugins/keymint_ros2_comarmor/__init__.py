@@ -11,6 +11,7 @@ import comarmor
 import comarmor.language.source
 from comarmor.rules import Expectation
 from keymint.api import (
+    API_VERSION,
     AppliedProfile,
     LearnedPolicy,
     LoadedPolicy,
@@ -70,7 +71,7 @@ class ComArmorPolicy:
 class ComArmorPolicyType:
     """Loads policies in the ComArmor language."""
 
-    API = "1.0"
+    API = API_VERSION
 
     def load(
         self, sources: Sequence[PolicySource], library: Path | None, library_shown: Path | None = None

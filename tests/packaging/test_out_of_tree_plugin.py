@@ -162,12 +162,12 @@ def test_without_the_plugin_its_packages_are_an_error(
 
 BROKEN = {
     "major": (
-        "class Type:\n    API = '2.0'\nbuild_type = Type()\n",
+        "class Type:\n    API = '1.0'\nbuild_type = Type()\n",
         (
-            "the build type 'broken' (broken_plugin:build_type) implements version '2.0' of the plugin interface, "
-            "this Keymint needs '1.0'"
+            "the build type 'broken' (broken_plugin:build_type) implements version '1.0' of the plugin interface, "
+            "this Keymint needs '2.0'"
         ),
-        "install a version of broken-plugin for this Keymint",
+        "install a version of broken-plugin for this Keymint, or change its code as docs/migrating-plugins.md says",
     ),
     "import": (
         "import there_is_no_such_module\n",

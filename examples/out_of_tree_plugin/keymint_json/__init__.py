@@ -44,7 +44,7 @@ FILES = (SIGNED, CERTIFICATE, KEY, IDENTITY_CA, PERMISSIONS_CA)
 class JsonBuildType:
     """Implements :class:`keymint.api.BuildType`."""
 
-    API = "1.0"
+    API = "2.0"
     TRANSPORT = "json"
     LAYOUTS: Mapping[str, Layout] = {"sros2": Layout("enclaves"), "flat": Layout("")}
     READS = (".pem", ".p7s")
