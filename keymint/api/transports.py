@@ -157,7 +157,7 @@ class ActionMapping(Protocol):
     """Optional capability of a build type: tells what its transport must permit for an edge.
 
     Attributes:
-        NOUN: the word for the names of its endpoints, e.g. ``key expression``.
+        NOUN: the word for the names of its endpoints, e.g. ``topic``.
     """
 
     NOUN: str
