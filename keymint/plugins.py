@@ -291,4 +291,4 @@ class Plugins:
 
 
 def _major(version: str) -> str:
-    return version.split(".")[0]
+    return version.split(".", maxsplit=1)[0]
