@@ -26,22 +26,12 @@ from keymint_ros2_comarmor import policy_type
 from keymint_ros2_dds import build_type
 from keymint_ros2_dds.compiling import compile, gathering  # noqa: A004 - the module's name
 from keymint_ros2_dds.documents import dds_xml
+from keymint_ros2_dds.settings import BUILD_TYPE, DdsSettings, DomainRule, Governance
 from keymint_ros2_dds.vendor_limits import BROKEN, signed_size
 from proof import WORDS
 
 from comarmor.errors import Origin
-from keymint.api import (
-    BuildOptions,
-    CertificateSpec,
-    DomainRange,
-    DomainRule,
-    Governance,
-    Grant,
-    KeySpec,
-    Package,
-    PolicySource,
-    Validity,
-)
+from keymint.api import BuildOptions, CertificateSpec, DomainRange, Grant, KeySpec, Package, PolicySource, Validity
 from keymint.ir import SubjectRules
 
 FLEET = Path(__file__).parent.parent / "examples" / "fleet"
@@ -58,7 +48,15 @@ def package(rules: SubjectRules) -> Package:
     permissions = Grant("permissions_ca", rules.subject, name, validity, domains, rules, HERE)
     domain_rule = DomainRule(domains, False, True, "ENCRYPT", "ENCRYPT", "ENCRYPT", (), HERE)
     governance = Governance("permissions_ca", (domain_rule,))
-    return Package(rules.subject[1:], rules.subject, "keymint_ros2_dds", "jazzy", identity, permissions, governance)
+    return Package(
+        rules.subject[1:],
+        rules.subject,
+        "jazzy",
+        identity,
+        permissions,
+        (BUILD_TYPE,),
+        {BUILD_TYPE: DdsSettings(governance)},
+    )
 
 
 def subjects(path: Path) -> Iterator[SubjectRules]:

@@ -116,5 +116,8 @@ class Session(Inputs):
         if key not in self._packages:
             package_type = self.plugins.package_type(self.profile.package_type, self.profile_marker())
             folder = self.workspace.shown(self.workspace.src / name)
-            self._packages[key] = package_type.load(self.profile, name, folder, files)
+            install_space = str(self.workspace.install)
+            self._packages[key] = package_type.load(
+                self.profile, name, folder, files, self.plugins.build_type, install_space
+            )
         return self._packages[key]

@@ -81,7 +81,7 @@ def _row(
     stage = "installed" if installed else "built" if documents else "source"
     try:
         package = session.package(name)
-        permissions_end = package.grant.validity.not_after
+        permissions_end = package.grant.validity.not_after if package.grant.validity else None
         if name in differing:
             stale, problem = "create", differing[name]
     except KeymintError as error:

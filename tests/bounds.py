@@ -8,14 +8,16 @@ from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from pathlib import Path
 
+from keymint_ros2_dds.rule_check import package_of
+
 from comarmor.errors import Origin
 from comarmor.patterns.steps import step_limit
 from keymint.analysis.lint import lint
 from keymint.analysis.policy_diff import diff_policies
-from keymint.analysis.portability import package_of
 from keymint.analysis.subject_patterns import rules_of
 from keymint.api import BuildOptions, LoadedPolicy, PolicySource
 from keymint.errors import KeymintError
+from keymint.ir import SubjectRules
 from keymint.plugins import Plugins
 
 COMPILE = 17_000_000
@@ -84,7 +86,7 @@ class Sweep:
             self.tally.unknown.append(name)
 
     def _compiled(self, name: str, policy: LoadedPolicy, subject: str) -> None:
-        package = package_of("keymint_ros2_dds", "humble", subject, rules_of(policy, subject), NOW)
+        package = package_of(SubjectRules(subject, rules_of(policy, subject)), "humble")
         try:
             found = self._compiler.build(package, BuildOptions()).diagnostics
         except KeymintError as error:

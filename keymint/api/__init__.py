@@ -30,6 +30,7 @@ from keymint.api.building import Hint as Hint
 from keymint.api.building import Inspection as Inspection
 from keymint.api.building import Layout as Layout
 from keymint.api.building import NameMapping as NameMapping
+from keymint.api.building import RuleCheck as RuleCheck
 from keymint.api.building import SharedCredentials as SharedCredentials
 from keymint.api.building import SharedDocuments as SharedDocuments
 from keymint.api.building import SharedInspection as SharedInspection
@@ -44,11 +45,12 @@ from keymint.api.graphs import GraphSource as GraphSource
 from keymint.api.graphs import LearnedPolicy as LearnedPolicy
 from keymint.api.graphs import PolicyLearner as PolicyLearner
 from keymint.api.packages import DomainRange as DomainRange
-from keymint.api.packages import DomainRule as DomainRule
-from keymint.api.packages import Governance as Governance
 from keymint.api.packages import Grant as Grant
 from keymint.api.packages import Package as Package
-from keymint.api.packages import TopicProtection as TopicProtection
+from keymint.api.packages import PackageSettings as PackageSettings
+from keymint.api.packages import PackageSources as PackageSources
+from keymint.api.packages import Role as Role
+from keymint.api.packages import SourcePart as SourcePart
 from keymint.api.policies import AppliedProfile as AppliedProfile
 from keymint.api.policies import LoadedPolicy as LoadedPolicy
 from keymint.api.policies import PolicyDecision as PolicyDecision

@@ -9,9 +9,10 @@ from datetime import datetime
 from typing import Protocol, runtime_checkable
 
 from comarmor.errors import Diagnostic, Origin
-from keymint.api.packages import Package
+from keymint.api.packages import Package, PackageSettings, PackageSources
 from keymint.api.transports import Enclave
 from keymint.graph import Edge
+from keymint.ir import SubjectRules
 
 
 @dataclass(frozen=True, slots=True)
@@ -202,6 +203,16 @@ class BuildType(Protocol):
 
     The transport may read such a file although it cannot be read here, so nothing is claimed about an enclave with one.
     """
+    PARTS: tuple[str, ...]
+    """Names of the parts of a package that it reads beside identity and grant. The document of a part is usually
+    ``<name>.xml`` in the package, and its defaults are ``package.defaults/<name>.xml``."""
+
+    def settings(self, sources: PackageSources) -> PackageSettings:
+        """Read the parts of a package.
+
+        Raises:
+            KeymintError: with ``file:line`` of each defect.
+        """
 
     def files(self, layout: str) -> frozenset[str]:
         """Return the names of all files of it that may lie in an enclave; others are reported as unexpected."""
@@ -300,6 +311,22 @@ class SharedDocuments(Protocol):
 
     def check_shared(self, inspection: SharedInspection) -> Sequence[Diagnostic]:
         """Return findings on the installed shared documents; their codes are stable."""
+
+
+@runtime_checkable
+class RuleCheck(Protocol):
+    """Optional capability of a build type: examines the rules of a subject alone, without a package."""
+
+    def check_rules(self, rules: SubjectRules, distro: str) -> Sequence[Diagnostic]:
+        """Return the rules that it cannot express, that implementations read differently, or that have no effect.
+
+        Args:
+            rules: the policy's rules for a subject.
+            distro: ROS 2 distribution whose name mapping applies.
+
+        Returns:
+            Findings at the place of a rule, with stable codes; their severity is that of a build.
+        """
 
 
 @runtime_checkable

@@ -1,78 +1,32 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Source packages: identity, permissions and governance of one subject."""
+"""Source packages: identity and rights of one subject, and what its build types read for themselves."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from enum import StrEnum
 
 from comarmor.errors import Origin
-from keymint.api.certificates import Authority, CertificateSpec, Validity
+from keymint.api.certificates import Authority, CertificateSpec, Extension, Validity
 from keymint.ir import SubjectRules
 
 
 @dataclass(frozen=True, slots=True, order=True)
 class DomainRange:
-    """DDS domain ids from ``first`` to ``last``, both included."""
+    """Domain ids from ``first`` to ``last``, both included."""
 
     first: int
     last: int
 
 
-@dataclass(frozen=True, slots=True)
-class TopicProtection:
-    """A topic rule of a governance document (DDS Security 1.1, 9.4.1.2.5).
+class Role(StrEnum):
+    """Why a workspace has a package."""
 
-    Attributes:
-        kind: ``topic`` for a raw DDS topic expression, or ``ros_topic``, ``ros_service``, ``ros_action``,
-            ``ros_parameter`` for an expression over ROS names.
-        expression: POSIX ``fnmatch`` expression.
-        metadata_protection_kind: NONE, SIGN, ENCRYPT, SIGN_WITH_ORIGIN_AUTHENTICATION, ENCRYPT_WITH_….
-        data_protection_kind: NONE, SIGN or ENCRYPT.
-    """
-
-    kind: str
-    expression: str
-    enable_discovery_protection: bool
-    enable_liveliness_protection: bool
-    enable_read_access_control: bool
-    enable_write_access_control: bool
-    metadata_protection_kind: str
-    data_protection_kind: str
-    origin: Origin
-
-
-@dataclass(frozen=True, slots=True)
-class DomainRule:
-    """A domain rule of a governance document (DDS Security 1.1, 9.4.1.2.4).
-
-    Attributes:
-        domains_origin: where its domains are written, if not at ``origin``.
-    """
-
-    domains: tuple[DomainRange, ...]
-    allow_unauthenticated_participants: bool
-    enable_join_access_control: bool
-    discovery_protection_kind: str
-    liveliness_protection_kind: str
-    rtps_protection_kind: str
-    topic_rules: tuple[TopicProtection, ...]
-    origin: Origin
-    domains_origin: Origin | None = None
-
-
-@dataclass(frozen=True, slots=True)
-class Governance:
-    """The protection of domains and topics.
-
-    Attributes:
-        issuer: name of the authority that signs the document.
-        domain_rules: in order; the first that applies to a domain counts.
-        accepts_open: the profile accepts rules that disable access control of topics or of joining a domain.
-    """
-
-    issuer: str
-    domain_rules: tuple[DomainRule, ...]
-    accepts_open: bool = False
+    SUBJECT = "subject"
+    """It is for a subject of the policy."""
+    INFRASTRUCTURE = "infrastructure"
+    """A transport needs its identity, and the policy grants it nothing."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -80,43 +34,117 @@ class Grant:
     """The grant of a subject: its rules, domains and validity.
 
     Attributes:
-        issuer: name of the authority that signs the document.
+        issuer: name of the authority that signs the rights.
         name: the grant's name attribute.
-        subject_name: distinguished name as text; must equal that of the identity.
+        subject_name: distinguished name as text; must equal that of the identity. Empty if the sources give none.
+        validity: None if the sources give none.
         domains: domains in which the grant is valid.
         domains_origin: where these are written, if not at ``origin``.
+        defaults_origin: the document of the values that the grant leaves out.
         edited: the rules were edited by hand and differ from the policy.
     """
 
     issuer: str
     name: str
     subject_name: str
-    validity: Validity
+    validity: Validity | None
     domains: tuple[DomainRange, ...]
     rules: SubjectRules
     origin: Origin
     domains_origin: Origin | None = None
+    defaults_origin: Origin | None = None
     edited: bool = False
 
 
 @dataclass(frozen=True, slots=True)
-class Package:
-    """A loaded source package: the input of a build type for one subject.
+class SourcePart:
+    """A document of a package that only its build type reads, and its defaults.
 
     Attributes:
-        name: package name, e.g. ``robot1/arm/driver`` (its folder under the source space).
+        name: name of the part, by which the build type asks for it (:attr:`BuildType.PARTS`).
+        file: path of the document as the user would type it.
+        content: the document, or None if the package has none.
+        defaults_file: path of the defaults as the user would type it.
+        defaults: the defaults, from the package or else from the profile; None if there are none.
+        issuer: name of the authority that the manifest names for the part; empty if it names none.
+        where: place of the part in the manifest.
+    """
+
+    name: str
+    file: str
+    content: bytes | None = field(repr=False)
+    defaults_file: str
+    defaults: bytes | None = field(repr=False)
+    issuer: str
+    where: Origin
+
+
+@dataclass(frozen=True, slots=True)
+class PackageSources:
+    """The sources of a package, as a build type needs them to read its parts.
+
+    Attributes:
+        name: package name.
         subject: ``"/" + name``.
-        build_type: name of the plugin that builds it.
+        role: why the package exists.
         distro: ROS 2 distribution whose name mapping applies.
-        identity: the subject's certificate.
-        issuers: the chain of authorities from the identity's issuer up to the root.
+        parts: the parts that the build types of the package read, by name.
+        authorities: names of the profile's authorities.
+        accepts: weakenings of the policy that the profile accepts.
+        install_space: absolute path of the install space on this machine.
+        identity: the subject's certificate; None if its document has defects, which are reported in any case.
+        grant: the subject's rights; None in the same case.
     """
 
     name: str
     subject: str
-    build_type: str
+    role: Role
+    distro: str
+    parts: Mapping[str, SourcePart]
+    authorities: tuple[str, ...]
+    accepts: frozenset[str]
+    install_space: str
+    identity: CertificateSpec | None
+    grant: Grant | None
+
+
+@dataclass(frozen=True, slots=True)
+class PackageSettings:
+    """What a build type read from the sources of a package.
+
+    Attributes:
+        value: data that only the build type itself reads; frozen and comparable.
+        extensions: X.509 extensions that the identity gets, unless its sources give an extension of that name.
+    """
+
+    value: object
+    extensions: tuple[Extension, ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
+class Package:
+    """A loaded source package: the input of build types for one subject.
+
+    Attributes:
+        name: package name, e.g. ``robot1/arm/driver`` (its folder under the source space).
+        subject: ``"/" + name``.
+        distro: ROS 2 distribution whose name mapping applies.
+        identity: the subject's certificate.
+        grant: the subject's rights.
+        build_types: names of the plugins that build it, at least one.
+        settings: what each build type read from the sources, by its name (:attr:`PackageSettings.value`).
+        issuers: the chain of authorities from the identity's issuer up to the root.
+        role: why the package exists.
+        infrastructure: the packages of that role in the workspace that have a build type in common with this one.
+    """
+
+    name: str
+    subject: str
     distro: str
     identity: CertificateSpec
     grant: Grant
-    governance: Governance
+    build_types: tuple[str, ...]
+    settings: Mapping[str, object]
     issuers: tuple[Authority, ...] = ()
+    role: Role = Role.SUBJECT
+    infrastructure: tuple[Package, ...] = ()

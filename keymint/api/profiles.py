@@ -3,13 +3,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from datetime import datetime
 from pathlib import Path
 from typing import Protocol, runtime_checkable
 
 from comarmor.errors import Origin
+from keymint.api.building import BuildType
 from keymint.api.certificates import Authority
 from keymint.api.packages import Package
 from keymint.ir import SubjectRules
@@ -36,6 +37,7 @@ class WorkspaceProfile:
         policies: the policies in the order of the profile.
         library: folder that is searched for included files which the policy's folder lacks.
         authorities: in the order of the profile; issuers need not come first.
+        build_types: the plugins that build new packages.
         layout: layout of the install space, ``sros2`` or ``flat``.
         distro: ROS 2 distribution.
         files: files of the profile by path relative to the profile space (for plugins of the same format).
@@ -49,6 +51,7 @@ class WorkspaceProfile:
     policies: tuple[PolicySource, ...]
     library: Path | None
     authorities: tuple[Authority, ...]
+    build_types: tuple[str, ...]
     layout: str
     distro: str
     files: Mapping[str, bytes] = field(repr=False)
@@ -150,14 +153,27 @@ class PackageType(Protocol):
                 False.
         """
 
-    def load(self, profile: WorkspaceProfile, name: str, folder: str, files: Mapping[str, bytes]) -> Package:
+    def load(
+        self,
+        profile: WorkspaceProfile,
+        name: str,
+        folder: str,
+        files: Mapping[str, bytes],
+        build_types: Callable[[str, Origin], BuildType],
+        install_space: str,
+    ) -> Package:
         """Load a package from its files; omitted settings are taken from the profile's defaults.
+
+        The build types of the package read their parts (:meth:`BuildType.settings`). The defects of all documents are
+        reported together.
 
         Args:
             profile: the profile of the workspace.
             name: package name, from its path below the source space.
             folder: its folder as the user would type it, for messages.
             files: the package's files by name.
+            build_types: returns a build type by its name, which is written at a place.
+            install_space: absolute path of the install space on this machine.
 
         Raises:
             KeymintError: with ``file:line`` of each defect.

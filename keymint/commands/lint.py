@@ -12,11 +12,13 @@ from keymint.analysis.lint import CODES, sorted_diagnostics
 from keymint.analysis.lint import lint as look
 from keymint.analysis.portability import portability
 from keymint.analysis.subject_patterns import pattern_examples, rules_of
+from keymint.api import RuleCheck
 from keymint.commands.options import FILE, PATH, PluginOption, PolicyOptions, policy_options
 from keymint.commands.policies import Policies
 from keymint.commands.run import Run
 from keymint.commands.user_files import write_outputs
 from keymint.commands.verb import verb
+from keymint.errors import ExitCode, KeymintError
 from keymint.output.report import Report, findings_exit
 from keymint.output.sarif import of_diagnostics
 from keymint.output.sarif import sarif as sarif_log
@@ -58,12 +60,19 @@ def lint(
     others = {like: subject for subject, like in pattern_examples(loaded).items()}
     subjects = [(subject, rules_of(loaded, subject)) for subject in (*named, *others.values())]
     compiler = run.plugins.build_type(build_type)
+    if not isinstance(compiler, RuleCheck):
+        raise KeymintError(
+            f"the build type {build_type} cannot check rules alone",
+            help="'keymint build' reports what it cannot express",
+            code="plugin-unsuitable",
+            exit_code=ExitCode.USAGE,
+        )
     diagnostics = [
         *look(loaded),
         # lint already reports names that nothing can have.
         *(
             diagnostic
-            for diagnostic in portability(compiler, build_type, policies.distro, subjects, run.setting.now)
+            for diagnostic in portability(compiler, policies.distro, subjects)
             if diagnostic.code != "never-matches"
         ),
     ]

@@ -17,7 +17,7 @@ def build_types_of(session: Session, package: Package) -> Mapping[str, BuildType
         KeymintError: one is not installed, or fails to load.
     """
     marker = session.package_marker(package.name)
-    return {name: session.plugins.build_type(name, marker) for name in (package.build_type,)}
+    return {name: session.plugins.build_type(name, marker) for name in package.build_types}
 
 
 def roles_of(session: Session, package: Package) -> Mapping[str, tuple[AuthorityRole, ...]]:

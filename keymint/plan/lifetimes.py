@@ -43,12 +43,10 @@ class Lifetime:
 
 
 def lifetimes(package: Package) -> tuple[Lifetime, ...]:
-    """Return the lifetimes of a package's grant and certificate."""
+    """Return the lifetimes of a package's grant, if it has dates, and of its certificate."""
     grant, identity = package.grant, package.identity
-    return (
-        _lifetime("grant", grant.validity, grant.issuer, grant.origin),
-        _lifetime("certificate", identity.validity, identity.issuer, identity.origin),
-    )
+    of_grant = (_lifetime("grant", grant.validity, grant.issuer, grant.origin),) if grant.validity else ()
+    return (*of_grant, _lifetime("certificate", identity.validity, identity.issuer, identity.origin))
 
 
 def _lifetime(what: str, validity: Validity, issuer: str, origin: Origin) -> Lifetime:

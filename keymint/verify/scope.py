@@ -68,7 +68,7 @@ def verification_scope(session: Session, names: Sequence[str]) -> VerificationSc
 
 def naming_of(inputs: Inputs, package: Package) -> Naming | None:
     """Return the naming of a package, or None if its build type offers none."""
-    build_type = inputs.plugins.build_type(package.build_type, inputs.package_marker(package.name))
+    build_type = inputs.plugins.build_type(package.build_types[0], inputs.package_marker(package.name))
     return Naming(build_type, package.distro) if isinstance(build_type, NameMapping) else None
 
 

@@ -198,9 +198,10 @@ def _package(
     naming = naming_of(session, package)
     matching = matching_rules(rules, _with_meanings(edge, naming))
     needs: list[Need] = []
-    build_type = session.plugins.build_type(package.build_type, session.package_marker(name))
-    if isinstance(build_type, ActionMapping):
-        needs += (Need(each, build_type.NOUN) for each in build_type.actions(package.distro, edge))
+    for each_type in package.build_types:
+        build_type = session.plugins.build_type(each_type, session.package_marker(name))
+        if isinstance(build_type, ActionMapping):
+            needs += (Need(each, build_type.NOUN) for each in build_type.actions(package.distro, edge))
     return [MatchedRule(rules[at], places[at]) for at in matching], naming, needs
 
 

@@ -93,9 +93,9 @@ def policies(path: str) -> bytes:
 
 
 @lru_cache
-def package_manifest(build_type: str) -> bytes:
-    """Return the ``keymint_package.xml`` of a new package with this build type."""
-    return _render("package/keymint_package.xml.j2", build_type=build_type)
+def package_manifest(build_types: tuple[str, ...]) -> bytes:
+    """Return the ``keymint_package.xml`` of a new package with these build types."""
+    return _render("package/keymint_package.xml.j2", build_types=build_types)
 
 
 @lru_cache

@@ -11,8 +11,8 @@ from comarmor.errors import Origin
 from comarmor.xml.reader import line
 from keymint.api import CertificateSpec, Extension, KeySpec, Validity
 from keymint.errors import KeymintError
+from keymint.source_documents import incomplete, place, text
 from keymint_ros import placeholders, validity
-from keymint_ros.document import incomplete, place, text
 
 if TYPE_CHECKING:
     from lxml import etree

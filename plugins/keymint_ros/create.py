@@ -9,11 +9,11 @@ from comarmor.errors import Origin
 from keymint.api import WorkspaceProfile
 from keymint.errors import KeymintError
 from keymint.ir import SubjectRules
+from keymint.source_documents import normal_path
 from keymint_ros import bootstrap, manifest, permissions, permissions_writer
-from keymint_ros.document import normal_path
 from keymint_ros.manifest import MARKER
 from keymint_ros.permissions import Grant
-from keymint_ros.profile import base_of, build_type
+from keymint_ros.profile import base_of
 
 FORMER = ".2018"
 """Suffix of the backup of a ``permissions.xml`` in the format of 2018 that a new one replaces."""
@@ -31,7 +31,7 @@ def create(
         path = normal_path(part.path, Origin(f"{name}/{MARKER}", part.line))
     else:
         new = {
-            MARKER: bootstrap.package_manifest(build_type(profile)),
+            MARKER: bootstrap.package_manifest(profile.build_types),
             "governance.xml": bootstrap.package_document("governance.xml"),
             "identities.xml": bootstrap.package_document("identities.xml"),
         }

@@ -3,11 +3,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from comarmor.xml.reader import line
-from keymint_ros.document import Reader, text
+from keymint.api import Role
+from keymint.errors import KeymintError
+from keymint.source_documents import Reader, place, text
 
 if TYPE_CHECKING:
     from lxml import etree
@@ -18,7 +21,7 @@ BUILD_TYPE = "keymint_ros2_dds"
 
 @dataclass(frozen=True, slots=True)
 class PackagePart:
-    """A part of a package: its permissions, governance or identity.
+    """A part of a package: its permissions, its identity, or one that a build type reads.
 
     Attributes:
         line: line of its element, or of the root if the manifest does not mention the part.
@@ -42,15 +45,24 @@ class PackageManifest:
     Attributes:
         name: empty if not given; the folder names the package then.
         name_line: line of the name.
-        build_type: the plugin that builds the package.
+        line: line of the root.
+        parts: the parts of build types that it mentions, by name.
+        build_types: the plugins that build the package.
+        role: why the package exists.
     """
 
     name: str
     name_line: int
+    line: int
     permissions: PackagePart
-    governance: PackagePart
     identities: PackagePart
-    build_type: str
+    parts: Mapping[str, PackagePart]
+    build_types: tuple[str, ...]
+    role: Role
+
+    def part(self, name: str) -> PackagePart:
+        """Return a part that a build type reads, with the usual paths if the manifest does not mention it."""
+        return self.parts.get(name) or _unmentioned(self.line, f"{name}.xml")
 
 
 def _manifest(root: etree._Element) -> PackageManifest:
@@ -58,28 +70,78 @@ def _manifest(root: etree._Element) -> PackageManifest:
     return PackageManifest(
         name=text(name) or "",
         name_line=line(root if name is None else name),
-        permissions=_part(root, "permissions", "permission", "permissions.xml"),
-        governance=_part(root, "governances", "governance", "governance.xml"),
-        identities=_part(root, "identities", "identity", "identities.xml"),
-        build_type=text(root.find("export/build_type")) or BUILD_TYPE,
+        line=line(root),
+        permissions=_group(root, "permissions", "permission", "permissions.xml"),
+        identities=_group(root, "identities", "identity", "identities.xml"),
+        parts=_parts(root),
+        build_types=build_types(root.findall("export/build_type")) or (BUILD_TYPE,),
+        role=Role(text(root.find("role")) or Role.SUBJECT),
     )
 
 
-def _part(root: etree._Element, group: str, item: str, usual: str) -> PackagePart:
+def build_types(elements: Iterable[etree._Element]) -> tuple[str, ...]:
+    """Return the names that ``<build_type>`` elements give, in their order.
+
+    Raises:
+        KeymintError: two of them are the same.
+    """
+    names: list[str] = []
+    for element in elements:
+        name = text(element) or ""
+        if name in names:
+            raise KeymintError(
+                f"the build type {name!r} is given twice",
+                where=place(element),
+                help="remove one of the elements",
+                code="build-type-doubled",
+            )
+        names.append(name)
+    return tuple(names)
+
+
+def _parts(root: etree._Element) -> Mapping[str, PackagePart]:
+    """Return the parts of build types; governance has elements of its own, which are older than ``<parts>``."""
+    parts: dict[str, PackagePart] = {}
+    if root.find("governances") is not None:
+        parts["governance"] = _group(root, "governances", "governance", "governance.xml")
+    for element in root.iterfind("parts/part"):
+        name = element.get("name", "")
+        if name in parts:
+            raise KeymintError(
+                f"the part {name!r} is given twice",
+                where=place(element),
+                help="remove one of the elements",
+                code="part-doubled",
+            )
+        parts[name] = _part(element, element.find("path"), element.find("defaults_path"), f"{name}.xml")
+    return parts
+
+
+def _group(root: etree._Element, group: str, item: str, usual: str) -> PackagePart:
+    """Return a part whose elements are named after it, e.g. ``<permissions>`` with ``<permission_path>``."""
     element = root.find(group)
     if element is None:
-        return PackagePart(line(root), usual, named=False, defaults=f"package.defaults/{usual}", issuer="")
-    path = text(element.find(f"{item}/{item}_path"))
+        return _unmentioned(line(root), usual)
+    return _part(element, element.find(f"{item}/{item}_path"), element.find(f"{item}/defaults_path"), usual)
+
+
+def _part(
+    element: etree._Element, path: etree._Element | None, defaults: etree._Element | None, usual: str
+) -> PackagePart:
     return PackagePart(
         line=line(element),
-        path=path or usual,
+        path=text(path) or usual,
         named=path is not None,
-        defaults=text(element.find(f"{item}/defaults_path")) or f"package.defaults/{usual}",
+        defaults=text(defaults) or f"package.defaults/{usual}",
         issuer=text(element.find("issuer_name")) or "",
     )
 
 
-read = Reader("keymint_package", _manifest)
+def _unmentioned(place_line: int, usual: str) -> PackagePart:
+    return PackagePart(place_line, usual, named=False, defaults=f"package.defaults/{usual}", issuer="")
+
+
+read = Reader("keymint_ros", "keymint_package", _manifest)
 """Reads a package manifest."""
 
 

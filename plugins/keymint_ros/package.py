@@ -3,19 +3,41 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import TYPE_CHECKING, TypeVar
 
 from comarmor.errors import Diagnostic, Origin
 from comarmor.text import did_you_mean
 from comarmor.xml.reader import line
-from keymint.api import Authority, CertificateSpec, Governance, Grant, Package, WorkspaceProfile
+from keymint.api import (
+    Authority,
+    BuildType,
+    CertificateSpec,
+    Grant,
+    Package,
+    PackageSettings,
+    PackageSources,
+    Role,
+    SourcePart,
+    WorkspaceProfile,
+)
 from keymint.errors import KeymintError
-from keymint_ros import certificate, governance, manifest, permissions, placeholders, validity
-from keymint_ros.document import Reader, file_in, incomplete, normal_path, text
+from keymint.ir import SubjectRules
+from keymint.source_documents import (
+    DEFAULT_DOMAINS,
+    Reader,
+    domains,
+    file_in,
+    known_authority,
+    normal_path,
+    signer,
+    text,
+)
+from keymint_ros import certificate, manifest, permissions, placeholders, validity
 from keymint_ros.manifest import MARKER, PackageManifest, PackagePart
-from keymint_ros.profile import OPEN_GOVERNANCE, base_of
+from keymint_ros.profile import base_of
 
 if TYPE_CHECKING:
     from lxml import etree
@@ -43,15 +65,17 @@ def _grant_defaults(root: etree._Element) -> _GrantDefaults:
     return _GrantDefaults(
         line=line(root),
         issuer=text(root.find("issuer_name")) or "",
-        domains=governance.domains(root.find("domains")),
+        domains=domains(root.find("domains")),
         subject_name=placeholders.read(root.find("subject_name"), placeholders.SUBJECT),
         validity=validity.read(root.find("validity")),
     )
 
 
-_read_identity = Reader("identities", _identity)
-_read_identity_defaults = Reader("defaults_identities", lambda root: certificate.read(root, placeholders.SUBJECT))
-_read_grant_defaults = Reader("defaults_permissions", _grant_defaults)
+_read_identity = Reader("keymint_ros", "identities", _identity)
+_read_identity_defaults = Reader(
+    "keymint_ros", "defaults_identities", lambda root: certificate.read(root, placeholders.SUBJECT)
+)
+_read_grant_defaults = Reader("keymint_ros", "defaults_permissions", _grant_defaults)
 
 
 @dataclass(frozen=True, slots=True)
@@ -95,11 +119,18 @@ class _PackageLoader:
 
     def defaults(self, part: PackagePart) -> tuple[str, bytes]:
         """Return the path, for messages, and the content of a part's defaults in the package or the profile."""
-        where = Origin(self.file(MARKER), part.line)
-        path = normal_path(part.defaults, where)
+        file, content = self.optional_defaults(part)
+        if content is None:
+            where = Origin(self.file(MARKER), part.line)
+            content = file_in(self.profile.files, part.defaults, where, "package or its profile")
+        return file, content
+
+    def optional_defaults(self, part: PackagePart) -> tuple[str, bytes | None]:
+        """Return the same; without content if there are no such defaults."""
+        path = normal_path(part.defaults, Origin(self.file(MARKER), part.line))
         if path in self.files:
             return self.file(path), self.files[path]
-        return self.base + path, file_in(self.profile.files, path, where, "package or its profile")
+        return self.base + path, self.profile.files.get(path)
 
     def file(self, path: str) -> str:
         """Return the path of a file of the package as the user would type it."""
@@ -121,70 +152,71 @@ class _PackageLoader:
                     code="name-mismatch",
                 )
         spec = certificate.complete(own, defaults, self.values)
-        self.known_authority(spec.issuer, certificate.issuer(own, defaults)[1], "issues the certificate")
+        known_authority(spec.issuer, self.authorities, certificate.issuer(own, defaults)[1], "issues the certificate")
         return spec
 
-    def permissions(self) -> Grant:
-        """Return the grant of the subject."""
+    def grant(self) -> Grant:
+        """Return the grant of the subject; infrastructure needs no document for it, since its grant has no rules."""
+        if self.manifest.role is Role.INFRASTRUCTURE and self.files.get(self.manifest.permissions.path) is None:
+            return self._empty_grant()
         part, subject = self.manifest.permissions, f"/{self.name}"
         file, content = self.own(part, create=f"'keymint create {self.name}' creates it from the policy")
         grant = permissions.read(content or b"", file, subject)
-        defaults_file, defaults_content = self.defaults(part)
-        defaults = _read_grant_defaults(defaults_content, defaults_file)
-        subject_name = grant.subject_name or defaults.subject_name
-        period = validity.effective(grant.validity, file, defaults.validity, defaults_file)
-        if subject_name is None or period is None:
-            missing = "subject_name" if subject_name is None else "validity"
-            raise incomplete("grant", missing, Origin(defaults_file, defaults.line))
-        return Grant(
-            issuer=self.signer(part, defaults.issuer, Origin(defaults_file, defaults.line)),
+        base = self._empty_grant()
+        period = validity.effective(grant.validity, file, base.validity, base.origin.file)
+        return replace(
+            base,
             name=grant.name,
-            subject_name=placeholders.expand(subject_name, self.values),
+            subject_name=placeholders.expand(grant.subject_name, self.values)
+            if grant.subject_name
+            else base.subject_name,
             validity=period,
-            domains=grant.domains or defaults.domains or governance.DEFAULT_DOMAINS,
+            domains=grant.domains or base.domains,
             rules=permissions.to_ir(grant, subject, file, self.base),
             origin=Origin(file, grant.line),
-            domains_origin=None if grant.domains else Origin(defaults_file, defaults.line),
+            domains_origin=None if grant.domains else base.origin,
             edited=grant.edited,
         )
 
-    def governance(self) -> Governance:
-        """Return the protection of the subject's domains."""
-        part = self.manifest.governance
+    def _empty_grant(self) -> Grant:
+        """Return a grant without rules, from the defaults alone."""
+        part, subject = self.manifest.permissions, f"/{self.name}"
+        file, content = self.defaults(part)
+        defaults = _read_grant_defaults(content, file)
+        origin = Origin(file, defaults.line)
+        return Grant(
+            issuer=signer(part.issuer, Origin(self.file(MARKER), part.line), defaults.issuer, origin, self.authorities),
+            name=subject,
+            subject_name=placeholders.expand(defaults.subject_name or "", self.values),
+            validity=validity.effective(None, "", defaults.validity, file),
+            domains=defaults.domains or DEFAULT_DOMAINS,
+            rules=SubjectRules(subject, ()),
+            origin=origin,
+            defaults_origin=origin,
+        )
+
+    def part(self, name: str) -> SourcePart:
+        """Return a part that a build type reads."""
+        part = self.manifest.part(name)
         file, content = self.own(part)
-        own = () if content is None else governance.read(content, file)
-        defaults_file, defaults_content = self.defaults(part)
-        defaults = governance.read_defaults(defaults_content, defaults_file)
-        return Governance(
-            issuer=self.signer(part, defaults.issuer, Origin(defaults_file, defaults.line)),
-            domain_rules=governance.complete(own, file, defaults, defaults_file),
-            accepts_open=OPEN_GOVERNANCE in self.profile.accepts,
-        )
+        defaults_file, defaults = self.optional_defaults(part)
+        where = Origin(self.file(MARKER), part.line)
+        return SourcePart(name, file, content, defaults_file, defaults, part.issuer, where)
 
-    def signer(self, part: PackagePart, default: str, default_origin: Origin) -> str:
-        """Return the authority that signs a document."""
-        if part.issuer:
-            return self.known_authority(part.issuer, Origin(self.file(MARKER), part.line), "signs this")
-        authorities = self.profile.authorities
-        only = authorities[0].name if len(authorities) == 1 else ""
-        return self.known_authority(default or only, default_origin, "signs this")
-
-    def known_authority(self, name: str, where: Origin, job: str) -> str:
-        """Check that the profile has an authority, and return its name."""
-        known = [authority.name for authority in self.profile.authorities]
-        if name in known:
-            return name
-        raise KeymintError(
-            f"there is no authority {name!r} in the profile"
-            if name
-            else f"no <issuer_name> names the authority that {job}",
-            where=where,
-            help=did_you_mean(name, known, f"the profile's authorities are {', '.join(known)}"),
-            code="authority-unknown",
-        )
+    @property
+    def authorities(self) -> tuple[str, ...]:
+        """The names of the profile's authorities."""
+        return tuple(authority.name for authority in self.profile.authorities)
 
 
-def load(profile: WorkspaceProfile, name: str, folder: str, files: Mapping[str, bytes]) -> Package:
+def load(
+    profile: WorkspaceProfile,
+    name: str,
+    folder: str,
+    files: Mapping[str, bytes],
+    build_types: Callable[[str, Origin], BuildType],
+    install_space: str,
+) -> Package:
     """Load a package: see :meth:`keymint.api.PackageType.load`."""
     file = f"{folder}/{MARKER}"
     package_manifest = manifest.read(file_in(files, MARKER, Origin(folder), "package"), file)
@@ -201,27 +233,56 @@ def load(profile: WorkspaceProfile, name: str, folder: str, files: Mapping[str, 
     loader = _PackageLoader(profile, name, folder, base_of(profile), files, package_manifest, values)
     diagnostics: list[Diagnostic] = []
     identity = _attempt(loader.identity, diagnostics)
-    grant = _attempt(loader.permissions, diagnostics)
-    protection = _attempt(loader.governance, diagnostics)
-    if identity is None or grant is None or protection is None:
+    grant = _attempt(loader.grant, diagnostics)
+    plugins = {each: build_types(each, Origin(file)) for each in package_manifest.build_types}
+    parts = _parts(loader, plugins.values(), diagnostics)
+    sources = PackageSources(
+        name=name,
+        subject=subject,
+        role=package_manifest.role,
+        distro=profile.distro,
+        parts=parts,
+        authorities=loader.authorities,
+        accepts=profile.accepts,
+        install_space=install_space,
+        identity=identity,
+        grant=grant,
+    )
+    settings: dict[str, PackageSettings] = {}
+    for each, plugin in plugins.items():
+        if parts.keys() >= set(plugin.PARTS) and (read := _attempt(partial(plugin.settings, sources), diagnostics)):
+            settings[each] = read
+    if identity is None or grant is None or diagnostics:
         raise KeymintError.of(diagnostics)
-    if grant.issuer != protection.issuer:
-        raise KeymintError(
-            f"permissions are signed by {grant.issuer!r}, governance by {protection.issuer!r}",
-            where=Origin(file, package_manifest.governance.line),
-            help="use the same authority for both: a DDS participant verifies both with one certificate",
-            code="signers-differ",
-        )
     return Package(
         name=name,
         subject=subject,
-        build_type=package_manifest.build_type,
         distro=profile.distro,
-        identity=identity,
+        identity=_with_extensions(identity, settings.values()),
         grant=grant,
-        governance=protection,
+        build_types=package_manifest.build_types,
+        settings={each: read.value for each, read in settings.items()},
         issuers=tuple(_issuers(profile, identity.issuer)),
+        role=package_manifest.role,
     )
+
+
+def _parts(
+    loader: _PackageLoader, plugins: Iterable[BuildType], diagnostics: list[Diagnostic]
+) -> Mapping[str, SourcePart]:
+    """Return the parts that build types read, without those that have defects, which become diagnostics."""
+    names = dict.fromkeys(name for plugin in plugins for name in plugin.PARTS)
+    parts = {name: _attempt(partial(loader.part, name), diagnostics) for name in names}
+    return {name: part for name, part in parts.items() if part}
+
+
+def _with_extensions(identity: CertificateSpec, settings: Iterable[PackageSettings]) -> CertificateSpec:
+    """Return the identity with the extensions that build types add; an extension of the sources goes first."""
+    extensions = {each.name: each for each in identity.extensions}
+    for of_build_type in settings:
+        for each in of_build_type.extensions:
+            extensions.setdefault(each.name, each)
+    return replace(identity, extensions=tuple(extensions.values()))
 
 
 def _issuers(profile: WorkspaceProfile, name: str) -> Iterator[Authority]:

@@ -23,12 +23,12 @@ from comarmor.errors import Origin
 from comarmor.language.attachments import strip
 from comarmor.patterns.expression import parse as parse_expression
 from comarmor.rules import Effect
+from comarmor.xml import reader
 from comarmor.xml.reader import line
 from keymint.errors import KeymintError
 from keymint.ir import Rule, SubjectRules
-from keymint_ros import document, placeholders, validity
-from keymint_ros.document import Reader, place
-from keymint_ros.governance import domains
+from keymint.source_documents import Reader, domains, place
+from keymint_ros import placeholders, validity
 
 if TYPE_CHECKING:
     from keymint.api import DomainRange, Validity
@@ -98,7 +98,7 @@ def _old(content: bytes, name: str) -> Origin | None:
     Raises:
         KeymintError: the document is not well-formed.
     """
-    root = document.parse(content, name)
+    root = reader.parse(content, name)
     for tag in ("allow_rule", "deny_rule", "default"):
         if (element := root.find(f"permissions/grant/{tag}")) is not None and "format" not in root.attrib:
             return Origin(name, line(element))
@@ -152,7 +152,7 @@ def _grant(root: etree._Element) -> Grant:
     )
 
 
-_read = Reader("permissions", _grant)
+_read = Reader("keymint_ros", "permissions", _grant)
 
 
 def _rule(element: etree._Element) -> Rule:

@@ -14,9 +14,9 @@ from comarmor.text import did_you_mean
 from comarmor.xml.reader import line
 from keymint.api import Authority, PolicySource, WorkspaceProfile
 from keymint.errors import KeymintError
-from keymint_ros import bootstrap, certificate, distros, governance, placeholders
+from keymint.source_documents import Reader, domains, file_in, place, text
+from keymint_ros import bootstrap, certificate, distros, manifest, placeholders
 from keymint_ros.certificate import CertificateElement
-from keymint_ros.document import Reader, file_in, place, text
 from keymint_ros.manifest import BUILD_TYPE
 
 if TYPE_CHECKING:
@@ -25,8 +25,6 @@ if TYPE_CHECKING:
 MANIFEST = "keymint_profile.xml"
 NAME = "keymint_ros"
 LIBRARY = "comarmor.d"
-OPEN_GOVERNANCE = "open_governance"
-"""Element under ``<accept>``: the profile accepts that the governance leaves topics without access control."""
 
 _POLICY_TYPE = "keymint_ros2_comarmor"
 _AUTHORITY_DEFAULTS = "profile.defaults/authorities.xml"
@@ -50,7 +48,7 @@ class _ProfileManifest:
     policies: tuple[_PathElement, ...]
     policy_type: str
     package_type: str
-    build_type: str
+    build_types: tuple[str, ...]
     layout: str
     distro: str
     distro_line: int
@@ -71,7 +69,7 @@ def _path(element: etree._Element | None, parent: etree._Element, usual: str) ->
 
 
 def _manifest(root: etree._Element) -> _ProfileManifest:
-    exports = {part.tag: text(part) or "" for part in root.iterfind("export/*")}
+    exports = _exports(root)
     distro = root.find("export/distro")
     return _ProfileManifest(
         name=text(root.find("name")) or "",
@@ -87,12 +85,29 @@ def _manifest(root: etree._Element) -> _ProfileManifest:
         ),
         policy_type=exports.get("policy_type") or _POLICY_TYPE,
         package_type=exports.get("package_type") or NAME,
-        build_type=exports.get("build_type") or BUILD_TYPE,
+        build_types=manifest.build_types(root.findall("export/build_type")) or (BUILD_TYPE,),
         layout=exports.get("layout") or "sros2",
         distro=exports.get("distro") or distros.DEFAULT,
         distro_line=line(root if distro is None else distro),
         accepts=frozenset(str(part.tag) for part in root.iterfind("accept/*")),
     )
+
+
+def _exports(root: etree._Element) -> Mapping[str, str]:
+    """Return the text of each element of ``<export>`` by its tag.
+
+    Raises:
+        KeymintError: an element that may occur once occurs twice.
+    """
+    exports: dict[str, str] = {}
+    for part in root.iterfind("export/*"):
+        tag = str(part.tag)
+        if tag in exports and tag != "build_type":
+            raise KeymintError(
+                f"there are two elements <{tag}>", where=place(part), help="remove one of them", code="schema"
+            )
+        exports[tag] = text(part) or ""
+    return exports
 
 
 def _authorities(root: etree._Element) -> tuple[tuple[str, CertificateElement], ...]:
@@ -123,16 +138,12 @@ def _policies(root: etree._Element) -> tuple[_PolicyElement, ...]:
     )
 
 
-_read_manifest = Reader("keymint_profile", _manifest)
-_read_authorities = Reader("authorities", _authorities)
-_read_authority_defaults = Reader("defaults_authorities", lambda root: certificate.read(root, placeholders.AUTHORITY))
-_read_policies = Reader("policies", _policies)
-
-
-def build_type(profile: WorkspaceProfile) -> str:
-    """Return the build type of new packages of a profile."""
-    content = profile.files.get(MANIFEST)
-    return BUILD_TYPE if content is None else _read_manifest(content, MANIFEST).build_type
+_read_manifest = Reader("keymint_ros", "keymint_profile", _manifest)
+_read_authorities = Reader("keymint_ros", "authorities", _authorities)
+_read_authority_defaults = Reader(
+    "keymint_ros", "defaults_authorities", lambda root: certificate.read(root, placeholders.AUTHORITY)
+)
+_read_policies = Reader("keymint_ros", "policies", _policies)
 
 
 def base_of(profile: WorkspaceProfile) -> str:
@@ -149,27 +160,28 @@ def recognises(files: Mapping[str, bytes]) -> bool:
 def load(root: Path, files: Mapping[str, bytes]) -> WorkspaceProfile:
     """Load a profile: see :meth:`keymint.api.ProfileType.load`."""
     name = str(root / MANIFEST)
-    manifest = _read_manifest(file_in(files, MANIFEST, Origin(str(root)), "profile"), name)
-    distros.check(manifest.distro, Origin(name, manifest.distro_line))
+    own = _read_manifest(file_in(files, MANIFEST, Origin(str(root)), "profile"), name)
+    distros.check(own.distro, Origin(name, own.distro_line))
     authorities: dict[str, Authority] = {}
     issuers: dict[str, Origin] = {}
-    for path, defaults_path in manifest.authorities:
+    for path, defaults_path in own.authorities:
         for authority, origin in _load_authorities(root, files, name, path, defaults_path):
             _check_unique(authority.name, authorities, authority.certificate.origin)
             authorities[authority.name], issuers[authority.name] = authority, origin
     _check_hierarchy(authorities, issuers)
     return WorkspaceProfile(
-        name=manifest.name,
+        name=own.name,
         profile_type=NAME,
-        policy_type=manifest.policy_type,
-        package_type=manifest.package_type,
-        policies=_load_policies(root, files, name, manifest.policies),
+        policy_type=own.policy_type,
+        package_type=own.package_type,
+        policies=_load_policies(root, files, name, own.policies),
         library=root / LIBRARY,
         authorities=tuple(authorities.values()),
-        layout=manifest.layout,
-        distro=manifest.distro,
+        build_types=own.build_types,
+        layout=own.layout,
+        distro=own.distro,
         files=files,
-        accepts=manifest.accepts,
+        accepts=own.accepts,
     )
 
 
@@ -229,8 +241,8 @@ def _load_policies(
 
 def with_policy(files: Mapping[str, bytes], policy: str) -> Mapping[str, bytes]:
     """Return the files that change with the policy: see :meth:`keymint.api.ProfileType.with_policy`."""
-    manifest = _read_manifest(file_in(files, MANIFEST, Origin(MANIFEST), "profile"), MANIFEST)
-    path, *others = manifest.policies
+    own = _read_manifest(file_in(files, MANIFEST, Origin(MANIFEST), "profile"), MANIFEST)
+    path, *others = own.policies
     content = file_in(files, path.path, Origin(MANIFEST, path.line), "profile")
     policies = _read_policies(content, path.path)
     if not others and [each.path for each in policies] == [policy]:
@@ -253,11 +265,11 @@ def settings(profile: WorkspaceProfile) -> Mapping[str, str]:
 
 
 def _grant_settings(root: etree._Element) -> Mapping[str, str]:
-    domains = governance.domains(root.find("domains"))
+    given = domains(root.find("domains"))
     subject_name = text(root.find("subject_name")) or ""
     formats = {name: format_ for format_, name in bootstrap.SUBJECT_NAMES.items()}
-    ranges = (str(each.first) if each.first == each.last else f"{each.first}-{each.last}" for each in domains)
+    ranges = (str(each.first) if each.first == each.last else f"{each.first}-{each.last}" for each in given)
     return {"domain": ", ".join(ranges), "subject-format": formats.get(subject_name, subject_name)}
 
 
-_read_grant_settings = Reader("defaults_permissions", _grant_settings)
+_read_grant_settings = Reader("keymint_ros", "defaults_permissions", _grant_settings)

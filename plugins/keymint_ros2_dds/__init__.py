@@ -15,7 +15,8 @@ __all__ = ["DdsSecurity", "build_type"]
 class DdsSecurity:
     """The build type for DDS Security 1.1 as Cyclone DDS and Fast DDS implement it.
 
-    Implements :class:`keymint.api.BuildType`, :class:`keymint.api.NameMapping`, :class:`keymint.api.ActionMapping` and
+    Implements :class:`keymint.api.BuildType`, :class:`keymint.api.NameMapping`, :class:`keymint.api.ActionMapping`,
+    :class:`keymint.api.RuleCheck` and
     :class:`keymint.api.Prover`.
     """
 
@@ -25,14 +26,18 @@ class DdsSecurity:
     TRANSPORT = "dds"
     LAYOUTS = LAYOUTS
     READS = READS
+    PARTS = ("governance",)
 
     files = staticmethod(files)
     authorities = lazy("keymint_ros2_dds.authority_roles:authorities")
+    settings = lazy("keymint_ros2_dds.governance_source:settings")
     build = lazy("keymint_ros2_dds.build:build")
     install = lazy("keymint_ros2_dds.install:install")
     shared = lazy("keymint_ros2_dds.install:shared")
     check = lazy("keymint_ros2_dds.check:check")
     check_all = lazy("keymint_ros2_dds.check_keystore:check_all")
+
+    check_rules = lazy("keymint_ros2_dds.rule_check:check_rules")
 
     endpoints = lazy("keymint_ros2_dds.lowering.endpoints:endpoints")
     actions = lazy("keymint_ros2_dds.lowering.endpoints:actions")

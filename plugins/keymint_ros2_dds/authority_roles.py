@@ -5,6 +5,7 @@ from __future__ import annotations
 
 from keymint.api import AuthorityRole, Package
 from keymint.errors import KeymintError
+from keymint_ros2_dds.settings import settings_of
 
 IDENTITY, PERMISSIONS = "identity", "permissions"
 
@@ -16,9 +17,10 @@ def authorities(package: Package) -> tuple[AuthorityRole, ...]:
         KeymintError: permissions and governance have different issuers (DDS Security 1.1, 9.4.1: one permissions CA).
     """
     identity, grant = package.identity, package.grant
-    if package.governance.issuer != grant.issuer:
+    governance = settings_of(package).governance
+    if governance.issuer != grant.issuer:
         raise KeymintError(
-            f"governance is signed by {package.governance.issuer!r}, permissions by {grant.issuer!r}, "
+            f"governance is signed by {governance.issuer!r}, permissions by {grant.issuer!r}, "
             "but participants verify both with one permissions authority",
             where=grant.origin,
             help="give both the same issuer_name",

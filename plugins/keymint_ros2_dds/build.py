@@ -15,6 +15,7 @@ from keymint_ros2_dds.documents import governance_document
 from keymint_ros2_dds.domains import in_words, uncovered
 from keymint_ros2_dds.emission import emit
 from keymint_ros2_dds.enclave_layout import GOVERNANCE, GOVERNANCE_XML, PERMISSIONS, PERMISSIONS_XML
+from keymint_ros2_dds.settings import settings_of, validity_of
 
 
 def build(package: Package, options: BuildOptions) -> BuildResult:
@@ -36,7 +37,7 @@ def build(package: Package, options: BuildOptions) -> BuildResult:
         errors += error.diagnostics
     try:
         governance, remarks = governance_document.build(
-            package.governance, package.subject, package.distro, allow_vendor_specific=lenient
+            settings_of(package).governance, package.subject, package.distro, allow_vendor_specific=lenient
         )
         notes += (*remarks, *governance_warnings.findings(package, emitted.lowered if emitted else None))
     except KeymintError as error:
@@ -55,6 +56,8 @@ def build(package: Package, options: BuildOptions) -> BuildResult:
 def _check(package: Package) -> Iterator[Diagnostic]:
     """Yield the contradictions in a package."""
     granted = package.grant
+    governance = settings_of(package).governance
+    validity = validity_of(granted)
     identity = package.identity
     if granted.subject_name != identity.subject_name and _canonical(granted.subject_name, granted.origin) != _canonical(
         identity.subject_name, identity.origin
@@ -64,19 +67,19 @@ def _check(package: Package) -> Iterator[Diagnostic]:
             f"the permissions are for {granted.subject_name!r}, but the identity is {package.identity.subject_name!r}",
             granted.origin, "give both the same subject_name", package.subject,
         )  # fmt: skip
-    if granted.issuer != package.governance.issuer:
+    if granted.issuer != governance.issuer:
         yield Diagnostic(
             "issuer-mismatch", Severity.ERROR,
             f"the permissions are to be signed by {granted.issuer!r}, but the governance by "
-            f"{package.governance.issuer!r}: a participant trusts one permissions authority only",
+            f"{governance.issuer!r}: a participant trusts one permissions authority only",
             granted.origin, "give both the same issuer_name", package.subject,
         )  # fmt: skip
-    if granted.validity.not_after <= granted.validity.not_before:
+    if validity.not_after <= validity.not_before:
         yield Diagnostic(
             "validity-empty", Severity.ERROR, "the permissions end before they begin",
             granted.origin, "set not_after to a date after not_before", package.subject,
         )  # fmt: skip
-    for item in uncovered(granted.domains, (each for rule in package.governance.domain_rules for each in rule.domains)):
+    for item in uncovered(granted.domains, (each for rule in governance.domain_rules for each in rule.domains)):
         yield Diagnostic(
             "domain-uncovered", Severity.ERROR,
             f"the permissions are for {in_words([item])}, which the governance does not cover",

@@ -15,13 +15,14 @@ from comarmor.patterns.decision_lists import Block, DecisionList, Equal, SearchB
 from comarmor.patterns.glob import EVERYTHING, Glob, normalise
 from comarmor.patterns.proofs import escapes
 from comarmor.patterns.relations import union_covers
-from keymint.api import DomainRange, DomainRule, Package, TopicProtection
+from keymint.api import DomainRange, Package
 from keymint_ros2_dds.documents import governance_document
 from keymint_ros2_dds.domains import in_words
 from keymint_ros2_dds.lowering.lower import Lowered, lower
 from keymint_ros2_dds.proving import octets, permission_lists
 from keymint_ros2_dds.proving.protection import ACCEPT
 from keymint_ros2_dds.reading.signed_governance import ACCESS, JOIN, UNAUTHENTICATED
+from keymint_ros2_dds.settings import DomainRule, TopicProtection, settings_of
 
 STATES = 20_000
 """States that a search may visit; topics that are not decided count as open."""
@@ -43,12 +44,12 @@ def findings(package: Package, lowered: Lowered | None = None) -> tuple[Diagnost
     Raises:
         KeymintError: a rule of the policy, or an expression of the governance, is invalid.
     """
-    accepted = package.governance.accepts_open
+    accepted = settings_of(package).governance.accepts_open
     severity = Severity.NOTE if accepted else Severity.WARNING
     help_ = "the profile accepts it" if accepted else f"put it under access control, {ACCEPT}"
     diagnostics: list[Diagnostic] = []
     earlier: list[DomainRange] = []
-    for rule in package.governance.domain_rules:
+    for rule in settings_of(package).governance.domain_rules:
         domains = tuple(_without(rule.domains, earlier))
         earlier += rule.domains
         if domains:

@@ -13,23 +13,12 @@ from typing import TYPE_CHECKING
 
 from keymint_ros2_comarmor import policy_type
 from keymint_ros2_dds import build_type
+from keymint_ros2_dds.settings import BUILD_TYPE, DdsSettings, DomainRule, Governance, TopicProtection
 from keymint_ros2_dds.vendors.cyclone_access_control import AccessControl
 from keymint_ros2_dds.vendors.participants import RefusedError, System
 
 from comarmor.errors import Origin
-from keymint.api import (
-    BuildOptions,
-    CertificateSpec,
-    DomainRange,
-    DomainRule,
-    Governance,
-    Grant,
-    KeySpec,
-    Package,
-    PolicySource,
-    TopicProtection,
-    Validity,
-)
+from keymint.api import BuildOptions, CertificateSpec, DomainRange, Grant, KeySpec, Package, PolicySource, Validity
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
@@ -127,7 +116,9 @@ def compiled(policy: Path, subject: str) -> tuple[str, str]:
     everything = TopicProtection("topic", "*", True, True, True, True, "ENCRYPT", "ENCRYPT", _HERE)
     domain_rule = DomainRule(domains, False, True, "ENCRYPT", "ENCRYPT", "SIGN", (everything,), _HERE)
     governance = Governance("permissions", (domain_rule,))
-    package = Package(subject[1:], subject, "keymint_ros2_dds", "humble", identity, permissions, governance)
+    package = Package(
+        subject[1:], subject, "humble", identity, permissions, (BUILD_TYPE,), {BUILD_TYPE: DdsSettings(governance)}
+    )
     documents = build_type.build(package, BuildOptions()).documents
     return documents["permissions.xml"].decode(), documents["governance.xml"].decode()
 

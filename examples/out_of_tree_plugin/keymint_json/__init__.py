@@ -25,6 +25,8 @@ from keymint.api import (
     Inspection,
     Layout,
     Package,
+    PackageSettings,
+    PackageSources,
 )
 from keymint.errors import KeymintError
 from keymint.pki import certificates, keys, smime
@@ -48,6 +50,12 @@ class JsonBuildType:
     TRANSPORT = "json"
     LAYOUTS: Mapping[str, Layout] = {"sros2": Layout("enclaves"), "flat": Layout("")}
     READS = (".pem", ".p7s")
+    PARTS = ()
+
+    def settings(self, sources: PackageSources) -> PackageSettings:
+        """Read nothing: identity and grant have all that it needs."""
+        del sources
+        return PackageSettings(None)
 
     def files(self, layout: str) -> frozenset[str]:
         """Return the names of the files of an enclave."""
@@ -75,10 +83,11 @@ class JsonBuildType:
             }
             for rule in grant.rules.rules
         ]
+        validity = grant.validity
+        dates = validity and {key: getattr(validity, key).isoformat() for key in ("not_before", "not_after")}
         document = {
             "subject": package.subject,
-            "not_before": grant.validity.not_before.isoformat(),
-            "not_after": grant.validity.not_after.isoformat(),
+            **(dates or {}),
             "domains": [[domains.first, domains.last] for domains in sorted(grant.domains)],
             "rules": sorted(rules, key=lambda rule: json.dumps(rule, sort_keys=True)),
         }

@@ -17,7 +17,6 @@ from comarmor.patterns.printing import exact
 from comarmor.patterns.relations import covers, union_covers
 from comarmor.rules import PARTS
 from comarmor.text import did_you_mean
-from keymint.api import DomainRule, Governance, TopicProtection
 from keymint.errors import KeymintError
 from keymint_ros2_dds.documents import dds_xml
 from keymint_ros2_dds.domains import check_domains
@@ -25,6 +24,7 @@ from keymint_ros2_dds.enclave_layout import GOVERNANCE
 from keymint_ros2_dds.lowering.dds_topics import DDS_TOPICS
 from keymint_ros2_dds.lowering.mapping import ARDENT, dds_patterns, parse_expression
 from keymint_ros2_dds.lowering.portable import NotPortableError, portable_expressions
+from keymint_ros2_dds.settings import DomainRule, Governance, TopicProtection
 
 KINDS = ("NONE", "SIGN", "ENCRYPT", "SIGN_WITH_ORIGIN_AUTHENTICATION", "ENCRYPT_WITH_ORIGIN_AUTHENTICATION")
 DATA_KINDS = ("NONE", "SIGN", "ENCRYPT")

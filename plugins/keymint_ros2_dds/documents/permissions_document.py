@@ -17,6 +17,7 @@ from keymint_ros2_dds.documents import dds_xml
 from keymint_ros2_dds.domains import check_domains
 from keymint_ros2_dds.enclave_layout import PERMISSIONS
 from keymint_ros2_dds.lowering.grant_rules import DEFAULT, GrantRule
+from keymint_ros2_dds.settings import validity_of
 
 _MAX_YEAR = 2261
 """Cyclone DDS counts time in nanoseconds of 64 bits, and reads later years as expired."""
@@ -29,11 +30,10 @@ def document_tree(permissions: Grant, rules: Iterable[GrantRule[str]]) -> etree.
         KeymintError: the subject's name, a date or a domain cannot be expressed portably across DDS vendors.
     """
     subject = permissions.rules.subject
+    period = validity_of(permissions)
     problems = check_domains(permissions.domains, permissions.domains_origin or permissions.origin, subject)
-    if permissions.validity.not_after.year > _MAX_YEAR:
-        message = (
-            f"the permissions end in the year {permissions.validity.not_after.year}, which Cyclone DDS reads as expired"
-        )
+    if period.not_after.year > _MAX_YEAR:
+        message = f"the permissions end in the year {period.not_after.year}, which Cyclone DDS reads as expired"
         help_ = f"let them end by {_MAX_YEAR}"
         problems.append(Diagnostic("portability-date", Severity.ERROR, message, permissions.origin, help_, subject))
     if problems:
@@ -47,8 +47,8 @@ def document_tree(permissions: Grant, rules: Iterable[GrantRule[str]]) -> etree.
         subject_name_text.render(distinguished_names.parse(permissions.subject_name, permissions.origin)),
     )
     validity = dds_xml.child(grant, "validity")
-    dds_xml.child(validity, "not_before", dds_xml.date(permissions.validity.not_before))
-    dds_xml.child(validity, "not_after", dds_xml.date(permissions.validity.not_after))
+    dds_xml.child(validity, "not_before", dds_xml.date(period.not_before))
+    dds_xml.child(validity, "not_after", dds_xml.date(period.not_after))
     for rule in rules:
         _add_rule(grant, permissions, rule)
     dds_xml.child(grant, "default", "DENY")

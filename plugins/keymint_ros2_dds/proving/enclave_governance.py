@@ -8,7 +8,7 @@ from collections.abc import Iterable, Iterator
 from itertools import pairwise
 
 from comarmor.patterns.tokens import PatternError
-from keymint.api import DomainRange, Governance
+from keymint.api import DomainRange
 from keymint_ros2_dds.decision.semantics import STANDARD
 from keymint_ros2_dds.documents import governance_document
 from keymint_ros2_dds.proving.governance_lists import regions
@@ -20,6 +20,7 @@ from keymint_ros2_dds.reading.signed_governance import (
     DocumentDomainRule,
 )
 from keymint_ros2_dds.reading.signed_permissions import DocumentDomains
+from keymint_ros2_dds.settings import Governance
 
 ACTIONS = ("publish", "subscribe")
 LAST_DOMAIN = 232

@@ -23,6 +23,7 @@ from keymint_ros2_dds.proving.anchor_check import differences, enclave_file
 from keymint_ros2_dds.proving.claims import ProofSpec
 from keymint_ros2_dds.proving.enclave_governance import EnclaveGovernance
 from keymint_ros2_dds.proving.proof_cache import prove_content
+from keymint_ros2_dds.settings import settings_of
 from keymint_ros2_dds.transports.enclave_files import subject_name
 
 
@@ -91,7 +92,8 @@ def _read_governance(task: ProofTask) -> EnclaveGovernance:
     signed = smime.read(document, task.anchors.authorities[roles.PERMISSIONS].chain, where=Origin(file))
     place = (f"{task.folder}/{GOVERNANCE_XML}", 0) if task.unsigned else (file, signed.lines_before)
     package = task.package
-    return EnclaveGovernance(signed.content, place, package.governance, task.rules.subject, package.distro)
+    expected = settings_of(package).governance
+    return EnclaveGovernance(signed.content, place, expected, task.rules.subject, package.distro)
 
 
 def _subject_name(files: Mapping[str, bytes], folder: str) -> str:

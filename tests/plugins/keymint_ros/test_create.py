@@ -6,7 +6,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 import pytest
-from keymint_ros import package_type, profile_type
+from keymint_ros import manifest, package_type, profile_type
 
 from keymint.errors import KeymintError
 from keymint.ir import SubjectRules
@@ -45,10 +45,12 @@ def test_existing_documents_are_kept(workspace: Workspace) -> None:
     assert list(package_type.create(profile, RULES, existing, force=True)) == ["permissions.xml"]
 
 
-def test_the_build_type_comes_from_the_profile(workspace: Workspace) -> None:
-    other = workspace.edit("profile/keymint_profile.xml", "<export>", "<export><build_type>mine</build_type>")
+@pytest.mark.parametrize("names", [("mine",), ("mine", "yours"), ("keymint_ros2_dds", "mine")])
+def test_the_build_types_come_from_the_profile(workspace: Workspace, names: tuple[str, ...]) -> None:
+    elements = "".join(f"<build_type>{name}</build_type>" for name in names)
+    other = workspace.edit("profile/keymint_profile.xml", "<export>", f"<export>{elements}")
     files = package_type.create(other.load_profile(), RULES, {}, force=False)
-    assert replace(other, package=files).load().build_type == "mine"
+    assert manifest.read(files[manifest.MARKER], "m.xml").build_types == names
 
 
 def test_nothing_is_written_when_nothing_changed(workspace: Workspace) -> None:

@@ -6,6 +6,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 import pytest
+from keymint_ros2_dds.settings import settings_of
 
 from keymint.api import DomainRange, KeySpec
 from keymint.errors import KeymintError
@@ -18,7 +19,7 @@ _MANIFEST = "keymint_package.xml"
 def test_a_new_package_uses_only_defaults(workspace: Workspace) -> None:
     package = workspace.load()
     assert (package.name, package.subject) == ("robot1/talker", "/robot1/talker")
-    assert (package.build_type, package.distro) == ("keymint_ros2_dds", "jazzy")
+    assert (package.build_types, package.distro) == (("keymint_ros2_dds",), "jazzy")
     assert package.grant.rules == RULES
     assert package.grant.name == "/robot1/talker"
     assert package.identity.key == KeySpec("ec", "SECP256R1")
@@ -29,7 +30,8 @@ def test_a_package_without_governance_and_identities_has_the_defaults(workspace:
     bare = workspace.without("governance.xml").without("identities.xml").load()
     full = workspace.load()
     assert bare.identity.subject_name == full.identity.subject_name
-    assert bare.governance.domain_rules[0].topic_rules == full.governance.domain_rules[0].topic_rules
+    (bare_rule,), (full_rule,) = (settings_of(each).governance.domain_rules for each in (bare, full))
+    assert bare_rule.topic_rules == full_rule.topic_rules
     assert str(bare.identity.origin).startswith("/ws/profile/package.defaults/identities.xml:")
 
 

@@ -15,7 +15,7 @@ from comarmor.rules import PERMISSIONS, Effect
 from keymint.errors import KeymintError
 from keymint.ir import Rule, SubjectRules
 
-from .workspaces import RULES, Workspace, rules
+from .workspaces import RULES, Workspace, load_package, rules
 
 # Text that an XML document can contain, without surrounding white space, which no expression of a policy has.
 _CHARACTERS = st.characters(codec="utf-8", exclude_categories=["Cc", "Cs", "Cn"], include_characters="\t\n\r")
@@ -53,7 +53,7 @@ _WORKSPACE = Workspace.new()
 def test_created_rules_are_loaded_unchanged(rules_: SubjectRules) -> None:
     profile = _WORKSPACE.load_profile()
     files = package_type.create(profile, rules_, {}, force=False)
-    assert package_type.load(profile, "robot1/talker", "src", files).grant.rules == rules_
+    assert load_package(profile, "robot1/talker", "src", files).grant.rules == rules_
     assert package_type.create(profile, rules_, files, force=False) == {}
 
 
@@ -62,7 +62,7 @@ def test_an_unedited_document_follows_the_policy(before: SubjectRules, after: Su
     profile = _WORKSPACE.load_profile()
     files = package_type.create(profile, before, {}, force=False)
     changed = {**files, **package_type.create(profile, after, files, force=False)}
-    loaded = package_type.load(profile, "robot1/talker", "src", changed).grant.rules
+    loaded = load_package(profile, "robot1/talker", "src", changed).grant.rules
     assert [(rule.effect, rule.kind, rule.expressions) for rule in loaded.rules] == [
         (rule.effect, rule.kind, rule.expressions) for rule in after.rules
     ]

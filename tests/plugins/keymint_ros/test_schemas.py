@@ -17,18 +17,20 @@ from keymint.errors import KeymintError
 
 from .workspaces import RULES, Workspace
 
-SCHEMAS = sorted(locate("keymint_ros", "schemas").glob("*.xsd"))
+SCHEMAS = sorted(
+    path for owner in ("keymint_ros", "keymint_ros2_dds") for path in locate(owner, "schemas").glob("*.xsd")
+)
 _SCHEMA_OF = {
     "profile/keymint_profile.xml": "keymint_profile",
     "profile/authorities.xml": "authorities",
     "profile/policies.xml": "policies",
     "profile/profile.defaults/authorities.xml": "defaults_authorities",
     "profile/package.defaults/permissions.xml": "defaults_permissions",
-    "profile/package.defaults/governance.xml": "defaults_governance",
+    "profile/package.defaults/governance.xml": "source_governance_defaults",
     "profile/package.defaults/identities.xml": "defaults_identities",
     "keymint_package.xml": "keymint_package",
     "permissions.xml": "permissions",
-    "governance.xml": "governance",
+    "governance.xml": "source_governance",
     "identities.xml": "identities",
 }
 _WORKSPACE = Workspace.new()
@@ -47,7 +49,8 @@ def test_both_validators_accept_a_schema(path: Path) -> None:
 
 @pytest.mark.parametrize(("document", "schema"), _SCHEMA_OF.items())
 def test_written_documents_are_valid_for_both_validators(document: str, schema: str) -> None:
-    path = str(locate("keymint_ros", "schemas") / f"{schema}.xsd")
+    owner = "keymint_ros2_dds" if schema.startswith("source_") else "keymint_ros"
+    path = str(locate(owner, "schemas") / f"{schema}.xsd")
     xmlschema.XMLSchema10(path).validate(_content(document).decode())
     assert etree.XMLSchema(file=path).validate(etree.fromstring(_content(document)))
 

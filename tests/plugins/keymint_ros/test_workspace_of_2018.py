@@ -6,11 +6,12 @@ from __future__ import annotations
 import pytest
 from keymint_ros import package_type, profile_type
 from keymint_ros2_comarmor import policy_type
+from keymint_ros2_dds.settings import settings_of
 
 from keymint.api import DomainRange, KeySpec, Package, WorkspaceProfile
 from keymint.errors import KeymintError
 
-from .workspaces import REFERENCE, read_folder
+from .workspaces import REFERENCE, load_package, read_folder
 
 pytestmark = pytest.mark.skipif(not REFERENCE.is_dir(), reason="no ../shared/reference beside this checkout")
 
@@ -27,7 +28,7 @@ def _load(profile: WorkspaceProfile, name: str) -> Package:
     assert rules
     created = package_type.create(profile, rules, files, force=False)
     assert created["permissions.xml.2018"] == files["permissions.xml"]
-    return package_type.load(profile, name, f"src/{name}", {**files, **created})
+    return load_package(profile, name, f"src/{name}", {**files, **created})
 
 
 def test_its_profile(profile: WorkspaceProfile) -> None:
@@ -46,17 +47,17 @@ def test_its_profile(profile: WorkspaceProfile) -> None:
 def test_its_packages(profile: WorkspaceProfile, name: str) -> None:
     package = _load(profile, name)
     assert package.identity.subject_name == f"CN={name}" == package.grant.subject_name
-    assert (package.identity.issuer, package.grant.issuer, package.governance.issuer) == ("ca", "ca", "ca")
+    assert (package.identity.issuer, package.grant.issuer, settings_of(package).governance.issuer) == ("ca", "ca", "ca")
     assert package.identity.serial is None
     assert package.grant.domains == (DomainRange(0, 0),)
     assert len(package.grant.rules.rules) == 8
-    (domain,) = package.governance.domain_rules
+    (domain,) = settings_of(package).governance.domain_rules
     assert [(rule.expression, rule.enable_liveliness_protection) for rule in domain.topic_rules] == [("*", True)]
 
 
 def test_its_old_permissions_name_the_command_that_recreates_them(profile: WorkspaceProfile) -> None:
     with pytest.raises(KeymintError) as error:
-        package_type.load(profile, "talker", "src/talker", read_folder(REFERENCE / "src" / "talker"))
+        load_package(profile, "talker", "src/talker", read_folder(REFERENCE / "src" / "talker"))
     (diagnostic,) = error.value.diagnostics
     assert diagnostic.code == "permissions-format"
     assert diagnostic.help == "'keymint create talker' recreates them from the policy"

@@ -16,6 +16,7 @@ from comarmor.rules import Effect
 from keymint.api import Bootstrap, Package, WorkspaceProfile
 from keymint.errors import KeymintError
 from keymint.ir import Rule, SubjectRules
+from keymint.plugins import Plugins
 
 NOW = datetime(2026, 11, 21, 15, 30, tzinfo=UTC)
 ROOT = Path("/ws/profile")
@@ -95,10 +96,15 @@ class Workspace:
         return profile_type.load(ROOT, self.profile)
 
     def load(self) -> Package:
-        return package_type.load(self.load_profile(), self.name, f"src/{self.name}", self.package)
+        return load_package(self.load_profile(), self.name, f"src/{self.name}", self.package)
 
     def create(self, new_rules: SubjectRules, *, force: bool = False) -> Mapping[str, bytes]:
         return package_type.create(self.load_profile(), new_rules, self.package, force=force)
+
+
+def load_package(profile: WorkspaceProfile, name: str, folder: str, files: Mapping[str, bytes]) -> Package:
+    """Load a package with the installed build types."""
+    return package_type.load(profile, name, folder, files, Plugins().build_type, "/ws/install")
 
 
 def diagnostic_of(attempt: Callable[[], object], file: str) -> Diagnostic:

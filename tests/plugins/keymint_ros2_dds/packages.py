@@ -6,19 +6,11 @@ from __future__ import annotations
 from dataclasses import replace
 from datetime import UTC, datetime
 
+from keymint_ros2_dds.settings import BUILD_TYPE, DdsSettings, DomainRule, Governance, TopicProtection, settings_of
+
 from comarmor.errors import Origin
 from comarmor.rules import Effect
-from keymint.api import (
-    CertificateSpec,
-    DomainRange,
-    DomainRule,
-    Governance,
-    Grant,
-    KeySpec,
-    Package,
-    TopicProtection,
-    Validity,
-)
+from keymint.api import CertificateSpec, DomainRange, Grant, KeySpec, Package, Validity
 from keymint.ir import Rule, SubjectRules
 
 ORIGIN = Origin("policy.xml", 7)
@@ -48,5 +40,11 @@ def package(*rules: Rule, subject: str = "/talker", distro: str = "jazzy", name:
     identity = CertificateSpec(subject_name, VALIDITY, None, "identity_ca", "SHA256", key, (), ORIGIN)
     usual = Grant("permissions_ca", subject, subject_name, VALIDITY, DOMAIN, SubjectRules(subject, rules), ORIGIN)
     governance = Governance("permissions_ca", (domain_rule(),))
-    permissions = replace(usual, **fields)
-    return Package(subject[1:], subject, "keymint_ros2_dds", distro, identity, permissions, governance)
+    grant = replace(usual, **fields)
+    return Package(subject[1:], subject, distro, identity, grant, (BUILD_TYPE,), {BUILD_TYPE: DdsSettings(governance)})
+
+
+def governed(loaded: Package, **fields) -> Package:
+    """Return a package with another governance; ``fields`` are those that differ."""
+    governance = replace(settings_of(loaded).governance, **fields)
+    return replace(loaded, settings={BUILD_TYPE: DdsSettings(governance)})

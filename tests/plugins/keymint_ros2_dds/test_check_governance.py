@@ -3,8 +3,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import pytest
 from keymint_ros2_dds import check_governance
 
@@ -12,7 +10,7 @@ from comarmor.errors import Diagnostic
 from keymint.pki import smime
 from tests.plugins.keymint_ros2_dds.builds import CHATTER
 from tests.plugins.keymint_ros2_dds.enclaves import authority, inspection, installed
-from tests.plugins.keymint_ros2_dds.packages import domain_rule, package, protection
+from tests.plugins.keymint_ros2_dds.packages import domain_rule, governed, package, protection
 
 TALKER = package(CHATTER)
 
@@ -76,6 +74,6 @@ def test_an_expression_that_vendors_read_differently_is_unread(files: dict[str, 
 
 def test_what_the_sources_open_is_found_without_the_document(files: dict[str, bytes]) -> None:
     open_ = domain_rule(protection(enable_write_access_control=False))
-    loaded = replace(TALKER, governance=replace(TALKER.governance, domain_rules=(open_,)))
+    loaded = governed(TALKER, domain_rules=(open_,))
     found = list(check_governance.findings(inspection(loaded, installed(loaded))))
     assert [(each.code, each.severity) for each in found] == [("governance-open", "warning")]

@@ -13,10 +13,10 @@ from keymint_ros2_dds import build_type, emission
 from keymint_ros2_dds.compiling import gathering
 from lxml import etree
 
-from keymint.api import BuildOptions, Claim, DomainRange, Governance, Hint, Proof
+from keymint.api import BuildOptions, Claim, DomainRange, Hint, Proof
 from keymint.errors import KeymintError
 from keymint.graph import Edge, Object
-from tests.plugins.keymint_ros2_dds.packages import domain_rule, package, rule
+from tests.plugins.keymint_ros2_dds.packages import domain_rule, governed, package, rule
 
 from .compiling.test_compile import ASKED, DENIED, FEW, PARTITIONS, ROS, TOPICS, differences, rules
 
@@ -84,7 +84,7 @@ def test_every_form_keeps_partitions(drawn, options):
 @given(MIXED, st.sampled_from([((0, 0),), ((0, 0), (3, 9)), ((5, 6), (200, 200))]))
 def test_the_size_of_the_plain_form_is_what_it_would_have(drawn, ranges):
     loaded = package(*drawn, domains=tuple(DomainRange(*each) for each in ranges))
-    loaded = replace(loaded, governance=Governance("permissions_ca", (domain_rule(domains=(DomainRange(0, 230),)),)))
+    loaded = governed(loaded, domain_rules=(domain_rule(domains=(DomainRange(0, 230),)),))
     options = (BuildOptions(), PLAIN)
     try:
         small, plain = (build_type.build(loaded, replace(each, allow_vendor_specific=True)) for each in options)

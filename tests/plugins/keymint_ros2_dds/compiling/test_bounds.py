@@ -3,29 +3,28 @@
 
 from __future__ import annotations
 
-from datetime import UTC, datetime
 from pathlib import Path
 
 import pytest
 from keymint_ros2_dds import build_type, emission
 from keymint_ros2_dds.compiling import compile as compiling
+from keymint_ros2_dds.rule_check import package_of
 
 from comarmor.patterns.steps import step_limit
-from keymint.analysis.portability import package_of
 from keymint.analysis.subject_patterns import rules_of
 from keymint.api import BuildOptions, LoadedPolicy
 from keymint.errors import KeymintError
+from keymint.ir import SubjectRules
 from tests.families import FAMILIES
 from tests.generated import pretty, tokens
 from tests.keymint.analysis.policies import loaded_text
 
-NOW = datetime(2026, 1, 1, tzinfo=UTC)
 MOST = 2 * compiling.STEPS + emission.STEPS
 
 
 def steps_of(policy: LoadedPolicy, subject: str, *, vendor_specific: bool = False) -> tuple[int, str]:
     """Return the steps that compiling a subject took, and the codes of what refused it."""
-    package = package_of("dds", "humble", subject, rules_of(policy, subject), NOW)
+    package = package_of(SubjectRules(subject, rules_of(policy, subject)), "humble")
     with step_limit(None) as effort:
         try:
             build_type.build(package, BuildOptions(allow_vendor_specific=vendor_specific))
@@ -72,6 +71,6 @@ def test_an_end_is_an_error_with_its_place_and_a_way_out(tmp_path: Path, monkeyp
 def test_a_proof_that_ends_is_a_warning(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(emission, "STEPS", 20)
     policy = loaded_text(tmp_path, FAMILIES["bracketed"](8))
-    package = package_of("dds", "humble", "/s", rules_of(policy, "/s"), NOW)
+    package = package_of(SubjectRules("/s", rules_of(policy, "/s")), "humble")
     found = build_type.build(package, BuildOptions()).diagnostics
     assert "compile-unproven" in [each.code for each in found]

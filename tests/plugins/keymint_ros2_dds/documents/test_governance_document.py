@@ -3,23 +3,20 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import pytest
 from keymint_ros2_dds import build_type
 from lxml import etree
 
 from keymint.api import BuildOptions, DomainRange
 from keymint.errors import KeymintError
-from tests.plugins.keymint_ros2_dds.packages import domain_rule, package, protection, rule
+from tests.plugins.keymint_ros2_dds.packages import domain_rule, governed, package, protection, rule
 
 STRICT, LENIENT = BuildOptions(), BuildOptions(allow_vendor_specific=True)
 
 
 def build(*topics, options=STRICT, **fields):
     loaded = package(rule("ALLOW", "ros_topic", "ros_publish", "/chatter"))
-    governance = replace(loaded.governance, domain_rules=(domain_rule(*topics, **fields),))
-    return build_type.build(replace(loaded, governance=governance), options)
+    return build_type.build(governed(loaded, domain_rules=(domain_rule(*topics, **fields),)), options)
 
 
 def expressions(built):
@@ -127,7 +124,7 @@ def test_domains():
 def test_no_domain_rule_at_all():
     loaded = package(rule("ALLOW", "ros_topic", "ros_publish", "/chatter"))
     with pytest.raises(KeymintError, match="no domain rule"):
-        build_type.build(replace(loaded, governance=replace(loaded.governance, domain_rules=())), STRICT)
+        build_type.build(governed(loaded, domain_rules=()), STRICT)
 
 
 @pytest.mark.parametrize(

@@ -3,14 +3,12 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 from keymint_ros2_dds import build_type
 from lxml import etree
 
 from keymint.api import DomainRange
 from tests.plugins.keymint_ros2_dds.builds import CHATTER, STRICT, permissions, shape
-from tests.plugins.keymint_ros2_dds.packages import domain_rule, package, rule
+from tests.plugins.keymint_ros2_dds.packages import domain_rule, governed, package, rule
 
 
 def test_the_grant():
@@ -27,8 +25,8 @@ def test_the_grant():
 def test_domains_are_written_with_both_ends():
     ranges = (DomainRange(5, 7), DomainRange(0, 0), DomainRange(8, 9))
     loaded = package(CHATTER, domains=ranges)
-    wide = replace(loaded.governance, domain_rules=(domain_rule(domains=(DomainRange(0, 10),)),))
-    built = build_type.build(replace(loaded, governance=wide), STRICT)
+    wide = governed(loaded, domain_rules=(domain_rule(domains=(DomainRange(0, 10),)),))
+    built = build_type.build(wide, STRICT)
     domains = etree.fromstring(built.documents["permissions.xml"]).find(".//domains")
     assert [(item.tag, [each.text for each in item] or item.text) for item in domains] == [
         ("id", "0"),

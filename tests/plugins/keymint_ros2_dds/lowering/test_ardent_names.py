@@ -4,7 +4,6 @@
 from __future__ import annotations
 
 import itertools
-from dataclasses import replace
 
 import pytest
 from hypothesis import given, settings
@@ -25,7 +24,7 @@ from keymint.errors import KeymintError
 from keymint.graph import Edge, Object
 from tests.plugins.keymint_ros2_dds.compiling.test_compile import built_or_refused
 from tests.plugins.keymint_ros2_dds.oracles import cyclone, fastdds, omg
-from tests.plugins.keymint_ros2_dds.packages import domain_rule, package, protection, rule
+from tests.plugins.keymint_ros2_dds.packages import domain_rule, governed, package, protection, rule
 
 TOPIC = DDS_TOPICS["ros_publish"][0]
 
@@ -170,7 +169,7 @@ def test_what_is_denied_within_a_wildcard_of_namespaces_is_refused():
 def test_a_governance_rule_is_about_a_base_name_and_that_is_said():
     loaded = package(publish("/a/x"), distro="ardent")
     topics = (protection("ros_topic", "/a/x", data_protection_kind="SIGN"), protection())
-    loaded = replace(loaded, governance=replace(loaded.governance, domain_rules=(domain_rule(*topics),)))
+    loaded = governed(loaded, domain_rules=(domain_rule(*topics),))
     built = build_type.build(loaded, BuildOptions())
     governance = etree.fromstring(built.documents["governance.xml"])
     assert [each.text for each in governance.iter("topic_expression")] == ["x", "*"]

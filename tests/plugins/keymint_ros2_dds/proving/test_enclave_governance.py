@@ -5,7 +5,6 @@ from __future__ import annotations
 
 import random
 import re
-from dataclasses import replace
 
 import pytest
 from keymint_ros2_dds import build_type
@@ -13,6 +12,7 @@ from keymint_ros2_dds import build_type
 from keymint.api import BuildOptions, DomainRange, Proof
 from tests.plugins.keymint_ros2_dds.enclaves import installed
 from tests.plugins.keymint_ros2_dds.packages import domain_rule, package, protection, rule
+from tests.plugins.keymint_ros2_dds.packages import governed as with_governance
 from tests.plugins.keymint_ros2_dds.proving.test_enclave_proof import MODELS, PLAIN, claims, refuted, sign
 
 READ, WRITE = "enable_read_access_control", "enable_write_access_control"
@@ -20,7 +20,7 @@ JOIN, UNAUTHENTICATED = "enable_join_access_control", "allow_unauthenticated_par
 
 
 def governed(loaded, *rules, accepts: bool = False):
-    return replace(loaded, governance=replace(loaded.governance, domain_rules=rules, accepts_open=accepts))
+    return with_governance(loaded, domain_rules=rules, accepts_open=accepts)
 
 
 def found(loaded, content: bytes | None = None, **fields):

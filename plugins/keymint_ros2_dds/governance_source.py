@@ -3,21 +3,25 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
-from comarmor.errors import Origin
+from comarmor.errors import Diagnostic, Origin
+from comarmor.text import quoted
 from comarmor.xml.reader import line
-from keymint.api import DomainRange, DomainRule, TopicProtection
+from keymint.api import DomainRange, Grant, PackageSettings, PackageSources, SourcePart
 from keymint.errors import KeymintError
-from keymint_ros.document import Reader, place, text
+from keymint.source_documents import DEFAULT_DOMAINS, Reader, domains, incomplete, signer, text
+from keymint_ros2_dds.settings import DdsSettings, DomainRule, Governance, TopicProtection
 
 if TYPE_CHECKING:
     from lxml import etree
 
-DEFAULT_DOMAINS = (DomainRange(0, 0),)
-"""The domains where neither a package's document nor its defaults name any."""
+PART = "governance"
+"""Name of the part of a package that this module reads."""
+OPEN_GOVERNANCE = "open_governance"
+"""What a profile accepts that leaves topics without access control."""
 _STRICT_DOMAIN: Mapping[str, Any] = {
     "allow_unauthenticated_participants": False,
     "enable_join_access_control": True,
@@ -37,8 +41,59 @@ _STRICT_TOPIC: Mapping[str, Any] = {
 """The same for a topic rule."""
 
 
+def settings(sources: PackageSources) -> PackageSettings:
+    """Return the governance of a package: see :meth:`keymint.api.BuildType.settings`.
+
+    Raises:
+        KeymintError: with ``file:line`` of each defect, also of a grant that is incomplete for DDS.
+    """
+    diagnostics: list[Diagnostic] = []
+    governance = None
+    try:
+        governance = _governance(sources, sources.parts[PART])
+    except KeymintError as error:
+        diagnostics += error.diagnostics
+    if sources.grant:
+        diagnostics += _grant_defects(sources.grant)
+    if governance is None or diagnostics:
+        raise KeymintError.of(diagnostics)
+    if sources.grant and sources.grant.issuer != governance.issuer:
+        raise KeymintError(
+            f"permissions are signed by {sources.grant.issuer!r}, governance by {governance.issuer!r}",
+            where=sources.parts[PART].where,
+            help="use the same authority for both: a DDS participant verifies both with one certificate",
+            code="signers-differ",
+        )
+    return PackageSettings(DdsSettings(governance))
+
+
+def _governance(sources: PackageSources, part: SourcePart) -> Governance:
+    own = () if part.content is None else _read(part.content, part.file)
+    if part.defaults is None:
+        raise KeymintError(
+            f"there is no file {quoted(part.defaults_file, 200)} in the package or its profile",
+            where=part.where,
+            help="create it, or correct the path",
+            code="file-missing",
+        )
+    defaults = _read_defaults(part.defaults, part.defaults_file)
+    defaults_at = Origin(part.defaults_file, defaults.line)
+    return Governance(
+        issuer=signer(part.issuer, part.where, defaults.issuer, defaults_at, sources.authorities),
+        domain_rules=_complete(own, part.file, defaults, part.defaults_file),
+        accepts_open=OPEN_GOVERNANCE in sources.accepts,
+    )
+
+
+def _grant_defects(grant: Grant) -> Iterator[Diagnostic]:
+    """Yield what a grant lacks: it must have a subject name and a validity (DDS Security 1.1, 9.4.1.3)."""
+    missing = "subject_name" if not grant.subject_name else "validity" if grant.validity is None else ""
+    if missing:
+        yield from incomplete("grant", missing, grant.defaults_origin or grant.origin).diagnostics
+
+
 @dataclass(frozen=True, slots=True)
-class TopicRuleElement:
+class _TopicRuleElement:
     """A ``<topic_rule>``, ``<ros_service_rule>`` and so on.
 
     Attributes:
@@ -52,7 +107,7 @@ class TopicRuleElement:
 
 
 @dataclass(frozen=True, slots=True)
-class DomainRuleElement:
+class _DomainRuleElement:
     """A ``<domain_rule>``, or the ``<defaults>`` of all.
 
     Attributes:
@@ -65,31 +120,11 @@ class DomainRuleElement:
     issuer: str
     domains: tuple[DomainRange, ...]
     settings: Mapping[str, Any]
-    topic_rules: tuple[TopicRuleElement, ...]
+    topic_rules: tuple[_TopicRuleElement, ...]
 
 
-def domains(element: etree._Element | None) -> tuple[DomainRange, ...]:
-    """Return the domains that a ``<domains>`` element lists; empty if there is no element.
-
-    Raises:
-        KeymintError: a range ends before it begins.
-    """
-    ranges = []
-    for item in () if element is None else element:
-        ends = [int(text(end) or "") for end in item] or [int(text(item) or "")]
-        if ends[0] > ends[-1]:
-            raise KeymintError(
-                f"the range of domains ends at {ends[-1]}, before its start at {ends[0]}",
-                where=place(item),
-                help="exchange <min> and <max>",
-                code="domain-range",
-            )
-        ranges.append(DomainRange(ends[0], ends[-1]))
-    return tuple(dict.fromkeys(ranges))
-
-
-def _domain_rule_element(element: etree._Element) -> DomainRuleElement:
-    return DomainRuleElement(
+def _domain_rule_element(element: etree._Element) -> _DomainRuleElement:
+    return _DomainRuleElement(
         line=line(element),
         issuer=text(element.find("issuer_name")) or "",
         domains=domains(element.find("domains")),
@@ -98,10 +133,10 @@ def _domain_rule_element(element: etree._Element) -> DomainRuleElement:
     )
 
 
-def _topic_rule_element(element: etree._Element) -> TopicRuleElement:
+def _topic_rule_element(element: etree._Element) -> _TopicRuleElement:
     kind = str(element.tag).removesuffix("_rule")
     expression = element.find(f"{kind.removeprefix('ros_')}_expression")
-    return TopicRuleElement(line(element), kind, text(expression) or "", _settings(element, _STRICT_TOPIC))
+    return _TopicRuleElement(line(element), kind, text(expression) or "", _settings(element, _STRICT_TOPIC))
 
 
 def _settings(element: etree._Element, known: Mapping[str, Any]) -> Mapping[str, Any]:
@@ -113,17 +148,18 @@ def _settings(element: etree._Element, known: Mapping[str, Any]) -> Mapping[str,
     }
 
 
-read = Reader(
-    "governance",
+_read = Reader(
+    "keymint_ros2_dds",
+    "source_governance",
     lambda root: tuple(_domain_rule_element(rule) for rule in root.iterfind("domain_access_rules/domain_rule")),
 )
 """Reads the domain rules of a package, in order."""
-read_defaults = Reader("defaults_governance", _domain_rule_element)
+_read_defaults = Reader("keymint_ros2_dds", "source_governance_defaults", _domain_rule_element)
 """Reads the defaults of a domain rule."""
 
 
-def complete(
-    own: Iterable[DomainRuleElement], file: str, defaults: DomainRuleElement, defaults_file: str
+def _complete(
+    own: Iterable[_DomainRuleElement], file: str, defaults: _DomainRuleElement, defaults_file: str
 ) -> tuple[DomainRule, ...]:
     """Return the domain rules that a package and its defaults describe together.
 
@@ -159,6 +195,6 @@ def complete(
     return rules or (base,)
 
 
-def _topic_protection(rule: TopicRuleElement, general: Mapping[str, Any], file: str) -> TopicProtection:
+def _topic_protection(rule: _TopicRuleElement, general: Mapping[str, Any], file: str) -> TopicProtection:
     settings = {**_STRICT_TOPIC, **general, **rule.settings}
     return TopicProtection(rule.kind, rule.expression, origin=Origin(file, rule.line), **settings)

@@ -4,10 +4,15 @@
 from __future__ import annotations
 
 import pytest
+from keymint_ros2_dds.settings import settings_of
 
 from keymint.api import DomainRange
+from tests.plugins.keymint_ros.workspaces import Workspace, diagnostic_of
 
-from .workspaces import Workspace, diagnostic_of
+
+@pytest.fixture
+def workspace() -> Workspace:
+    return Workspace.new()
 
 
 def test_a_governance_overrides_its_defaults_and_keeps_their_last_rule(workspace: Workspace) -> None:
@@ -25,7 +30,7 @@ def test_a_governance_overrides_its_defaults_and_keeps_their_last_rule(workspace
            </domain_rule>
            <domain_rule><domains><id_range><min>1</min><max>4</max></id_range></domains></domain_rule>""",
     ).load()
-    first, second = package.governance.domain_rules
+    first, second = settings_of(package).governance.domain_rules
     assert (first.domains, first.rtps_protection_kind, first.discovery_protection_kind) == (
         (DomainRange(0, 0),),
         "NONE",

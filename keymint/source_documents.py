@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Reads the XML documents of profiles and packages: safely, strictly, and identical ones only once.
 
+Plugins that own such a document use it too, e.g. a build type that reads a part of a package.
+
 Many packages of a workspace contain identical documents. The result of reading one is therefore cached by content.
 Reading does not know the document's name; :class:`Reader` inserts it into the messages afterwards.
 """
@@ -9,7 +11,7 @@ from __future__ import annotations
 
 import posixpath
 import re
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from functools import lru_cache
 from typing import Generic, TypeVar
@@ -21,10 +23,13 @@ from comarmor.errors import Diagnostic, Origin
 from comarmor.text import did_you_mean, quoted
 from comarmor.xml import reader, schema
 from comarmor.xml.reader import line
+from keymint.api import DomainRange
 from keymint.errors import KeymintError
 
 _T = TypeVar("_T")
 
+DEFAULT_DOMAINS = (DomainRange(0, 0),)
+"""The domains where neither a package's document nor its defaults name any."""
 _NAMELESS = "<document>"
 _CACHE_SIZE = 256
 """Documents of one kind to cache: enough for all that packages share."""
@@ -36,11 +41,13 @@ class Reader(Generic[_T]):
     """Reads documents of one kind.
 
     Args:
-        schema_name: name of the schema in ``schemas/keymint_ros/``, without its suffix.
+        owner: package that owns the schema, e.g. ``keymint_ros``.
+        schema_name: name of the schema in ``schemas/<owner>/``, without its suffix.
         convert: turns a valid root element into immutable data, whose places have a line but no file.
     """
 
-    def __init__(self, schema_name: str, convert: Callable[[etree._Element], _T]) -> None:
+    def __init__(self, owner: str, schema_name: str, convert: Callable[[etree._Element], _T]) -> None:
+        self._owner = owner
         self._schema = schema_name
         self._convert = convert
         self._cached = lru_cache(maxsize=_CACHE_SIZE)(self._read)
@@ -61,18 +68,23 @@ class Reader(Generic[_T]):
             raise KeymintError.of(_named(diagnostic, name) for diagnostic in error.diagnostics) from None
 
     def _read(self, content: bytes) -> _T:
-        return self._convert(parse(content, _NAMELESS, self._schema))
+        return self._convert(parse(content, _NAMELESS, self._owner, self._schema))
 
 
-def parse(content: bytes, name: str, schema_name: str = "") -> etree._Element:
-    """Return the root element of a document, valid against a schema if one is given.
+def parse(content: bytes, name: str, owner: str, schema_name: str) -> etree._Element:
+    """Return the root element of a document that is valid against a schema.
+
+    Args:
+        content: the document.
+        name: its path as the user would type it, for messages.
+        owner: package that owns the schema.
+        schema_name: name of the schema, without its suffix.
 
     Raises:
         KeymintError: the document is not well-formed or not valid.
     """
     root = reader.parse(content, name)
-    if schema_name:
-        schema.validate(root, locate("keymint_ros", "schemas") / f"{schema_name}.xsd", name)
+    schema.validate(root, locate(owner, "schemas") / f"{schema_name}.xsd", name)
     return root
 
 
@@ -89,6 +101,69 @@ def place(element: etree._Element) -> Origin:
 def text(element: etree._Element | None) -> str | None:
     """Return the text of an element without surrounding white space, or None if there is no element."""
     return None if element is None else (element.text or "").strip()
+
+
+def domains(element: etree._Element | None) -> tuple[DomainRange, ...]:
+    """Return the domains that a ``<domains>`` element lists; empty if there is no element.
+
+    Raises:
+        KeymintError: a range ends before it begins.
+    """
+    ranges = []
+    for item in () if element is None else element:
+        ends = [int(text(end) or "") for end in item] or [int(text(item) or "")]
+        if ends[0] > ends[-1]:
+            raise KeymintError(
+                f"the range of domains ends at {ends[-1]}, before its start at {ends[0]}",
+                where=place(item),
+                help="exchange <min> and <max>",
+                code="domain-range",
+            )
+        ranges.append(DomainRange(ends[0], ends[-1]))
+    return tuple(dict.fromkeys(ranges))
+
+
+def known_authority(name: str, known: Sequence[str], where: Origin, job: str) -> str:
+    """Check that a profile has an authority, and return its name.
+
+    Args:
+        name: the authority's name; empty if no document gives one.
+        known: names of the profile's authorities.
+        where: the place that gives the name, or should give it.
+        job: what the authority does, for the message.
+
+    Raises:
+        KeymintError: there is no such authority.
+    """
+    if name in known:
+        return name
+    raise KeymintError(
+        f"there is no authority {name!r} in the profile"
+        if name
+        else f"no <issuer_name> names the authority that {job}",
+        where=where,
+        help=did_you_mean(name, known, f"the profile's authorities are {', '.join(known)}"),
+        code="authority-unknown",
+    )
+
+
+def signer(named: str, named_at: Origin, default: str, default_at: Origin, known: Sequence[str]) -> str:
+    """Return the authority that signs a document of a package.
+
+    Args:
+        named: the authority that the manifest names; empty if it names none.
+        named_at: its place.
+        default: the authority that the defaults name; empty if they name none.
+        default_at: the place of the defaults.
+        known: names of the profile's authorities; if there is only one, it need not be named.
+
+    Raises:
+        KeymintError: there is no such authority, or none is named.
+    """
+    if named:
+        return known_authority(named, known, named_at, "signs this")
+    only = known[0] if len(known) == 1 else ""
+    return known_authority(default or only, known, default_at, "signs this")
 
 
 def incomplete(owner: str, tag: str, defaults: Origin) -> KeymintError:

@@ -1,0 +1,96 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What a package says about DDS beside its rules: the governance, which protects domains and topics."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from comarmor.errors import Origin
+from keymint.api import DomainRange, Grant, Package, Validity
+from keymint.source_documents import incomplete
+
+BUILD_TYPE = "keymint_ros2_dds"
+"""The name by which packages ask for this build type."""
+
+
+@dataclass(frozen=True, slots=True)
+class TopicProtection:
+    """A topic rule of a governance document (DDS Security 1.1, 9.4.1.2.5).
+
+    Attributes:
+        kind: ``topic`` for a raw DDS topic expression, or ``ros_topic``, ``ros_service``, ``ros_action``,
+            ``ros_parameter`` for an expression over ROS names.
+        expression: POSIX ``fnmatch`` expression.
+        metadata_protection_kind: NONE, SIGN, ENCRYPT, SIGN_WITH_ORIGIN_AUTHENTICATION, ENCRYPT_WITH_….
+        data_protection_kind: NONE, SIGN or ENCRYPT.
+    """
+
+    kind: str
+    expression: str
+    enable_discovery_protection: bool
+    enable_liveliness_protection: bool
+    enable_read_access_control: bool
+    enable_write_access_control: bool
+    metadata_protection_kind: str
+    data_protection_kind: str
+    origin: Origin
+
+
+@dataclass(frozen=True, slots=True)
+class DomainRule:
+    """A domain rule of a governance document (DDS Security 1.1, 9.4.1.2.4).
+
+    Attributes:
+        domains_origin: where its domains are written, if not at ``origin``.
+    """
+
+    domains: tuple[DomainRange, ...]
+    allow_unauthenticated_participants: bool
+    enable_join_access_control: bool
+    discovery_protection_kind: str
+    liveliness_protection_kind: str
+    rtps_protection_kind: str
+    topic_rules: tuple[TopicProtection, ...]
+    origin: Origin
+    domains_origin: Origin | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Governance:
+    """The protection of domains and topics.
+
+    Attributes:
+        issuer: name of the authority that signs the document.
+        domain_rules: in order; the first that applies to a domain counts.
+        accepts_open: the profile accepts rules that disable access control of topics or of joining a domain.
+    """
+
+    issuer: str
+    domain_rules: tuple[DomainRule, ...]
+    accepts_open: bool = False
+
+
+@dataclass(frozen=True, slots=True)
+class DdsSettings:
+    """The payload of this build type in a package."""
+
+    governance: Governance
+
+
+def settings_of(package: Package) -> DdsSettings:
+    """Return what this build type read from the sources of a package that it builds."""
+    settings = package.settings[BUILD_TYPE]
+    if not isinstance(settings, DdsSettings):
+        raise TypeError(f"the settings of {package.name} are those of another build type")
+    return settings
+
+
+def validity_of(grant: Grant) -> Validity:
+    """Return the period in which a grant is valid, which every grant of DDS has (DDS Security 1.1, 9.4.1.3).
+
+    Raises:
+        KeymintError: the sources give none.
+    """
+    if grant.validity is None:
+        raise incomplete("grant", "validity", grant.defaults_origin or grant.origin)
+    return grant.validity
