@@ -15,9 +15,9 @@ from collections.abc import Iterator
 from itertools import count
 from pathlib import Path
 
-from keymint_ros2_zenoh.decision.access import AccessModel, Link
+from keymint_ros2_zenoh.decision.access import AccessModel, Link, watched_flows
 from keymint_ros2_zenoh.documents.access_control import AccessControl
-from keymint_ros2_zenoh.messages import Flow, Message, Permission
+from keymint_ros2_zenoh.messages import Flow, Message
 from keymint_ros2_zenoh.vendors import access_log
 from keymint_ros2_zenoh.vendors.access_log import LoggedDecision
 from keymint_ros2_zenoh.vendors.loopback_ports import free_port
@@ -109,9 +109,7 @@ def _decided(
 
 def _expected(control: AccessControl, literal: list[str], wild: list[str]) -> set[tuple[str, str, str]]:
     """Return the least that the router must log. It does not look at a flow that is allowed and that no rule names."""
-    flows = {flow for rule in control.rules for flow in rule.flows}
-    if control.default_permission is Permission.DENY:
-        flows = set(Flow)
+    flows = watched_flows(control)
     every = {(message, flow, key) for message in Message for flow in flows for key in literal}
     sent = set(Message) - {Message.REPLY, Message.LIVELINESS_TOKEN}
     return every | {(message, flow, key) for message in sent for flow in flows & {Flow.INGRESS} for key in wild}

@@ -18,8 +18,6 @@ MAX_NAME = 1000
 """Bytes of a name: Linux' PATH_MAX is 4096, and includes the path of the workspace."""
 RESERVED = "KEYMINT_IGNORE"
 """The marker file that hides a folder of packages; a segment of this name, in any case, would collide with it."""
-_KEYSTORE_FOLDERS = ("enclaves", "private", "public")
-"""Folders at the top of a keystore in the layout ``sros2``."""
 _EXAMPLE = "a name is '/' and segments, e.g. /robot1/talker"
 
 
@@ -78,20 +76,20 @@ def refuse_case_collisions(names: Iterable[str]) -> None:
                 )
 
 
-def refuse_reserved(name: str, layout: str) -> None:
-    """Refuse a package name that collides with a folder of the install space.
+def refuse_reserved(name: str, reserved: Iterable[str]) -> None:
+    """Refuse a package name that collides with a folder at the top of the install space.
 
     Args:
         name: the package name, legal.
-        layout: layout of the install space.
+        reserved: names of these folders.
 
     Raises:
-        KeymintError: in the layout ``flat``, the first segment is a folder of the layout ``sros2``.
+        KeymintError: its first segment is one of them, in any case.
     """
     first = name.split("/", maxsplit=1)[0]
-    if layout == "flat" and first.casefold() in _KEYSTORE_FOLDERS:
+    if first.casefold() in {each.casefold() for each in reserved}:
         raise KeymintError(
-            f"'/{name}' is not allowed in the layout 'flat': {first!r} is a folder of the layout 'sros2'",
-            help="rename the subject, or use the layout 'sros2'",
+            f"'/{name}' is not allowed in the layout of this workspace: {first!r} is a folder of keystores",
+            help="rename the subject",
             code="name-reserved",
         )

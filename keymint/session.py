@@ -10,8 +10,9 @@ from pathlib import Path
 from typing import Self
 
 from comarmor.errors import Origin
+from comarmor.text import did_you_mean
 from keymint import __version__
-from keymint.api import Package, WorkspaceProfile
+from keymint.api import Layout, Package, WorkspaceProfile
 from keymint.changes import Plan
 from keymint.errors import KeymintError
 from keymint.plugins import Plugins
@@ -101,9 +102,28 @@ class Session(Inputs):
     _packages: dict[tuple[str, str], Package] = field(default_factory=dict, repr=False, compare=False)
 
     @property
+    def layouts(self) -> tuple[Layout, ...]:
+        """The layout of the install space, as each build type of new packages defines it; at least one.
+
+        Raises:
+            KeymintError: no build type knows the layout, or one cannot be loaded.
+        """
+        name, where = self.profile.layout, self.profile_marker()
+        build_types = [self.plugins.build_type(each, where) for each in self.profile.build_types]
+        if layouts := tuple(each.LAYOUTS[name] for each in build_types if name in each.LAYOUTS):
+            return layouts
+        known = sorted({layout for each in build_types for layout in each.LAYOUTS})
+        raise KeymintError(
+            f"no build type of the workspace has a layout {name!r}",
+            where=where,
+            help=did_you_mean(name, known, f"known are {', '.join(known)}"),
+            code="layout-unknown",
+        )
+
+    @property
     def enclaves(self) -> Path:
-        """The folder that contains the enclaves."""
-        return self.workspace.enclaves(self.profile.layout)
+        """The folder that contains the enclaves; errors as :attr:`layouts`."""
+        return self.workspace.install / self.layouts[0].enclaves
 
     def package_files(self, name: str) -> dict[str, bytes]:
         """Return the XML files of a package; empty if there is no such package."""

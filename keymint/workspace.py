@@ -98,10 +98,6 @@ class Workspace:
         """Return the path of the private key of a package's subject."""
         return self.private / "identities" / package / "key.pem"
 
-    def enclaves(self, layout: str) -> Path:
-        """Return the folder that contains the enclaves of a layout."""
-        return self.install / "enclaves" if layout == "sros2" else self.install
-
 
 def shown(path: Path, start: Path) -> str:
     """Return a path relative to a folder if it is below or near it, else unchanged."""

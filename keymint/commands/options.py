@@ -217,13 +217,13 @@ profile_options = option_group(
     click.option("--domain", type=click.IntRange(0, 230), metavar="N", help="Domain id [0]."),
     click.option(
         "--layout",
-        type=click.Choice(["sros2", "flat"]),
-        help="Layout of install/: sros2 for Foxy and later, flat for older ones [flat for ardent, else sros2].",
+        metavar="NAME",
+        help="Layout of install/, of those that the transport has [the one that the distribution reads].",
     ),
     click.option(
         "--subject-format",
-        type=click.Choice(["unique", "sros2"]),
-        help="Subject names in certificates: CN and a unique second RDN, or only the CN as SROS2 does [unique].",
+        metavar="NAME",
+        help="Form of subject names in certificates, of those that the profile type has [unique].",
     ),
 )
 

@@ -14,11 +14,10 @@ from keymint.output.report import Report
 def transports(run: Run) -> Report:
     """List the transports, simulated and real: which are usable here, and how to install the others."""
     listed = [(name, transport.usable()) for name, transport in run.plugins.transports().items()]
-    reads = {name: run.plugins.read_by(name) for name, _ in listed}
     run.console.table(
-        ["TRANSPORT", "USABLE", "VERSION", "TIERS", "BUILD TYPE"],
+        ["TRANSPORT", "USABLE", "VERSION", "TIERS"],
         [
-            [name, "yes" if usable.usable else "no", usable.version or "-", " ".join(usable.tiers) or "-", reads[name]]
+            [name, "yes" if usable.usable else "no", usable.version or "-", " ".join(usable.tiers) or "-"]
             for name, usable in listed
         ],
     )
@@ -30,13 +29,7 @@ def transports(run: Run) -> Report:
             run.console.line(f"{name}: {usable.reason}" + (f" ({usable.help})" if usable.help else ""))
     result = {
         "transports": [
-            {
-                "name": name,
-                "build_type": reads[name],
-                **asdict(usable),
-                "tiers": [str(tier) for tier in usable.tiers],
-            }
-            for name, usable in listed
+            {"name": name, **asdict(usable), "tiers": [str(tier) for tier in usable.tiers]} for name, usable in listed
         ]
     }
     return Report(run.verb, None, (), (), result)

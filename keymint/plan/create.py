@@ -52,8 +52,9 @@ def plan_create(
     """
     packages_plan = _Packages(session, policy)
     refuse_case_collisions([*packages_plan.existing, *names])
+    reserved = [each for layout in session.layouts for each in layout.reserved]
     for name in names:
-        refuse_reserved(name, session.profile.layout)
+        refuse_reserved(name, reserved)
     planned = {name: packages_plan.planned(name, force=force) for name in names}
     if errors := [error for each in planned.values() for error in each.errors]:
         raise KeymintError.of(errors)

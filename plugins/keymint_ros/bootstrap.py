@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 from comarmor.data import locate
 from comarmor.text import did_you_mean
 from keymint.api import Bootstrap
-from keymint.errors import KeymintError
+from keymint.errors import ExitCode, KeymintError
 from keymint_ros import distros
 
 if TYPE_CHECKING:
@@ -132,6 +132,7 @@ def _check_choice(option: str, value: str, known: Mapping[str, object]) -> None:
             f"unknown {option} {value!r}",
             help=did_you_mean(value, known, f"known are {', '.join(known)}"),
             code=f"{option.replace(' ', '-')}-unknown",
+            exit_code=ExitCode.USAGE,
         )
 
 

@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from keymint.errors import KeymintError
-from keymint.names import MAX_NAME, MAX_SEGMENT, package_name, refuse_case_collisions
+from keymint.names import MAX_NAME, MAX_SEGMENT, package_name, refuse_case_collisions, refuse_reserved
 
 SEGMENTS = st.from_regex(r"[A-Za-z_][A-Za-z0-9_]{0,30}", fullmatch=True)
 NAMES = st.lists(SEGMENTS, min_size=1, max_size=6).map("/".join)
@@ -97,3 +97,15 @@ def test_names_that_differ_by_case_only_are_refused(names: list[str]) -> None:
 def test_names_of_one_case_never_collide(names: list[str]) -> None:
     refuse_case_collisions(names)
     refuse_case_collisions(names + names)
+
+
+@pytest.mark.parametrize("name", ["enclaves", "Enclaves/arm", "private/x"])
+def test_a_name_of_a_folder_of_keystores_is_refused(name: str) -> None:
+    with pytest.raises(KeymintError, match="is a folder of keystores") as caught:
+        refuse_reserved(name, ("enclaves", "private"))
+    assert caught.value.diagnostics[0].code == "name-reserved"
+
+
+def test_other_names_are_not_reserved() -> None:
+    refuse_reserved("robot/enclaves", ("enclaves",))
+    refuse_reserved("enclaves", ())

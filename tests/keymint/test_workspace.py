@@ -147,14 +147,12 @@ def test_paths_are_shown_as_a_user_would_type_them() -> None:
     assert shown(Path("/opt/keys"), start) == "/opt/keys"
 
 
-def test_where_keys_certificates_and_enclaves_lie(tmp_path: Path) -> None:
+def test_where_keys_and_certificates_lie(tmp_path: Path) -> None:
     workspace = Workspace.at(tmp_path, {}, tmp_path)
     assert set(SPACES) == {path.name for path in map(workspace.__getattribute__, SPACES)}
     assert workspace.authority_key("ca").is_relative_to(workspace.private)
     assert workspace.identity_key("a/b").is_relative_to(workspace.private)
     assert workspace.authority_certificate("ca").is_relative_to(workspace.public)
-    assert workspace.enclaves("sros2") == workspace.install / "enclaves"
-    assert workspace.enclaves("flat") == workspace.install
     # No name of a package or an authority leads one key onto another.
     assert workspace.identity_key("identities") != workspace.authority_key("identities/key")
     assert workspace.state == tmp_path / ".keymint"

@@ -166,6 +166,15 @@ class LinkAccess:
         return denial or AccessDecision(allowed=False, reason=reason, where=control.where)
 
 
+def watched_flows(control: AccessControl) -> frozenset[Flow]:
+    """Return the flows of which Zenoh looks at each message; it does not look at one that is always allowed."""
+    if not control.enabled:
+        return frozenset()
+    if control.default_permission is Permission.DENY:
+        return frozenset(Flow)
+    return frozenset(flow for rule in control.rules for flow in rule.flows)
+
+
 def _properties(subject: AclSubject) -> Iterable[_Properties]:
     """Yield the combinations of one value of each property; None is a property that the subject does not give."""
     lists = (subject.common_names, subject.usernames, subject.interfaces, subject.protocols, subject.zids)

@@ -20,6 +20,8 @@ ADVANCED = "@adv"
 GRAPH = "@ros2_lv"
 _TOKEN_IDS = (ANY_CHUNK,) * 4
 """Session, node, entity, and kind of entity."""
+TOKEN_ENCLAVE = 2 + len(_TOKEN_IDS)
+"""Index of the enclave among the chunks of a token."""
 
 
 def check_distro(distro: str) -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import importlib.metadata
 import importlib.util
+import sys
 
 DISTRIBUTION = "eclipse-zenoh"
 OLDEST = (1, 6)
@@ -20,7 +21,7 @@ class MissingZenohError(Exception):
 
     def __init__(self, reason: str) -> None:
         self.reason = reason
-        self.help = "pip install 'keymint-tools[zenoh]'"
+        self.help = f"pip install {DISTRIBUTION}, in Keymint's environment {sys.prefix}"
         super().__init__(f"Zenoh: {reason}; {self.help}")
 
 

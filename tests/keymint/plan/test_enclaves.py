@@ -117,7 +117,7 @@ class TestMarkers:
         )
         outcome = keymint("provision", "p.xml", "-w", "flat", "--layout", "flat")
         assert outcome.code == 1
-        assert "is not allowed in the layout 'flat'" in outcome.err
+        assert "is not allowed in the layout of this workspace" in outcome.err
         assert keymint("provision", "p.xml", "-w", "sros2").code == 0
         assert keymint("check", "-w", "sros2").code == 0
 

@@ -1,0 +1,88 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What a node does for an edge: operations on literal keys, and the messages that each of them needs.
+
+The parts of a key that no right depends on are fixed: the type and its hash, and the identifiers behind ``@adv``.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from types import MappingProxyType
+
+from comarmor.rules import parts
+from keymint.graph import Edge
+from keymint_ros2_zenoh.keyexpr.key_expr import KeyExprError, canonical, parse
+from keymint_ros2_zenoh.lowering.names import ADVANCED
+from keymint_ros2_zenoh.lowering.slots import SLOTS, Place
+from keymint_ros2_zenoh.messages import Flow, Message
+
+TYPE = "std_msgs::msg::dds_::String_"
+HASH = "TypeHashNotSupported"
+"""A type, and what Humble has in place of the hash of its definition."""
+PUBLISH, SUBSCRIBE, CALL, EXECUTE = "ros_publish", "ros_subscribe", "ros_call", "ros_execute"
+OTHER_END: Mapping[str, str] = MappingProxyType({PUBLISH: SUBSCRIBE, SUBSCRIBE: PUBLISH, CALL: EXECUTE, EXECUTE: CALL})
+"""The operation at the other end of each operation."""
+MIRRORED: Mapping[Flow, Flow] = MappingProxyType({Flow.INGRESS: Flow.EGRESS, Flow.EGRESS: Flow.INGRESS})
+"""What enters the router leaves the session, and the reverse."""
+_ADVANCED_IDS = "pub/0123456789abcdef/1/_"
+
+
+@dataclass(frozen=True, slots=True)
+class Operation:
+    """An operation of a node on a literal key.
+
+    Attributes:
+        permission: a key of :data:`SLOTS`.
+        key: the key of the topic or service.
+    """
+
+    permission: str
+    key: str
+
+    @property
+    def keys(self) -> tuple[str, str]:
+        """The key, and the one beside it that serves ``transient_local``."""
+        return self.key, f"{self.key}/{ADVANCED}/{_ADVANCED_IDS}"
+
+    @property
+    def requests(self) -> tuple[Request, ...]:
+        """The messages that it needs, all of them."""
+        plain, beside = self.keys
+        return tuple(
+            Request(slot.message, slot.flow, plain if slot.place is Place.DATA else beside)
+            for slot in SLOTS[self.permission]
+        )
+
+
+@dataclass(frozen=True, slots=True)
+class Request:
+    """A message on a link of a router, on a literal key; the flow is as the router sees it."""
+
+    message: Message
+    flow: Flow
+    key: str
+
+    def __str__(self) -> str:
+        """Return it in words: ``put in on 0/chatter/…``."""
+        direction = "in" if self.flow is Flow.INGRESS else "out"
+        return f"{self.message.replace('_', ' ')} {direction} on {self.key}"
+
+
+def operations(edge: Edge) -> tuple[Operation, ...]:
+    """Return the operations that an edge needs, all of them; none if no key can have its name."""
+    found = []
+    for _, permission, suffix in parts(edge.object.kind, edge.permission):
+        key = f"{edge.domain}{edge.object.name}{suffix}/{TYPE}/{HASH}"
+        if permission not in SLOTS or not _is_key(key):
+            return ()
+        found.append(Operation(permission, key))
+    return tuple(found)
+
+
+def _is_key(text: str) -> bool:
+    """Whether a text is a literal key that no session would write in another way."""
+    try:
+        return "$" not in text and parse(text).is_literal and canonical(text).text == text
+    except KeyExprError:
+        return False

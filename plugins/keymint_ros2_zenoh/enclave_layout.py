@@ -1,0 +1,25 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The files of a keystore for Zenoh: those of an enclave, and those of the router."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+from keymint.api import Layout
+
+ENCLAVES = "enclaves"
+LAYOUTS: Mapping[str, Layout] = {"sros2": Layout(ENCLAVES)}
+"""The layout that build types have in common from Foxy on. Ardent's has no place for an enclave's own files."""
+READS = (".pem", ".json5")
+"""Suffixes of the files that a session or router reads from an enclave."""
+CERTIFICATE, KEY, IDENTITY_CA = "cert.pem", "key.pem", "identity_ca.cert.pem"
+SESSION = "session.json5"
+ROUTER = "zenoh/router.json5"
+"""The router's configuration, relative to the install space: the rights of all enclaves."""
+SIGNATURE = f"{ROUTER}.p7s"
+"""The detached signature over it: CMS in DER. Zenoh does not look at it, ``keymint check`` does."""
+
+
+def files(layout: str) -> frozenset[str]:
+    """Return the names of all files that may lie in an enclave; see :meth:`keymint.api.BuildType.files`."""
+    return frozenset((CERTIFICATE, KEY, IDENTITY_CA, SESSION)) if layout in LAYOUTS else frozenset()

@@ -1,0 +1,154 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Prove or refute that a router permits an enclave exactly what the policy allows, message by message."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from itertools import product
+
+from comarmor.patterns.decision_lists import Equal, ProofResult, SearchBudget, Unknown, Witness
+from keymint.api import Claim, Counterexample, DomainRange, Endpoint, PolicyDecision, Proof, Verdict
+from keymint.ir import SubjectRules
+from keymint_ros2_zenoh.decision.access import AccessModel, Link
+from keymint_ros2_zenoh.lowering.name_rules import name_rules
+from keymint_ros2_zenoh.lowering.slots import action
+from keymint_ros2_zenoh.messages import Flow, Message
+from keymint_ros2_zenoh.proving import policy_evaluator
+from keymint_ros2_zenoh.proving.automaton import Automaton
+from keymint_ros2_zenoh.proving.key_search import Side, difference
+from keymint_ros2_zenoh.proving.policy_side import KeyLists, PolicySide, domain_ids
+from keymint_ros2_zenoh.proving.router_side import LinkRights, RouterRights
+
+MODEL = "zenoh-1"
+UNIVERSE = "all literal keys; the names in them are legal ROS names"
+_REPLIES = (
+    "replies about names for which one rule denies a permission and another rule allows the one that shares the reply: "
+    "no query reaches the subject there"
+)
+_PROTOCOL = "tls"
+
+
+@dataclass(frozen=True, slots=True)
+class RightsQuestion:
+    """What a router must permit on the links of an enclave, and what it says.
+
+    Attributes:
+        rules: the policy's rules for the subject.
+        distro: ROS 2 distribution.
+        domains: the domains in which the policy applies.
+        common_name: first common name of the enclave's certificate.
+        router: the rights of all enclaves, as the router has them.
+        states: the most states that the search for one claim may visit.
+        go_on: polled; the search ends when it returns False.
+    """
+
+    rules: SubjectRules
+    distro: str
+    domains: tuple[DomainRange, ...]
+    common_name: str
+    router: RouterRights
+    states: int
+    go_on: Callable[[], bool]
+
+
+def prove_rights(question: RightsQuestion) -> Iterator[Claim]:
+    """Yield a claim for each message and flow.
+
+    Raises:
+        KeymintError: Zenoh cannot express a rule of the policy.
+    """
+    ids = domain_ids(question.domains)
+    policy = PolicySide(name_rules(question.rules, question.distro), ids)
+    rights = question.router.on(question.common_name)
+    unknown = rights.unmodelled or policy.unproven(question.states)
+    proof = _Rights(question, policy, rights)
+    for message, flow in product(Message, Flow):
+        if unknown:
+            yield proof.claim(message, flow, Proof.UNKNOWN, unknown)
+        else:
+            yield proof.of(message, flow)
+
+
+class _Rights:
+    """Makes the claims of one enclave."""
+
+    def __init__(self, question: RightsQuestion, policy: PolicySide, rights: LinkRights) -> None:
+        self._question = question
+        self._policy = policy
+        self._rights = rights
+        self._automaton = Automaton()
+        self._known: dict[tuple[Side, Side], ProofResult] = {}
+
+    def claim(
+        self, message: Message, flow: Flow, proof: Proof, reason: str = "", example: Counterexample | None = None,
+        *, spent: bool = False, excepted: tuple[str, ...] = (),
+    ) -> Claim:  # fmt: skip
+        """Return a claim about a message and a flow."""
+        domains = self._question.domains
+        return Claim(MODEL, action(message, flow), domains, UNIVERSE, proof, reason, example, spent, excepted)
+
+    def of(self, message: Message, flow: Flow) -> Claim:
+        """Return the claim about a message and a flow."""
+        router = self._side(self._rights.keys(message, flow), everything=self._rights.open)
+        result = self._compare(self._side(self._policy.permitted(message, flow)), router)
+        excepted: tuple[str, ...] = ()
+        if isinstance(result, Witness) and message is Message.REPLY and not result.left:
+            again = self._compare(self._side(self._policy.expressible(message, flow)), router)
+            excepted = (_REPLIES,) if again == Equal() else ()
+            result = result if isinstance(again, Witness) and not self._real(again, message, flow) else again
+        if isinstance(result, Unknown):
+            return self.claim(message, flow, Proof.UNKNOWN, result.reason, spent=True)
+        if isinstance(result, Witness):
+            return self._refuted(message, flow, result)
+        return self.claim(message, flow, Proof.PROVEN, excepted=excepted)
+
+    def _real(self, witness: Witness, message: Message, flow: Flow) -> bool:
+        """Return whether the policy decides on a key as the side that the witness was found with."""
+        return self._decision(message, flow, witness.word).allowed is witness.left
+
+    def _decision(self, message: Message, flow: Flow, key: str) -> PolicyDecision:
+        return policy_evaluator.decide(self._question.rules, self._policy.domains, key, message, flow)
+
+    def _side(self, lists: KeyLists, *, everything: bool = False) -> Side:
+        """Return key expressions as nodes.
+
+        Args:
+            lists: key expressions by entry.
+            everything: each entry also allows all other keys.
+        """
+        nodes = self._automaton
+        more = (nodes.everything,) if everything else ()
+        entries = (
+            (frozenset((*map(nodes.key_expr, allowed), *more)), frozenset(map(nodes.key_expr, denied)))
+            for allowed, denied in lists
+        )
+        return tuple(sorted((entry for entry in entries if entry[0]), key=lambda entry: tuple(map(sorted, entry))))
+
+    def _compare(self, policy: Side, router: Side) -> ProofResult:
+        key = (policy, router)
+        if key not in self._known:
+            budget = SearchBudget(self._question.states, self._question.go_on)
+            self._known[key] = difference(self._automaton, policy, router, budget)
+        return self._known[key]
+
+    def _refuted(self, message: Message, flow: Flow, witness: Witness) -> Claim:
+        question, key = self._question, witness.word
+        policy = self._decision(message, flow, key)
+        decided = AccessModel(question.router.control).decide(
+            Link(question.common_name, protocol=_PROTOCOL), message, flow, key
+        )
+        if policy.allowed is not witness.left or decided.allowed is witness.left:
+            return self.claim(
+                message, flow, Proof.UNKNOWN,
+                f"the engine and the plain evaluators disagree on {key!r}: a defect of Keymint",
+            )  # fmt: skip
+        subject = question.rules.subject
+        meaning = policy_evaluator.meaning_of(key)
+        example = Counterexample(
+            Endpoint(subject, action(message, flow), key, domain=meaning.domain if meaning else 0),
+            next(policy_evaluator.edges(subject, key, message, flow), None),
+            policy,
+            Verdict(decided.allowed, decided.reason, decided.where or self._rights.where),
+        )
+        return self.claim(message, flow, Proof.COUNTEREXAMPLE, "", example)

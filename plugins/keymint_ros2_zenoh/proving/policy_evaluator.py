@@ -1,0 +1,101 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Evaluate a policy for one literal key by its rules; independent of the compiler, to check its translation."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+from comarmor.errors import Reason
+from comarmor.patterns import glob
+from comarmor.patterns.matching import matches
+from comarmor.rules import Effect, parts
+from keymint.api import PolicyDecision
+from keymint.graph import Edge, Object
+from keymint.ir import Rule, SubjectRules
+from keymint_ros2_zenoh.keyexpr.key_expr import VERBATIM
+from keymint_ros2_zenoh.lowering.names import ADVANCED, GRAPH, TOKEN_ENCLAVE, TYPE_AND_HASH
+from keymint_ros2_zenoh.lowering.slots import USERS, Place, Slot, graph_slots
+from keymint_ros2_zenoh.messages import Flow, Message
+
+_KIND = {
+    "ros_publish": "ros_topic", "ros_subscribe": "ros_topic", "ros_call": "ros_service", "ros_execute": "ros_service",
+}  # fmt: skip
+
+
+@dataclass(frozen=True, slots=True)
+class KeyMeaning:
+    """What a literal key is about.
+
+    Attributes:
+        domain: the domain id.
+        name: the topic or service.
+        place: which of its keys it is.
+    """
+
+    domain: int
+    name: str
+    place: Place
+
+
+def meaning_of(key: str) -> KeyMeaning | None:
+    """Return the name that a key is about, or None for a key that no topic or service has."""
+    chunks = key.split("/")
+    place = Place.DATA
+    if ADVANCED in chunks:
+        chunks, place = chunks[: chunks.index(ADVANCED)], Place.ADVANCED
+    domain, *name = chunks[: -len(TYPE_AND_HASH)] or ("",)
+    if not name or not domain.isdecimal() or any(chunk.startswith(VERBATIM) for chunk in chunks):
+        return None
+    return KeyMeaning(int(domain), f"/{'/'.join(name)}", place) if str(int(domain)) == domain else None
+
+
+def edges(subject: str, key: str, message: Message, flow: Flow) -> Iterator[Edge]:
+    """Yield the edges that need a message on a key."""
+    meaning = meaning_of(key)
+    if meaning is not None:
+        for permission in sorted(USERS[Slot(message, flow, meaning.place)]):
+            yield Edge(subject, permission, Object(_KIND[permission], meaning.name), meaning.domain)
+
+
+def decide(rules: SubjectRules, domains: tuple[int, ...], key: str, message: Message, flow: Flow) -> PolicyDecision:
+    """Return the policy's decision on a message with a literal key."""
+    if key.startswith(f"{GRAPH}/"):
+        return _of_graph(rules.subject, domains, key, message, flow)
+    denial: PolicyDecision | None = None
+    for edge in edges(rules.subject, key, message, flow):
+        if edge.domain not in domains:
+            return PolicyDecision(allowed=False, where=None, reason=Reason(("not its domain",)))
+        about = [rule for rule in rules.rules if _is_about(rule, edge)]
+        rule = next((rule for rule in about if rule.effect is Effect.DENY), about[0] if about else None)
+        if rule is None:
+            continue
+        verb = "allows" if rule.effect is Effect.ALLOW else "denies"
+        reason = Reason((f"the {rule.kind} rule {verb} it",))
+        decision = PolicyDecision(rule.effect is Effect.ALLOW, rule.origin, reason, rule.audit)
+        if decision.allowed:
+            return decision
+        denial = denial or decision
+    return denial or PolicyDecision(allowed=False, where=None, reason=Reason(("no rule allows it",)))
+
+
+def _is_about(rule: Rule, edge: Edge) -> bool:
+    for permission in rule.permissions:
+        for kind, part, suffix in parts(rule.kind, permission):
+            if (kind, part) == (edge.object.kind, edge.permission) and edge.object.name.endswith(suffix):
+                name = edge.object.name[: len(edge.object.name) - len(suffix)]
+                if any(matches(glob.parse(expression), name) for expression in rule.expressions):
+                    return True
+    return False
+
+
+def _of_graph(subject: str, domains: tuple[int, ...], key: str, message: Message, flow: Flow) -> PolicyDecision:
+    """Decide about a token of the graph: an enclave reads all of its domains, and announces its own nodes."""
+    chunks = key.split("/")
+    known = chunks[1] in map(str, domains) and not any(chunk.startswith(VERBATIM) for chunk in chunks[1:])
+    reads = (message, flow) in set(graph_slots())
+    announces = (message, flow) == (Message.LIVELINESS_TOKEN, Flow.INGRESS)
+    own = chunks[TOKEN_ENCLAVE : TOKEN_ENCLAVE + 1] == [subject.replace("/", "%")]
+    allowed = known and (reads or (announces and own))
+    reason = "every enclave may do so" if allowed else "no enclave may do so"
+    return PolicyDecision(allowed, None, Reason((reason,)))

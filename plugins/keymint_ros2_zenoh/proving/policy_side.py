@@ -1,0 +1,90 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What a policy permits a subject, as patterns of keys for each message and flow."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+from comarmor.patterns.decision_lists import Equal
+from comarmor.patterns.glob import Glob
+from comarmor.patterns.printing import exact
+from comarmor.rules import Effect
+from keymint.api import DomainRange
+from keymint_ros2_zenoh.keyexpr.expansion import key_exprs
+from keymint_ros2_zenoh.keyexpr.key_expr import KeyExpr
+from keymint_ros2_zenoh.lowering.key_rules import slot_rules
+from keymint_ros2_zenoh.lowering.name_rules import NameRules
+from keymint_ros2_zenoh.lowering.names import advanced_key, data_key, graph_key, own_tokens_key
+from keymint_ros2_zenoh.lowering.slots import USERS, Place, Slot, graph_slots
+from keymint_ros2_zenoh.messages import Flow, Message
+from keymint_ros2_zenoh.proving.expansion_proof import proven_exact
+
+KeyLists = tuple[tuple[tuple[KeyExpr, ...], tuple[KeyExpr, ...]], ...]
+"""For each entry the key expressions that it allows, and those that it denies."""
+
+
+@dataclass(frozen=True, slots=True)
+class PolicySide:
+    """The rights of a subject by its policy.
+
+    Attributes:
+        names: its rules by permission.
+        domains: the ids of its domains.
+    """
+
+    names: NameRules
+    domains: tuple[int, ...]
+
+    def permitted(self, message: Message, flow: Flow) -> KeyLists:
+        """Return what the policy permits: an entry for each permission that needs the message."""
+        entries = []
+        for place in Place:
+            slot = Slot(message, flow, place)
+            for permission in sorted(USERS[slot]):
+                allowed, denied = (self.names.patterns(effect, permission) for effect in (Effect.ALLOW, Effect.DENY))
+                entries.append((self._keys(place, allowed), self._keys(place, denied)))
+        entries.append((tuple(self._graph(message, flow)), ()))
+        return tuple(entry for entry in entries if entry[0])
+
+    def expressible(self, message: Message, flow: Flow) -> KeyLists:
+        """Return what one list of denials can express: where permissions share a message, more than :meth:`permitted`.
+
+        It permits a reply on names that one permission is denied and another one is allowed on other names of the same
+        rule; see :data:`keymint_ros2_zenoh.lowering.slots.SLOTS` for why this is no right.
+        """
+        lists: dict[Effect, list[KeyExpr]] = {effect: [] for effect in Effect}
+        for effect, slots, pattern, _ in slot_rules(self.names):
+            for slot in slots:
+                if (slot.message, slot.flow) == (message, flow):
+                    lists[effect] += self._keys(slot.place, (pattern,))
+        lists[Effect.ALLOW] += self._graph(message, flow)
+        return ((tuple(lists[Effect.ALLOW]), tuple(lists[Effect.DENY])),)
+
+    def unproven(self, states: int) -> str:
+        """Return why the key expressions of a pattern are not proven to match the same names; empty if all are."""
+        for pattern in dict.fromkeys(each.pattern for each in self.names.rules):
+            result = proven_exact(pattern, states)
+            if result != Equal():
+                return f"the key expressions of {exact(pattern)!r} are not proven to match the same names: {result}"
+        return ""
+
+    def _keys(self, place: Place, patterns: Sequence[Glob]) -> tuple[KeyExpr, ...]:
+        return tuple(
+            key if place is Place.DATA else advanced_key(key)
+            for pattern in patterns
+            for name in key_exprs(pattern)
+            for key in (data_key(domain, name) for domain in self.domains)
+        )
+
+    def _graph(self, message: Message, flow: Flow) -> Iterator[KeyExpr]:
+        for domain in self.domains:
+            if (message, flow) == (Message.LIVELINESS_TOKEN, Flow.INGRESS):
+                yield own_tokens_key(domain, self.names.subject)
+            if (message, flow) in set(graph_slots()):
+                yield graph_key(domain)
+
+
+def domain_ids(domains: Sequence[DomainRange]) -> tuple[int, ...]:
+    """Return the ids of all domains."""
+    return tuple(sorted({each for item in domains for each in range(item.first, item.last + 1)}))

@@ -1,0 +1,169 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The model's decisions about installed enclaves: at the router, and at the session's own access control."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from pathlib import Path
+
+from comarmor.errors import Origin
+from keymint.api import Enclave, Environment, Verdict
+from keymint.errors import KeymintError
+from keymint.graph import Edge
+from keymint_ros2_zenoh.decision import admission
+from keymint_ros2_zenoh.decision.access import AccessDecision, AccessModel, Link
+from keymint_ros2_zenoh.decision.operations import MIRRORED, Request, operations
+from keymint_ros2_zenoh.transports import installed
+from keymint_ros2_zenoh.transports.installed import InstalledConfiguration
+from keymint_ros2_zenoh.vendors import loopback
+
+
+@dataclass(frozen=True, slots=True)
+class RouterModel:
+    """A router.
+
+    Attributes:
+        files: its configuration.
+        common_name: the common name of its certificate.
+        access: the decisions of its access control.
+    """
+
+    files: InstalledConfiguration
+    common_name: str
+    access: AccessModel
+
+
+class EnclaveModel:
+    """Decides about the messages of one enclave.
+
+    Args:
+        enclave: the enclave.
+        router: the router that it connects to.
+        environment: the clock, and what was read before in this run.
+
+    Attributes:
+        files: the configuration of its session.
+        common_name: the common name of its certificate.
+        refusal: why there is no link between its session and the router; empty if there is one.
+
+    Raises:
+        KeymintError: a file cannot be read.
+    """
+
+    def __init__(self, enclave: Enclave, router: RouterModel, environment: Environment) -> None:
+        self.files = installed.session(enclave, environment)
+        self.common_name = installed.session_name(self.files)
+        self.refusal = _refusal(self.files, router.files, environment)
+        self._router_file, self._session_file = str(router.files.file), str(self.files.file)
+        session = AccessModel(self.files.configuration.access_control)
+        self._at_router = router.access.on(Link(self.common_name, interface="lo", protocol="tls"))
+        self._at_session = session.on(Link(router.common_name, interface="lo", protocol="tls"))
+
+    def at_router(self, request: Request) -> AccessDecision:
+        """Return what the router decides about a message."""
+        return self._at_router.decide(request.message, request.flow, request.key)
+
+    def at_session(self, request: Request) -> AccessDecision:
+        """Return what the session's own access control decides about it."""
+        return self._at_session.decide(request.message, MIRRORED[request.flow], request.key)
+
+    def decide(self, request: Request) -> Verdict:
+        """Return the decision on a message, with the place that decided: the router's if both allow."""
+        if self.refusal:
+            return Verdict(allowed=False, reason=self.refusal, where=Origin(self._session_file))
+        own = self.at_session(request)
+        decision, file = (self.at_router(request), self._router_file) if own.allowed else (own, self._session_file)
+        return Verdict(decision.allowed, f"{request}: {decision.reason}", decision.where or Origin(file))
+
+    def label(self, edge: Edge) -> Verdict:
+        """Return the decision on an edge: all messages that it needs must be allowed."""
+        return first_denied(self.decide(request) for operation in operations(edge) for request in operation.requests)
+
+
+def first_denied(verdicts: Iterable[Verdict]) -> Verdict:
+    """Return the first verdict that denies, else the first one; without any, the name is no name of Zenoh."""
+    first = None
+    for verdict in verdicts:
+        if not verdict.allowed:
+            return verdict
+        first = first or verdict
+    return first or Verdict(allowed=False, reason="no key of Zenoh can have this name")
+
+
+class InstalledModels:
+    """The models of enclaves.
+
+    Args:
+        enclaves: the enclaves.
+        environment: the clock, and what was read before in this run.
+    """
+
+    def __init__(self, enclaves: Iterable[Enclave], environment: Environment) -> None:
+        self._enclaves = {enclave.subject: enclave for enclave in enclaves}
+        self._environment = environment
+        self._routers: dict[Path, RouterModel] = {}
+        self._models: dict[str, EnclaveModel] = {}
+
+    def subjects(self) -> list[str]:
+        """Return the subjects of the enclaves in alphabetical order."""
+        return sorted(self._enclaves)
+
+    def enclave(self, subject: str) -> Enclave:
+        """Return the enclave of a subject.
+
+        Raises:
+            KeymintError: there is none.
+        """
+        if subject not in self._enclaves:
+            raise KeymintError(
+                f"{subject} has no installed enclave", help="run 'keymint install'", code="enclave-missing"
+            )
+        return self._enclaves[subject]
+
+    def of(self, subject: str) -> EnclaveModel:
+        """Return the model of a subject.
+
+        Raises:
+            KeymintError: the subject has no enclave, or a file of it cannot be read.
+        """
+        if subject not in self._models:
+            enclave = self.enclave(subject)
+            self._models[subject] = EnclaveModel(enclave, self.router(enclave.install), self._environment)
+        return self._models[subject]
+
+    def router_of(self, subject: str) -> RouterModel:
+        """Return the model of the router of a subject; raises what :meth:`of` does."""
+        return self.router(self.enclave(subject).install)
+
+    def router(self, install: Path) -> RouterModel:
+        """Return the model of the router of an install space.
+
+        Raises:
+            KeymintError: a file of it cannot be read.
+        """
+        if install not in self._routers:
+            files = installed.router(install, self._environment)
+            access = AccessModel(files.configuration.access_control)
+            self._routers[install] = RouterModel(files, installed.router_name(files), access)
+        return self._routers[install]
+
+
+def _refusal(session: InstalledConfiguration, router: InstalledConfiguration, environment: Environment) -> str:
+    """Return why a session and a router have no link, or an empty text."""
+    own, other = session.configuration.tls, router.configuration.tls
+    listened = {loopback.port(endpoint) for endpoint in router.configuration.listen}
+    endpoints = [endpoint for endpoint in session.configuration.connect if loopback.port(endpoint) in listened]
+    if not endpoints:
+        return "the session does not connect to a port of the router"
+    certificate = session.content(own.connect_certificate)
+    reason = admission.refusal(certificate, router.content(other.root_ca), environment.now, server=False)
+    if reason:
+        return f"the router refuses the certificate of the session: {reason}"
+    certificate = router.content(other.listen_certificate)
+    reason = admission.refusal(certificate, session.content(own.root_ca), environment.now, server=True)
+    if not reason and own.verify_name:
+        leaf = router.certificate(other.listen_certificate)
+        if not any(admission.names_host(leaf, loopback.host(endpoint)) for endpoint in endpoints):
+            reason = "no subjectAltName of it is the host that the session connects to"
+    return f"the session refuses the certificate of the router: {reason}" if reason else ""

@@ -1,0 +1,127 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The installed files of Zenoh: the router's configuration, and that of each enclave's session.
+
+Configurations name certificates and keys by absolute paths on the robot. Here they are looked for in the install space
+or its copy: at the longest end of the path that exists there. So a configuration that names the files of another
+enclave, or none, is read as it stands.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from dataclasses import dataclass
+from pathlib import Path, PurePosixPath
+from typing import cast
+
+from cryptography import x509
+
+from comarmor.errors import Origin
+from keymint.api import Enclave, Environment
+from keymint.errors import KeymintError
+from keymint.pki import certificates
+from keymint_ros2_zenoh.decision import admission
+from keymint_ros2_zenoh.documents import read as documents
+from keymint_ros2_zenoh.documents.configuration import Configuration
+from keymint_ros2_zenoh.enclave_layout import ROUTER, SESSION
+
+
+@dataclass(frozen=True, slots=True)
+class InstalledConfiguration:
+    """An installed configuration and its certificates.
+
+    Attributes:
+        file: its absolute path.
+        install: the install space that it belongs to.
+        configuration: what it says.
+    """
+
+    file: Path
+    install: Path
+    configuration: Configuration
+
+    def local(self, path: str) -> Path | None:
+        """Return where a file that the configuration names is in this install space; None if it is not there."""
+        names = PurePosixPath(path).parts[1:]
+        candidates = (self.install.joinpath(*names[start:]) for start in range(len(names)))
+        return next((each for each in candidates if each.is_file()), None)
+
+    def content(self, path: str) -> bytes:
+        """Return a file that the configuration names.
+
+        Raises:
+            KeymintError: it is not in the install space, or cannot be read.
+        """
+        found = self.local(path)
+        if found is None:
+            missing = (
+                f"{self.file.name} names {path!r}, which is not in the install space"
+                if path
+                else (f"{self.file.name} does not name the certificates and keys that it needs")
+            )
+            raise KeymintError(missing, where=Origin(str(self.file)), help="run 'keymint install'", code="enclave-file")
+        return _content(found)
+
+    def certificate(self, path: str) -> x509.Certificate:
+        """Return the first certificate of a file that the configuration names.
+
+        Raises:
+            KeymintError: it cannot be read.
+        """
+        return certificates.load_bundle(self.content(path), Origin(str(self.local(path))))[0]
+
+
+def session(enclave: Enclave, environment: Environment) -> InstalledConfiguration:
+    """Return the configuration of the session of an enclave.
+
+    Raises:
+        KeymintError: it cannot be read, or Zenoh would refuse it.
+    """
+    return _read(enclave.folder / SESSION, enclave.install, environment)
+
+
+def router(install: Path, environment: Environment) -> InstalledConfiguration:
+    """Return the configuration of the router of an install space.
+
+    Raises:
+        KeymintError: it cannot be read, or Zenoh would refuse it.
+    """
+    return _read(install / ROUTER, install, environment)
+
+
+def session_name(found: InstalledConfiguration) -> str:
+    """Return the common name that the router sees.
+
+    Raises:
+        KeymintError: the certificate cannot be read.
+    """
+    return admission.common_name(found.certificate(found.configuration.tls.connect_certificate))
+
+
+def router_name(found: InstalledConfiguration) -> str:
+    """Return the common name that sessions see.
+
+    Raises:
+        KeymintError: the certificate cannot be read.
+    """
+    return admission.common_name(found.certificate(found.configuration.tls.listen_certificate))
+
+
+def _read(file: Path, install: Path, environment: Environment) -> InstalledConfiguration:
+    content = _content(file)
+    digest = hashlib.sha256(f"zenoh {file}\n".encode() + content).digest()
+    known = environment.opened.get(digest)
+    if known is None:
+        known = environment.opened[digest] = documents.read(content, str(file))
+    return InstalledConfiguration(file, install, cast("Configuration", known))
+
+
+def _content(file: Path) -> bytes:
+    try:
+        return file.read_bytes()
+    except OSError as error:
+        raise KeymintError(
+            f"{file.name} cannot be read: {error.strerror}",
+            where=Origin(str(file)),
+            help="run 'keymint install'",
+            code="enclave-file",
+        ) from None

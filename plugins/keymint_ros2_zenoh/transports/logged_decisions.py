@@ -1,0 +1,148 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The tiers *decision* and *admission*, which are one: the log of a real router about a real session of each enclave.
+
+A session is opened with the enclave's files and declares publishers on all keys in question. The router and the session
+then log their decisions for all messages on these keys, and nothing is sent.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Sequence
+from itertools import count, groupby, islice
+
+from comarmor.errors import Origin
+from keymint.api import Verdict
+from keymint.graph import Edge
+from keymint_ros2_zenoh.decision.access import AccessDecision, watched_flows
+from keymint_ros2_zenoh.decision.operations import MIRRORED, Operation, Request, operations
+from keymint_ros2_zenoh.documents.access_control import AccessControl
+from keymint_ros2_zenoh.transports.enclave_model import EnclaveModel, InstalledModels, RouterModel, first_denied
+from keymint_ros2_zenoh.transports.network import ROUTER, Network
+from keymint_ros2_zenoh.vendors.zenoh_processes import ZenohError, ZenohProcess
+
+BATCH = 200
+"""Edges whose keys are declared at a time."""
+_FENCE = "keymint/fence"
+
+
+def logged_decisions(
+    network: Network, models: InstalledModels, edges: Iterable[Edge]
+) -> Iterator[tuple[Edge, Verdict]]:
+    """Yield whether the router and the session allow each edge; one session at a time.
+
+    Args:
+        network: the router.
+        models: the enclaves.
+        edges: grouped by subject.
+
+    Raises:
+        KeymintError: an enclave is missing.
+        ProcessFailedError: a process fails.
+    """
+    for subject, group in groupby(edges, key=lambda edge: edge.subject):
+        model = models.of(subject)
+        try:
+            session = LoggedSession(network, models.router_of(subject), model)
+        except ZenohError as error:
+            verdict = no_link(model, error)
+            yield from ((edge, verdict) for edge in group)
+            continue
+        while batch := list(islice(group, BATCH)):
+            needed = {edge: operations(edge) for edge in batch}
+            session.declare(operation for each in needed.values() for operation in each)
+            yield from ((edge, session.verdict(needed[edge])) for edge in batch)
+        session.close()
+
+
+def no_link(model: EnclaveModel, error: ZenohError) -> Verdict:
+    """Return the verdict on all edges of an enclave whose session has no link to the router."""
+    reason = f"{model.refusal} ({error})" if model.refusal else f"the session has no link to the router: {error}"
+    return Verdict(allowed=False, reason=reason, where=Origin(str(model.files.file)))
+
+
+class LoggedSession:
+    """A session, and what both ends of its link decide.
+
+    Args:
+        network: the router.
+        router: its model.
+        model: the enclave of the session.
+
+    Raises:
+        ZenohError: it gets no link to the router.
+    """
+
+    def __init__(self, network: Network, router: RouterModel, model: EnclaveModel) -> None:
+        self._network = network
+        self._model = model
+        self._fences = count()
+        self._declared: set[str] = set()
+        self._session = network.open(model)
+        zid = network.sessions.ask("zid", session=self._session)
+        router_zid = network.router.ask("zid", session=ROUTER)
+        self._at_router = _Decisions(network.router, zid, router.files.configuration.access_control)
+        self._at_session = _Decisions(network.sessions, router_zid, model.files.configuration.access_control)
+
+    def declare(self, needed: Iterable[Operation]) -> None:
+        """Let both ends decide on the keys of operations."""
+        keys = dict.fromkeys(key for operation in needed for key in operation.keys)
+        new = [key for key in keys if key not in self._declared]
+        if not new:
+            return
+        self._declared.update(new)
+        fence = f"{_FENCE}/{next(self._fences)}"
+        self._network.sessions.ask("publishers", session=self._session, keys=[*new, fence])
+        for decisions in (self._at_router, self._at_session):
+            decisions.read(fence)
+
+    def verdict(self, needed: Sequence[Operation]) -> Verdict:
+        """Return the decision on an edge by its operations, which were declared: all their messages are needed."""
+        return first_denied(self._decide(request) for operation in needed for request in operation.requests)
+
+    def close(self) -> None:
+        """Close the session."""
+        self._network.close(self._session)
+
+    def _decide(self, request: Request) -> Verdict:
+        own = self._at_session.allows(request.message, MIRRORED[request.flow], request.key)
+        if not own:
+            return self._verdict(own, "the session", request, self._model.at_session(request))
+        router = self._at_router.allows(request.message, request.flow, request.key)
+        return self._verdict(router, "the router", request, self._model.at_router(request))
+
+    def _verdict(self, allowed: bool, who: str, request: Request, modelled: AccessDecision) -> Verdict:
+        """Return a verdict with the place of the rule by which the model decides the same."""
+        where = modelled.where if modelled.allowed == allowed else None
+        return Verdict(allowed, f"{who} {'permits' if allowed else 'denies'} {request}", where)
+
+
+class _Decisions:
+    """The decisions of a process about one link, from its log.
+
+    Args:
+        process: the process.
+        zid: identifier of the session at the other end.
+        control: its access control.
+    """
+
+    def __init__(self, process: ZenohProcess, zid: str, control: AccessControl) -> None:
+        self._process = process
+        self._zid = zid
+        self._flows = watched_flows(control)
+        self._found: dict[tuple[str, str, str], bool] = {}
+        self._for_all: bool | None = None
+
+    def read(self, fence: str) -> None:
+        """Read the log up to the decisions on a fence."""
+        if self._flows and self._for_all is None:
+            for each in self._process.await_decisions(self._zid, fence):
+                if each.message:
+                    self._found[each.message, each.flow, each.key] = each.allowed
+                else:
+                    self._for_all = each.allowed
+
+    def allows(self, message: str, flow: str, key: str) -> bool:
+        """Return the decision about a message on a key that was declared."""
+        if self._for_all is not None:
+            return self._for_all
+        return self._found[message, flow, key] if flow in self._flows else True

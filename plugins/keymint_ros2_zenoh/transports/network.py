@@ -1,0 +1,119 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A real router and real sessions that use installed files, changed for loopback as :mod:`loopback` says."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from itertools import count
+from types import TracebackType
+from typing import Self
+
+from keymint.errors import KeymintError
+from keymint_ros2_zenoh.documents.configuration import Tls
+from keymint_ros2_zenoh.transports.enclave_model import EnclaveModel, RouterModel
+from keymint_ros2_zenoh.transports.installed import InstalledConfiguration
+from keymint_ros2_zenoh.vendors import access_log, loopback
+from keymint_ros2_zenoh.vendors.loopback_ports import free_port
+from keymint_ros2_zenoh.vendors.zenoh_processes import ProcessFailedError, ZenohError, ZenohProcess, ZenohSystem
+
+ROUTER = "router"
+_ATTEMPTS = 5
+"""Another program may take a free port before the router does."""
+_NO_ACCESS_CONTROL: Mapping[str, object] = {"access_control": {"enabled": False}}
+
+
+class Network:
+    """A router that runs as long as the context, and sessions that connect to it.
+
+    Args:
+        router: the router's files.
+        variables: environment variables.
+
+    Attributes:
+        router: the process of the router; it logs its decisions.
+        sessions: the process of all sessions; it logs the decisions of their own access control.
+
+    Raises:
+        KeymintError: Zenoh refuses the router's configuration, or its process fails.
+    """
+
+    router: ZenohProcess
+    sessions: ZenohProcess
+
+    def __init__(self, router: RouterModel, variables: Mapping[str, str]) -> None:
+        self._model = router
+        self._system = ZenohSystem(variables)
+        self._ports: Mapping[str, str] = {}
+        self._numbers = count()
+
+    def __enter__(self) -> Self:
+        self._system.__enter__()
+        try:
+            self.router = self._system.start(log=access_log.FILTER)
+            self.sessions = self._system.start(log=access_log.FILTER)
+            self._open_router()
+        except ProcessFailedError as error:
+            self._system.__exit__()
+            raise KeymintError(str(error), code="transport-failed") from None
+        except BaseException:
+            self._system.__exit__()
+            raise
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._system.__exit__()
+        if isinstance(error, (ProcessFailedError, ZenohError)):
+            raise KeymintError(str(error), code="transport-failed") from None
+
+    def open(self, model: EnclaveModel, *, conforming: bool = True) -> str:
+        """Open a session of an enclave and return its name in commands.
+
+        Args:
+            model: the enclave.
+            conforming: it uses its own access control; otherwise it is the session of an attacker, which only the
+                router restrains.
+
+        Raises:
+            ZenohError: it gets no link to the router.
+        """
+        name = f"session{next(self._numbers)}"
+        connect = model.files.configuration.connect
+        changes = loopback.session_changes(connect, self._ports) | _paths(model.files)
+        if not conforming:
+            changes |= _NO_ACCESS_CONTROL
+        self.sessions.open(name, model.files.file, changes)
+        return name
+
+    def close(self, session: str) -> None:
+        """Close a session."""
+        self.sessions.ask("close", session=session)
+
+    def _open_router(self) -> None:
+        files = self._model.files
+        listen = files.configuration.listen
+        for attempt in range(_ATTEMPTS):
+            self._ports = {loopback.port(endpoint): str(free_port()) for endpoint in listen}
+            try:
+                self.router.open(ROUTER, files.file, loopback.router_changes(listen, self._ports) | _paths(files))
+            except ZenohError as error:
+                if attempt == _ATTEMPTS - 1 or "in use" not in str(error):
+                    raise KeymintError(f"Zenoh does not start the router: {error}", code="enclave-refused") from None
+            else:
+                return
+
+
+def _paths(files: InstalledConfiguration) -> dict[str, object]:
+    return loopback.path_changes(_settings(files.configuration.tls), files.local)
+
+
+def _settings(tls: Tls) -> dict[str, str]:
+    """Return the paths of a configuration by the names of their settings."""
+    return {
+        "root_ca_certificate": tls.root_ca,
+        "listen_certificate": tls.listen_certificate,
+        "listen_private_key": tls.listen_key,
+        "connect_certificate": tls.connect_certificate,
+        "connect_private_key": tls.connect_key,
+    }

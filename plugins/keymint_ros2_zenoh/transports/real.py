@@ -1,0 +1,58 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The real transport: routers and sessions of Zenoh in processes on loopback, with the installed files."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from functools import cached_property
+from itertools import groupby
+
+from keymint.api import Availability, Enclave, Environment, Tier, Verdict
+from keymint.errors import KeymintError
+from keymint.graph import Edge
+from keymint_ros2_zenoh.transports.enclave_model import InstalledModels
+from keymint_ros2_zenoh.transports.exchange import exchange
+from keymint_ros2_zenoh.transports.logged_decisions import logged_decisions
+from keymint_ros2_zenoh.transports.network import Network
+from keymint_ros2_zenoh.vendors.zenoh_library import MissingZenohError, installed_version
+
+_Labeller = Callable[[Network, InstalledModels, Iterable[Edge]], Iterator[tuple[Edge, Verdict]]]
+
+
+class RealZenoh:
+    """Implements :class:`keymint.api.Transport` with the library ``eclipse-zenoh``.
+
+    Args:
+        environment: the environment variables for its processes.
+    """
+
+    def __init__(self, environment: Environment) -> None:
+        self._environment = environment
+
+    def usable(self) -> Availability:
+        """Return whether the library is installed; determined once."""
+        return self._usable
+
+    @cached_property
+    def _usable(self) -> Availability:
+        try:
+            return Availability(usable=True, version=installed_version(), tiers=tuple(Tier))
+        except MissingZenohError as error:
+            return Availability(usable=False, reason=error.reason, help=error.help)
+
+    def label(self, enclaves: Sequence[Enclave], edges: Iterable[Edge], tier: Tier) -> Iterator[tuple[Edge, Verdict]]:
+        """See :meth:`keymint.api.Transport.label`."""
+        usable = self.usable()
+        if tier not in usable.tiers:
+            message = f"the transport 'zenoh' cannot be used at tier {tier}: {usable.reason}"
+            raise KeymintError(message, help=usable.help, code="transport-unusable")
+        models = InstalledModels(enclaves, self._environment)
+        label = exchange if tier is Tier.EXCHANGE else logged_decisions
+        return self._label(label, models, edges)
+
+    def _label(
+        self, label: _Labeller, models: InstalledModels, edges: Iterable[Edge]
+    ) -> Iterator[tuple[Edge, Verdict]]:
+        for install, group in groupby(edges, key=lambda edge: models.enclave(edge.subject).install):
+            with Network(models.router(install), self._environment.variables) as network:
+                yield from label(network, models, group)

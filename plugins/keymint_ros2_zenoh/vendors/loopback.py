@@ -1,0 +1,76 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What of an installed configuration is changed to run it on the loopback of this machine, and nothing else.
+
+- The port of each endpoint: installations that are tested at the same time must not meet.
+- Its host: ``127.0.0.1`` where the router listens. Sessions connect to the host that they name if it is this machine's
+  loopback. To any other host they connect as ``localhost`` without a check of the name, which the model does instead.
+- The paths of certificates and keys: they are absolute paths on the robot.
+
+Access control, modes, mutual TLS, scouting and all other settings are those of the files.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Mapping, Sequence
+
+LOOPBACK = ("localhost", "127.0.0.1")
+_TLS = "transport/link/tls"
+
+
+def router_changes(listen: Sequence[str], ports: Mapping[str, str]) -> dict[str, object]:
+    """Return the changed endpoints of a router.
+
+    Args:
+        listen: endpoints of its configuration.
+        ports: the new port by the port that the configuration names.
+    """
+    return {"listen/endpoints": [_changed(each, "127.0.0.1", ports[port(each)]) for each in listen]}
+
+
+def session_changes(connect: Sequence[str], ports: Mapping[str, str]) -> dict[str, object]:
+    """Return the changed endpoints of a session, and the check of the name if that changes.
+
+    Args:
+        connect: endpoints of its configuration.
+        ports: the new port by the port of the router; other ports stay.
+    """
+    hosts = [host(each) for each in connect]
+    endpoints = [
+        _changed(each, name if name in LOOPBACK else "localhost", ports.get(port(each), port(each)))
+        for each, name in zip(connect, hosts, strict=True)
+    ]
+    unnamed = {} if set(hosts) <= set(LOOPBACK) else {f"{_TLS}/verify_name_on_connect": False}
+    return {"connect/endpoints": endpoints, **unnamed}
+
+
+def path_changes(paths: Mapping[str, str], local: Callable[[str], object]) -> dict[str, object]:
+    """Return the changed paths of certificates and keys.
+
+    Args:
+        paths: paths that a configuration names, by the name of their setting; empty ones are not set.
+        local: returns where a file is on this machine, or None.
+    """
+    found = {name: local(path) for name, path in paths.items() if path}
+    return {f"{_TLS}/{name}": str(file) for name, file in found.items() if file is not None}
+
+
+def port(endpoint: str) -> str:
+    """Return the port of an endpoint ``protocol/host:port``, which options may follow."""
+    return _split(endpoint)[2]
+
+
+def host(endpoint: str) -> str:
+    """Return the host of an endpoint, without the brackets of an IPv6 address."""
+    return _split(endpoint)[1].strip("[]")
+
+
+def _changed(endpoint: str, new_host: str, new_port: str) -> str:
+    protocol, _, _, options = _split(endpoint)
+    return f"{protocol}/{new_host}:{new_port}{options}"
+
+
+def _split(endpoint: str) -> tuple[str, str, str, str]:
+    """Return protocol, host, port and options."""
+    found = re.fullmatch(r"([^/]*)/(.*?)(?::(\d+))?([?#].*)?", endpoint, re.DOTALL)
+    return ("", "", "", "") if found is None else (found[1], found[2], found[3] or "", found[4] or "")

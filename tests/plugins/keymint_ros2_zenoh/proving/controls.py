@@ -1,0 +1,40 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Access controls of routers for tests, in the sound shape, and what can be wrong with them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import replace
+
+from keymint_ros2_zenoh.documents.access_control import AccessControl, AclPolicy, AclRule, AclSubject
+from keymint_ros2_zenoh.lowering.key_rules import lower
+from keymint_ros2_zenoh.messages import Permission
+
+from comarmor.errors import Origin
+from comarmor.rules import Effect
+from keymint.api import DomainRange
+from keymint.ir import SubjectRules
+
+DOMAINS = (DomainRange(0, 0),)
+FILE = "zenoh/router.json5"
+
+
+def control_of(subjects: Mapping[str, SubjectRules]) -> AccessControl:
+    """Return the access control for the rules of subjects by their common names."""
+    rules, entries, policies = [], [], []
+    for name, own in subjects.items():
+        lowered = lower(own, "jazzy", DOMAINS, Origin("package.xml")).rules
+        ids = []
+        for rule in lowered:
+            ids.append(f"{name} {len(ids) + 1}")
+            permission = Permission.ALLOW if rule.effect is Effect.ALLOW else Permission.DENY
+            keys = tuple(key.text for key in rule.key_exprs)
+            where = Origin(FILE, len(rules) + 10)
+            rules.append(AclRule(ids[-1], rule.messages, rule.flows, permission, keys, where))
+        entries.append(AclSubject(name, (name,), where=Origin(FILE, 1000 + len(entries))))
+        policies.append(AclPolicy(tuple(ids), (name,)))
+    return AccessControl(True, Permission.DENY, tuple(rules), tuple(entries), tuple(policies), Origin(FILE, 5))
+
+
+def with_rules(control: AccessControl, change: Callable[[AclRule], AclRule]) -> AccessControl:
+    return replace(control, rules=tuple(map(change, control.rules)))
