@@ -1,2 +1,41 @@
 # SPDX-License-Identifier: Apache-2.0
 """Build type for Zenoh: rules to the access control of one router and the configurations of its sessions."""
+
+from __future__ import annotations
+
+from keymint.api import API_VERSION
+from keymint.api.lazy import lazy
+from keymint_ros2_zenoh.enclave_layout import LAYOUTS, READS, files
+
+__all__ = ["Zenoh", "build_type"]
+
+
+class Zenoh:
+    """The build type for Zenoh's access control, as rmw_zenoh uses Zenoh.
+
+    Implements :class:`keymint.api.BuildType`, :class:`keymint.api.SharedDocuments` and
+    :class:`keymint.api.RuleCheck`.
+    """
+
+    API = API_VERSION
+
+    TRANSPORT = "zenoh"
+    PARTS = ("zenoh",)
+    LAYOUTS = LAYOUTS
+    READS = READS
+
+    files = staticmethod(files)
+    settings = lazy("keymint_ros2_zenoh.zenoh_source:settings")
+    authorities = lazy("keymint_ros2_zenoh.authority_roles:authorities")
+    build = lazy("keymint_ros2_zenoh.build:build")
+    install = lazy("keymint_ros2_zenoh.install:install")
+    shared = lazy("keymint_ros2_zenoh.install:shared")
+    check = lazy("keymint_ros2_zenoh.check:check")
+    check_all = lazy("keymint_ros2_zenoh.check:check_all")
+    build_shared = lazy("keymint_ros2_zenoh.build:build_shared")
+    install_shared = lazy("keymint_ros2_zenoh.install:install_shared")
+    check_shared = lazy("keymint_ros2_zenoh.check:check_shared")
+    check_rules = lazy("keymint_ros2_zenoh.lowering.rule_check:check_rules")
+
+
+build_type = Zenoh()

@@ -1,0 +1,105 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The build stage: a session's configuration for each enclave, and the router's for all of them together."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from functools import partial
+from typing import TypeVar
+
+from comarmor.errors import Diagnostic, Severity
+from keymint.api import BuildOptions, BuildResult, Package
+from keymint.errors import KeymintError
+from keymint_ros2_zenoh import emission, key_limits
+from keymint_ros2_zenoh.documents.write import write
+from keymint_ros2_zenoh.enclave_layout import ROUTER, SESSION
+from keymint_ros2_zenoh.lowering.key_rule import KeyRule
+from keymint_ros2_zenoh.lowering.rule_check import lower_package
+from keymint_ros2_zenoh.settings import is_router, settings_of
+
+_T = TypeVar("_T")
+
+_SESSION_TITLE = (
+    "Zenoh session of the enclave {subject}. Written by keymint; edit the sources instead.",
+    "ZENOH_SESSION_CONFIG_URI names this file. What the enclave may do stands in the router's configuration.",
+)
+_ROUTER_TITLE = (
+    "Zenoh router: the rights of all enclaves. Written by keymint; edit the sources instead.",
+    "ZENOH_ROUTER_CONFIG_URI names this file. A router reads it when it starts, and never again.",
+    "The number behind the name of an enclave in an id tells its rules apart.",
+)
+
+
+def build(package: Package, options: BuildOptions) -> BuildResult:  # noqa: ARG001 - an interface
+    """Return the configuration of an enclave's sessions; nothing for the router, whose document is a shared one.
+
+    Raises:
+        KeymintError: Zenoh cannot express a rule, or refuses the key or the certificate; with ``file:line``.
+    """
+    found = list(key_limits.check_identity(package))
+    defects = key_limits.errors(found)
+    if is_router(package):
+        if defects:
+            raise KeymintError.of(defects)
+        return BuildResult({}, tuple(found))
+    configuration = _attempt(partial(emission.session, package), defects)
+    lowered = _attempt(partial(lower_package, package), defects)
+    _attempt(partial(emission.common_name, package), defects)
+    if defects or configuration is None or lowered is None:
+        raise KeymintError.of(dict.fromkeys(defects))
+    title = [line.format(subject=package.subject) for line in _SESSION_TITLE]
+    return BuildResult({SESSION: write(configuration, title)}, (*found, *lowered.diagnostics))
+
+
+def build_shared(packages: Sequence[Package], options: BuildOptions) -> BuildResult:  # noqa: ARG001 - an interface
+    """Return the router's configuration; see :meth:`keymint.api.SharedDocuments.build_shared`.
+
+    Raises:
+        KeymintError: the packages have different routers or signers, no router, or the same common name.
+    """
+    if not packages:
+        return BuildResult({})
+    defects = list(_differences(packages))
+    routers = [package for package in packages if is_router(package)]
+    enclaves = emission.enclaves_of(packages)
+    if not routers and not defects:
+        _attempt(partial(emission.router_of, enclaves[0]), defects)
+    rules: list[tuple[Package, Sequence[KeyRule]]] = []
+    for package in enclaves:
+        lowered = _attempt(partial(lower_package, package), defects)
+        if lowered is not None:
+            rules.append((package, lowered.rules))
+    if defects:
+        raise KeymintError.of(dict.fromkeys(defects))
+    return BuildResult({ROUTER: write(emission.router(routers[0], rules), _ROUTER_TITLE)})
+
+
+def _attempt(make: Callable[[], _T], defects: list[Diagnostic]) -> _T | None:
+    """Return what a function makes, or None after its defects were added to a list."""
+    try:
+        return make()
+    except KeymintError as error:
+        defects += error.diagnostics
+        return None
+
+
+def _differences(packages: Sequence[Package]) -> Iterator[Diagnostic]:
+    """Yield what packages must have in common and have not: the router, and the authority that signs the rights."""
+    first = packages[0]
+    router = settings_of(first).router
+    for package in packages[1:]:
+        own = settings_of(package).router
+        if own != router:
+            yield Diagnostic(
+                "zenoh-routers", Severity.ERROR,
+                f"{package.subject} has the router {own.name} at {own.endpoint}, but {first.subject} has {router.name} "
+                f"at {router.endpoint}: one router decides for all enclaves of a workspace",
+                own.origin, f"give both the same router, as at {router.origin}", package.subject,
+            )  # fmt: skip
+        if package.grant.issuer != first.grant.issuer:
+            yield Diagnostic(
+                "zenoh-signers", Severity.ERROR,
+                f"the rights of {package.subject} are signed by {package.grant.issuer!r}, those of {first.subject} by "
+                f"{first.grant.issuer!r}, but they stand in one file",
+                package.grant.origin, f"give both the same issuer_name, as at {first.grant.origin}", package.subject,
+            )  # fmt: skip

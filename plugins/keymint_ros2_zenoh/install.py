@@ -1,0 +1,87 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The install stage: the files of an enclave, and the router's signed configuration."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+from comarmor.errors import Origin
+from keymint.api import Artifact, EnclaveCredentials, Package, SharedCredentials
+from keymint.errors import KeymintError
+from keymint.pki import smime
+from keymint_ros2_zenoh import signature as signatures
+from keymint_ros2_zenoh.authority_roles import ACCESS, IDENTITY
+from keymint_ros2_zenoh.documents.read import read
+from keymint_ros2_zenoh.enclave_layout import CERTIFICATE, IDENTITY_CA, KEY, LAYOUTS, ROUTER, SESSION, SIGNATURE
+from keymint_ros2_zenoh.settings import is_router
+
+
+def install(
+    package: Package,
+    documents: Mapping[str, bytes],
+    credentials: EnclaveCredentials,
+    layout: str,
+    installed: Mapping[str, bytes],  # noqa: ARG001 - nothing in an enclave is signed
+) -> Mapping[str, Artifact]:
+    """Return the files of an enclave by name; see :meth:`keymint.api.BuildType.install`.
+
+    Raises:
+        KeymintError: the session's configuration is missing or not valid, or the layout is another build type's.
+    """
+    _require_layout(layout)
+    files = {
+        IDENTITY_CA: Artifact(credentials.chains[IDENTITY]),
+        CERTIFICATE: Artifact(credentials.certificate),
+        KEY: Artifact(credentials.key, secret=True),
+    }
+    if not is_router(package):
+        files[SESSION] = Artifact(_document(documents, SESSION, f"{package.name}/{SESSION}", package.name))
+    return files
+
+
+def shared(artifacts: Mapping[str, Mapping[str, Artifact]], layout: str) -> Mapping[str, Artifact]:  # noqa: ARG001
+    """Return nothing: the layout has no copies of enclaves' files."""
+    return {}
+
+
+def install_shared(
+    packages: Sequence[Package],  # noqa: ARG001 - an interface
+    documents: Mapping[str, bytes],
+    credentials: SharedCredentials,
+    layout: str,
+    installed: Mapping[str, bytes],
+) -> Mapping[str, Artifact]:
+    """Return the router's configuration and its signature; see :meth:`keymint.api.SharedDocuments.install_shared`.
+
+    Raises:
+        KeymintError: the configuration is missing or not valid.
+    """
+    _require_layout(layout)
+    content = _document(documents, ROUTER, ROUTER, "")
+    signer = smime.load_signer(credentials.signers[ACCESS])
+    present = installed.get(SIGNATURE)
+    if present is None or signatures.problem(content, present, signer.certificate):
+        present = signatures.sign(content, signer)
+    return {ROUTER: Artifact(content), SIGNATURE: Artifact(present)}
+
+
+def _require_layout(layout: str) -> None:
+    if layout not in LAYOUTS:
+        raise KeymintError(
+            f"the layout {layout!r} has no place for configurations of Zenoh",
+            help=f"use {' or '.join(LAYOUTS)}",
+            code="layout-unknown",
+        )
+
+
+def _document(documents: Mapping[str, bytes], name: str, shown: str, package: str) -> bytes:
+    content = documents.get(name)
+    if content is None:
+        raise KeymintError(
+            f"there is no {shown}",
+            where=Origin(shown),
+            help=f"run 'keymint build {package}'".replace(" '", "'"),
+            code="document-missing",
+        )
+    read(content, shown)
+    return content

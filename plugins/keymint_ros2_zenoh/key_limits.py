@@ -1,0 +1,68 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What Zenoh's TLS accepts of keys and certificates (measured with Zenoh 1.10.2, which has rustls)."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+
+from comarmor.errors import Diagnostic, Severity
+from keymint.api import CertificateSpec, Package
+from keymint_ros2_zenoh.settings import is_router
+
+_CURVES = ("SECP256R1", "SECP384R1")
+_SERVER, _CLIENT, _ANY = "serverAuth", "clientAuth", "anyExtendedKeyUsage"
+
+
+def check_identity(package: Package) -> Iterator[Diagnostic]:
+    """Yield what a router or session would refuse of a package's key and certificate, and of their authorities."""
+    subject, identity = package.subject, package.identity
+    yield from _curve(identity, "the key", subject)
+    if identity.key.password_env:
+        yield Diagnostic(
+            "zenoh-key-encrypted", Severity.ERROR,
+            "the private key is encrypted, and Zenoh cannot read such a key",
+            identity.origin, "leave out the password; the file has mode 0600", subject,
+        )  # fmt: skip
+    for authority in package.issuers:
+        yield from _curve(authority.certificate, f"the key of the authority {authority.name!r}", subject)
+    yield from _usage(package, is_server=is_router(package))
+
+
+def _curve(certificate: CertificateSpec, what: str, subject: str) -> Iterator[Diagnostic]:
+    if certificate.key.algorithm == "ec" and certificate.key.curve not in _CURVES:
+        yield Diagnostic(
+            "zenoh-key-curve", Severity.ERROR,
+            f"{what} is on the curve {certificate.key.curve}, which Zenoh refuses",
+            certificate.origin, "use prime256v1 or secp384r1, or RSA", subject,
+        )  # fmt: skip
+
+
+def _usage(package: Package, *, is_server: bool) -> Iterator[Diagnostic]:
+    """Yield what contradicts the role of the certificate: a router is a server, all others are clients."""
+    needed, other = (_SERVER, _CLIENT) if is_server else (_CLIENT, _SERVER)
+    for extension in package.identity.extensions:
+        if extension.name != "extendedKeyUsage":
+            continue
+        usages = [part.strip() for part in extension.value.split(",")]
+        if needed not in usages and _ANY not in usages:
+            yield Diagnostic(
+                "zenoh-key-usage", Severity.ERROR,
+                f"the certificate's extendedKeyUsage lacks {needed}, and Zenoh refuses it",
+                extension.origin, f"add {needed}, or leave out the extension", package.subject,
+            )  # fmt: skip
+        elif other in usages or _ANY in usages:
+            yield Diagnostic(
+                "zenoh-key-usage", Severity.WARNING,
+                _too_much(is_server=is_server), extension.origin, "leave out the extension", package.subject,
+            )  # fmt: skip
+
+
+def _too_much(*, is_server: bool) -> str:
+    if is_server:
+        return "the router's certificate is also for clients, and could take part as a node without rights"
+    return "the certificate is also for servers: its holder could pretend to be a router where names are not checked"
+
+
+def errors(diagnostics: Sequence[Diagnostic]) -> list[Diagnostic]:
+    """Return the diagnostics that stop a build."""
+    return [each for each in diagnostics if each.severity is Severity.ERROR]

@@ -1,0 +1,78 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What a package says about Zenoh beside its rules: the router, and where the keystore lies on the robot."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from ipaddress import IPv6Address, ip_address
+
+from comarmor.errors import Origin
+from keymint.api import Package
+
+BUILD_TYPE = "keymint_ros2_zenoh"
+"""The name by which packages ask for this build type."""
+
+
+@dataclass(frozen=True, slots=True)
+class Router:
+    """The router that all enclaves connect to.
+
+    Attributes:
+        name: name of its package, whose certificate it shows.
+        host: DNS name or IP address by which sessions reach it.
+        port: its port.
+        origin: where its host is written.
+    """
+
+    name: str
+    host: str
+    port: int
+    origin: Origin = field(compare=False)
+
+    @property
+    def endpoint(self) -> str:
+        """The endpoint that sessions connect to."""
+        return f"tls/{in_endpoint(self.host)}:{self.port}"
+
+
+@dataclass(frozen=True, slots=True)
+class ZenohSettings:
+    """The payload of this build type in a package.
+
+    Attributes:
+        router: the router of its workspace.
+        keystore: absolute path of the install space on the robot, without a ``/`` at its end.
+    """
+
+    router: Router
+    keystore: str
+
+
+def settings_of(package: Package) -> ZenohSettings:
+    """Return what this build type read from the sources of a package that it builds."""
+    settings = package.settings[BUILD_TYPE]
+    if not isinstance(settings, ZenohSettings):
+        raise TypeError(f"the settings of {package.name} are those of another build type")
+    return settings
+
+
+def is_router(package: Package) -> bool:
+    """Return whether a package is that of the router."""
+    return package.name == settings_of(package).router.name
+
+
+def in_endpoint(host: str) -> str:
+    """Return a host as endpoints have it: an IPv6 address stands in brackets."""
+    try:
+        return f"[{host}]" if isinstance(ip_address(host), IPv6Address) else host
+    except ValueError:
+        return host
+
+
+def is_address(host: str) -> bool:
+    """Return whether a host is an IP address."""
+    try:
+        ip_address(host)
+    except ValueError:
+        return False
+    return True
