@@ -17,12 +17,12 @@ from comarmor.rules import PERMISSIONS
 
 @dataclass(frozen=True, slots=True, order=True)
 class Object:
-    """A topic, service, action, parameter server or DDS topic.
+    """A topic, service, action, parameter server, or raw topic of the transport.
 
     Attributes:
         kind: a key of :data:`comarmor.rules.PERMISSIONS`.
-        name: its name; for kind ``topic`` the DDS topic's.
-        partitions: DDS partitions, sorted; only for kind ``topic``. Empty is the default partition.
+        name: its name; for kind ``topic`` the one on the transport.
+        partitions: partitions, sorted; only for kind ``topic``. Empty is the default partition.
     """
 
     kind: str
@@ -31,12 +31,12 @@ class Object:
 
 
 DomainObject = tuple[int, Object]
-"""An object in a DDS domain."""
+"""An object in a domain."""
 
 
 @dataclass(frozen=True, slots=True, order=True)
 class Edge:
-    """A subject with a permission on an object, in a DDS domain."""
+    """A subject with a permission on an object, in a domain."""
 
     subject: str
     permission: str
@@ -56,7 +56,7 @@ class Graph:
     Attributes:
         subjects: names, sorted; also of those without an edge.
         edges: sorted, without duplicates.
-        types: names of DDS or ROS types by object, where they are known.
+        types: names of types by object, where they are known.
     """
 
     subjects: tuple[str, ...]

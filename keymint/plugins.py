@@ -12,7 +12,7 @@ import json
 import re
 import shlex
 import sys
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from importlib.metadata import Distribution, EntryPoint, distributions
 from pathlib import Path
@@ -211,6 +211,15 @@ class Plugins:
     def transports(self) -> Mapping[str, Transport]:
         """Return all transports by name, sorted; see :meth:`transport`."""
         return {name: self.transport(name) for name in self.names("keymint.transports")}
+
+    def read_by(self, transport: str, where: Origin | None = None) -> str:
+        """Return the name of the build type whose files a transport reads; see :meth:`load`."""
+        return cast("TransportType", self.load("keymint.transports", transport, where)).BUILD_TYPE
+
+    def transports_of(self, build_type: str) -> Sequence[str]:
+        """Return the names of the transports that read what a build type builds, sorted."""
+        names = sorted(self._entries.get("keymint.transports", {}))
+        return [name for name in names if self.read_by(name) == build_type]
 
     def graph_source(self, name: str, where: Origin | None = None) -> GraphSource:
         """Return the graph source of this name; see :meth:`load`."""

@@ -203,6 +203,8 @@ class BuildType(Protocol):
 
     The transport may read such a file although it cannot be read here, so nothing is claimed about an enclave with one.
     """
+    KINDS: tuple[str, ...]
+    """The kinds of rules that it can express, keys of :data:`comarmor.rules.PERMISSIONS`; others are not asked."""
     PARTS: tuple[str, ...]
     """Names of the parts of a package that it reads beside identity and grant. The document of a part is usually
     ``<name>.xml`` in the package, and its defaults are ``package.defaults/<name>.xml``."""

@@ -17,7 +17,7 @@ from keymint.graph import Edge
 class Tier(StrEnum):
     """How a transport is tested.
 
-    ``decision``: call its access-control code. ``admission``: create a participant per enclave and its endpoints.
+    ``decision``: call its access-control code. ``admission``: connect as each enclave, and create its endpoints.
     ``exchange``: run two processes, and see whether data is delivered.
     """
 

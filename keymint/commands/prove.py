@@ -51,8 +51,8 @@ SHOWN = 5
 def prove(run: Run, names: tuple[str, ...], seconds: float, states: int, allow_vendor_specific: bool) -> Report:
     """Prove that installed documents permit exactly what the policy allows, for all names.
 
-    Reads the signed documents in install/ by the DDS Security standard and as each vendor does, and compares them with
-    the policy for all names at once. A difference is shown as a shortest counterexample, with the rule of the policy
+    Reads the documents in install/ as the transport's standard and each vendor do, and compares them with the policy
+    for all names at once. A difference is shown as a shortest counterexample, with the rule of the policy
     and the rule of the document. Proofs are cached until something changes; validity periods are checked on each run.
     -v lists the assumptions of the proof. ENCLAVE is a package [all].
 
@@ -123,7 +123,7 @@ def _summary(run: Run, results: ProofResults) -> None:
     enclaves = f"{counted(count, 'enclave')}{of_these}{f' for {models}' if models else ''}"
     say(f"proved {enclaves}: {', '.join(parts)}{_when(results)}")
     if excepted := list(dict.fromkeys(_excepted(results))):
-        say(f"not part of the proof, left open by governance: {'; '.join(excepted[:SHOWN])}{_more(excepted)}")
+        say(f"not part of the proof, left open on purpose: {'; '.join(excepted[:SHOWN])}{_more(excepted)}")
 
 
 def _until(results: ProofResults) -> datetime | None:
@@ -147,7 +147,7 @@ def _shown(moment: datetime | None) -> str | None:
 
 
 def _excepted(results: ProofResults) -> Iterator[str]:
-    """Yield the exceptions of the proven claims: topics that the governance leaves unprotected on purpose."""
+    """Yield the exceptions of the proven claims: what the sources leave open on purpose."""
     for enclave in results.enclaves:
         for claim in enclave.claims:
             yield from (f"{enclave.subject}, {exception}" for exception in claim.excepted)

@@ -14,10 +14,11 @@ from keymint.output.report import Report
 def transports(run: Run) -> Report:
     """List the transports, simulated and real: which are usable here, and how to install the others."""
     listed = [(name, transport.usable()) for name, transport in run.plugins.transports().items()]
+    reads = {name: run.plugins.read_by(name) for name, _ in listed}
     run.console.table(
-        ["TRANSPORT", "USABLE", "VERSION", "TIERS"],
+        ["TRANSPORT", "USABLE", "VERSION", "TIERS", "BUILD TYPE"],
         [
-            [name, "yes" if usable.usable else "no", usable.version or "-", " ".join(usable.tiers) or "-"]
+            [name, "yes" if usable.usable else "no", usable.version or "-", " ".join(usable.tiers) or "-", reads[name]]
             for name, usable in listed
         ],
     )
@@ -29,7 +30,13 @@ def transports(run: Run) -> Report:
             run.console.line(f"{name}: {usable.reason}" + (f" ({usable.help})" if usable.help else ""))
     result = {
         "transports": [
-            {"name": name, **asdict(usable), "tiers": [str(tier) for tier in usable.tiers]} for name, usable in listed
+            {
+                "name": name,
+                "build_type": reads[name],
+                **asdict(usable),
+                "tiers": [str(tier) for tier in usable.tiers],
+            }
+            for name, usable in listed
         ]
     }
     return Report(run.verb, None, (), (), result)

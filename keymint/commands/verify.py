@@ -3,15 +3,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 
 import click
 
-from comarmor.errors import Severity
+from comarmor.errors import Diagnostic, Severity
 from comarmor.text import counted
-from keymint.api import Tier
+from keymint.api import LoadedPolicy, Tier, Transport
 from keymint.changes import Action, Step
 from keymint.commands.options import FILE, PATH, complete_package, transport_option
 from keymint.commands.policies import workspace_library_rules
@@ -20,23 +20,26 @@ from keymint.commands.user_files import read_input, write_outputs
 from keymint.commands.verb import verb
 from keymint.commands.verify_report import labelled_edges, write_report
 from keymint.errors import ExitCode
+from keymint.graph import Graph
 from keymint.graph_json import load
 from keymint.output.json import comparisons_json
 from keymint.output.junit import junit as junit_document
-from keymint.output.mismatches import SARIF_RULES, diagnostics, junit_suites, sarif_results
+from keymint.output.mismatches import SARIF_RULES, diagnostics, enumerated, junit_suites, sarif_results
 from keymint.output.report import Report
 from keymint.output.sarif import sarif as sarif_log
-from keymint.plan.enclaves import installed
 from keymint.plan.policy import load_policy
 from keymint.plan.trust_anchors import differences
-from keymint.verify.compare import compare
-from keymint.verify.copies import copied
-from keymint.verify.endpoint_policy import EndpointPolicy, label
-from keymint.verify.explain import Explainer
-from keymint.verify.halves import with_halves
+from keymint.verify.copies import Copies, copied
 from keymint.verify.mismatch import Comparison
-from keymint.verify.scope import edges_of_graph, edges_of_policy, verification_scope
+from keymint.verify.scope import (
+    VerificationScope,
+    edges_of_graph,
+    edges_of_policy,
+    installed_scopes,
+    subjects_of_graph,
+)
 from keymint.verify.usable_transports import choose, models
+from keymint.verify.verification import Asking, Verification, verification
 
 
 @verb()
@@ -93,63 +96,92 @@ def verify(
     inputs = run.snapshot(workspace)
     session = inputs.session()
     chosen_names = run.names(inputs, names)
-    scope = verification_scope(session, chosen_names)
+    there = installed_scopes(session, chosen_names)
     # A transport trusts the authorities in the enclave; they must be the workspace's.
     foreign = differences(session, chosen_names)
     policy = load_policy(session)
-    subjects = tuple(scope.enclaves)
-    transports = choose(run.plugins, chosen, Tier(tier))
-    others = [session.enclaves / name for name in installed(session)]
-    with copied(inputs.tree, workspace.install, scope.enclaves, transports.values(), others) as copies:
-        transports = copies.read_by(transports)
-        if graph is None:
-            edges = edges_of_policy(policy, replace(scope, enclaves=copies.enclaves))
-        else:
-            subjects, edges = edges_of_graph(load(read_input(run, graph), str(graph)), scope, only=bool(names))
-        endpoint_policy = EndpointPolicy(policy, scope.namings)
-        explain = Explainer(endpoint_policy, transports, lambda: copies.read_by(models(run.plugins)))
-        outcomes: list[Comparison] = []
-        with run.console.progress((1 + len(transports)) * len(subjects), run.setting.monotonic) as advance:
-            labels = label(endpoint_policy, edges(), _advancing(advance, "policy"))
-            for name, transport in transports.items():
-                on_subject = _advancing(advance, name)
-                outcome = compare(
-                    name, transport, scope.enclaves, edges(), labels, Tier(tier), explain, limit, on_subject
-                )
-                outcomes.append(
-                    with_halves(
-                        outcome,
-                        transport,
-                        scope.enclaves,
-                        edges(),
-                        labels,
-                        endpoint_policy,
-                        scope.namings,
-                        explain,
-                        limit,
-                    )
-                )
-        _show(run, outcomes, len(subjects), len(labels))
-        _write(run, outcomes, subjects, sarif, junit)
+    groups = choose(run.plugins, chosen, Tier(tier), tuple(there.scopes))
+    transports = [transport for group in groups.values() for transport in group.values()]
+    system = None if graph is None else subjects_of_graph(
+        load(read_input(run, graph), str(graph)), there.enclaves, only=bool(names)
+    )  # fmt: skip
+    with copied(
+        inputs.tree, workspace.install, there.enclaves, transports, there.others, there.infrastructure
+    ) as copies:
+        total = sum((1 + len(group)) * len(there.scopes[name].enclaves) for name, group in groups.items())
+        with run.console.progress(total, run.setting.monotonic) as advance:
+            asking = Asking(Tier(tier), limit, lambda name, subject: advance(Step(name, subject, Action.UNCHANGED)))
+            verified = [
+                _verified(run, there.scopes[name], policy, system, copies, group, asking)
+                for name, group in groups.items()
+            ]
+        subjects = tuple(sorted({subject for each in verified for subject in each.subjects}))
+        outcomes = [outcome for each in verified for outcome in each.comparisons]
+        edges = sum(len(each.labels) for each in verified)
+        _show(run, outcomes, len(subjects), edges)
+        _write(run, verified, sarif, junit)
         if report is not None:
-            title = f"{graph.stem if graph else session.profile.name} on {', '.join(transports)}"
-            common = workspace_library_rules(session)
-            labelled = labelled_edges(title, outcomes, edges(), labels, endpoint_policy.decide, run.typed, common)
-            for file in write_report(run, report, labelled):
-                run.console.line(f"{file} written")
+            for each in verified:
+                title = f"{graph.stem if graph else session.profile.name} on {', '.join(groups[each.build_type])}"
+                folder = report / run.plugins.build_type(each.build_type).TRANSPORT if len(verified) > 1 else report
+                for file in write_report(
+                    run, folder, labelled_edges(title, each, run.typed, workspace_library_rules(session))
+                ):
+                    run.console.line(f"{file} written")
     wrong = any(outcome.confusion.errors for outcome in outcomes)
     return Report(
         run.verb,
         workspace,
         (),
-        (*foreign, *diagnostics(outcomes)),
-        comparisons_json(outcomes, subjects, len(labels), run.typed),
+        (*foreign, *_unasked(there.scopes, groups, system, Tier(tier), chosen), *diagnostics(outcomes)),
+        comparisons_json(outcomes, subjects, edges, run.typed),
         ExitCode.FINDINGS if wrong or foreign else ExitCode.DONE,
     )
 
 
-def _advancing(advance: Callable[[Step], None], transport: str) -> Callable[[str], None]:
-    return lambda subject: advance(Step(transport, subject, Action.UNCHANGED))
+def _verified(
+    run: Run,
+    scope: VerificationScope,
+    policy: LoadedPolicy,
+    system: Graph | None,
+    copies: Copies,
+    transports: Mapping[str, Transport],
+    asking: Asking,
+) -> Verification:
+    """Verify one build type, on copies of the enclaves."""
+    subjects = tuple(scope.enclaves)
+    if system is None:
+        own = {subject: copies.enclaves[subject] for subject in subjects}
+        edges = edges_of_policy(policy, replace(scope, enclaves=own))
+    else:
+        subjects, edges = edges_of_graph(system, scope)
+
+    def find_models() -> Mapping[str, Transport]:
+        return copies.read_by(models(run.plugins, scope.build_type))
+
+    return verification(scope, policy, subjects, edges, copies.read_by(transports), find_models, asking)
+
+
+def _unasked(
+    scopes: Mapping[str, VerificationScope],
+    groups: Mapping[str, Mapping[str, Transport]],
+    system: Graph | None,
+    tier: Tier,
+    chosen: Sequence[str],
+) -> Iterator[Diagnostic]:
+    """Yield a finding for each build type that no transport was asked about, and for edges that it cannot express."""
+    for name, scope in scopes.items():
+        if name not in groups:
+            if not chosen:
+                message = f"what {name} built is not verified: none of its transports supports the tier {tier} here"
+                help_ = "'keymint transports' shows how to install one"
+                yield Diagnostic("transport-none", Severity.WARNING, message, None, help_)
+            continue
+        edges = [edge for edge in system.edges if edge.object.kind not in scope.kinds] if system else ()
+        if edges:
+            kinds = ", ".join(sorted({edge.object.kind for edge in edges}))
+            message = f"{counted(len(edges), 'edge')} of the graph not asked of {enumerated(tuple(groups[name]))}"
+            yield Diagnostic("edges-unasked", Severity.NOTE, f"{message}: {name} cannot express the kind {kinds}")
 
 
 def _show(run: Run, outcomes: Sequence[Comparison], subjects: int, edges: int) -> None:
@@ -174,13 +206,13 @@ def _show(run: Run, outcomes: Sequence[Comparison], subjects: int, edges: int) -
     )
 
 
-def _write(
-    run: Run, outcomes: Sequence[Comparison], subjects: Sequence[str], sarif: Path | None, junit: Path | None
-) -> None:
+def _write(run: Run, verified: Sequence[Verification], sarif: Path | None, junit: Path | None) -> None:
     """Write the requested reports."""
+    outcomes = [(outcome, each.subjects) for each in verified for outcome in each.comparisons]
+    results = [outcome for outcome, _ in outcomes]
     documents: Mapping[Path | None, Callable[[], bytes]] = {
-        sarif: lambda: sarif_log("keymint verify", SARIF_RULES, sarif_results(outcomes), run.typed, Severity.ERROR),
-        junit: lambda: junit_document("keymint verify", junit_suites(outcomes, subjects)),
+        sarif: lambda: sarif_log("keymint verify", SARIF_RULES, sarif_results(results), run.typed, Severity.ERROR),
+        junit: lambda: junit_document("keymint verify", junit_suites(outcomes)),
     }
     for path, document in documents.items():
         if path is not None:

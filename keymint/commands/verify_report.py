@@ -8,14 +8,14 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 
 from comarmor.errors import Origin
-from keymint.api import PolicyDecision
 from keymint.commands.run import Run
 from keymint.commands.user_files import exists, read_input, write_outputs
 from keymint.drawing.labelled_graph import Label, LabelledEdge, LabelledGraph, select_edges
 from keymint.drawing.picture_options import DrawingOptions
 from keymint.drawing.policy_graph import policy_label
 from keymint.graph import MISMATCHES, Edge
-from keymint.verify.mismatch import Comparison, Mismatch
+from keymint.verify.mismatch import Mismatch
+from keymint.verify.verification import Verification
 
 PAGE = "index.html"
 MOST_TRUE = 10_000
@@ -28,10 +28,7 @@ _UNSAFE = re.compile(r"[^A-Za-z0-9._-]+")
 
 def labelled_edges(
     title: str,
-    outcomes: Sequence[Comparison],
-    edges: Iterable[Edge],
-    allowed: Iterable[int],
-    decide: Callable[[Edge], PolicyDecision],
+    verified: Verification,
     typed: Callable[[str], str],
     common: Callable[[Origin], bool] = lambda _: False,
 ) -> LabelledGraph:
@@ -42,20 +39,18 @@ def labelled_edges(
 
     Args:
         title: one line.
-        outcomes: the comparison of each transport.
-        edges: all edges, in the order of the mismatches.
-        allowed: the policy's label of each edge: 1 allowed, 0 denied.
-        decide: returns the policy's decision; called only for edges that are drawn.
+        verified: the comparison of each transport of a build type, with all edges in the order of the mismatches.
         typed: returns a path as the user would type it.
         common: returns whether the rule at a place is one that every node includes.
     """
+    outcomes, decide = verified.comparisons, verified.decide  # decide only edges that are drawn
     findings = [{finding.edge: finding for finding in outcome.findings} for outcome in outcomes]
     last = [outcome.findings[-1].edge if outcome.omitted and outcome.findings else None for outcome in outcomes]
     known = [not outcome.omitted or bool(outcome.findings) for outcome in outcomes]
 
     def labels() -> Iterator[LabelledEdge]:
         room = {True: MOST_TRUE, False: MOST_TRUE}
-        for edge, may in _with_endpoints(zip(edges, allowed, strict=True), findings):
+        for edge, may in _with_endpoints(zip(verified.edges(), verified.labels, strict=True), findings):
             mismatches = [each.get(edge) for each in findings]
             decision = decide(edge) if any(mismatches) or room[bool(may)] or not may else None
             express = decision is not None and not decision.allowed and decision.where is not None

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
+from functools import partial
 from typing import Any
 
 import click
@@ -31,7 +32,7 @@ from keymint.plan.trust_anchors import differences
 from keymint.session import Session
 from keymint.verify.mismatch import Mismatch
 from keymint.verify.usable_transports import choose, models
-from keymint.verify.why import Explanation, MatchedRule, Need, explain, granted_domains, request
+from keymint.verify.why import Explanation, MatchedRule, Need, build_types, explain, granted_domains, request
 
 _PERMISSIONS = [permission for permissions in LABELLED.values() for permission in permissions]
 
@@ -40,8 +41,8 @@ _PERMISSIONS = [permission for permissions in LABELLED.values() for permission i
 @click.argument("subject")
 @click.argument("permission", shell_complete=lambda _c, _p, text: [p for p in _PERMISSIONS if p.startswith(text)])
 @click.argument("object_name", metavar="OBJECT")
-@click.option("--partition", "partitions", multiple=True, metavar="NAME", help="DDS partition; may be repeated.")
-@click.option("--domain", type=click.IntRange(0, 232), metavar="N", help="DDS domain id [the first one of the grant].")
+@click.option("--partition", "partitions", multiple=True, metavar="NAME", help="Partition; may be repeated.")
+@click.option("--domain", type=click.IntRange(0, 232), metavar="N", help="Domain id [the first one of the grant].")
 @transport_option
 def why(
     run: Run,
@@ -52,7 +53,7 @@ def why(
     domain: int | None,
     chosen: tuple[str, ...],
 ) -> Report:
-    """Explain why SUBJECT has, or lacks, PERMISSION on OBJECT: policy, package, DDS names, document, transports.
+    """Explain why SUBJECT has, or lacks, PERMISSION on OBJECT: policy, package, transport names, document, transports.
 
     \b
     keymint why /talker ros_publish /chatter
@@ -68,8 +69,8 @@ def why(
     if domain is None:
         domain = granted[0].first if granted else 0
     edge = request(subject, permission, object_name, partitions, domain)
-    transports = choose(run.plugins, chosen, Tier.DECISION)
-    explanation = explain(session, load_policy(session), edge, transports, lambda: models(run.plugins))
+    transports = choose(run.plugins, chosen, Tier.DECISION, build_types(session, edge.subject))
+    explanation = explain(session, load_policy(session), edge, transports, partial(models, run.plugins))
 
     for line in _lines(explanation, run.typed):
         run.console.line(line)
@@ -128,6 +129,10 @@ def _lines(explanation: Explanation, typed: Callable[[str], str]) -> Iterator[st
     if explanation.similar:
         layers["profiles"].append(f"did you mean {explanation.similar!r}?")
     layers["policy"] = [rule(each) for each in explanation.rules] or [str(explanation.policy.reason)]
+    if len({each.allowed for each in explanation.decisions.values()}) > 1:
+        layers["policy"] += (
+            f"for {name}, it {verb_of(each.allowed)} it: {each.reason}" for name, each in explanation.decisions.items()
+        )
     if explanation.near:
         layers["policy"].append(f"nearest: {rule(explanation.near)}, but {explanation.near.note}")
     layers["package"] = [rule(each) for each in explanation.package] or ["no rule applies"]
@@ -167,6 +172,8 @@ def _labels(explanation: Explanation, typed: Callable[[str], str]) -> Iterator[s
         together.setdefault((label.verdict.allowed, reason), []).append(name)
     for (allowed, reason), names in together.items():
         yield f"{'allowed' if allowed else 'denied'} by {enumerated(names)} ({reason})"
+    for build_type, unasked in explanation.unasked.items():
+        yield f"not asked: {enumerated(unasked)} ({build_type} cannot express the kind {explanation.edge.object.kind})"
 
 
 def _document(explanation: Explanation, typed: Callable[[str], str]) -> dict[str, Any]:

@@ -16,7 +16,7 @@ KINDS = {
     "ros_service": "service",
     "ros_action": "action",
     "ros_parameter": "parameters",
-    "topic": "DDS topic",
+    "topic": "raw topic",
 }
 """Display names of the kinds of objects, in the order of legends."""
 

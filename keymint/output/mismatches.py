@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 
 from comarmor.errors import Diagnostic, Severity
 from comarmor.text import counted
@@ -124,9 +124,9 @@ def _by_cause(mismatches: Sequence[Mismatch]) -> dict[tuple[object, ...], list[M
     for mismatch in mismatches:
         edge = mismatch.edge
         if edge.object.name in mismatch.reason:
-            cause = (mismatch.policy.where, mismatch.document.line, mismatch.verdict.deviation)
+            cause = (mismatch.policy.where, mismatch.document, mismatch.verdict.deviation)
         else:
-            cause = (None, mismatch.document.line, mismatch.reason)
+            cause = (None, mismatch.document, mismatch.reason)
         causes.setdefault((edge.subject, mismatch.error, *cause), []).append(mismatch)
     return causes
 
@@ -150,8 +150,12 @@ def sarif_results(comparisons: Sequence[Comparison]) -> list[SarifResult]:
     ]
 
 
-def junit_suites(comparisons: Sequence[Comparison], subjects: Sequence[str]) -> list[JUnitSuite]:
-    """Return a test suite for each transport, with a test case for each subject that lists its mismatches."""
+def junit_suites(comparisons: Iterable[tuple[Comparison, Sequence[str]]]) -> list[JUnitSuite]:
+    """Return a test suite for each transport, with a test case for each subject that lists its mismatches.
+
+    Args:
+        comparisons: the comparison of each transport, with the subjects that it was asked about.
+    """
     return [
         JUnitSuite(
             f"{comparison.transport} ({comparison.tier})",
@@ -160,7 +164,7 @@ def junit_suites(comparisons: Sequence[Comparison], subjects: Sequence[str]) -> 
                 for subject in subjects
             ],
         )
-        for comparison in comparisons
+        for comparison, subjects in comparisons
     ]
 
 

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Decide edges by the policy where it is enforced: on the endpoints of a transport.
 
-Rules on ROS names and rules on names of the transport both apply there: ``ALLOW publish`` of the topic ``rt/chatter``
-and ``DENY ros_publish`` of ``/chatter`` match the same endpoint.
+Rules on ROS names and rules on names of the transport both apply there: an ALLOW rule on a
+raw topic and a DENY rule on the ROS topic that it carries match the same endpoint.
 """
 
 from __future__ import annotations

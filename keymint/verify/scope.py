@@ -1,14 +1,15 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The scope of a verification: installed enclaves, their naming, and the edges to test."""
+"""The scope of a verification: installed enclaves of one build type, their naming, and the edges to test."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cache
+from pathlib import Path
 
 from comarmor.text import did_you_mean
-from keymint.api import Enclave, LoadedPolicy, NameMapping, Package
+from keymint.api import Enclave, LoadedPolicy, NameMapping, Package, Role
 from keymint.errors import KeymintError
 from keymint.graph import Edge, Graph, complete
 from keymint.ir import SubjectRules
@@ -20,29 +21,52 @@ from keymint.verify.endpoint_policy import Naming
 
 @dataclass(frozen=True, slots=True)
 class VerificationScope:
-    """The scope of a verification.
+    """The scope of a verification for one build type.
 
     Attributes:
+        build_type: its name.
+        kinds: the kinds of objects that it can express; no transport is asked for others.
         enclaves: installed enclaves by subject, sorted.
-        namings: the naming of each subject whose build type has one.
-        domains: the first DDS domain of each subject's grant.
+        namings: the naming of each subject, if the build type has one.
+        domains: the first domain of each subject's grant.
     """
 
+    build_type: str
+    kinds: frozenset[str]
     enclaves: Mapping[str, Enclave]
     namings: Mapping[str, Naming]
     domains: Mapping[str, int]
 
 
-def verification_scope(session: Session, names: Sequence[str]) -> VerificationScope:
-    """Return the scope of a verification of some packages.
+@dataclass(frozen=True, slots=True)
+class InstalledScopes:
+    """The enclaves to verify.
+
+    Attributes:
+        scopes: the scope of each build type of their packages, by its name.
+        enclaves: all enclaves by subject, sorted.
+        others: the folders of the other installed enclaves.
+        infrastructure: those of them that belong to the infrastructure of the transports.
+    """
+
+    scopes: Mapping[str, VerificationScope]
+    enclaves: Mapping[str, Enclave]
+    others: frozenset[Path]
+    infrastructure: frozenset[Path]
+
+
+def installed_scopes(session: Session, names: Sequence[str]) -> InstalledScopes:
+    """Return the scopes of a verification of some packages; those of the infrastructure have no rights to verify.
 
     Raises:
         KeymintError: there are no packages, or one is not installed or has defects.
     """
-    if not names:
+    loaded = {name: session.package(name) for name in sorted(names)}
+    chosen = {name: package for name, package in loaded.items() if package.role is Role.SUBJECT}
+    if not chosen:
         raise KeymintError("there is no package to verify", help="run 'keymint create --all'", code="packages-none")
     there = set(installed(session))
-    missing = [name for name in names if name not in there]
+    missing = [name for name in names if name in chosen and name not in there]
     if missing:
         shown = ", ".join(f"/{name}" for name in missing[:5]) + (" …" if len(missing) > 5 else "")  # noqa: PLR2004
         raise KeymintError(
@@ -50,52 +74,77 @@ def verification_scope(session: Session, names: Sequence[str]) -> VerificationSc
             help="run 'keymint build' and 'keymint install'",
             code="enclave-missing",
         )
-    enclaves: dict[str, Enclave] = {}
-    namings: dict[str, Naming] = {}
-    domains: dict[str, int] = {}
-    for name in sorted(names):
-        package = session.package(name)
-        enclaves[package.subject] = Enclave(
-            package.subject, session.enclaves / name, package.distro, session.workspace.install
-        )
-        naming = naming_of(session, package)
-        if naming:
-            namings[package.subject] = naming
-        if package.grant.domains:
-            domains[package.subject] = package.grant.domains[0].first
-    return VerificationScope(dict(sorted(enclaves.items())), namings, domains)
+    packages = {package.subject: package for package in chosen.values()}
+    enclaves = {package.subject: enclave_of(session, package) for package in chosen.values()}
+    infrastructure = {each.name for package in chosen.values() for each in package.infrastructure}
+    return InstalledScopes(
+        {name: _scope(session, name, packages, enclaves) for name in build_types_of(chosen.values())},
+        dict(sorted(enclaves.items())),
+        frozenset(session.enclaves / name for name in there.difference(chosen)),
+        frozenset(session.enclaves / name for name in there.intersection(infrastructure)),
+    )
 
 
-def naming_of(inputs: Inputs, package: Package) -> Naming | None:
-    """Return the naming of a package, or None if its build type offers none."""
-    build_type = inputs.plugins.build_type(package.build_types[0], inputs.package_marker(package.name))
-    return Naming(build_type, package.distro) if isinstance(build_type, NameMapping) else None
+def build_types_of(packages: Collection[Package]) -> tuple[str, ...]:
+    """Return the names of the build types of packages, in the order of the packages."""
+    return tuple(dict.fromkeys(name for package in packages for name in package.build_types))
 
 
-def edges_of_graph(
-    graph: Graph, scope: VerificationScope, *, only: bool
-) -> tuple[tuple[str, ...], Callable[[], Iterator[Edge]]]:
-    """Return the subjects of a graph to verify, and a function that yields all possible edges of them.
+def enclave_of(session: Session, package: Package) -> Enclave:
+    """Return the installed enclave of a package."""
+    return Enclave(package.subject, session.enclaves / package.name, package.distro, session.workspace.install)
+
+
+def _scope(
+    session: Session, name: str, packages: Mapping[str, Package], enclaves: Mapping[str, Enclave]
+) -> VerificationScope:
+    """Return the scope of a build type."""
+    built = {subject: packages[subject] for subject in sorted(packages) if name in packages[subject].build_types}
+    namings = {subject: naming_of(session, package, name) for subject, package in built.items()}
+    where = session.package_marker(next(iter(built.values())).name)
+    return VerificationScope(
+        name,
+        frozenset(session.plugins.build_type(name, where).KINDS),
+        {subject: enclaves[subject] for subject in built},
+        {subject: naming for subject, naming in namings.items() if naming},
+        {subject: package.grant.domains[0].first for subject, package in built.items() if package.grant.domains},
+    )
+
+
+def naming_of(inputs: Inputs, package: Package, build_type: str) -> Naming | None:
+    """Return the naming of a package for one of its build types, or None if that has none."""
+    mapping = inputs.plugins.build_type(build_type, inputs.package_marker(package.name))
+    return Naming(mapping, package.distro) if isinstance(mapping, NameMapping) else None
+
+
+def subjects_of_graph(graph: Graph, known: Collection[str], *, only: bool) -> Graph:
+    """Return a graph without the subjects that have no enclave here.
 
     Args:
         graph: the graph.
-        scope: the scope.
-        only: ignore subjects outside of the scope.
+        known: the subjects with an enclave.
+        only: ignore other subjects.
 
     Raises:
         KeymintError: a subject of the graph has no enclave here, or the graph is empty.
     """
-    missing = [subject for subject in graph.subjects if subject not in scope.enclaves]
+    missing = [subject for subject in graph.subjects if subject not in known]
     if not graph.edges:
         raise KeymintError("the graph has no edges: nothing to verify", code="graph-empty")
     if missing and not only:
         raise KeymintError(
             f"the graph has a subject {missing[0]}, but no such enclave is verified",
-            help=did_you_mean(missing[0], scope.enclaves, f"'keymint create {missing[0]}', build and install it"),
+            help=did_you_mean(missing[0], known, f"'keymint create {missing[0]}', build and install it"),
             code="enclave-missing",
         )
+    return replace(graph, subjects=tuple(subject for subject in graph.subjects if subject in known))
+
+
+def edges_of_graph(graph: Graph, scope: VerificationScope) -> tuple[tuple[str, ...], Callable[[], Iterator[Edge]]]:
+    """Return the subjects of a graph in a scope, and a function that yields all possible edges of them."""
     kept = tuple(subject for subject in graph.subjects if subject in scope.enclaves)
-    return kept, lambda: complete(replace(graph, subjects=kept))
+    edges = tuple(edge for edge in graph.edges if edge.object.kind in scope.kinds)
+    return kept, lambda: complete(replace(graph, subjects=kept, edges=edges))
 
 
 def edges_of_policy(policy: LoadedPolicy, scope: VerificationScope) -> Callable[[], Iterator[Edge]]:
@@ -117,4 +166,4 @@ def edges_of_policy(policy: LoadedPolicy, scope: VerificationScope) -> Callable[
         naming = scope.namings.get(edge.subject)
         return naming.endpoints(edge) if naming else ()
 
-    return lambda: probes.edges(rules, scope.domains, mentioned, needed)
+    return lambda: probes.edges(rules, scope.domains, scope.kinds, mentioned, needed)

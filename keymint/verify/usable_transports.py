@@ -3,31 +3,61 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 from keymint.api import Availability, Tier, Transport
 from keymint.errors import ExitCode, KeymintError
 from keymint.plugins import Plugins
 
 
-def choose(plugins: Plugins, chosen: Sequence[str], tier: Tier) -> dict[str, Transport]:
-    """Return the transports to test, by name: the chosen ones, or all that are usable at a tier.
+def choose(
+    plugins: Plugins, chosen: Sequence[str], tier: Tier, build_types: Sequence[str]
+) -> Mapping[str, Mapping[str, Transport]]:
+    """Return the transports to test by build type, then name: the chosen ones, or all that are usable at a tier.
+
+    Args:
+        plugins: the installed plugins.
+        chosen: names of transports; empty to choose all that are usable.
+        tier: the tier of the test.
+        build_types: those of the packages; transports that read what other ones build are not used.
+
+    Returns:
+        The build types with a transport, in the given order.
 
     Raises:
-        KeymintError: a chosen transport is unknown or unusable, or none is chosen and none is usable.
+        KeymintError: a chosen transport is unknown, unusable or of another build type, or none is chosen and none is
+            usable.
     """
-    if not chosen:
-        known = plugins.transports().items()
-        usable_here = {name: each for name, each in known if usable_by_default(each.usable(), tier)}
-        if not usable_here:
-            raise KeymintError(
-                f"no transport supports the tier {tier} on this machine",
-                help="'keymint transports' shows how to install one",
-                code="transport-none",
-            )
-        return usable_here
+    if chosen:
+        return _grouped(plugins, _named(plugins, chosen, tier, build_types), build_types)
+    known = {name: plugins.transport(name) for each in build_types for name in plugins.transports_of(each)}
+    usable_here = {name: each for name, each in known.items() if usable_by_default(each.usable(), tier)}
+    if not usable_here:
+        raise KeymintError(
+            f"no transport supports the tier {tier} on this machine",
+            help="'keymint transports' shows how to install one",
+            code="transport-none",
+        )
+    return _grouped(plugins, usable_here, build_types)
+
+
+def _named(plugins: Plugins, chosen: Sequence[str], tier: Tier, build_types: Sequence[str]) -> dict[str, Transport]:
+    """Return transports that the user names.
+
+    Raises:
+        KeymintError: one is unknown, unusable or of another build type.
+    """
     named = {name: plugins.transport(name) for name in dict.fromkeys(chosen)}
     for name, transport in named.items():
+        if (needed := plugins.read_by(name)) not in build_types:
+            fitting = [other for each in build_types for other in plugins.transports_of(each)]
+            raise KeymintError(
+                f"the transport {name!r} reads what {needed} builds, but the build type here is "
+                f"{' and '.join(build_types)}",
+                help=f"use {' or '.join(f'-t {other}' for other in fitting)}" if fitting else "",
+                code="transport-foreign",
+                exit_code=ExitCode.USAGE,
+            )
         usable = transport.usable()
         if not usable.usable:
             raise KeymintError(
@@ -45,6 +75,15 @@ def choose(plugins: Plugins, chosen: Sequence[str], tier: Tier) -> dict[str, Tra
     return named
 
 
+def _grouped(
+    plugins: Plugins, transports: Mapping[str, Transport], build_types: Sequence[str]
+) -> Mapping[str, Mapping[str, Transport]]:
+    groups: dict[str, dict[str, Transport]] = {name: {} for name in build_types}
+    for name, transport in transports.items():
+        groups[plugins.read_by(name)][name] = transport
+    return {name: group for name, group in groups.items() if group}
+
+
 def usable_by_default(usable: Availability, tier: Tier) -> bool:
     """Return whether a transport is tested when none is chosen."""
     return usable.usable and usable.by_default and tier in usable.tiers
@@ -55,8 +94,9 @@ def names_rules(usable: Availability) -> bool:
     return usable.tiers == (Tier.DECISION,)
 
 
-def models(plugins: Plugins) -> dict[str, Transport]:
-    """Return the transports that name the rule that decides; the standard, which has no version, comes first."""
-    transports = {name: each for name, each in plugins.transports().items() if names_rules(each.usable())}
-    transports = {name: each for name, each in transports.items() if usable_by_default(each.usable(), Tier.DECISION)}
-    return {name: transports[name] for name in sorted(transports, key=lambda name: ("-" in name, name))}
+def models(plugins: Plugins, build_type: str) -> dict[str, Transport]:
+    """Return the transports of a build type that name the rule that decides; one without a version comes first."""
+    transports = {name: plugins.transport(name) for name in plugins.transports_of(build_type)}
+    usable = {name: each.usable() for name, each in transports.items()}
+    named = [name for name, each in usable.items() if names_rules(each) and usable_by_default(each, Tier.DECISION)]
+    return {name: transports[name] for name in sorted(named, key=lambda name: ("-" in name, name))}

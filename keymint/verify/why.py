@@ -5,16 +5,19 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 
 from comarmor.errors import Origin
 from comarmor.text import did_you_mean, nearest_word
 from keymint.api import (
     ActionMapping,
     AppliedProfile,
+    BuildType,
     DomainRange,
     Enclave,
     Endpoint,
     LoadedPolicy,
+    Package,
     PolicyDecision,
     RuleLocator,
     Tier,
@@ -26,7 +29,7 @@ from keymint.ir import Rule
 from keymint.plan.enclaves import installed
 from keymint.session import Session
 from keymint.verify.compare import label_enclave
-from keymint.verify.copies import copied
+from keymint.verify.copies import Copies, copied
 from keymint.verify.endpoint_policy import RAW, EndpointPolicy, Naming
 from keymint.verify.explain import Explainer
 from keymint.verify.matching import matching_rules, nearest
@@ -61,20 +64,24 @@ class Explanation:
     Attributes:
         edge: the request.
         profiles: the profiles of the policy that apply to the subject.
-        policy: the decision of the policy.
+        policy: the decision of the policy, as the first build type applies it.
         rules: the rules of the policy that apply to the request, DENY first.
         near: if none applies, the rule that comes nearest, and the difference.
         similar: if the policy does not name the subject, a subject with a similar name.
         package: the rules of the source package that apply to the request.
         packaged: there is a source package.
         needs: what the transports must permit.
+        decisions: the decision of the policy as each build type applies it, by its name; those that cannot express the
+            request are missing.
         installed: there is an enclave.
         labels: the decision of each transport, with the place in its document.
+        unasked: transports of build types that cannot express the request, by build type.
     """
 
     edge: Edge
     profiles: Sequence[AppliedProfile]
     policy: PolicyDecision
+    decisions: Mapping[str, PolicyDecision]
     rules: Sequence[MatchedRule]
     near: MatchedRule | None
     similar: str
@@ -83,11 +90,12 @@ class Explanation:
     needs: Sequence[Need]
     installed: bool
     labels: Mapping[str, Mismatch]
+    unasked: Mapping[str, Sequence[str]]
 
     @property
     def wrong(self) -> Mapping[str, Mismatch]:
         """The labels that differ from the policy's decision."""
-        return {name: each for name, each in self.labels.items() if each.verdict.allowed != self.policy.allowed}
+        return {name: each for name, each in self.labels.items() if each.verdict.allowed != each.policy.allowed}
 
 
 def request(subject: str, permission: str, name: str, partitions: Sequence[str], domain: int) -> Edge:
@@ -118,23 +126,31 @@ def request(subject: str, permission: str, name: str, partitions: Sequence[str],
 
 
 def granted_domains(session: Session, subject: str) -> tuple[DomainRange, ...]:
-    """Return the DDS domains of the grant of a subject; none if it has no source package.
+    """Return the domains of the grant of a subject; none if it has no source package.
 
     Raises:
         KeymintError: the source package has defects.
     """
-    name = subject.removeprefix("/")
-    if name not in packages(session.tree, session.workspace.src):
-        return ()
-    return session.package(name).grant.domains
+    package = _source_package(session, subject)
+    return package.grant.domains if package else ()
+
+
+def build_types(session: Session, subject: str) -> tuple[str, ...]:
+    """Return the names of the build types of a subject; those of new packages if it has no source package.
+
+    Raises:
+        KeymintError: the source package has defects.
+    """
+    package = _source_package(session, subject)
+    return package.build_types if package else session.profile.build_types
 
 
 def explain(
     session: Session,
     policy: LoadedPolicy,
     edge: Edge,
-    transports: Mapping[str, Transport],
-    find_models: Callable[[], Mapping[str, Transport]],
+    transports: Mapping[str, Mapping[str, Transport]],
+    find_models: Callable[[str], Mapping[str, Transport]],
 ) -> Explanation:
     """Ask every layer of a workspace for one request.
 
@@ -142,72 +158,133 @@ def explain(
         session: the workspace and its profile.
         policy: its policy.
         edge: the request.
-        transports: transports to ask, by name, each usable at the tier ``decision``.
-        find_models: returns transports that name the rule that decides.
+        transports: transports to ask, by build type and name, each usable at the tier ``decision``.
+        find_models: returns transports of a build type that name the rule that decides.
 
     Raises:
         KeymintError: the source package has defects, or a transport does not work.
     """
-    name = edge.subject.removeprefix("/")
-    package, naming, needs = _package(session, name, edge)
-    endpoint_policy = EndpointPolicy(policy, {edge.subject: naming} if naming else {})
-    decision = endpoint_policy.decide(edge)
+    package = _source_package(session, edge.subject)
+    views = _views(session, policy, package, edge)
+    meanings = tuple(dict.fromkeys(each for view in views.values() for each in view.meanings(edge)))
+    decisions = {name: view.decide(edge) for name, view in views.items()}
     profiles = policy.profiles(edge.subject)
     subject_rules = policy.rules(edge.subject)
     rules = subject_rules.rules if subject_rules else ()
-    matching = matching_rules(rules, _with_meanings(edge, naming))
+    matching = matching_rules(rules, (edge, *meanings))
     near = None if matching else nearest(rules, edge)
     subjects = policy.subjects()
-    is_installed = name in installed(session)
-    labels: dict[str, Mismatch] = {}
-    if is_installed:
-        install, folder = session.workspace.install, session.enclaves / name
-        enclave = Enclave(edge.subject, folder, session.profile.distro, install)
-        others = [session.enclaves / each for each in installed(session)]
-        with copied(session.tree, install, {edge.subject: enclave}, transports.values(), others) as copies:
-            readers = copies.read_by(transports)
-            explainer = Explainer(endpoint_policy, readers, lambda: copies.read_by(find_models()))
-            for each, transport in readers.items():
-                verdicts = list(label_enclave(transport, enclave, [edge], Tier.DECISION))
-                (labels[each],) = explainer(each, enclave, verdicts)
+    is_installed = edge.subject.removeprefix("/") in installed(session)
+    asked = {name: group for name, group in transports.items() if name in views}
     return Explanation(
         edge=edge,
         profiles=profiles,
-        policy=decision,
+        policy=next(iter(decisions.values()), policy.decide(edge)),
+        decisions=decisions,
         rules=[MatchedRule(rules[at], rules[at].origin) for at in matching],
         near=MatchedRule(rules[near.at], rules[near.at].origin, near.lacks) if near else None,
         similar=nearest_word(edge.subject, subjects) if package is None and edge.subject not in subjects else "",
-        package=package or (),
+        package=_rules_of_package(session, package, (edge, *meanings)) if package else (),
         packaged=package is not None,
-        needs=needs,
+        needs=[need for view in views.values() for need in view.needs(edge)],
         installed=is_installed,
-        labels=labels,
+        labels=_labels(session, package, edge, views, asked, find_models) if is_installed else {},
+        unasked={name: tuple(group) for name, group in transports.items() if name not in views},
     )
 
 
-def _package(
-    session: Session, name: str, edge: Edge
-) -> tuple[Sequence[MatchedRule] | None, Naming | None, Sequence[Need]]:
-    """Return the rules of a source package that apply to a request, and the naming of the package."""
-    if name not in packages(session.tree, session.workspace.src):
-        return None, None, ()
-    files = session.package_files(name)
-    package = session.package(name)
+@dataclass(frozen=True, slots=True)
+class _View:
+    """A request as a build type sees it.
+
+    Attributes:
+        build_type: the build type.
+        distro: ROS 2 distribution whose name mapping applies; empty if the subject has no source package.
+        policy: the policy on endpoints.
+        naming: the naming of the subject, if the build type has one and the subject a source package.
+    """
+
+    build_type: BuildType
+    distro: str
+    policy: EndpointPolicy
+    naming: Naming | None
+
+    def decide(self, edge: Edge) -> PolicyDecision:
+        """Return the decision of the policy."""
+        return self.policy.decide(edge)
+
+    def meanings(self, edge: Edge) -> Sequence[Edge]:
+        """Return the ROS edges that a request on an endpoint stands for."""
+        return self.naming.meanings(edge) if self.naming and edge.object.kind == RAW else ()
+
+    def needs(self, edge: Edge) -> Sequence[Need]:
+        """Return what the transports must permit."""
+        if not self.distro or not isinstance(self.build_type, ActionMapping):
+            return ()
+        return [Need(each, self.build_type.NOUN) for each in self.build_type.actions(self.distro, edge)]
+
+
+def _views(session: Session, policy: LoadedPolicy, package: Package | None, edge: Edge) -> Mapping[str, _View]:
+    """Return the views of the build types that can express a request."""
+    views: dict[str, _View] = {}
+    for name in package.build_types if package else session.profile.build_types:
+        where = session.package_marker(package.name) if package else session.profile_marker()
+        build_type = session.plugins.build_type(name, where)
+        if edge.object.kind not in build_type.KINDS:
+            continue
+        naming = naming_of(session, package, name) if package else None
+        endpoint_policy = EndpointPolicy(policy, {edge.subject: naming} if naming else {})
+        views[name] = _View(build_type, package.distro if package else "", endpoint_policy, naming)
+    return views
+
+
+def _labels(
+    session: Session,
+    package: Package | None,
+    edge: Edge,
+    views: Mapping[str, _View],
+    asked: Mapping[str, Mapping[str, Transport]],
+    find_models: Callable[[str], Mapping[str, Transport]],
+) -> Mapping[str, Mismatch]:
+    """Return the decisions of transports on copies of the enclave."""
+    install, name = session.workspace.install, edge.subject.removeprefix("/")
+    enclave = Enclave(edge.subject, session.enclaves / name, session.profile.distro, install)
+    there = installed(session)
+    infrastructure = {each.name for each in package.infrastructure} if package else ()
+    labels: dict[str, Mismatch] = {}
+    with copied(
+        session.tree,
+        install,
+        {edge.subject: enclave},
+        [each for group in asked.values() for each in group.values()],
+        [session.enclaves / each for each in there],
+        [session.enclaves / each for each in there if each in infrastructure],
+    ) as copies:
+        for build_type, group in asked.items():
+            readers = copies.read_by(group)
+            explainer = Explainer(views[build_type].policy, readers, partial(_models, copies, find_models, build_type))
+            for each, transport in readers.items():
+                verdicts = list(label_enclave(transport, enclave, [edge], Tier.DECISION))
+                (labels[each],) = explainer(each, enclave, verdicts)
+    return labels
+
+
+def _models(
+    copies: Copies, find_models: Callable[[str], Mapping[str, Transport]], build_type: str
+) -> Mapping[str, Transport]:
+    return copies.read_by(find_models(build_type))
+
+
+def _source_package(session: Session, subject: str) -> Package | None:
+    name = subject.removeprefix("/")
+    return session.package(name) if name in packages(session.tree, session.workspace.src) else None
+
+
+def _rules_of_package(session: Session, package: Package, edges: Sequence[Edge]) -> Sequence[MatchedRule]:
+    """Return the rules of a source package that apply to a request."""
     rules = package.grant.rules.rules
-    places = _places(session, name, files, rules)
-    naming = naming_of(session, package)
-    matching = matching_rules(rules, _with_meanings(edge, naming))
-    needs: list[Need] = []
-    for each_type in package.build_types:
-        build_type = session.plugins.build_type(each_type, session.package_marker(name))
-        if isinstance(build_type, ActionMapping):
-            needs += (Need(each, build_type.NOUN) for each in build_type.actions(package.distro, edge))
-    return [MatchedRule(rules[at], places[at]) for at in matching], naming, needs
-
-
-def _with_meanings(edge: Edge, naming: Naming | None) -> Sequence[Edge]:
-    """Return a request, followed by the ROS edges that a request on an endpoint stands for."""
-    return (edge, *naming.meanings(edge)) if naming and edge.object.kind == RAW else (edge,)
+    places = _places(session, package.name, session.package_files(package.name), rules)
+    return [MatchedRule(rules[at], places[at]) for at in matching_rules(rules, edges)]
 
 
 def _places(session: Session, name: str, files: Mapping[str, bytes], rules: Sequence[Rule]) -> Sequence[Origin]:

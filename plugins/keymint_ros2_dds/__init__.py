@@ -5,6 +5,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 
+from comarmor.rules import PERMISSIONS
 from keymint.api import API_VERSION, Claim, ProofTask
 from keymint.api.lazy import lazy
 from keymint_ros2_dds.enclave_layout import LAYOUTS, READS, files
@@ -27,6 +28,7 @@ class DdsSecurity:
     LAYOUTS = LAYOUTS
     READS = READS
     PARTS = ("governance",)
+    KINDS = tuple(PERMISSIONS)
 
     files = staticmethod(files)
     authorities = lazy("keymint_ros2_dds.authority_roles:authorities")

@@ -11,6 +11,7 @@ from keymint.commands.verify_report import labelled_edges
 from keymint.drawing.labelled_graph import Label
 from keymint.graph import ConfusionMatrix, Edge, EdgeOutcome, Object
 from keymint.verify.mismatch import Comparison, Mismatch
+from keymint.verify.verification import Verification
 
 EDGES = [Edge("/a", "ros_publish", Object("ros_topic", f"/t{at}")) for at in range(4)]
 DENIED = PolicyDecision(False, None, Reason(("no rule",)))
@@ -28,7 +29,8 @@ def outcome(name: str, counts: ConfusionMatrix, *findings: Mismatch) -> Comparis
 
 
 def labels(*outcomes: Comparison):
-    return labelled_edges("t", outcomes, EDGES, [0] * 4, lambda _edge: DENIED, lambda file: file.removeprefix("/ws/"))
+    verified = Verification("b", ("/a",), lambda: iter(EDGES), bytearray(4), lambda _edge: DENIED, outcomes)
+    return labelled_edges("t", verified, lambda file: file.removeprefix("/ws/"))
 
 
 def test_edges_without_findings_are_labelled_as_the_policy_does() -> None:

@@ -129,6 +129,13 @@ def test_what_the_documents_mention_is_asked_for_once() -> None:
     rules = [SubjectRules("/s", (rule("ros_topic", ["ros_publish"], ["/t"]),))]
     known = Edge("/s", "publish", Object("topic", "rt/t"))
     spy = Edge("/s", "publish", Object("topic", "rt/spy"))
-    edges = list(probes.edges(rules, {}, lambda _subject: [known, spy, spy], lambda _edge: [known]))
+    edges = list(probes.edges(rules, {}, mentioned=lambda _subject: [known, spy, spy], needed=lambda _edge: [known]))
     assert edges.count(spy) == 1
     assert known not in edges
+
+
+def test_kinds_that_a_build_type_cannot_express_are_not_asked_for() -> None:
+    rules = [SubjectRules("/s", (rule("topic", ["publish"], ["t"]), rule("ros_action", ["ros_request"], ["/x"])))]
+    assert {edge.object.kind for edge in probes.edges(rules, {})} > {"topic", "ros_action"}
+    kinds = {"ros_topic", "ros_service", "ros_action"}
+    assert {edge.object.kind for edge in probes.edges(rules, {}, kinds)} == kinds

@@ -32,11 +32,20 @@ class Transport:
 
 
 def plugins(**transports: Availability) -> Any:
-    """Return installed plugins with these transports; ``_`` in a name is ``-``."""
+    """Return installed plugins with these transports; ``_`` in a name is ``-``, and those with ``other`` are of another
+    build type."""
     known: Mapping[str, Transport] = {
         name.replace("_", "-"): Transport(availability) for name, availability in transports.items()
     }
-    return SimpleNamespace(transports=lambda: known, transport=known.__getitem__)
+
+    def read_by(name: str) -> str:
+        return "another" if "other" in name else "one"
+
+    return SimpleNamespace(
+        read_by=read_by,
+        transports_of=lambda build_type: [name for name in sorted(known) if read_by(name) == build_type],
+        transport=known.__getitem__,
+    )
 
 
 INSTALLED = plugins(
@@ -44,17 +53,29 @@ INSTALLED = plugins(
     omg=Availability(True, tiers=(Tier.DECISION,)),
     vendor_2=Availability(True, tiers=(Tier.DECISION,)),
     vendor_1=Availability(True, tiers=(Tier.DECISION,), by_default=False),
+    other=Availability(True, tiers=BOTH),
+    other_1=Availability(True, tiers=(Tier.DECISION,)),
     missing=Availability(False, reason="no vendor library", help="apt-get install it", tiers=BOTH),
 )
 
 
 @pytest.mark.parametrize(("tier", "names"), [(Tier.DECISION, {"real", "omg", "vendor-2"}), (Tier.EXCHANGE, {"real"})])
 def test_without_a_choice_all_usable_ones_are_tested(tier: Tier, names: set[str]) -> None:
-    assert set(choose(INSTALLED, (), tier)) == names
+    assert {name: set(group) for name, group in choose(INSTALLED, (), tier, ["one"]).items()} == {"one": names}
+
+
+def test_transports_are_grouped_by_the_build_types_of_the_packages() -> None:
+    found = choose(INSTALLED, (), Tier.DECISION, ["another", "one"])
+    assert [(name, list(group)) for name, group in found.items()] == [
+        ("another", ["other", "other-1"]),
+        ("one", ["omg", "real", "vendor-2"]),
+    ]
+    assert list(choose(INSTALLED, ("other",), Tier.DECISION, ["another", "one"])) == ["another"]
 
 
 def test_a_choice_may_name_one_that_is_not_tested_by_default_and_repeat_itself() -> None:
-    assert list(choose(INSTALLED, ("vendor-1", "omg", "vendor-1"), Tier.DECISION)) == ["vendor-1", "omg"]
+    found = choose(INSTALLED, ("vendor-1", "omg", "vendor-1"), Tier.DECISION, ["one"])
+    assert list(found["one"]) == ["vendor-1", "omg"]
 
 
 @pytest.mark.parametrize(
@@ -62,6 +83,7 @@ def test_a_choice_may_name_one_that_is_not_tested_by_default_and_repeat_itself()
     [
         (INSTALLED, ("missing",), Tier.DECISION, "transport-unusable", "apt-get install it", ExitCode.FAILURE),
         (INSTALLED, ("real", "omg"), Tier.EXCHANGE, "transport-tier", "it supports decision", ExitCode.USAGE),
+        (INSTALLED, ("omg", "other"), Tier.DECISION, "transport-foreign", "-t missing or -t omg", ExitCode.USAGE),
         (plugins(), (), Tier.DECISION, "transport-none", "'keymint transports'", ExitCode.FAILURE),
     ],
 )
@@ -69,11 +91,11 @@ def test_a_choice_that_cannot_be_tested(
     installed: Any, names: tuple[str, ...], tier: Tier, code: str, help_: str, exit_code: ExitCode
 ) -> None:
     with pytest.raises(KeymintError) as caught:
-        choose(installed, names, tier)
+        choose(installed, names, tier, ["one"])
     (diagnostic,) = caught.value.diagnostics
     assert (diagnostic.code, caught.value.exit_code) == (code, exit_code)
     assert help_ in diagnostic.help
 
 
 def test_models_decide_by_documents_alone_and_the_standard_comes_first() -> None:
-    assert list(models(INSTALLED)) == ["omg", "vendor-2"]
+    assert list(models(INSTALLED, "one")) == ["omg", "vendor-2"]

@@ -1,0 +1,92 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Verify what one build type has built: ask each of its transports for every edge, and compare it with the policy."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, field
+
+from keymint.api import LoadedPolicy, PolicyDecision, Tier, Transport
+from keymint.graph import Edge
+from keymint.verify.compare import compare
+from keymint.verify.endpoint_policy import EndpointPolicy, label
+from keymint.verify.explain import Explainer
+from keymint.verify.halves import with_halves
+from keymint.verify.mismatch import Comparison
+from keymint.verify.scope import VerificationScope
+
+
+@dataclass(frozen=True, slots=True)
+class Verification:
+    """The transports of one build type, compared with the policy.
+
+    Attributes:
+        build_type: its name.
+        subjects: the subjects of the edges.
+        edges: returns the edges, grouped by subject.
+        labels: the policy's label of each edge: 1 allowed, 0 denied.
+        decide: returns the decision of the policy on an edge, as this build type applies it.
+        comparisons: the comparison of each transport.
+    """
+
+    build_type: str
+    subjects: tuple[str, ...]
+    edges: Callable[[], Iterator[Edge]] = field(repr=False)
+    labels: bytearray = field(repr=False)
+    decide: Callable[[Edge], PolicyDecision] = field(repr=False)
+    comparisons: tuple[Comparison, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class Asking:
+    """How to ask transports.
+
+    Attributes:
+        tier: the tier of the test.
+        limit: mismatches to keep for each transport; all are counted.
+        on_subject: called with the name of a transport, or ``policy``, and a subject after all edges of the subject.
+    """
+
+    tier: Tier
+    limit: int
+    on_subject: Callable[[str, str], None]
+
+
+def verification(
+    scope: VerificationScope,
+    policy: LoadedPolicy,
+    subjects: tuple[str, ...],
+    edges: Callable[[], Iterator[Edge]],
+    transports: Mapping[str, Transport],
+    find_models: Callable[[], Mapping[str, Transport]],
+    asking: Asking,
+) -> Verification:
+    """Compare transports of a build type with the policy.
+
+    Args:
+        scope: the enclaves.
+        policy: the policy.
+        subjects: the subjects of the edges.
+        edges: returns the edges, grouped by subject; called once for each transport and for the policy.
+        transports: the transports, by name.
+        find_models: returns simulated transports of the build type, to explain mismatches.
+        asking: how to ask.
+
+    Raises:
+        KeymintError: a transport does not work.
+    """
+    endpoint_policy = EndpointPolicy(policy, scope.namings)
+    explain = Explainer(endpoint_policy, transports, find_models)
+    labels = label(endpoint_policy, edges(), lambda subject: asking.on_subject("policy", subject))
+
+    def compared(name: str, transport: Transport) -> Comparison:
+        outcome = compare(
+            name, transport, scope.enclaves, edges(), labels, asking.tier, explain, asking.limit,
+            lambda subject: asking.on_subject(name, subject),
+        )  # fmt: skip
+        return with_halves(
+            outcome, transport, scope.enclaves, edges(), labels, endpoint_policy, scope.namings, explain, asking.limit
+        )
+
+    comparisons = tuple(compared(name, transport) for name, transport in transports.items())
+    return Verification(scope.build_type, subjects, edges, labels, endpoint_policy.decide, comparisons)

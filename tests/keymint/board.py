@@ -1,0 +1,167 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A second transport for tests: a board with the rights of all subjects decides, and no enclave's own document does."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from importlib.metadata import EntryPoint
+from pathlib import Path
+
+from comarmor.errors import Diagnostic, Origin
+from comarmor.patterns.expression import matches
+from comarmor.rules import parts
+from keymint.api import (
+    API_VERSION,
+    Artifact,
+    AuthorityRole,
+    Availability,
+    BuildOptions,
+    BuildResult,
+    Enclave,
+    EnclaveCredentials,
+    Endpoint,
+    Environment,
+    Inspection,
+    Layout,
+    Package,
+    PackageSettings,
+    PackageSources,
+    Tier,
+    Transport,
+    Verdict,
+)
+from keymint.graph import Edge
+
+NAME = "board"
+BOARD = "board/rights.txt"
+
+
+class BoardBuildType:
+    """Implements :class:`keymint.api.BuildType` and :class:`keymint.api.ActionMapping`."""
+
+    API = API_VERSION
+    TRANSPORT = "board"
+    PARTS: tuple[str, ...] = ()
+    LAYOUTS: Mapping[str, Layout] = {"sros2": Layout("enclaves"), "flat": Layout("")}
+    READS = (".pem",)
+    KINDS = ("ros_topic", "ros_service", "ros_action", "ros_parameter")
+    NOUN = "line of the board"
+
+    def settings(self, sources: PackageSources) -> PackageSettings:
+        del sources
+        return PackageSettings(None)
+
+    def files(self, layout: str) -> frozenset[str]:
+        del layout
+        return frozenset(("rights.txt", "cert.pem", "key.pem"))
+
+    def authorities(self, package: Package) -> Sequence[AuthorityRole]:
+        return (AuthorityRole("identity", package.identity.issuer, package.identity.origin),)
+
+    def build(self, package: Package, options: BuildOptions) -> BuildResult:
+        del options
+        return BuildResult({"rights.txt": "".join(_lines(package)).encode()})
+
+    def install(
+        self,
+        package: Package,
+        documents: Mapping[str, bytes],
+        credentials: EnclaveCredentials,
+        layout: str,
+        installed: Mapping[str, bytes],
+    ) -> Mapping[str, Artifact]:
+        del package, layout, installed
+        return {
+            "rights.txt": Artifact(documents["rights.txt"]),
+            "cert.pem": Artifact(credentials.certificate),
+            "key.pem": Artifact(credentials.key, secret=True),
+        }
+
+    def shared(self, artifacts: Mapping[str, Mapping[str, Artifact]], layout: str) -> Mapping[str, Artifact]:
+        del layout
+        texts = [files["rights.txt"].content for _, files in sorted(artifacts.items()) if "rights.txt" in files]
+        return {BOARD: Artifact(b"".join(texts))} if texts else {}
+
+    def check(self, inspection: Inspection) -> Sequence[Diagnostic]:
+        del inspection
+        return ()
+
+    def check_all(self, inspections: Sequence[Inspection]) -> Sequence[Diagnostic]:
+        del inspections
+        return ()
+
+    def actions(self, distro: str, edge: Edge) -> Sequence[Endpoint]:
+        del distro
+        return [
+            Endpoint(edge.subject, action, edge.object.name + suffix, domain=edge.domain)
+            for _, action, suffix in parts(edge.object.kind, edge.permission)
+        ]
+
+
+def _lines(package: Package) -> Iterator[str]:
+    """Yield a line for each elementary right; raw topics have no place on the board."""
+    for rule in package.grant.rules.rules:
+        for permission in rule.permissions if rule.kind != "topic" else ():
+            for _, action, suffix in parts(rule.kind, permission):
+                for expression in rule.expressions:
+                    yield f"{package.subject} {rule.effect} {action} {expression}{suffix}\n"
+
+
+@dataclass(frozen=True)
+class Board:
+    """Implements :class:`keymint.api.Transport`: decides by the board; a DENY overrides every ALLOW."""
+
+    tiers: tuple[Tier, ...]
+    reads_keys: bool
+
+    def usable(self) -> Availability:
+        return Availability(usable=True, version="1", tiers=self.tiers)
+
+    def label(self, enclaves: Sequence[Enclave], edges: Iterable[Edge], tier: Tier) -> Iterator[tuple[Edge, Verdict]]:
+        del tier
+        folders = {enclave.subject: enclave for enclave in enclaves}
+        for edge in edges:
+            enclave = folders[edge.subject]
+            assert (enclave.folder / "key.pem").exists() >= self.reads_keys
+            verdicts = [
+                self._decide(enclave.install / BOARD, edge.subject, action, edge.object.name + suffix)
+                for _, action, suffix in parts(edge.object.kind, edge.permission)
+            ]
+            yield edge, next((each for each in verdicts if not each.allowed), verdicts[-1])
+
+    def _decide(self, board: Path, subject: str, action: str, name: str) -> Verdict:
+        decided = Verdict(False, f"no line names {name!r}", Origin(str(board)))
+        for number, line in enumerate(board.read_text().splitlines(), 1):
+            who, effect, what, expression = line.split(" ", 3)
+            if (who, what) == (subject, action) and matches(expression, name):
+                reason = f"the line {effect}s {action} of {name!r}"
+                decided = Verdict(effect == "ALLOW", reason, Origin(str(board), number))
+                if effect == "DENY":
+                    break
+        return decided
+
+
+class _Type:
+    """Implements :class:`keymint.api.TransportType`."""
+
+    API = API_VERSION
+    BUILD_TYPE = NAME
+
+    def __init__(self, transport: Transport) -> None:
+        self._transport = transport
+
+    def open(self, environment: Environment) -> Transport:
+        del environment
+        return self._transport
+
+
+build_type = BoardBuildType()
+simulated = _Type(Board((Tier.DECISION,), reads_keys=False))
+real = _Type(Board((Tier.DECISION, Tier.ADMISSION), reads_keys=True))
+
+ENTRIES = (
+    EntryPoint(NAME, f"{__name__}:build_type", "keymint.build_types"),
+    EntryPoint("board-1", f"{__name__}:simulated", "keymint.transports"),
+    EntryPoint("board", f"{__name__}:real", "keymint.transports"),
+)
