@@ -83,14 +83,14 @@ class JsonBuildType:
             }
             for rule in grant.rules.rules
         ]
-        validity = grant.validity
-        dates = validity and {key: getattr(validity, key).isoformat() for key in ("not_before", "not_after")}
-        document = {
+        document: dict[str, Any] = {
             "subject": package.subject,
-            **(dates or {}),
             "domains": [[domains.first, domains.last] for domains in sorted(grant.domains)],
             "rules": sorted(rules, key=lambda rule: json.dumps(rule, sort_keys=True)),
         }
+        if grant.validity is not None:
+            document["not_before"] = grant.validity.not_before.isoformat()
+            document["not_after"] = grant.validity.not_after.isoformat()
         return BuildResult({DOCUMENT: (json.dumps(document, indent=2, sort_keys=True) + "\n").encode()})
 
     def install(
