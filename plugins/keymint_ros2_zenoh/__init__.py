@@ -13,11 +13,12 @@ __all__ = ["Zenoh", "build_type"]
 class Zenoh:
     """The build type for Zenoh's access control, as rmw_zenoh uses Zenoh.
 
-    Implements :class:`keymint.api.BuildType`, :class:`keymint.api.SharedDocuments` and
-    :class:`keymint.api.RuleCheck`.
+    Implements :class:`keymint.api.BuildType`, :class:`keymint.api.SharedDocuments`, :class:`keymint.api.RuleCheck` and
+    :class:`keymint.api.ActionMapping`.
     """
 
     API = API_VERSION
+    NOUN = "key expression"
 
     TRANSPORT = "zenoh"
     PARTS = ("zenoh",)
@@ -35,6 +36,7 @@ class Zenoh:
     build_shared = lazy("keymint_ros2_zenoh.build:build_shared")
     install_shared = lazy("keymint_ros2_zenoh.install:install_shared")
     check_shared = lazy("keymint_ros2_zenoh.check:check_shared")
+    actions = lazy("keymint_ros2_zenoh.lowering.actions:actions")
     check_rules = lazy("keymint_ros2_zenoh.lowering.rule_check:check_rules")
 
 

@@ -10,6 +10,7 @@ from keymint.api import CertificateSpec, Package
 from keymint_ros2_zenoh.settings import is_router
 
 _CURVES = ("SECP256R1", "SECP384R1")
+_REFUSED_WITH_EC = "SHA512"
 _SERVER, _CLIENT, _ANY = "serverAuth", "clientAuth", "anyExtendedKeyUsage"
 
 
@@ -25,6 +26,7 @@ def check_identity(package: Package) -> Iterator[Diagnostic]:
         )  # fmt: skip
     for authority in package.issuers:
         yield from _curve(authority.certificate, f"the key of the authority {authority.name!r}", subject)
+    yield from _signatures(package)
     yield from _usage(package, is_server=is_router(package))
 
 
@@ -35,6 +37,19 @@ def _curve(certificate: CertificateSpec, what: str, subject: str) -> Iterator[Di
             f"{what} is on the curve {certificate.key.curve}, which Zenoh refuses",
             certificate.origin, "use prime256v1 or secp384r1, or RSA", subject,
         )  # fmt: skip
+
+
+def _signatures(package: Package) -> Iterator[Diagnostic]:
+    """Yield the certificates below the root that an EC key signs with SHA-512, which rustls does not verify."""
+    signed = [package.identity, *(authority.certificate for authority in package.issuers)]
+    for certificate, authority in zip(signed, package.issuers, strict=False):
+        if authority.certificate.key.algorithm == "ec" and certificate.hash_algorithm == _REFUSED_WITH_EC:
+            yield Diagnostic(
+                "zenoh-key-hash", Severity.ERROR,
+                f"the authority {authority.name!r} has an EC key and signs this certificate with SHA512, which Zenoh "
+                "refuses",
+                certificate.origin, "use SHA256 or SHA384", package.subject,
+            )  # fmt: skip
 
 
 def _usage(package: Package, *, is_server: bool) -> Iterator[Diagnostic]:

@@ -15,6 +15,7 @@ from keymint_ros2_zenoh.build import build, build_shared
 from keymint_ros2_zenoh.documents.configuration import Configuration
 from keymint_ros2_zenoh.documents.read import read
 from keymint_ros2_zenoh.hazards import hazards
+from keymint_ros2_zenoh.key_limits import check_identity
 from keymint_ros2_zenoh.lowering.rule_check import lower_package
 from keymint_ros2_zenoh.messages import Flow, Message, Permission
 from keymint_ros2_zenoh.settings import Router
@@ -28,6 +29,7 @@ from .workspaces import (
     HOST_ORIGIN,
     KEYSTORE,
     LISTENER,
+    P256,
     ROUTER,
     TALKER,
     VALIDITY,
@@ -198,6 +200,23 @@ def test_the_key_of_an_authority_counts_too() -> None:
     authority = Authority("root_ca", replace(TALKER.identity, key=KeySpec("ec", "SECP521R1")))
     [own] = [replace(each, issuers=(authority,)) for each in workspace(TALKER) if each.name == "talker"]
     assert list(refused(lambda: build(own, OPTIONS))) == ["zenoh-key-curve"]
+
+
+@pytest.mark.parametrize(
+    ("key", "digest", "errors"),
+    [
+        (P256, "SHA384", []),
+        (P256, "SHA512", ["zenoh-key-hash"]),
+        (KeySpec("ec", "SECP384R1"), "SHA512", ["zenoh-key-hash"]),
+        (KeySpec("rsa", size=2048), "SHA512", []),
+    ],
+)
+def test_signatures_that_zenoh_does_not_verify(key: KeySpec, digest: str, errors: list[str]) -> None:
+    """The root's own signature does not count."""
+    identity = replace(TALKER.identity, hash_algorithm=digest)
+    root = Authority("root_ca", replace(TALKER.identity, key=key, hash_algorithm="SHA512"))
+    own = replace(TALKER, identity=identity, issuers=(root,), infrastructure=(router_package(),))
+    assert [each.code for each in check_identity(own)] == errors
 
 
 @pytest.mark.parametrize("subject", ["/talker", "/zenoh_router"])
