@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+from comarmor.rules import PERMISSIONS
 from keymint.api import API_VERSION
 from keymint.api.lazy import lazy
 from keymint_ros2_zenoh.enclave_layout import LAYOUTS, READS, files
@@ -24,6 +25,7 @@ class Zenoh:
     PARTS = ("zenoh",)
     LAYOUTS = LAYOUTS
     READS = READS
+    KINDS = tuple(kind for kind in PERMISSIONS if kind != "topic")  # no key expression stands for a raw topic
 
     files = staticmethod(files)
     settings = lazy("keymint_ros2_zenoh.zenoh_source:settings")
