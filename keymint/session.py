@@ -12,13 +12,13 @@ from typing import Self
 from comarmor.errors import Origin
 from comarmor.text import did_you_mean
 from keymint import __version__
-from keymint.api import Layout, Package, WorkspaceProfile
+from keymint.api import Infrastructure, InfrastructurePackage, Layout, Package, Role, WorkspaceProfile
 from keymint.changes import Plan
 from keymint.errors import KeymintError
 from keymint.plugins import Plugins
 from keymint.state import State, digest, digest_files
 from keymint.tree import Tree
-from keymint.workspace import PACKAGE_MARKER, PROFILE_MARKER, Workspace, package_files, profile_files
+from keymint.workspace import PACKAGE_MARKER, PROFILE_MARKER, Workspace, package_files, packages, profile_files
 
 
 @dataclass(frozen=True, slots=True)
@@ -100,6 +100,7 @@ class Session(Inputs):
     profile: WorkspaceProfile
     profile_digest: str
     _packages: dict[tuple[str, str], Package] = field(default_factory=dict, repr=False, compare=False)
+    _infrastructure: dict[Path, tuple[str, ...]] = field(default_factory=dict, init=False, repr=False, compare=False)
 
     @property
     def layouts(self) -> tuple[Layout, ...]:
@@ -130,7 +131,62 @@ class Session(Inputs):
         return package_files(self.tree, self.workspace.src / name)
 
     def package(self, name: str) -> Package:
-        """Load a package, once per run and content; errors as :meth:`keymint.api.PackageType.load`."""
+        """Load a package, once per run and content; errors as :meth:`keymint.api.PackageType.load`.
+
+        A package of a subject also has the packages of infrastructure that its build types have, whose errors are
+        raised as well.
+        """
+        package = self._load(name)
+        if package.role is Role.INFRASTRUCTURE:
+            return package
+        needing = {each for each in package.build_types if isinstance(self.plugins.build_type(each), Infrastructure)}
+        if not needing:
+            return package
+        infrastructure = (self._load(each) for each in self.infrastructure())
+        return replace(package, infrastructure=tuple(each for each in infrastructure if needing & {*each.build_types}))
+
+    def infrastructure(self) -> tuple[str, ...]:
+        """Return the names of the existing packages of infrastructure, sorted; none if no build type needs any."""
+        src, marker = self.workspace.src, self.profile_marker()
+        if src not in self._infrastructure:
+            build_types = (self.plugins.build_type(each, marker) for each in self.profile.build_types)
+            needed = any(isinstance(each, Infrastructure) for each in build_types)
+            self._infrastructure[src] = tuple(
+                name for name in (packages(self.tree, src) if needed else ()) if self.role(name) is Role.INFRASTRUCTURE
+            )
+        return self._infrastructure[src]
+
+    def sources_digest(self, name: str) -> str:
+        """Return the digest of the files that a package is loaded from, those of its infrastructure included."""
+        return digest(*(digest_files(self.package_files(each)) for each in (name, *self.infrastructure())))
+
+    def role(self, name: str) -> Role:
+        """Return why a package exists; the role of a subject if there is none or its manifest has defects."""
+        package_type = self.plugins.package_type(self.profile.package_type, self.profile_marker())
+        manifest = self.tree.read(self.workspace.src / name / package_type.MARKER)
+        return Role.SUBJECT if manifest is None else package_type.role(manifest)
+
+    def needed_infrastructure(self) -> Mapping[str, tuple[InfrastructurePackage, str]]:
+        """Return the packages of infrastructure that the profile's build types need, each with its build type, by name.
+
+        Raises:
+            KeymintError: two build types need a package of one name, or the profile has a defect.
+        """
+        needed: dict[str, tuple[InfrastructurePackage, str]] = {}
+        for build_type in self.profile.build_types:
+            plugin = self.plugins.build_type(build_type, self.profile_marker())
+            for each in plugin.packages(self.profile) if isinstance(plugin, Infrastructure) else ():
+                if each.name in needed:
+                    raise KeymintError(
+                        f"{needed[each.name][0].title} and {each.title} are both named {each.name!r}",
+                        where=self.profile_marker(),
+                        help="give one of them another name",
+                        code="infrastructure-doubled",
+                    )
+                needed[each.name] = (each, build_type)
+        return needed
+
+    def _load(self, name: str) -> Package:
         files = self.package_files(name)
         key = (name, digest(self.profile_digest, digest_files(files)))
         if key not in self._packages:

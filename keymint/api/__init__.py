@@ -61,6 +61,8 @@ from keymint.api.policies import StructuredPolicy as StructuredPolicy
 from keymint.api.policies import WrittenProfile as WrittenProfile
 from keymint.api.policies import WrittenRule as WrittenRule
 from keymint.api.profiles import Bootstrap as Bootstrap
+from keymint.api.profiles import Infrastructure as Infrastructure
+from keymint.api.profiles import InfrastructurePackage as InfrastructurePackage
 from keymint.api.profiles import PackageType as PackageType
 from keymint.api.profiles import PolicySource as PolicySource
 from keymint.api.profiles import ProfileSettings as ProfileSettings

@@ -12,7 +12,7 @@ from typing import Protocol, runtime_checkable
 from comarmor.errors import Origin
 from keymint.api.building import BuildType
 from keymint.api.certificates import Authority
-from keymint.api.packages import Package
+from keymint.api.packages import Package, Role
 from keymint.ir import SubjectRules
 
 
@@ -71,6 +71,7 @@ class Bootstrap:
         layout: ``sros2`` or ``flat``; empty for the layout that the distro reads.
         subject_format: ``unique`` (with a second RDN that is unique to the subject) or ``sros2`` (CN only).
         now: the clock, UTC.
+        build_types: the plugins that build new packages; empty for those of the profile type.
     """
 
     name: str
@@ -80,12 +81,15 @@ class Bootstrap:
     layout: str
     subject_format: str
     now: datetime
+    build_types: tuple[str, ...] = ()
 
 
 class ProfileType(Protocol):
     """Creates and loads the profile space of a workspace."""
 
     API: str
+    BUILD_TYPES: tuple[str, ...]
+    """Build types of a new profile whose request names none."""
 
     def bootstrap(self, request: Bootstrap) -> Mapping[str, bytes]:
         """Return the files of a new profile by path relative to the profile space.
@@ -123,6 +127,9 @@ class ProfileType(Protocol):
 class ProfileSettings(Protocol):
     """Optional capability of a profile type: returns the settings that ``keymint init`` has options for."""
 
+    PLACES: Mapping[str, tuple[str, ...]]
+    """Files that give a setting together, relative to the profile space; those not listed are in the marker."""
+
     def settings(self, profile: WorkspaceProfile) -> Mapping[str, str]:
         """Return the current value of each option as text, by the option's name (``distro``, ``domain``, …).
 
@@ -130,6 +137,31 @@ class ProfileSettings(Protocol):
 
         Raises:
             KeymintError: with ``file:line`` of a defect.
+        """
+
+
+@dataclass(frozen=True, slots=True)
+class InfrastructurePackage:
+    """A package that a transport needs beside those of the subjects.
+
+    Attributes:
+        name: package name.
+        title: what it is for, as part of a sentence, e.g. ``the broker``.
+    """
+
+    name: str
+    title: str
+
+
+@runtime_checkable
+class Infrastructure(Protocol):
+    """Optional capability of a build type: its transport needs identities that are no subjects of the policy."""
+
+    def packages(self, profile: WorkspaceProfile) -> Sequence[InfrastructurePackage]:
+        """Return the packages that a workspace needs for them.
+
+        Raises:
+            KeymintError: with ``file:line`` of a defect of the profile, or the transport cannot serve it.
         """
 
 
@@ -152,6 +184,21 @@ class PackageType(Protocol):
             KeymintError: the document of the rules was edited by hand, the policy changed as well, and ``force`` is
                 False.
         """
+
+    def create_infrastructure(
+        self, profile: WorkspaceProfile, name: str, build_type: str, existing: Mapping[str, bytes]
+    ) -> Mapping[str, bytes]:
+        """Return the files to write for a package of the role :attr:`Role.INFRASTRUCTURE`, as :meth:`create` does.
+
+        Args:
+            profile: the profile of the workspace.
+            name: package name.
+            build_type: the build type that needs it, its only one.
+            existing: the package's present files; empty for a new package.
+        """
+
+    def role(self, manifest: bytes) -> Role:
+        """Return why a package exists, from the file :attr:`MARKER`; that of a subject if this has defects."""
 
     def load(
         self,

@@ -35,7 +35,7 @@ def create(run: Run, names: tuple[str, ...], all_subjects: bool, force: bool) ->
     def make_plan(inputs: Inputs) -> Plan:
         session = inputs.session()
         policy = lazy_policy(session)
-        subjects = dict.fromkeys([*wanted, *(packages_to_create(inputs, policy) if all_subjects else ())])
+        subjects = dict.fromkeys([*wanted, *(packages_to_create(session, policy) if all_subjects else ())])
         if not subjects:
             raise KeymintError(
                 "the policy names no subject exactly",

@@ -3,30 +3,25 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from pathlib import Path
 
 import click
 
 from comarmor.errors import Origin
-from keymint.api import Bootstrap, ProfileSettings
+from keymint.api import Bootstrap, ProfileSettings, WorkspaceProfile
 from keymint.changes import Action, Plan, Step
+from keymint.commands.build_type_names import build_types_of, transports_of
 from keymint.commands.options import DEFAULT_PROFILE_TYPE, PATH, ProfileOptions, profile_options
 from keymint.commands.run import Run
 from keymint.commands.verb import verb
 from keymint.errors import KeymintError
 from keymint.output.report import Report
 from keymint.plan.authorities import plan_authorities
-from keymint.plan.bootstrap import plan_init, policy_path
+from keymint.plan.bootstrap import plan_init, policy_path, refuse_unsupported
 from keymint.session import Inputs
 from keymint.workspace import PROFILE_MARKER, Workspace
-
-_DEFAULTS = "package.defaults"
-_PLACES = {
-    "domain": (f"{_DEFAULTS}/permissions.xml", f"{_DEFAULTS}/governance.xml"),
-    "subject-format": (f"{_DEFAULTS}/permissions.xml", f"{_DEFAULTS}/identities.xml"),
-}
-"""Files of the settings that are not in the profile's manifest; all of them must agree."""
 
 
 @verb(jobs=True, dry_run=True)
@@ -58,7 +53,9 @@ def init(
 
     def make_plan(inputs: Inputs) -> Plan:
         plan = plan_init(inputs, profile.profile_type or DEFAULT_PROFILE_TYPE, request)
-        return plan.then(plan_authorities(inputs.after(plan).session())[0])
+        session = inputs.after(plan).session()
+        refuse_unsupported(session)
+        return plan.then(plan_authorities(session)[0])
 
     return run.carry_out(workspace, make_plan)
 
@@ -78,7 +75,7 @@ def bootstrap_request(run: Run, workspace: Workspace, policy: Path | None, profi
     """Return the request for a new profile.
 
     Raises:
-        KeymintError: the policy does not exist.
+        KeymintError: the policy does not exist, or no build type for a transport is installed.
     """
     if policy is not None and not (run.setting.cwd / policy).exists():
         raise KeymintError(
@@ -96,6 +93,7 @@ def bootstrap_request(run: Run, workspace: Workspace, policy: Path | None, profi
         layout=profile.layout or "",
         subject_format=profile.subject_format or "unique",
         now=run.setting.now,
+        build_types=build_types_of(run.plugins, profile.transports),
     )
 
 
@@ -111,20 +109,23 @@ def refuse_contradiction(run: Run, workspace: Workspace, given: ProfileOptions, 
     Raises:
         KeymintError: the profile has another value, or does not have this setting.
     """
-    options = {**asdict(given), "policy": policy}
+    options = {**asdict(given), "transports": None, "policy": policy}
     values = {name.replace("_", "-"): str(value) for name, value in options.items() if value is not None}
-    if not values:
+    if not values and not given.transports:
         return
     profile = run.inputs(workspace).session().profile
+    _refuse_other_transports(run, workspace, profile, given.transports)
     profile_type = run.plugins.profile_type(profile.profile_type)
     if given.distro is not None:
         profile_type.library(given.distro)  # an unknown distribution is a usage error, as for a new workspace
     present = {"profile-type": profile.profile_type}
+    elsewhere: Mapping[str, tuple[str, ...]] = {}
     if isinstance(profile_type, ProfileSettings):
         present |= profile_type.settings(profile)
+        elsewhere = profile_type.PLACES
     for option, value in values.items():
         if present.get(option) != value:
-            places = _PLACES.get(option, (PROFILE_MARKER,))
+            places = [place for place in elsewhere.get(option, ()) if place in profile.files] or [PROFILE_MARKER]
             has = f"has {option} {present[option]!r}" if option in present else f"exists and keeps its {option}"
             raise KeymintError(
                 f"the workspace {has}, so --{option} {value} cannot take effect",
@@ -133,3 +134,16 @@ def refuse_contradiction(run: Run, workspace: Workspace, given: ProfileOptions, 
                 "or name another workspace",
                 code="workspace-exists",
             )
+
+
+def _refuse_other_transports(run: Run, workspace: Workspace, profile: WorkspaceProfile, given: Sequence[str]) -> None:
+    if not given or {*build_types_of(run.plugins, given)} == {*profile.build_types}:
+        return
+    has = " and ".join(repr(each) for each in transports_of(run.plugins, profile.build_types))
+    marker = workspace.shown(workspace.profile / PROFILE_MARKER)
+    raise KeymintError(
+        f"the workspace has transport {has}, so {' '.join(f'--transport {each}' for each in given)} cannot take effect",
+        where=Origin(marker),
+        help=f"change <build_type> in {marker} and in the packages that exist, or name another workspace",
+        code="workspace-exists",
+    )

@@ -202,6 +202,7 @@ class ProfileOptions:
     domain: int | None
     layout: str | None
     subject_format: str | None
+    transports: tuple[str, ...] = ()
 
 
 profile_options = option_group(
@@ -214,6 +215,13 @@ profile_options = option_group(
         help=f"Plugin that makes the profile; 'keymint plugins' lists them [{DEFAULT_PROFILE_TYPE}].",
     ),
     click.option("--distro", metavar="NAME", help="ROS 2 distribution [$ROS_DISTRO, else jazzy]."),
+    click.option(
+        "--transport",
+        "transports",
+        multiple=True,
+        metavar="NAME",
+        help="Transport to provision for; may be repeated [that of the profile type].",
+    ),
     click.option("--domain", type=click.IntRange(0, 230), metavar="N", help="Domain id [0]."),
     click.option(
         "--layout",

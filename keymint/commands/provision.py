@@ -30,7 +30,7 @@ from keymint.commands.verb import verb
 from keymint.errors import KeymintError
 from keymint.output.report import Report
 from keymint.plan.authorities import plan_authorities
-from keymint.plan.bootstrap import plan_init, plan_policy, policy_path
+from keymint.plan.bootstrap import plan_init, plan_policy, policy_path, refuse_unsupported
 from keymint.plan.build import plan_build
 from keymint.plan.create import packages_to_create, plan_create
 from keymint.plan.install import plan_install
@@ -84,6 +84,7 @@ def provision(
             )
         created = plan_create(session, acquired, names, force=force)
         session = session.after(created)
+        names = (*names, *session.infrastructure())
         built = plan_build(session, names, hinted.options, force=force, renew=renew)
         session = session.after(built)
         minted, authorities = plan_authorities(session, new_authority)
@@ -100,7 +101,9 @@ def provision(
 
     def _profile_plan(inputs: Inputs) -> Plan:
         if not inputs.workspace.exists():
-            return plan_init(inputs, profile.profile_type or DEFAULT_PROFILE_TYPE, request)
+            plan = plan_init(inputs, profile.profile_type or DEFAULT_PROFILE_TYPE, request)
+            refuse_unsupported(inputs.after(plan).session())
+            return plan
         return plan_policy(inputs.session(), policy_path(run.setting.cwd / policy, inputs.workspace.profile))
 
     return run.carry_out(workspace, make_plan)

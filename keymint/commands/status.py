@@ -31,7 +31,8 @@ def status(run: Run) -> Report:
     rows = package_rows(session, policy)
     if policy:
         known = {row.package for row in rows}
-        missing = [name for name in packages_to_create(inputs, policy) if name not in known]
+        wanted = {*packages_to_create(session, policy), *session.needed_infrastructure()}
+        missing = sorted(wanted - known)
     now = inputs.now
     cells = [
         [

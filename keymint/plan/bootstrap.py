@@ -8,6 +8,7 @@ from pathlib import Path
 
 from keymint.api import Bootstrap
 from keymint.changes import Action, File, FolderChange, Plan, Step
+from keymint.errors import ExitCode, KeymintError
 from keymint.session import Inputs, Session
 from keymint.workspace import PROFILE_MARKER
 
@@ -35,6 +36,25 @@ def plan_init(inputs: Inputs, profile_type: str, request: Bootstrap) -> Plan:
         changes.append(FolderChange(inputs.workspace.root, {".gitignore": File(_IGNORED)}))
     changes.append(FolderChange(root, ordered))
     return Plan((Step(STAGE, "", Action.CREATED, tuple(changes), "workspace profile"),), inputs.state)
+
+
+def refuse_unsupported(session: Session) -> None:
+    """Refuse a new profile that a build type of its packages cannot serve.
+
+    Raises:
+        KeymintError: a build type has no such layout, or its transport does not exist for the distribution.
+    """
+    profile = session.profile
+    for name in profile.build_types:
+        build_type = session.plugins.build_type(name, session.profile_marker())
+        if profile.layout not in build_type.LAYOUTS:
+            raise KeymintError(
+                f"the transport {build_type.TRANSPORT} has no layout {profile.layout!r}",
+                help=f"it has {', '.join(build_type.LAYOUTS)}; an older distribution may need another transport",
+                code="layout-unsupported",
+                exit_code=ExitCode.USAGE,
+            )
+    session.needed_infrastructure()
 
 
 def plan_policy(session: Session, policy: str) -> Plan:

@@ -15,7 +15,7 @@ from keymint.plan import identity_keys, key_record, lifetimes
 from keymint.plan.build_types import build_types_of, two_writers
 from keymint.plan.lifetimes import Lifetime
 from keymint.session import Inputs, Session
-from keymint.state import Stamp, digest, digest_files
+from keymint.state import Stamp, digest
 
 STAGE = "build"
 
@@ -93,7 +93,7 @@ def _options_of(options: BuildOptions, subject: str) -> BuildOptions:
 
 def inputs_digest(session: Session, name: str) -> str:
     """Return the digest of everything that the documents of a package are built from, except the options."""
-    return digest(session.profile_digest, digest_files(session.package_files(name)), session.plugins.versions)
+    return digest(session.profile_digest, session.sources_digest(name), session.plugins.versions)
 
 
 def _plan_package(

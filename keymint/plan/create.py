@@ -8,27 +8,28 @@ from dataclasses import dataclass
 
 from comarmor.errors import Diagnostic, Severity
 from comarmor.text import did_you_mean
-from keymint.api import LoadedPolicy
+from keymint.api import InfrastructurePackage, LoadedPolicy, Role
 from keymint.changes import Action, File, Plan, Step, changed
 from keymint.errors import KeymintError
 from keymint.ir import SubjectRules
 from keymint.names import refuse_case_collisions, refuse_reserved
 from keymint.plan.policy import package_of, record_policy
-from keymint.session import Inputs, Session
+from keymint.session import Session
 from keymint.state import Stamp, digest
 from keymint.workspace import packages, placed
 
 STAGE = "create"
 
 
-def packages_to_create(inputs: Inputs, policy: LoadedPolicy) -> tuple[str, ...]:
-    """Return the packages of every subject that the policy names exactly, and all existing packages.
+def packages_to_create(session: Session, policy: LoadedPolicy) -> tuple[str, ...]:
+    """Return the packages of every subject that the policy names exactly, and all existing packages of subjects.
 
     Existing packages follow the policy even if it no longer names them: withdrawn permissions must not remain in their
     sources.
     """
     exact = [package_of(policy, subject) for subject in policy.subjects()]
-    return tuple(sorted({*exact, *packages(inputs.tree, inputs.workspace.src)}))
+    existing = packages(session.tree, session.workspace.src)
+    return tuple(sorted({*exact, *existing}.difference(session.infrastructure())))
 
 
 def plan_create(
@@ -38,7 +39,7 @@ def plan_create(
     *,
     force: bool,
 ) -> Plan:
-    """Plan the source packages of some subjects.
+    """Plan the source packages of some subjects, and those that their transports need beside them.
 
     Args:
         session: the workspace and its profile.
@@ -47,15 +48,21 @@ def plan_create(
         force: replace documents of rules that were edited by hand.
 
     Raises:
-        KeymintError: no profile of the policy applies to a name, names collide, or a manual edit is in the way;
-            all of them together.
+        KeymintError: no profile of the policy applies to a name, names collide, the policy names a package of
+            infrastructure, or a manual edit is in the way; all of them together.
     """
     packages_plan = _Packages(session, policy)
-    refuse_case_collisions([*packages_plan.existing, *names])
+    infrastructure = session.needed_infrastructure()
+    refuse_named(policy, infrastructure)
+    names = [name for name in names if name not in infrastructure and session.role(name) is Role.SUBJECT]
+    refuse_case_collisions([*packages_plan.existing, *names, *infrastructure])
     reserved = [each for layout in session.layouts for each in layout.reserved]
-    for name in names:
+    for name in (*names, *infrastructure):
         refuse_reserved(name, reserved)
     planned = {name: packages_plan.planned(name, force=force) for name in names}
+    planned |= {
+        name: packages_plan.infrastructure(name, build_type) for name, (_, build_type) in infrastructure.items()
+    }
     if errors := [error for each in planned.values() for error in each.errors]:
         raise KeymintError.of(errors)
     steps = tuple(each.step for each in planned.values() if each.step)
@@ -65,7 +72,7 @@ def plan_create(
 
 
 def stale(session: Session, policy: LoadedPolicy, names: Sequence[str]) -> Mapping[str, tuple[Diagnostic, ...]]:
-    """Return the packages that differ from the policy, each with the errors that prevent its update.
+    """Return the packages of subjects that differ from the policy, each with the errors that prevent its update.
 
     Args:
         session: the workspace and its profile.
@@ -78,7 +85,7 @@ def stale(session: Session, policy: LoadedPolicy, names: Sequence[str]) -> Mappi
     packages_plan = _Packages(session, policy)
     refuse_case_collisions([*packages_plan.existing, *names])
     differing: dict[str, tuple[Diagnostic, ...]] = {}
-    for name in names:
+    for name in (each for each in names if session.role(each) is Role.SUBJECT):
         try:
             each = packages_plan.planned(name, force=False)
         except KeymintError as error:  # a file that is no file, or too large
@@ -87,6 +94,24 @@ def stale(session: Session, policy: LoadedPolicy, names: Sequence[str]) -> Mappi
         if each.step is None or each.step.action is not Action.UNCHANGED:
             differing[name] = tuple(each.errors)
     return differing
+
+
+def refuse_named(policy: LoadedPolicy, infrastructure: Mapping[str, tuple[InfrastructurePackage, str]]) -> None:
+    """Refuse a policy that names a package of infrastructure exactly.
+
+    Raises:
+        KeymintError: it names one, at the profile that does.
+    """
+    subjects = set(policy.subjects())
+    for name, (package, _) in infrastructure.items():
+        if f"/{name}" in subjects:
+            profiles = policy.profiles(f"/{name}")
+            raise KeymintError(
+                f"the policy names /{name}, which is {package.title} and no subject of the policy",
+                where=profiles[-1].where if profiles else None,
+                help="rename the subject, or give the package of the transport another name in the profile",
+                code="infrastructure-named",
+            )
 
 
 @dataclass(frozen=True, slots=True)
@@ -138,6 +163,24 @@ class _Packages:
         action = (Action.UPDATED if known else Action.CREATED) if changes else Action.UNCHANGED
         step = Step(STAGE, name, action, changes)
         return _PackageSources(step, Stamp(inputs, _outputs(files | dict(new))), unnamed if known else (), errors)
+
+    def infrastructure(self, name: str, build_type: str) -> _PackageSources:
+        """Return the plan for a package that a transport needs, which does not follow the policy."""
+        session = self._session
+        folder = session.workspace.src / name
+        if name in self.existing:
+            if session.role(name) is Role.INFRASTRUCTURE:
+                return _PackageSources(Step(STAGE, name, Action.UNCHANGED))
+            message = "the package is that of a subject, but a transport needs one of this name"
+            help_ = f"remove src/{name}, or give the package of the transport another name in the profile"
+            where = session.package_marker(name)
+            return _PackageSources(errors=(Diagnostic("infrastructure-taken", Severity.ERROR, message, where, help_),))
+        files = session.package_files(name)
+        new = self._package_type.create_infrastructure(session.profile, name, build_type, files)
+        ordered = sorted(new.items(), key=lambda item: item[0] == self._package_type.MARKER)
+        changes = changed(session.tree, folder, {file: File(content) for file, content in ordered})
+        stamp = Stamp(digest(self._policy_digest, session.profile_digest), _outputs(files | dict(new)))
+        return _PackageSources(Step(STAGE, name, Action.CREATED, changes), stamp)
 
 
 def _outputs(files: dict[str, bytes]) -> dict[str, str]:

@@ -3,9 +3,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
 from keymint.api import API_VERSION
 from keymint.api.lazy import lazy
-from keymint_ros.manifest import MARKER
+from keymint_ros.manifest import BUILD_TYPE, MARKER
 
 __all__ = ["RosPackageType", "RosProfileType", "package_type", "profile_type"]
 
@@ -14,6 +16,12 @@ class RosProfileType:
     """Profiles; implements :class:`keymint.api.ProfileType` and :class:`keymint.api.ProfileSettings`."""
 
     API = API_VERSION
+
+    BUILD_TYPES = (BUILD_TYPE,)
+    PLACES: Mapping[str, tuple[str, ...]] = {
+        "domain": ("package.defaults/permissions.xml", "package.defaults/governance.xml"),
+        "subject-format": ("package.defaults/permissions.xml", "package.defaults/identities.xml"),
+    }
 
     bootstrap = lazy("keymint_ros.bootstrap:bootstrap")
     library = lazy("keymint_ros.distros:library")
@@ -30,6 +38,8 @@ class RosPackageType:
     MARKER = MARKER
 
     create = lazy("keymint_ros.create:create")
+    create_infrastructure = lazy("keymint_ros.create:create_infrastructure")
+    role = lazy("keymint_ros.manifest:role")
     load = lazy("keymint_ros.package:load")
     rule_places = lazy("keymint_ros.package:rule_places")
 

@@ -11,9 +11,10 @@ from typing import TYPE_CHECKING
 
 from comarmor.data import locate
 from comarmor.text import did_you_mean
-from keymint.api import Bootstrap
+from keymint.api import Bootstrap, Role
 from keymint.errors import ExitCode, KeymintError
 from keymint_ros import distros
+from keymint_ros.manifest import BUILD_TYPE
 
 if TYPE_CHECKING:
     import jinja2
@@ -32,9 +33,13 @@ _PROFILE = (
     "authorities.xml",
     "profile.defaults/authorities.xml",
     "package.defaults/permissions.xml",
-    "package.defaults/governance.xml",
     "package.defaults/identities.xml",
 )
+_DDS, _ZENOH = "keymint_ros2_dds", "keymint_ros2_zenoh"
+_DEFAULTS = {_DDS: ("package.defaults/governance.xml",), _ZENOH: ("package.defaults/zenoh.xml",)}
+"""By build type: the defaults of the parts that it reads."""
+DOCUMENTS = {_DDS: ("governance.xml",)}
+"""By build type: documents of a new package that show how to override these defaults."""
 
 
 def bootstrap(request: Bootstrap) -> Mapping[str, bytes]:
@@ -53,11 +58,14 @@ def bootstrap(request: Bootstrap) -> Mapping[str, bytes]:
     # Start a day early: clocks may be slow, and some vendors read dates without zone as local time.
     start = request.now.replace(hour=0, minute=0, second=0, microsecond=0) - timedelta(days=1)
     issuer, signer = _AUTHORITIES[layout]
+    build_types = request.build_types or (BUILD_TYPE,)
     values = {
         "name": request.name,
         "distro": request.distro,
         "domain": request.domain,
         "layout": layout,
+        "build_types": () if build_types == (BUILD_TYPE,) else build_types,
+        "dds": _DDS in build_types,
         "authorities": tuple(dict.fromkeys((issuer, signer))),
         "issuer": issuer,
         "signer": signer,
@@ -66,7 +74,8 @@ def bootstrap(request: Bootstrap) -> Mapping[str, bytes]:
         "authority_not_after": _date(start + timedelta(days=365 * _AUTHORITY_YEARS)),
         "package_not_after": _date(start + timedelta(days=365 * _PACKAGE_YEARS)),
     }
-    files = {path: _render(f"profile/{path}.j2", **values) for path in _PROFILE}
+    defaults = [path for build_type in build_types for path in _DEFAULTS.get(build_type, ())]
+    files = {path: _render(f"profile/{path}.j2", **values) for path in (*_PROFILE, *defaults)}
     files["policies.xml"] = policies(request.policy or _EXAMPLE)
     fragments = distros.library(request.distro)
     files |= {
@@ -93,9 +102,10 @@ def policies(path: str) -> bytes:
 
 
 @lru_cache
-def package_manifest(build_types: tuple[str, ...]) -> bytes:
+def package_manifest(build_types: tuple[str, ...], role: Role = Role.SUBJECT) -> bytes:
     """Return the ``keymint_package.xml`` of a new package with these build types."""
-    return _render("package/keymint_package.xml.j2", build_types=build_types)
+    values = {"build_types": build_types, "role": role, "dds": _DDS in build_types}
+    return _render("package/keymint_package.xml.j2", **values)
 
 
 @lru_cache

@@ -3,10 +3,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 from comarmor.errors import Origin
-from keymint.api import WorkspaceProfile
+from keymint.api import Role, WorkspaceProfile
 from keymint.errors import KeymintError
 from keymint.ir import SubjectRules
 from keymint.source_documents import normal_path
@@ -30,13 +30,25 @@ def create(
         part = manifest.read(existing[MARKER], f"{name}/{MARKER}").permissions
         path = normal_path(part.path, Origin(f"{name}/{MARKER}", part.line))
     else:
-        new = {
-            MARKER: bootstrap.package_manifest(profile.build_types),
-            "governance.xml": bootstrap.package_document("governance.xml"),
-            "identities.xml": bootstrap.package_document("identities.xml"),
-        }
-        files = {file: content for file, content in new.items() if file not in existing}
+        files = _new(bootstrap.package_manifest(profile.build_types), profile.build_types, existing)
     return {**files, **_permissions(profile, rules, path, existing, force=force)}
+
+
+def create_infrastructure(
+    profile: WorkspaceProfile, name: str, build_type: str, existing: Mapping[str, bytes]
+) -> Mapping[str, bytes]:
+    """Return the files to write: see :meth:`keymint.api.PackageType.create_infrastructure`."""
+    del profile, name
+    if MARKER in existing:
+        return {}
+    return _new(bootstrap.package_manifest((build_type,), Role.INFRASTRUCTURE), (build_type,), existing)
+
+
+def _new(manifest_: bytes, build_types: Sequence[str], existing: Mapping[str, bytes]) -> dict[str, bytes]:
+    """Return the files of a new package, except those that exist."""
+    documents = [name for each in build_types for name in bootstrap.DOCUMENTS.get(each, ())]
+    new = {MARKER: manifest_, **{name: bootstrap.package_document(name) for name in (*documents, "identities.xml")}}
+    return {file: content for file, content in new.items() if file not in existing}
 
 
 def _permissions(

@@ -145,6 +145,14 @@ read = Reader("keymint_ros", "keymint_package", _manifest)
 """Reads a package manifest."""
 
 
+def role(content: bytes) -> Role:
+    """Return why a package exists: see :meth:`keymint.api.PackageType.role`."""
+    try:
+        return read(content, MARKER).role
+    except KeymintError:
+        return Role.SUBJECT
+
+
 def is_name_of(given: str, package: str) -> bool:
     """Tell whether a name in a document is the package's full name, its last segment, or empty."""
     return given.removeprefix("/") in {"", package, package.rpartition("/")[2]}

@@ -29,6 +29,7 @@ LIBRARY = "comarmor.d"
 _POLICY_TYPE = "keymint_ros2_comarmor"
 _AUTHORITY_DEFAULTS = "profile.defaults/authorities.xml"
 _GRANT_DEFAULTS = "package.defaults/permissions.xml"
+_IDENTITY_DEFAULTS = "package.defaults/identities.xml"
 
 
 @dataclass(frozen=True, slots=True)
@@ -259,17 +260,24 @@ def with_policy(files: Mapping[str, bytes], policy: str) -> Mapping[str, bytes]:
 
 def settings(profile: WorkspaceProfile) -> Mapping[str, str]:
     """Return the value of each option of ``init``: see :meth:`keymint.api.ProfileSettings.settings`."""
-    content = profile.files.get(_GRANT_DEFAULTS)
-    grant = {} if content is None else _read_grant_settings(content, _GRANT_DEFAULTS)
-    return {"distro": profile.distro, "layout": profile.layout, **grant}
+    found: dict[str, str] = {}
+    for file, read in ((_IDENTITY_DEFAULTS, _read_identity_settings), (_GRANT_DEFAULTS, _read_grant_settings)):
+        if content := profile.files.get(file):
+            found |= {name: value for name, value in read(content, file).items() if value}
+    return {"distro": profile.distro, "layout": profile.layout, **found}
 
 
 def _grant_settings(root: etree._Element) -> Mapping[str, str]:
     given = domains(root.find("domains"))
+    ranges = (str(each.first) if each.first == each.last else f"{each.first}-{each.last}" for each in given)
+    return {"domain": ", ".join(ranges), **_identity_settings(root)}
+
+
+def _identity_settings(root: etree._Element) -> Mapping[str, str]:
     subject_name = text(root.find("subject_name")) or ""
     formats = {name: format_ for format_, name in bootstrap.SUBJECT_NAMES.items()}
-    ranges = (str(each.first) if each.first == each.last else f"{each.first}-{each.last}" for each in given)
-    return {"domain": ", ".join(ranges), "subject-format": formats.get(subject_name, subject_name)}
+    return {"subject-format": formats.get(subject_name, subject_name)}
 
 
 _read_grant_settings = Reader("keymint_ros", "defaults_permissions", _grant_settings)
+_read_identity_settings = Reader("keymint_ros", "defaults_identities", _identity_settings)
