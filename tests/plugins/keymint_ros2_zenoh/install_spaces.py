@@ -88,26 +88,52 @@ class InstallSpace:
             enclaves.append(Enclave(subject, folder, "jazzy", self.folder))
         return enclaves
 
-    def enclave(self, path: str, name: str, *, server: bool = False, seconds: float | None = None) -> Path:
-        """Write certificate and key of an enclave and return its folder."""
+    def enclave(
+        self,
+        path: str,
+        name: str,
+        *,
+        server: bool = False,
+        both: bool = False,
+        host: str = "localhost",
+        seconds: float | None = None,
+    ) -> Path:
+        """Write certificate and key of an enclave and return its folder; see :meth:`issue`."""
         folder = self.folder / "enclaves" / path
         folder.mkdir(parents=True, exist_ok=True)
-        certificate, key = self.issue(name, server=server, seconds=seconds)
+        certificate, key = self.issue(name, server=server, both=both, host=host, seconds=seconds)
         (folder / "cert.pem").write_bytes(certificate)
         (folder / "key.pem").write_bytes(key)
         (folder / "identity_ca.cert.pem").write_bytes(self.authority)
         return folder
 
-    def issue(self, name: str, *, server: bool = False, seconds: float | None = None) -> tuple[bytes, bytes]:
-        """Return certificate and key: clientAuth only, or serverAuth only with the names of loopback."""
+    def issue(
+        self,
+        name: str,
+        *,
+        server: bool = False,
+        both: bool = False,
+        host: str = "localhost",
+        seconds: float | None = None,
+    ) -> tuple[bytes, bytes]:
+        """Return certificate and key.
+
+        Args:
+            name: common name.
+            server: for serverAuth only; otherwise for clientAuth only.
+            both: for both, as enclaves of DDS have it.
+            host: alternative name of a certificate for servers; empty for none.
+            seconds: how long it is valid from now, if not ten days.
+        """
         key = ec.generate_private_key(ec.SECP256R1())
         subject = x509.Name([x509.NameAttribute(x509.NameOID.COMMON_NAME, name)])
-        usage = ExtendedKeyUsageOID.SERVER_AUTH if server else ExtendedKeyUsageOID.CLIENT_AUTH
+        usages = [ExtendedKeyUsageOID.SERVER_AUTH] * (server or both)
+        usages += [ExtendedKeyUsageOID.CLIENT_AUTH] * (both or not server)
         builder = self._builder(subject, key, 864_000.0 if seconds is None else seconds)
         builder = builder.add_extension(x509.BasicConstraints(ca=False, path_length=None), critical=True)
-        builder = builder.add_extension(x509.ExtendedKeyUsage([usage]), critical=False)
-        if server:
-            builder = builder.add_extension(x509.SubjectAlternativeName([x509.DNSName("localhost")]), critical=False)
+        builder = builder.add_extension(x509.ExtendedKeyUsage(usages), critical=False)
+        if host and (server or both):
+            builder = builder.add_extension(x509.SubjectAlternativeName([x509.DNSName(host)]), critical=False)
         pem = key.private_bytes(
             serialization.Encoding.PEM, serialization.PrivateFormat.PKCS8, serialization.NoEncryption()
         )
