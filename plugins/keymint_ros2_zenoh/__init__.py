@@ -14,8 +14,8 @@ __all__ = ["Zenoh", "build_type"]
 class Zenoh:
     """The build type for Zenoh's access control, as rmw_zenoh uses Zenoh.
 
-    Implements :class:`keymint.api.BuildType`, :class:`keymint.api.SharedDocuments`, :class:`keymint.api.RuleCheck` and
-    :class:`keymint.api.ActionMapping`.
+    Implements :class:`keymint.api.BuildType`, :class:`keymint.api.SharedDocuments`,
+    :class:`keymint.api.Infrastructure`, :class:`keymint.api.RuleCheck` and :class:`keymint.api.ActionMapping`.
     """
 
     API = API_VERSION
@@ -28,6 +28,7 @@ class Zenoh:
     KINDS = tuple(kind for kind in PERMISSIONS if kind != "topic")  # no key expression stands for a raw topic
 
     files = staticmethod(files)
+    packages = lazy("keymint_ros2_zenoh.zenoh_source:packages")
     settings = lazy("keymint_ros2_zenoh.zenoh_source:settings")
     authorities = lazy("keymint_ros2_zenoh.authority_roles:authorities")
     build = lazy("keymint_ros2_zenoh.build:build")

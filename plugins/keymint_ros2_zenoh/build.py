@@ -13,6 +13,7 @@ from keymint.errors import KeymintError
 from keymint_ros2_zenoh import emission, key_limits
 from keymint_ros2_zenoh.documents.write import write
 from keymint_ros2_zenoh.enclave_layout import ROUTER, SESSION
+from keymint_ros2_zenoh.gathering import gathered
 from keymint_ros2_zenoh.lowering.key_rule import KeyRule
 from keymint_ros2_zenoh.lowering.rule_check import lower_package
 from keymint_ros2_zenoh.settings import is_router, settings_of
@@ -51,7 +52,7 @@ def build(package: Package, options: BuildOptions) -> BuildResult:  # noqa: ARG0
     return BuildResult({SESSION: write(configuration, title)}, (*found, *lowered.diagnostics))
 
 
-def build_shared(packages: Sequence[Package], options: BuildOptions) -> BuildResult:  # noqa: ARG001 - an interface
+def build_shared(packages: Sequence[Package], options: BuildOptions) -> BuildResult:
     """Return the router's configuration; see :meth:`keymint.api.SharedDocuments.build_shared`.
 
     Raises:
@@ -71,7 +72,12 @@ def build_shared(packages: Sequence[Package], options: BuildOptions) -> BuildRes
             rules.append((package, lowered.rules))
     if defects:
         raise KeymintError.of(dict.fromkeys(defects))
-    return BuildResult({ROUTER: write(emission.router(routers[0], rules), _ROUTER_TITLE)})
+    plain = write(emission.router(routers[0], rules), _ROUTER_TITLE)
+    if not options.optimise:
+        return BuildResult({ROUTER: plain})
+    fewer = [(package, gathered(own)) for package, own in rules]
+    smaller = write(emission.router(routers[0], fewer), _ROUTER_TITLE)
+    return BuildResult({ROUTER: smaller}, (), {ROUTER: len(plain)})
 
 
 def _attempt(make: Callable[[], _T], defects: list[Diagnostic]) -> _T | None:

@@ -10,7 +10,15 @@ from typing import TYPE_CHECKING
 from comarmor.errors import Diagnostic, Origin, Severity
 from comarmor.text import quoted
 from comarmor.xml.reader import line
-from keymint.api import Extension, PackageSettings, PackageSources, Role, SourcePart, WorkspaceProfile
+from keymint.api import (
+    Extension,
+    InfrastructurePackage,
+    PackageSettings,
+    PackageSources,
+    Role,
+    SourcePart,
+    WorkspaceProfile,
+)
 from keymint.errors import KeymintError
 from keymint.source_documents import Reader, text
 from keymint_ros2_zenoh.lowering.names import check_distro
@@ -90,21 +98,23 @@ def settings(sources: PackageSources) -> PackageSettings:
     return PackageSettings(ZenohSettings(router, keystore), (usage, host) if is_server else (usage,))
 
 
-def router_name(profile: WorkspaceProfile) -> str:
-    """Return the name of the router's package, from the defaults of a profile.
+def packages(profile: WorkspaceProfile) -> tuple[InfrastructurePackage, ...]:
+    """Return the package of the router; see :meth:`keymint.api.Infrastructure.packages`.
 
     Raises:
-        KeymintError: the defaults are missing or not valid.
+        KeymintError: the distribution has no rmw_zenoh, or the defaults are missing or not valid.
     """
-    file = f"package.defaults/{PART}.xml"
-    content = profile.files.get(file)
+    check_distro(profile.distro)
+    path = f"package.defaults/{PART}.xml"
+    shown = path if profile.library is None else str(profile.library.parent / path)
+    content = profile.files.get(path)
     if content is None:
-        raise _missing_file(file, Origin(file))
-    document = _read(content, file)
+        raise _missing_file(shown, Origin(shown))
+    document = _read(content, shown)
     name = dict(document.values).get("router/name")
     if name is None:
-        raise _missing("router/name", Origin(file, document.line))
-    return name.text
+        raise _missing("router/name", Origin(shown, document.line))
+    return (InfrastructurePackage(name.text, "the Zenoh router"),)
 
 
 class _Values:

@@ -17,8 +17,8 @@ from comarmor.errors import Origin
 from comarmor.text import quoted
 from keymint.errors import KeymintError
 
-FILE_BYTES = 16 * 2**20
-"""Bytes of one file: a router's file of 5,000 enclaves has about 8 MB."""
+FILE_BYTES = 64 * 2**20
+"""Bytes of one file: a router's file of 1,000 enclaves has a few megabytes."""
 DEPTH = 32
 """Nesting depth of objects and arrays; Zenoh's settings are nested 8 deep."""
 

@@ -14,6 +14,7 @@ from hypothesis import strategies as st
 from keymint_ros2_zenoh.build import build, build_shared
 from keymint_ros2_zenoh.documents.configuration import Configuration
 from keymint_ros2_zenoh.documents.read import read
+from keymint_ros2_zenoh.gathering import gathered
 from keymint_ros2_zenoh.hazards import hazards
 from keymint_ros2_zenoh.key_limits import check_identity
 from keymint_ros2_zenoh.lowering.rule_check import lower_package
@@ -133,12 +134,20 @@ def test_every_policy_gives_the_sound_shape(first: list[Rule], second: list[Rule
             (rules[name].permission, rules[name].messages, rules[name].flows, rules[name].key_exprs)
             for name in policy.rules
         ]
-        lowered = lower_package(own).rules
+        lowered = gathered(lower_package(own).rules)
         assert [keys for *_, keys in written] == [tuple(map(str, each.key_exprs)) for each in lowered]
         assert [(messages, flows) for _, messages, flows, _ in written] == [
             (each.messages, each.flows) for each in lowered
         ]
         assert [permission.value for permission, *_ in written] == [each.effect.value.lower() for each in lowered]
+
+
+def test_fewer_rules_are_reported_with_the_size_of_all_of_them() -> None:
+    packages = workspace(package(*(rule("ALLOW", "ros_topic", "ros_publish", f"/t{n}") for n in range(9))))
+    built, plain = (build_shared(packages, BuildOptions(optimise=each)) for each in (True, False))
+    [name] = built.documents
+    assert len(built.documents[name]) < len(plain.documents[name]) == built.plain_sizes[name]
+    assert not plain.plain_sizes
 
 
 def test_the_same_packages_give_the_same_bytes() -> None:

@@ -4,13 +4,14 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 
 import pytest
 from keymint_ros2_zenoh.settings import ZenohSettings
-from keymint_ros2_zenoh.zenoh_source import settings
+from keymint_ros2_zenoh.zenoh_source import packages, settings
 
 from comarmor.errors import Origin
-from keymint.api import PackageSources, Role, SourcePart
+from keymint.api import PackageSources, Role, SourcePart, WorkspaceProfile
 from keymint.errors import KeymintError
 
 MANIFEST = Origin("src/talker/keymint_package.xml", 4)
@@ -132,3 +133,29 @@ def test_the_router_is_no_subject_of_the_policy() -> None:
     assert refused(subject) == [("zenoh-router-name", f"{DEFAULTS}:3")]
     other = replace(sources(), role=Role.INFRASTRUCTURE)
     assert refused(other) == [("zenoh-router-name", f"{DEFAULTS}:3")]
+
+
+def profile(distro: str = "jazzy", content: str | None = USUAL) -> WorkspaceProfile:
+    files = {} if content is None else {"package.defaults/zenoh.xml": content.encode()}
+    library = Path("ws/profile/comarmor.d")
+    return WorkspaceProfile("p", "t", "t", "t", (), library, (), ("keymint_ros2_zenoh",), "sros2", distro, files)
+
+
+def test_a_workspace_needs_a_package_of_the_router() -> None:
+    [router] = packages(profile())
+    assert (router.name, router.title) == ("zenoh_router", "the Zenoh router")
+
+
+@pytest.mark.parametrize(
+    ("changed", "code", "where"),
+    [
+        (profile("foxy"), "zenoh-distro", "None"),
+        (profile(content=None), "file-missing", "ws/profile/package.defaults/zenoh.xml"),
+        (profile(content="<zenoh/>"), "zenoh-incomplete", "ws/profile/package.defaults/zenoh.xml:1"),
+        (profile(content="<zeno/>"), "schema", "ws/profile/package.defaults/zenoh.xml:1"),
+    ],
+)
+def test_profiles_without_a_router(changed: WorkspaceProfile, code: str, where: str) -> None:
+    with pytest.raises(KeymintError) as caught:
+        packages(changed)
+    assert [(each.code, str(each.where)) for each in caught.value.diagnostics] == [(code, where)]
