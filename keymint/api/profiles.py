@@ -38,10 +38,10 @@ class WorkspaceProfile:
         library: folder that is searched for included files which the policy's folder lacks.
         authorities: in the order of the profile; issuers need not come first.
         build_types: the plugins that build new packages.
-        layout: layout of the install space, ``sros2`` or ``flat``.
+        layout: name of the layout of the install space (:attr:`BuildType.LAYOUTS`).
         distro: ROS 2 distribution.
         files: files of the profile by path relative to the profile space (for plugins of the same format).
-        accepts: weakenings of the policy that the owner accepts, e.g. ``open_governance``.
+        accepts: weakenings of the policy that the owner accepts, as build types call them.
     """
 
     name: str
@@ -67,9 +67,10 @@ class Bootstrap:
         policy: path to write into ``policies.xml``, as text, relative to the profile space or absolute; empty for
             the example policy of the profile type.
         distro: ROS 2 distribution.
-        domain: DDS domain id.
-        layout: ``sros2`` or ``flat``; empty for the layout that the distro reads.
-        subject_format: ``unique`` (with a second RDN that is unique to the subject) or ``sros2`` (CN only).
+        domain: domain id.
+        layout: name of a layout; empty for the layout that the distro reads.
+        subject_format: form of subject names, as the profile type calls it, e.g. ``unique`` (with a second RDN that is
+            unique to the subject).
         now: the clock, UTC.
         build_types: the plugins that build new packages; empty for those of the profile type.
     """

@@ -20,12 +20,12 @@ from keymint.session import Inputs
 @verb(jobs=True, dry_run=True)
 @click.argument("names", nargs=-1, metavar="[NAME]...")
 @click.option("--all", "all_subjects", is_flag=True, help="Create every subject that the policy names exactly.")
-@click.option("-f", "--force", is_flag=True, help="Replace permissions.xml even if it was edited manually.")
+@click.option("-f", "--force", is_flag=True, help="Replace the rules of a package even if they were edited manually.")
 def create(run: Run, names: tuple[str, ...], all_subjects: bool, force: bool) -> Report:
-    """Create source packages in src/, one per subject, or update their permissions.xml from the policy.
+    """Create source packages in src/, one per subject, or update their rules from the policy.
 
     NAME is a subject, e.g. /robot1/talker. Any subject that a profile applies to is allowed, even if the policy
-    names it only by a wildcard. Manual edits of identities.xml and governance.xml are preserved.
+    names it only by a wildcard. Manual edits of other documents are preserved.
     """
     if not names and not all_subjects:
         raise usage_error("no subject is named", "name some, or use --all")

@@ -24,12 +24,17 @@ class Policies:
     Args:
         run: the run.
         options: how to read a policy outside of a workspace.
+
+    Attributes:
+        distro: ROS 2 distribution of the policy that was loaded last.
+        build_types: build types of new packages of its workspace; outside of one, those of a new workspace.
     """
 
     def __init__(self, run: Run, options: PolicyOptions) -> None:
         self._run = run
         self._options = options
         self.distro = options.distro or run.setting.environment.get("ROS_DISTRO") or _DEFAULT_DISTRO
+        self.build_types = run.plugins.profile_type(options.profile_type).BUILD_TYPES
 
     def load(self, path: Path | None) -> LoadedPolicy:
         """Load the policy at a path, or of the workspace there; without a path, of the current workspace.
@@ -68,6 +73,7 @@ class Policies:
         session = self._run.inputs(workspace).session()
         if self._options.distro is None:
             self.distro = session.profile.distro
+        self.build_types = session.profile.build_types
         return load_policy(session)
 
     def library(self, path: Path | None) -> Callable[[str], str | None]:

@@ -41,7 +41,7 @@ from keymint.session import Inputs
 @verb(jobs=True, dry_run=True)
 @click.argument("policy", type=PATH)
 @profile_options
-@click.option("-f", "--force", is_flag=True, help="Discard manual edits of permissions.xml and of built documents.")
+@click.option("-f", "--force", is_flag=True, help="Discard manual edits of packages' rules and of built documents.")
 @prune_option
 @renew_option
 @document_options

@@ -8,7 +8,9 @@ from pathlib import Path
 
 import pytest
 
+from keymint import plugins
 from tests.conftest import CHECKOUT
+from tests.keymint import lighthouse
 
 BAD = """<profiles><profile name="a"><attachment>/a</attachment>
 <ros_topic qualifier="ALLOW"><attachment>/x</attachment><permissions><ros_publish/></permissions></ros_topic>
@@ -68,3 +70,36 @@ def test_a_name_that_nothing_has_is_said_once(keymint, tmp_path: Path) -> None:
     outcome = keymint("lint", "p.xml", "--json")
     assert [each["line"] for each in outcome.document["diagnostics"] if each["code"] == "object-never"] == [4]
     assert "never-matches" not in outcome.codes()
+
+
+@pytest.fixture
+def lit(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A second transport is installed, which carries topics only."""
+    entries = tuple(plugins._installed())
+    monkeypatch.setattr(plugins, "_installed", lambda: (*entries, *lighthouse.ENTRIES))
+
+
+@pytest.mark.usefixtures("lit")
+def test_all_transports_of_the_workspace_are_asked(keymint, tmp_path: Path) -> None:
+    policy = BAD.replace("ros_topic", "ros_service").replace("publish", "call").replace("relay", "execute")
+    (tmp_path / "p.xml").write_text(policy)
+    found = {}
+    for name in ("dds", "light"):
+        assert keymint("init", name, "--policy", "p.xml", "--transport", name).code == 0
+        found[name] = keymint("lint", name, "--json").codes()
+    assert found == {"dds": ["deny-nothing"], "light": ["light-kind", "deny-nothing", "light-kind", "light-kind"]}
+    both = ("--build-type", "keymint_ros2_dds", "--build-type", lighthouse.NAME)
+    assert keymint("lint", "p.xml", *both, "--json").codes() == found["light"]
+    assert keymint("lint", "p.xml", "--json").codes() == found["dds"]
+
+
+@pytest.mark.usefixtures("lit")
+def test_a_build_type_that_checks_no_rules(keymint, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / "p.xml").write_text(BAD)
+    assert keymint("init", "ws", "--policy", "p.xml", "--transport", "light").code == 0
+    kept = {name: value for name, value in vars(lighthouse.LighthouseBuildType).items() if name != "check_rules"}
+    monkeypatch.setattr(lighthouse, "build_type", type("Dark", (), kept)())
+    assert keymint("lint", "ws", "--json").codes() == ["deny-nothing"]
+    outcome = keymint("lint", "p.xml", "--build-type", lighthouse.NAME)
+    assert outcome.code == 2
+    assert f"the build type {lighthouse.NAME} checks no rules" in outcome.err
