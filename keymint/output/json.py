@@ -20,7 +20,7 @@ from keymint.verify.mismatch import Comparison, Mismatch
 from keymint.workspace import Workspace
 
 FORMAT = "keymint-report"
-VERSION = 1
+VERSION = 2
 Typed = Callable[[str], str]
 """Returns a path as the user would type it."""
 
