@@ -74,11 +74,11 @@ def _row(
     end = _certificate_end(session, name)
     stale, problem, permissions_end = "", "", None
     try:
-        documents = build.built_documents(session, name)
+        built = build.is_built(session, name)
         session.package_files(name)
     except KeymintError as error:  # a file that is no file, or too large
         return PackageRow(name, "installed" if installed else "source", "", end, None, str(error.diagnostics[0]))
-    stage = "installed" if installed else "built" if documents else "source"
+    stage = "installed" if installed else "built" if built else "source"
     try:
         package = session.package(name)
         permissions_end = package.grant.validity.not_after if package.grant.validity else None
@@ -87,7 +87,7 @@ def _row(
     except KeymintError as error:
         stale, problem = "create", str(error.diagnostics[0])
     if not stale:
-        if not documents or not build.is_current(session, name):
+        if not built or not build.is_current(session, name):
             stale = "build"
         elif not installed or not install.is_current(session, name, chains):
             stale = "install"

@@ -76,6 +76,12 @@ def is_current(session: Session, name: str) -> bool:
     return stamp is not None and stamp.inputs == inputs_digest(session, name)
 
 
+def is_built(inputs: Inputs, name: str) -> bool:
+    """Tell whether a package was built and has its documents; a package whose rights are shared has none of its own."""
+    stamp = inputs.state.stamp(STAGE, name)
+    return bool(built_documents(inputs, name)) or (stamp is not None and not stamp.outputs)
+
+
 def built_documents(inputs: Inputs, name: str) -> dict[str, bytes]:
     """Return the unsigned documents of a package by file name; empty if it was not built."""
     folder = inputs.workspace.build / name

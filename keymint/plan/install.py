@@ -108,7 +108,7 @@ def _plan_enclave(
     documents = build.built_documents(session, name)
     key_path = workspace.identity_key(name)
     key_pem = session.tree.read(key_path)
-    if not documents or key_pem is None:
+    if not build.is_built(session, name) or key_pem is None:
         raise KeymintError(
             f"the package {name} is not built",
             help=f"run 'keymint build {name}'",
