@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from itertools import product
 
@@ -11,6 +11,8 @@ from comarmor.patterns.decision_lists import Equal, ProofResult, SearchBudget, U
 from keymint.api import Claim, Counterexample, DomainRange, Endpoint, PolicyDecision, Proof, Verdict
 from keymint.ir import SubjectRules
 from keymint_ros2_zenoh.decision.access import AccessModel, Link
+from keymint_ros2_zenoh.keyexpr.key_expr import KeyExpr
+from keymint_ros2_zenoh.keyexpr.relations import includes
 from keymint_ros2_zenoh.lowering.name_rules import name_rules
 from keymint_ros2_zenoh.lowering.slots import action
 from keymint_ros2_zenoh.messages import Flow, Message
@@ -41,6 +43,7 @@ class RightsQuestion:
         router: the rights of all enclaves, as the router has them.
         states: the most states that the search for one claim may visit.
         go_on: polled; the search ends when it returns False.
+        session: what the enclave's own configuration permits on links to the router; None if it restricts nothing.
     """
 
     rules: SubjectRules
@@ -50,6 +53,7 @@ class RightsQuestion:
     router: RouterRights
     states: int
     go_on: Callable[[], bool]
+    session: LinkRights | None = None
 
 
 def prove_rights(question: RightsQuestion) -> Iterator[Claim]:
@@ -101,7 +105,29 @@ class _Rights:
             return self.claim(message, flow, Proof.UNKNOWN, result.reason, spent=True)
         if isinstance(result, Witness):
             return self._refuted(message, flow, result)
-        return self.claim(message, flow, Proof.PROVEN, excepted=excepted)
+        return self._in_session(message, flow) or self.claim(message, flow, Proof.PROVEN, excepted=excepted)
+
+    def _in_session(self, message: Message, flow: Flow) -> Claim | None:
+        """Return a claim that is not proven because the enclave's own configuration restricts what is permitted."""
+        session = self._question.session
+        if session is None:
+            return None
+        other = Flow.EGRESS if flow is Flow.INGRESS else Flow.INGRESS
+        own, permitted = session.keys(message, other), self._policy.permitted(message, flow)
+        needed = [key for allowed, _ in permitted for key in allowed]
+        if any(not denied and (session.open or _include(allowed, needed)) for allowed, denied in own):
+            return None
+        side = self._side(own, everything=session.open)
+        result = self._compare((*self._side(permitted), *side), side)
+        if isinstance(result, Unknown):
+            return self.claim(message, flow, Proof.UNKNOWN, result.reason, spent=True)
+        if isinstance(result, Equal):
+            return None
+        key = result.word
+        reason = "the configuration of the enclave's own sessions does not permit it"
+        verdict = Verdict(allowed=False, reason=reason, where=session.where)
+        example = self._example(message, flow, key, self._decision(message, flow, key), verdict)
+        return self.claim(message, flow, Proof.COUNTEREXAMPLE, "", example)
 
     def _real(self, witness: Witness, message: Message, flow: Flow) -> bool:
         """Return whether the policy decides on a key as the side that the witness was found with."""
@@ -143,12 +169,18 @@ class _Rights:
                 message, flow, Proof.UNKNOWN,
                 f"the engine and the plain evaluators disagree on {key!r}: a defect of Keymint",
             )  # fmt: skip
-        subject = question.rules.subject
-        meaning = policy_evaluator.meaning_of(key)
-        example = Counterexample(
-            Endpoint(subject, action(message, flow), key, domain=meaning.domain if meaning else 0),
-            next(policy_evaluator.edges(subject, key, message, flow), None),
-            policy,
-            Verdict(decided.allowed, decided.reason, decided.where or self._rights.where),
-        )
-        return self.claim(message, flow, Proof.COUNTEREXAMPLE, "", example)
+        verdict = Verdict(decided.allowed, decided.reason, decided.where or self._rights.where)
+        return self.claim(message, flow, Proof.COUNTEREXAMPLE, "", self._example(message, flow, key, policy, verdict))
+
+    def _example(
+        self, message: Message, flow: Flow, key: str, policy: PolicyDecision, verdict: Verdict
+    ) -> Counterexample:
+        subject, meaning = self._question.rules.subject, policy_evaluator.meaning_of(key)
+        endpoint = Endpoint(subject, action(message, flow), key, domain=meaning.domain if meaning else 0)
+        edge = next(policy_evaluator.edges(subject, key, message, flow), None)
+        return Counterexample(endpoint, edge, policy, verdict)
+
+
+def _include(outer: Iterable[KeyExpr], inner: Iterable[KeyExpr]) -> bool:
+    """Return whether each key expression is included in one of others."""
+    return all(any(includes(each, key) for each in outer) for key in inner)

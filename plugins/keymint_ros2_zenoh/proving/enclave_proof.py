@@ -1,0 +1,126 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Prove an installed enclave: what the router's file permits it, and that its sessions know the router alone."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from functools import lru_cache
+from types import MappingProxyType
+
+from comarmor.errors import Reason
+from keymint.api import Claim, Counterexample, DomainRange, Endpoint, PolicyDecision, Proof, ProofTask, Verdict
+from keymint.errors import KeymintError
+from keymint_ros2_zenoh.credentials import first_common_name
+from keymint_ros2_zenoh.documents.configuration import Configuration
+from keymint_ros2_zenoh.documents.read import read
+from keymint_ros2_zenoh.emission import common_name, router_of
+from keymint_ros2_zenoh.enclave_layout import CERTIFICATE, ROUTER, SESSION
+from keymint_ros2_zenoh.proving import requirements
+from keymint_ros2_zenoh.proving.claims import MODEL, RightsQuestion, prove_rights
+from keymint_ros2_zenoh.proving.requirements import Shortcoming
+from keymint_ros2_zenoh.proving.router_side import RouterRights
+from keymint_ros2_zenoh.proving.trust import differences, missing
+from keymint_ros2_zenoh.settings import is_router
+
+CONNECT = "connect"
+_EXPECTED = "a session must exchange messages with the router alone"
+_SESSIONS = "the sessions of the enclave that its configuration describes"
+ASSUMPTIONS: Mapping[str, tuple[str, ...]] = MappingProxyType(
+    {
+        MODEL: (
+            "configurations are read and decided as Zenoh 1.10 was measured to do it",
+            "the router runs with the installed file, reads it at its start, and is not compromised",
+            "names are mapped to keys as rmw_zenoh does it; nodes of one process are one subject",
+            "names consist of the characters of ROS names; keys with wildcards are the subject of a claim of their own",
+            "every enclave may announce its own nodes and read the graph",
+        )
+    }
+)
+
+
+def prove(task: ProofTask) -> tuple[Claim, ...]:
+    """Return the claims about an enclave; none about the router, which is no subject of the policy.
+
+    Raises:
+        KeymintError: a file is missing, cannot be read, or does not rest on the workspace's authorities; or Zenoh
+            cannot express a rule of the policy.
+    """
+    if is_router(task.package):
+        return ()
+    found = list(differences(task.files, task.folder, task.anchors, task.shared, task.shared_folder))
+    if absent := missing(task.files, task.folder, SESSION):
+        found.append(absent)
+    if found:
+        raise KeymintError.of(found)
+    package = task.package
+    session = read(task.files[SESSION], f"{task.folder}/{SESSION}")
+    question = RightsQuestion(
+        task.rules,
+        package.distro,
+        package.grant.domains,
+        first_common_name(task.files[CERTIFICATE]),
+        router_rights(task.shared[ROUTER], f"{task.shared_folder}/{ROUTER}"),
+        task.states,
+        task.go_on,
+        RouterRights(session.access_control).on(common_name(router_of(package))),
+    )
+    return (*prove_rights(question), _connects(task, session))
+
+
+# All enclaves rest on the same file.
+@lru_cache(maxsize=4)
+def router_rights(content: bytes, file: str) -> RouterRights:
+    """Return the rights in a router's file.
+
+    Raises:
+        KeymintError: it cannot be read.
+    """
+    return RouterRights(read(content, file).access_control)
+
+
+def _connects(task: ProofTask, session: Configuration) -> Claim:
+    """Return the claim that sessions exchange messages with the router alone."""
+    package, file = task.package, f"{task.folder}/{SESSION}"
+    router = common_name(router_of(package))
+    shortcomings = list(requirements.of_session(session, package, router, file))
+    unmodelled = requirements.unmodelled(session, router=False)
+    return configuration_claim(
+        CONNECT, package.subject, _SESSIONS, shortcomings, _EXPECTED, unmodelled, package.grant.domains
+    )
+
+
+def configuration_claim(
+    action: str,
+    subject: str,
+    universe: str,
+    shortcomings: Sequence[Shortcoming],
+    expected: str,
+    unmodelled: str = "",
+    domains: tuple[DomainRange, ...] = (),
+) -> Claim:
+    """Return a claim about a configuration, which its first shortcoming refutes.
+
+    Args:
+        action: the action of the claim.
+        subject: whom it is about; empty for all.
+        universe: what it covers, in words.
+        shortcomings: what refutes it.
+        expected: what should be, in words.
+        unmodelled: why it is unknown; empty if it is not.
+        domains: the domains that it covers.
+    """
+    if not shortcomings:
+        return Claim(MODEL, action, domains, universe, Proof.UNKNOWN if unmodelled else Proof.PROVEN, unmodelled)
+    first, more = shortcomings[0], len(shortcomings) - 1
+    message = first.message + (f" (and {more} more)" if more else "")
+    policy = PolicyDecision(allowed=False, where=None, reason=Reason((expected,)))
+    verdict = Verdict(allowed=True, reason=message, where=first.where)
+    help_ = "'keymint build' and 'keymint install' write the file of the sources"
+    endpoint = Endpoint(subject, action, "", domain=domains[0].first if domains else 0)
+    example = Counterexample(endpoint, None, policy, verdict, help_, first.where, expected)
+    return Claim(MODEL, action, domains, universe, Proof.COUNTEREXAMPLE, "", example)
+
+
+def assumptions() -> Mapping[str, Sequence[str]]:
+    """Return the assumptions of all claims by model."""
+    return ASSUMPTIONS

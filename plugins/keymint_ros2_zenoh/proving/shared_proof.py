@@ -1,0 +1,170 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Prove claims across subjects: how the router knows them, and that no wildcard carries a message around a denial."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Collection, Iterable, Iterator, Mapping
+
+from comarmor.errors import Origin, Reason
+from keymint.api import Claim, Counterexample, Endpoint, Package, PolicyDecision, Proof, SharedProofTask, Verdict
+from keymint.errors import KeymintError
+from keymint_ros2_zenoh.authority_roles import ACCESS
+from keymint_ros2_zenoh.credentials import first_common_name
+from keymint_ros2_zenoh.documents.access_control import AclRule, AclSubject
+from keymint_ros2_zenoh.documents.configuration import Configuration
+from keymint_ros2_zenoh.documents.read import read
+from keymint_ros2_zenoh.emission import common_name
+from keymint_ros2_zenoh.enclave_layout import CERTIFICATE, ROUTER
+from keymint_ros2_zenoh.keyexpr.key_expr import parse
+from keymint_ros2_zenoh.keyexpr.relations import includes, intersects
+from keymint_ros2_zenoh.lowering.names import ADVANCED
+from keymint_ros2_zenoh.lowering.slots import action
+from keymint_ros2_zenoh.messages import Flow, Message, Permission
+from keymint_ros2_zenoh.proving import requirements
+from keymint_ros2_zenoh.proving.claims import MODEL
+from keymint_ros2_zenoh.proving.enclave_proof import configuration_claim, router_rights
+from keymint_ros2_zenoh.proving.requirements import Shortcoming
+from keymint_ros2_zenoh.proving.router_side import RouterRights
+from keymint_ros2_zenoh.proving.trust import router_differences
+from keymint_ros2_zenoh.proving.wildcard_leaks import Leak, Rights, leaks
+from keymint_ros2_zenoh.settings import is_router
+
+ROUTE, IDENTIFY, ADDRESS = "route", "identify", "address"
+_ROUTE = "all links of the router"
+_IDENTIFY = "all certificates of the workspace's authority"
+_ADDRESS = "all key expressions that subjects may send, literal or not"
+_SENT = (Message.PUT, Message.DELETE, Message.QUERY)
+"""The messages that a router passes on to those whose rights include their key expression."""
+
+
+def prove_shared(task: SharedProofTask) -> tuple[Claim, ...]:
+    """Return the claims across subjects; see :meth:`keymint.api.SharedProver.prove_shared`.
+
+    Raises:
+        KeymintError: the router's file is missing, cannot be read, or does not rest on the workspace's authority.
+    """
+    if found := router_differences(task.shared, task.shared_folder, task.anchors[ACCESS]):
+        raise KeymintError.of(found)
+    file = f"{task.shared_folder}/{ROUTER}"
+    configuration = read(task.shared[ROUTER], file)
+    rights = router_rights(task.shared[ROUTER], file)
+    names = {package.subject: _name(package, task.enclaves) for package in task.packages if not is_router(package)}
+    return (_route(task, configuration, file), _identify(configuration, names, file), *_address(rights, names))
+
+
+def _name(package: Package, enclaves: Mapping[str, Mapping[str, bytes]]) -> str:
+    """Return the common name that an enclave shows, or will show if it is not installed."""
+    pem = enclaves.get(package.subject, {}).get(CERTIFICATE)
+    return common_name(package) if pem is None else first_common_name(pem)
+
+
+def _route(task: SharedProofTask, configuration: Configuration, file: str) -> Claim:
+    """Return the claim that the router decides on every message, and knows who sends it."""
+    routers = [package for package in task.packages if is_router(package)]
+    if len(routers) != 1:
+        return Claim(MODEL, ROUTE, (), _ROUTE, Proof.UNKNOWN, f"the workspace has {len(routers)} packages of routers")
+    shortcomings = list(requirements.of_router(configuration, routers[0], file))
+    expected = "the router must decide on every message, by the certificate of its sender"
+    unmodelled = requirements.unmodelled(configuration, router=True)
+    return configuration_claim(ROUTE, routers[0].subject, _ROUTE, shortcomings, expected, unmodelled)
+
+
+def _identify(configuration: Configuration, names: Mapping[str, str], file: str) -> Claim:
+    """Return the claim that each enclave has the rights of one entry, and nobody else has any."""
+    expected = "each enclave must have one subject entry with its common name, and nobody else one"
+    shortcomings = list(_entries(configuration, names, file))
+    return configuration_claim(IDENTIFY, "", _IDENTIFY, shortcomings, expected)
+
+
+def _entries(configuration: Configuration, names: Mapping[str, str], file: str) -> Iterator[Shortcoming]:
+    control = configuration.access_control
+    if not control.enabled:
+        yield Shortcoming("the access control is off", configuration.place("access_control", file))
+    if control.default_permission is not Permission.DENY:
+        place = configuration.place("access_control/default_permission", file)
+        yield Shortcoming("what no rule allows is allowed by default", place)
+    entries = Counter(name for subject in control.subjects for name in subject.common_names)
+    for subject, name in names.items():
+        others = [other for other, its in names.items() if its == name and other != subject]
+        if others:
+            yield Shortcoming(f"{subject} has the common name {name!r}, as {', '.join(others)} has", Origin(file))
+        if entries[name] != 1:
+            message = f"the common name {name!r} of {subject} is in {entries[name]} subject entries"
+            where = next((each.where for each in control.subjects if name in each.common_names), None)
+            yield Shortcoming(message, where or configuration.place("access_control/subjects", file))
+    known = set(names.values())
+    for entry in control.subjects:
+        problem = _problem(entry, known)
+        if problem:
+            yield Shortcoming(f"the subject {entry.id!r} {problem}", entry.where or Origin(file))
+
+
+def _problem(entry: AclSubject, known: Collection[str]) -> str:
+    """Return why an entry does not stand for one enclave; empty if it does."""
+    if not entry.common_names:
+        return "has no common name, so that it is everyone"
+    if len(entry.common_names) > 1:
+        return "has several common names"
+    if entry.usernames or entry.interfaces or entry.protocols or entry.zids:
+        return "depends on more than certificates"
+    [name] = entry.common_names
+    return "" if name in known else f"has the common name {name!r}, but no enclave of the workspace has it"
+
+
+def _address(rights: RouterRights, names: Mapping[str, str]) -> Iterator[Claim]:
+    """Yield for each message the claim that no key expression carries it around a denial."""
+    for message in _SENT:
+        senders = [_rights(rights, subject, name, message, Flow.INGRESS) for subject, name in names.items()]
+        receivers = [_rights(rights, subject, name, message, Flow.EGRESS) for subject, name in names.items()]
+        found: Leak | None = None
+        for leak in leaks(senders, receivers):
+            if not _without_answer(rights, names[leak.sender], leak) and (found is None or found.key is None):
+                found = leak
+        yield _addressed(message, rights, names, found)
+
+
+def _rights(rights: RouterRights, subject: str, name: str, message: Message, flow: Flow) -> Rights:
+    entries = rights.on(name).keys(message, flow)
+    return Rights(
+        subject,
+        tuple(key for allowed, _ in entries for key in allowed),
+        tuple(key for _, denied in entries for key in denied),
+    )
+
+
+def _without_answer(rights: RouterRights, name: str, leak: Leak) -> bool:
+    """Return whether a leaking query is one for cached data, of which no answer reaches the sender."""
+    chunks = leak.denied.chunks
+    if ADVANCED not in chunks:
+        return False
+    data = parse("/".join(chunks[: chunks.index(ADVANCED)]))
+    return all(
+        any(includes(each, data) for each in denied) or not any(intersects(each, data) for each in allowed)
+        for allowed, denied in rights.on(name).keys(Message.REPLY, Flow.EGRESS)
+    )
+
+
+def _addressed(message: Message, rights: RouterRights, names: Mapping[str, str], leak: Leak | None) -> Claim:
+    label = f"{ADDRESS} by {message}"
+    if leak is None:
+        return Claim(MODEL, label, (), _ADDRESS, Proof.PROVEN)
+    if leak.key is None:
+        reason = f"what {leak.sender} may send around its denial of {leak.denied} may reach {leak.receiver}"
+        return Claim(MODEL, label, (), _ADDRESS, Proof.UNKNOWN, reason)
+    where = next(_denials(rights, names[leak.sender], leak, message), None)
+    reason = f"the denial does not include {leak.key}, which {leak.sender} may send and {leak.receiver} may receive"
+    expected = f"{leak.sender} must not reach {leak.denied}, which it is denied"
+    policy = PolicyDecision(allowed=False, where=None, reason=Reason((expected,)))
+    endpoint = Endpoint(leak.sender, action(message, Flow.INGRESS), leak.key.text)
+    help_ = "allow the names that the sender or the receiver needs instead of a wildcard"
+    example = Counterexample(endpoint, None, policy, Verdict(True, reason, where), help_, where, expected)
+    return Claim(MODEL, label, (), _ADDRESS, Proof.COUNTEREXAMPLE, "", example)
+
+
+def _denials(rights: RouterRights, name: str, leak: Leak, message: Message) -> Iterator[Origin]:
+    rules: Iterable[AclRule] = (rule for entry in rights.on(name).entries for rule in entry)
+    for rule in rules:
+        denies = rule.permission is Permission.DENY and message in rule.messages
+        if denies and leak.denied.text in rule.key_exprs and rule.where is not None:
+            yield rule.where
