@@ -38,15 +38,24 @@ class Authority:
         builder = builder.add_extension(usage, critical=True).add_extension(identifier, critical=False)
         return cls(builder.sign(key, hashes.SHA256()), key)
 
-    def issue(self, rdns: Sequence[tuple[x509.ObjectIdentifier, str]]) -> tuple[x509.Certificate, bytes]:
-        """Issue an identity with these RDNs in this order; return its certificate and its key as PEM."""
+    def issue(
+        self,
+        rdns: Sequence[tuple[x509.ObjectIdentifier, str]],
+        usages: Sequence[x509.ObjectIdentifier] = (ExtendedKeyUsageOID.SERVER_AUTH, ExtendedKeyUsageOID.CLIENT_AUTH),
+    ) -> tuple[x509.Certificate, bytes]:
+        """Issue an identity with these RDNs in this order; return its certificate and its key as PEM.
+
+        Args:
+            rdns: its subject.
+            usages: its extended key usages; none for a certificate without this extension.
+        """
         key = ec.generate_private_key(ec.SECP256R1())
         subject = x509.Name([x509.NameAttribute(oid, value) for oid, value in rdns])
         builder = _builder(subject, self.certificate.subject, key.public_key())
-        usages = x509.ExtendedKeyUsage([ExtendedKeyUsageOID.SERVER_AUTH, ExtendedKeyUsageOID.CLIENT_AUTH])
         builder = builder.add_extension(x509.BasicConstraints(ca=False, path_length=None), critical=True)
         builder = builder.add_extension(_key_usage(digital_signature=True), critical=True)
-        builder = builder.add_extension(usages, critical=False)
+        if usages:
+            builder = builder.add_extension(x509.ExtendedKeyUsage(usages), critical=False)
         pem = key.private_bytes(
             serialization.Encoding.PEM, serialization.PrivateFormat.PKCS8, serialization.NoEncryption()
         )
