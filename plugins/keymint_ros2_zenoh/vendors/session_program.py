@@ -15,6 +15,7 @@ import threading
 from typing import Any
 
 import zenoh
+import zenoh.ext
 
 
 class _Mailbox:
@@ -43,6 +44,8 @@ class _Commands:
         self._sessions: dict[str, Any] = {}
         self._mailboxes: dict[str, _Mailbox] = {}
         self._declared: dict[str, list[Any]] = {}
+        self._publishers: dict[tuple[str, str], Any] = {}
+        self._queriers: dict[tuple[str, str], Any] = {}
 
     def open(self, session: str, file: str, changes: dict[str, str]) -> None:
         """Open a session with a configuration; ``changes`` are JSON texts by the path of their setting."""
@@ -71,11 +74,34 @@ class _Commands:
             self._sessions[session].put(key, text)
 
     def publish(self, session: str, samples: list[tuple[str, str]]) -> None:
-        """Publish (key, text) pairs, each by a declared publisher, as a ROS node does."""
+        """Publish (key, text) pairs, each by a publisher that is declared once, as a ROS node does.
+
+        A publisher sends nothing until it knows of a subscriber, except at first, while it waits to know.
+        """
         for key, text in samples:
-            publisher = self._sessions[session].declare_publisher(key)
-            self._declared[session].append(publisher)
-            publisher.put(text)
+            if (session, key) not in self._publishers:
+                self._publishers[session, key] = self._sessions[session].declare_publisher(key)
+            self._publishers[session, key].put(text)
+
+    def publish_late(self, session: str, key: str, text: str) -> None:
+        """Publish a sample that late subscribers get too, as a ROS node does on a ``transient_local`` topic."""
+        publisher = zenoh.ext.declare_advanced_publisher(
+            self._sessions[session], key, cache=zenoh.ext.CacheConfig(max_samples=1), publisher_detection=True
+        )
+        self._declared[session].append(publisher)
+        publisher.put(text)
+
+    def subscribe_late(self, session: str, name: str, key: str) -> None:
+        """Declare a subscriber that also gets samples that were published before it, in a mailbox."""
+        box = self._mailboxes[name] = _Mailbox()
+        self._declared[session].append(
+            zenoh.ext.declare_advanced_subscriber(
+                self._sessions[session],
+                key,
+                lambda sample: box.put(str(sample.key_expr), sample.payload.to_string()),
+                history=zenoh.ext.HistoryConfig(detect_late_publishers=True),
+            )
+        )
 
     def delete(self, session: str, keys: list[str]) -> None:
         """Send a deletion for each key."""
@@ -148,12 +174,16 @@ class _Commands:
             self._sessions[session].liveliness().get(key, lambda _: None, timeout=1.0)
 
     def queriers(self, session: str, keys: list[str], seconds: float) -> dict[str, list[str]]:
-        """Query each key once by a declared querier, as a ROS client does; return the answers after a time."""
+        """Query each key by a querier that is declared once, as a ROS client does; return the answers after a time.
+
+        A querier sends nothing until it knows of a queryable, except at first, while it waits to know.
+        """
         found: dict[str, list[str]] = {}
         for key in keys:
-            querier = self._sessions[session].declare_querier(key, timeout=seconds)
-            self._declared[session].append(querier)
-            found[key] = [reply.ok.payload.to_string() for reply in querier.get() if reply.ok is not None]
+            if (session, key) not in self._queriers:
+                self._queriers[session, key] = self._sessions[session].declare_querier(key, timeout=seconds)
+            replies = self._queriers[session, key].get()
+            found[key] = [reply.ok.payload.to_string() for reply in replies if reply.ok is not None]
         return found
 
     def tokens(self, session: str, keys: list[str]) -> None:

@@ -150,13 +150,13 @@ class InstallSpace:
         names = {subject: self.names.get(subject, subject) for subject in self.rights}
         subjects = [{"id": subject, "cert_common_names": [name]} for subject, name in names.items()]
         folder = f"/robot/keystore/enclaves/{ROUTER}"
-        return {
+        document = {
             "mode": "router",
             "listen": {"endpoints": [f"tls/[::]:{self.port}"]},
-            **_QUIET,
             "transport": {"link": {"tls": {**_tls(folder, "listen"), "enable_mtls": True}}},
             "access_control": _access_control(rules, subjects, policies),
         }
+        return merged(_QUIET, document)
 
     def session(self, folder: Path) -> dict[str, Any]:
         """Return the configuration of a session, pinned to the router's common name."""
@@ -164,16 +164,15 @@ class InstallSpace:
         everything = {"id": "all", "messages": list(ALL), "permission": "allow", "key_exprs": ["**", "**/@adv/**",
                       "@ros2_lv/**"]}  # fmt: skip
         pinned = [{"id": "router", "cert_common_names": [ROUTER]}]
-        return {
+        tls = {**_tls(on_robot, "connect"), "enable_mtls": True, "verify_name_on_connect": True}
+        document = {
             "mode": "client",
             "connect": {"endpoints": [f"tls/localhost:{self.port}"]},
             "listen": {"endpoints": []},
-            **_QUIET,
-            "transport": {
-                "link": {"tls": {**_tls(on_robot, "connect"), "enable_mtls": True, "verify_name_on_connect": True}}
-            },
+            "transport": {"link": {"tls": tls}},
             "access_control": _access_control([everything], pinned, [{"rules": ["all"], "subjects": ["router"]}]),
         }
+        return merged(_QUIET, document)
 
     def _builder(self, subject: x509.Name, key: ec.EllipticCurvePrivateKey, seconds: float) -> x509.CertificateBuilder:
         now = datetime.now(UTC)
@@ -182,7 +181,12 @@ class InstallSpace:
         return builder.not_valid_after(now + timedelta(seconds=seconds))
 
 
-_QUIET = {"scouting": {"multicast": {"enabled": False}, "gossip": {"enabled": False}}}
+_QUIET = {
+    "scouting": {"multicast": {"enabled": False}, "gossip": {"enabled": False}},
+    "timestamping": {"enabled": True},
+    "transport": {"unicast": {"open_timeout": 60_000, "accept_timeout": 60_000}},
+}
+"""Settings of all configurations; the time limits are those of rmw_zenoh."""
 
 
 def merged(document: Mapping[str, Any], changes: Mapping[str, Any]) -> dict[str, Any]:
