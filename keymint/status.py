@@ -12,6 +12,8 @@ from keymint.errors import KeymintError
 from keymint.plan import build, create, install
 from keymint.plan.authority_files import trusted_chains
 from keymint.plan.enclaves import hidden, installed, installed_certificate, orphans
+from keymint.plan.shared_documents import built_shared, is_current, users
+from keymint.plan.shared_install import installed_shared, is_installed
 from keymint.session import Session
 from keymint.workspace import packages
 
@@ -56,6 +58,51 @@ def package_rows(session: Session, policy: LoadedPolicy | None) -> tuple[Package
     ]
     rows += [PackageRow(name, "ignored", "", _certificate_end(session, name), None) for name in hidden(session)]
     return tuple(sorted(rows, key=lambda row: row.package))
+
+
+@dataclass(frozen=True, slots=True)
+class SharedRow:
+    """The status of the documents over all packages of a build type.
+
+    Attributes:
+        build_type: its name.
+        documents: their paths relative to the install space, as they were built last.
+        stage: ``source``, ``built`` or ``installed``.
+        stale: the first verb that would do something for them, or empty.
+        problem: one line when they cannot be built.
+    """
+
+    build_type: str
+    documents: tuple[str, ...]
+    stage: str
+    stale: str
+    problem: str = ""
+
+
+def shared_rows(session: Session) -> tuple[SharedRow, ...]:
+    """Return a row for each build type that has documents over all packages."""
+    try:
+        of_types = users(session)
+    except KeymintError as error:
+        return (SharedRow("", (), "source", "", str(error.diagnostics[0])),)
+    chains = trusted_chains(session)
+    return tuple(_shared_row(session, build_type, names, chains) for build_type, names in of_types.items())
+
+
+def _shared_row(session: Session, build_type: str, names: Sequence[str], chains: Mapping[str, bytes]) -> SharedRow:
+    try:
+        built = built_shared(session, build_type)
+        there = built is not None and installed_shared(session, built)
+        current = is_installed(session, build_type, names, chains)
+    except KeymintError as error:  # a file that is no file, or too large
+        return SharedRow(build_type, (), "source", "", str(error.diagnostics[0]))
+    stage = "source" if built is None else "installed" if there else "built"
+    stale = ""
+    if built is None or not is_current(session, build_type, names):
+        stale = "build"
+    elif not current:
+        stale = "install"
+    return SharedRow(build_type, tuple(built or ()), stage, stale)
 
 
 def _certificate_end(session: Session, name: str) -> datetime | None:

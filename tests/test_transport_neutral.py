@@ -64,18 +64,6 @@ EXCEPTIONS = (
     Allowed("comarmor/ros_names.py", "wire prefix", "the names of raw topics in policies, for advice on mistaken ones"),
     Allowed("keymint/pki/mime.py", "s/mime file", "the file name that RFC 8551, 3.2.1, gives to a signature"),
 )
-PENDING = frozenset(
-    {
-        ("keymint/api/proving.py", "dds"),
-        ("keymint/api/proving.py", "governance"),
-        ("keymint/commands/options.py", "sros2"),
-        ("keymint/names.py", "sros2"),
-        ("keymint/plan/authorities.py", "participant"),
-        ("keymint/plan/authority_evidence.py", "dds"),
-        ("keymint/workspace.py", "sros2"),
-    }
-)
-"""Words that still stand in modules that move to the plugins."""
 
 
 def words(text: str) -> Iterator[tuple[str, int]]:
@@ -97,7 +85,7 @@ def name_of(path: Path) -> str:
 
 
 def test_no_module_names_a_transport() -> None:
-    allowed = {(each.file, each.word) for each in EXCEPTIONS} | PENDING
+    allowed = {(each.file, each.word) for each in EXCEPTIONS}
     found = [
         f"{name_of(path)}:{line}: {word}"
         for path in SOURCES

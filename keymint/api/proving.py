@@ -146,13 +146,13 @@ class Claim:
     Attributes:
         model: the standard, or a vendor.
         action: the action, in the words of the prover; or what else it proves, e.g. that nobody else may join.
-        domains: the DDS domains that the claim covers.
+        domains: the domains that the claim covers.
         universe: the names that the claim covers, in words.
         proof: the result.
         reason: why it is unknown, in one line.
         spent: it is unknown because a limit was reached; with more states or time it may be decided.
         counterexample: if there is one.
-        excepted: topics that the governance opens on purpose, one line each; the claim excludes them.
+        excepted: what the sources leave open on purpose, one line each; the claim excludes them.
     """
 
     model: str

@@ -18,7 +18,8 @@ from keymint.check.authorities import authorities, authority_keys, in_defect
 from keymint.check.enclaves import identity_key, inspections, on_disk, unexpected
 from keymint.check.file_status import file_status
 from keymint.check.git_exposure import git_exposure
-from keymint.check.install_space import shared_files
+from keymint.check.install_space import outside_enclaves
+from keymint.check.shared_documents import check_shared
 from keymint.errors import KeymintError
 from keymint.plan import identity_keys
 from keymint.plan.enclaves import enclave_files, not_installed, unaccounted
@@ -67,7 +68,9 @@ def check(session: Session, names: Sequence[str], within: timedelta) -> tuple[Di
         findings += session.plugins.build_type(build_type).check_all(of_type)
     findings += unaccounted(session)
     findings += identity_keys.shared_keys(session, fingerprints)
-    findings += shared_files(session)
+    shared = check_shared(session, within)
+    findings += shared.diagnostics
+    findings += outside_enclaves(session, shared.files)
     later = _without_install_hints(findings, in_defect(of_authorities))
     return (*of_authorities, *file_status(session), *git_exposure(session), *later)
 

@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Collection, Iterable, Iterator, Mapping
 
 from comarmor.errors import Diagnostic, Origin, Severity
 from keymint.api import Artifact
@@ -15,27 +15,22 @@ from keymint.session import Session
 from keymint.workspace import packages
 
 
-def shared_files(session: Session) -> Iterator[Diagnostic]:
-    """Yield the findings on the install space outside the enclaves."""
+def outside_enclaves(session: Session, known: Collection[str]) -> Iterator[Diagnostic]:
+    """Yield the findings on the install space outside the enclaves.
+
+    Args:
+        session: the workspace and its profile.
+        known: files that are checked elsewhere, by path relative to the install space.
+    """
     workspace, names = session.workspace, installed(session)
     enclaves = {session.enclaves / name for name in names}
-    expected: dict[str, bytes] = {}
-    known = set(packages(session.tree, workspace.src))
-    artifacts = {
-        f"/{name}": {file: Artifact(content) for file, content in enclave_files(session, name)[0].items()}
-        for name in names
-        if name in known or known.isdisjoint(names)  # if all are hidden or orphaned, they still need the shared files
-    }
-    for info in session.plugins.infos:
-        if info.group == "keymint.build_types" and artifacts:
-            shared = copies_of(session, session.plugins.build_type(info.name), artifacts)
-            expected |= {path: artifact.content for path, artifact in shared.items()}
+    expected = _copies(session, names)
     entries = list(session.tree.walk(workspace.install, skipped=""))
     folders = [path for path, is_folder in entries if is_folder]
     empty = [folder for folder in folders if not session.tree.names(folder)]  # an error if one cannot be read
     for path, is_folder in entries:
         relative = str(path.relative_to(workspace.install))
-        if is_folder or path.parent in enclaves or path == workspace.install / gitignore.NAME:
+        if is_folder or path.parent in enclaves or relative in known or path == workspace.install / gitignore.NAME:
             continue
         if relative not in expected:
             yield Diagnostic(
@@ -67,3 +62,21 @@ def shared_files(session: Session) -> Iterator[Diagnostic]:
                 Origin(workspace.shown(workspace.install / relative)),
                 "'keymint install' restores it",
             )
+
+
+def _copies(session: Session, names: Iterable[str]) -> Mapping[str, bytes]:
+    """Return the copies of enclaves' files that all installed build types have outside of them, by path."""
+    expected: dict[str, bytes] = {}
+    sources = set(packages(session.tree, session.workspace.src))
+    artifacts = {
+        f"/{name}": {file: Artifact(content) for file, content in enclave_files(session, name)[0].items()}
+        for name in names
+        if name in sources or sources.isdisjoint(names)  # if all are hidden or orphaned, they still need the copies
+    }
+    for info in session.plugins.infos:
+        if info.group == "keymint.build_types" and artifacts:
+            build_type = session.plugins.build_type(info.name)
+            if session.profile.layout in build_type.LAYOUTS:
+                copies = copies_of(session, build_type, artifacts)
+                expected |= {path: artifact.content for path, artifact in copies.items()}
+    return expected

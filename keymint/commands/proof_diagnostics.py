@@ -67,7 +67,7 @@ def diagnostics_of(enclave: EnclaveProof) -> Iterator[Diagnostic]:
         counterexample = claims[0].counterexample
         if counterexample is None:
             actions = " and ".join(dict.fromkeys(claim.action for claim in claims))
-            message = f"{enclave.subject}, {actions}: not proven for {models}: {claims[0].reason}"
+            message = f"{enclave.subject or 'all subjects'}, {actions}: not proven for {models}: {claims[0].reason}"
             spent = "raise --seconds or --states, or simplify the rules"
             help_ = spent if claims[0].spent else ""
             yield Diagnostic("not-proven", Severity.ERROR, message, None, help_, enclave.subject)
@@ -77,10 +77,11 @@ def diagnostics_of(enclave: EnclaveProof) -> Iterator[Diagnostic]:
 
 def _refutation(subject: str, counterexample: Counterexample, models: str) -> Diagnostic:
     endpoint, policy, document = counterexample.endpoint, counterexample.policy, counterexample.document
+    who = subject or endpoint.subject or "all subjects"
     where = policy.where or counterexample.cause
     by_document = f"{document.where}: {document.reason}" if document.where else document.reason
     if counterexample.difference:
-        message = f"{subject}: {counterexample.difference}; {by_document} [{models}]"
+        message = f"{who}: {counterexample.difference}; {by_document} [{models}]"
         return Diagnostic("counterexample", Severity.ERROR, message, where, counterexample.help, subject)
     may = "permits" if document.allowed else "does not permit"
     allows = "allows" if policy.allowed else "does not allow"
@@ -88,7 +89,7 @@ def _refutation(subject: str, counterexample: Counterexample, models: str) -> Di
     ros = f" ({_entity(counterexample.meaning)})" if counterexample.meaning else ""
     domain = f" in domain {endpoint.domain}" if endpoint.domain else ""
     message = (
-        f"{subject}: the document {may} it to {endpoint.action} {name}{ros}{domain}, but the policy {allows} it: "
+        f"{who}: the document {may} it to {endpoint.action} {name}{ros}{domain}, but the policy {allows} it: "
         f"{policy.reason}; {by_document} [{models}]"
     )
     deviation = f"; docs/vendors.md, {document.deviation}" if document.deviation else ""

@@ -12,8 +12,8 @@ from keymint.changes import Plan
 from keymint.commands.proof_diagnostics import dated_of, diagnostics_of, effort_of, merged_packages
 from keymint.commands.run import Run
 from keymint.errors import ExitCode, KeymintError
-from keymint.plan.install import HAND_EDITED
 from keymint.plan.prove import NO_PROVER, EnclaveProof, prove
+from keymint.plan.shared_install import HAND_EDITED
 from keymint.plan.terms import merged
 from keymint.session import Session
 
@@ -45,11 +45,8 @@ def proven(
     session, kept = session.after(installed), installed.kept()
     names = [name for name in names if name not in kept]
     results = prove(session, names, policy, effort_of(run), standard_only=standard_only, unsigned=True)
-    diagnostics = list(
-        dict.fromkeys(diagnostic for enclave in results.enclaves for diagnostic in diagnostics_of(enclave))
-    )
-    standard = next(iter(results.assumptions), "")
-    of_vendors = {enclave.subject for enclave in results.enclaves if _holds(enclave, standard)}
+    diagnostics = list(dict.fromkeys(diagnostic for enclave in results.all for diagnostic in diagnostics_of(enclave)))
+    of_vendors = {enclave.subject for enclave in results.enclaves if _holds(enclave, results.standards)}
     refused = [
         replace(diagnostic, help=_with_remedy(diagnostic.help, of_vendors=diagnostic.subject in of_vendors))
         for diagnostic in diagnostics
@@ -57,9 +54,9 @@ def proven(
     ]
     if refused:
         edits = _refused_edits(session, plan, {each.subject for each in refused})
-        by_edit = {each.subject for each in edits}
+        by_edit = {each.where for each in edits}
         # Other warnings of the plan often name the cause, e.g. a changed policy.
-        warnings = [each for each in plan.diagnostics if each.code != HAND_EDITED or each.subject not in by_edit]
+        warnings = [each for each in plan.diagnostics if each.code != HAND_EDITED or each.where not in by_edit]
         build = session.workspace.build
         once = merged_packages(refused, lambda name: session.workspace.shown(build / name))
         raise KeymintError.of([*warnings, *edits, *once], ExitCode.FINDINGS)
@@ -78,7 +75,12 @@ def _subject_of(diagnostic: Diagnostic) -> str:
 def _refused_edits(session: Session, plan: Plan, subjects: Collection[str]) -> list[Diagnostic]:
     """Return an error for each manually edited document of subjects whose proof fails."""
     edits: dict[Origin, Diagnostic] = {}
-    for subject in sorted(subjects):
+    for edit in plan.diagnostics:
+        if edit.code == HAND_EDITED and not edit.subject and edit.where:  # a document that all subjects share
+            message = "a manual edit changes what the subjects may do"
+            help_ = "change the policy instead; 'keymint build -f' discards the edit"
+            edits[edit.where] = Diagnostic(HAND_EDITED, Severity.ERROR, message, edit.where, help_)
+    for subject in sorted(filter(None, subjects)):
         name = subject.removeprefix("/")
         package = session.package(name)
         built = [
@@ -96,9 +98,9 @@ def _refused_edits(session: Session, plan: Plan, subjects: Collection[str]) -> l
     return list(edits.values())
 
 
-def _holds(enclave: EnclaveProof, standard: str) -> bool:
-    """Return whether an enclave is proven by the standard, which a prover names first."""
-    own = [claim for claim in enclave.claims if claim.model == standard]
+def _holds(enclave: EnclaveProof, standards: Collection[str]) -> bool:
+    """Return whether an enclave is proven by the standards, so that only vendors differ."""
+    own = [claim for claim in enclave.claims if claim.model in standards]
     return bool(own) and all(claim.proof is Proof.PROVEN for claim in own)
 
 

@@ -75,10 +75,10 @@ def prove(run: Run, names: tuple[str, ...], seconds: float, states: int, allow_v
     def folder(name: str) -> str:
         return workspace.shown(session.enclaves / name)
 
-    claims = [claim for enclave in results.enclaves for claim in enclave.claims]
+    claims = [claim for enclave in results.all for claim in enclave.claims]
     _summary(run, results)
     proven = all(claim.proof is Proof.PROVEN for claim in claims)
-    unread = any(enclave.diagnostics for enclave in results.enclaves)
+    unread = any(enclave.diagnostics for enclave in results.all)
     dated = tuple(terms.merged(dated_of(results)))
     return Report(
         run.verb,
@@ -87,7 +87,7 @@ def prove(run: Run, names: tuple[str, ...], seconds: float, states: int, allow_v
         [
             *_assumptions(results),
             *merged_packages(
-                dict.fromkeys(diagnostic for enclave in results.enclaves for diagnostic in diagnostics_of(enclave)),
+                dict.fromkeys(diagnostic for enclave in results.all for diagnostic in diagnostics_of(enclave)),
                 folder,
             ),
             *dated,
@@ -99,6 +99,7 @@ def prove(run: Run, names: tuple[str, ...], seconds: float, states: int, allow_v
             "until": _shown(_until(results)),
             "assumptions": {model: list(lines) for model, lines in _taken(results).items()},
             "enclaves": [_enclave(enclave, results.now, run) for enclave in results.enclaves],
+            "shared": [_across(each, results.now, run) for each in results.shared],
         },
         ExitCode.FINDINGS if unread or dated or findings_exit(unknown) or not proven else ExitCode.DONE,
         run.dry_run,
@@ -107,8 +108,8 @@ def prove(run: Run, names: tuple[str, ...], seconds: float, states: int, allow_v
 
 def _summary(run: Run, results: ProofResults) -> None:
     count, say = len(results.enclaves), run.console.line
-    total = sum(len(enclave.claims) for enclave in results.enclaves)
-    open_ = [claim for enclave in results.enclaves for claim in enclave.claims if claim.proof is not Proof.PROVEN]
+    total = sum(len(enclave.claims) for enclave in results.all)
+    open_ = [claim for enclave in results.all for claim in enclave.claims if claim.proof is not Proof.PROVEN]
     refuted = sum(claim.proof is Proof.COUNTEREXAMPLE for claim in open_)
     unread = sum(
         any(diagnostic.code != NO_PROVER for diagnostic in enclave.diagnostics) for enclave in results.enclaves
@@ -148,9 +149,9 @@ def _shown(moment: datetime | None) -> str | None:
 
 def _excepted(results: ProofResults) -> Iterator[str]:
     """Yield the exceptions of the proven claims: what the sources leave open on purpose."""
-    for enclave in results.enclaves:
+    for enclave in results.all:
         for claim in enclave.claims:
-            yield from (f"{enclave.subject}, {exception}" for exception in claim.excepted)
+            yield from (f"{enclave.subject or 'all subjects'}, {exception}" for exception in claim.excepted)
 
 
 def _more(excepted: Sequence[str]) -> str:
@@ -160,7 +161,7 @@ def _more(excepted: Sequence[str]) -> str:
 
 def _taken(results: ProofResults) -> Mapping[str, Sequence[str]]:
     """Return the assumptions of each model with a claim."""
-    claimed = {claim.model for enclave in results.enclaves for claim in enclave.claims}
+    claimed = {claim.model for enclave in results.all for claim in enclave.claims}
     return {model: lines for model, lines in results.assumptions.items() if model in claimed or not claimed}
 
 
@@ -190,6 +191,12 @@ def _enclave(enclave: EnclaveProof, now: datetime, run: Run) -> dict[str, Any]:
         "unchanged": enclave.cached,
         "claims": [_claim(claim, until(claim), run) for claim in enclave.claims],
     }
+
+
+def _across(proof: EnclaveProof, now: datetime, run: Run) -> dict[str, Any]:
+    """Return claims across subjects, in the form of an enclave's."""
+    document = _enclave(proof, now, run)
+    return {"build_type": proof.build_type, "proof": document["proof"], **document, "subject": None}
 
 
 def _whole(enclave: EnclaveProof) -> Proof:

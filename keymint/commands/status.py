@@ -13,7 +13,7 @@ from keymint.errors import KeymintError
 from keymint.output.report import Report
 from keymint.plan.create import packages_to_create
 from keymint.plan.policy import load_policy
-from keymint.status import PackageRow, package_rows
+from keymint.status import PackageRow, SharedRow, package_rows, shared_rows
 
 
 @verb()
@@ -44,14 +44,33 @@ def status(run: Run) -> Report:
         ]
         for row in rows
     ] + [[name, "-", "create", "-", "-"] for name in missing]
+    shared = shared_rows(session)
+    cells += [[", ".join(row.documents) or row.build_type, row.stage, row.stale or "-", "-", "-"] for row in shared]
     run.console.table(["PACKAGE", "STAGE", "STALE", "CERTIFICATE", "PERMISSIONS"], cells)
     for row in rows:
         if row.problem:
             run.console.line(f"{row.package}: {row.problem}")
+    for each in shared:
+        if each.problem:
+            run.console.line(f"{each.build_type or 'shared documents'}: {each.problem}")
     if not cells:
         run.console.line("no packages; run 'keymint create --all'")
-    result = {"packages": [_document(row) for row in rows], "not_created": missing}
+    result = {
+        "packages": [_document(row) for row in rows],
+        "not_created": missing,
+        "shared": [_shared_document(row) for row in shared],
+    }
     return Report(run.verb, workspace, (), diagnostics, result)
+
+
+def _shared_document(row: SharedRow) -> dict[str, Any]:
+    return {
+        "build_type": row.build_type or None,
+        "documents": list(row.documents),
+        "stage": row.stage,
+        "stale": row.stale or None,
+        "problem": row.problem or None,
+    }
 
 
 def _when(end: datetime | None, now: datetime) -> str:

@@ -174,8 +174,8 @@ def _certificate(
         Severity.WARNING,
         f"the certificate of the authority {files.authority.name!r} is reissued for the same key",
         Origin(files.certificate_file),
-        "deploy all enclaves together: if it signs permissions, some vendors let participants that hold different "
-        "certificates of it not communicate",
+        "deploy all enclaves together: if it signs rights, some vendors let subjects that hold different certificates "
+        "of it not communicate",
     )
     return issued.pem, (*issued.diagnostics, again)
 

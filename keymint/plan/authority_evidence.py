@@ -46,7 +46,7 @@ def contradictions_for(contradictions: Contradictions, issuers: Iterable[str]) -
 def _against(inputs: Inputs, files: AuthorityFiles, content: bytes) -> Iterator[Diagnostic]:
     where = Origin(files.certificate_file)
     try:
-        # Vendors differ in what they read of a file with several blocks: Fast DDS trusts each certificate in it.
+        # Transports differ in what they read of a file with several blocks: some trust each certificate in it.
         certificates.load(content, where)
         certificate = certificates.load_first(content, where)
         public = certificates.public_key(certificate, where)

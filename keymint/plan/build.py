@@ -11,13 +11,13 @@ from comarmor.errors import Diagnostic, Origin
 from keymint.api import BuildOptions, BuildResult, Package
 from keymint.changes import Action, DocumentSize, File, FolderChange, Plan, Step, changed
 from keymint.errors import KeymintError
-from keymint.plan import identity_keys, key_record, lifetimes
-from keymint.plan.build_types import build_types_of, two_writers
+from keymint.plan import identity_keys, key_record, lifetimes, shared_documents
+from keymint.plan.build_types import BUILD, build_types_of, inputs_digest, two_writers
 from keymint.plan.lifetimes import Lifetime
 from keymint.session import Inputs, Session
 from keymint.state import Stamp, digest
 
-STAGE = "build"
+STAGE = BUILD
 
 
 @dataclass(frozen=True, slots=True)
@@ -65,9 +65,12 @@ def plan_build(
     of_packages = {each.step.package: each.lifetimes for each in planned}
     diagnostics |= dict.fromkeys(lifetimes.findings(of_packages, session))
     stamps = {each.step.package: each.stamp for each in planned if each.stamp}
+    built = replace(session, state=session.state.updated(STAGE, stamps))
+    shared = shared_documents.plan_shared_build(built, options, force=force)
     minted = {each.step.package: each.fingerprint for each in planned if each.fingerprint}
-    state = key_record.record(session.state.updated(STAGE, stamps), key_record.IDENTITIES, minted)
-    return Plan(tuple(each.step for each in planned), state, tuple(diagnostics))
+    state = key_record.record(built.state.updated(STAGE, shared.stamps, shared.removed), key_record.IDENTITIES, minted)
+    diagnostics |= dict.fromkeys(shared.diagnostics)
+    return Plan((*(each.step for each in planned), *shared.steps), state, tuple(diagnostics))
 
 
 def is_current(session: Session, name: str) -> bool:
@@ -95,11 +98,6 @@ def built_documents(inputs: Inputs, name: str) -> dict[str, bytes]:
 def _options_of(options: BuildOptions, subject: str) -> BuildOptions:
     """Drop other subjects' hints, so that changing them does not rebuild this package."""
     return replace(options, hints=tuple(each for each in options.hints if each.edge.subject == subject))
-
-
-def inputs_digest(session: Session, name: str) -> str:
-    """Return the digest of everything that the documents of a package are built from, except the options."""
-    return digest(session.profile_digest, session.sources_digest(name), session.plugins.versions)
 
 
 def _plan_package(
@@ -130,6 +128,8 @@ def _plan_package(
     if not force:
         _refuse_edits(session, name, folder, built.documents)
     changes = changed(session.tree, folder, {file: File(content) for file, content in built.documents.items()})
+    obsolete = [file for file in stamp.outputs if file not in built.documents] if stamp else []
+    changes += tuple(FolderChange(folder, removed=(file,)) for file in obsolete if session.tree.has_file(folder / file))
     minted: tuple[FolderChange, ...] = ()
     fingerprint = ""
     if key_content is None or renew:
@@ -145,11 +145,11 @@ def _plan_package(
     step = Step(STAGE, name, action, (*minted, *changes), ", ".join(map(_smaller, sizes)), sizes)
     own = lifetimes.lifetimes(package)
     made = Stamp(
-        sources_digest,
+        inputs_digest(session, name, package.build_types),
         outputs,
         context=options_digest,
         lifetimes=lifetimes.dump(own, session.workspace),
-        build_types=tuple(build_types_of(session, package)),
+        build_types=package.build_types,
     )
     return _PackageBuild(step, made, fingerprint, list(built.diagnostics), own)
 

@@ -6,18 +6,33 @@ from __future__ import annotations
 from collections.abc import Collection, Iterable, Mapping, MutableMapping
 
 from comarmor.errors import Diagnostic, Severity
-from keymint.api import AuthorityRole, BuildType, Package
+from keymint.api import AuthorityRole, BuildType, Package, SharedDocuments
+from keymint.errors import KeymintError
 from keymint.session import Session
+from keymint.state import digest
+
+BUILD = "build"
+"""Key of the record of built packages."""
 
 
 def build_types_of(session: Session, package: Package) -> Mapping[str, BuildType]:
     """Return the build types of a package by name, in the order of its manifest.
 
     Raises:
-        KeymintError: one is not installed, or fails to load.
+        KeymintError: one is not installed, fails to load, or does not support the layout of the workspace.
     """
-    marker = session.package_marker(package.name)
-    return {name: session.plugins.build_type(name, marker) for name in package.build_types}
+    marker, layout = session.package_marker(package.name), session.profile.layout
+    found = {name: session.plugins.build_type(name, marker) for name in package.build_types}
+    for name, build_type in found.items():
+        own = build_type.LAYOUTS.get(layout)
+        if own is None or session.workspace.install / own.enclaves != session.enclaves:
+            raise KeymintError(
+                f"the build type {name} does not support the layout {layout!r} as this workspace has it",
+                where=marker,
+                help=f"it supports {', '.join(build_type.LAYOUTS)}",
+                code="layout-unsupported",
+            )
+    return found
 
 
 def roles_of(session: Session, package: Package) -> Mapping[str, tuple[AuthorityRole, ...]]:
@@ -67,3 +82,29 @@ def two_writers(
             where, help_ = session.package_marker(package.name), "keep one of them"
             errors.append(Diagnostic("file-conflict", Severity.ERROR, message, where, help_, package.subject))
     return errors
+
+
+def inputs_digest(session: Session, name: str, build_types: Iterable[str] | None = None) -> str:
+    """Return the digest of everything that a package's documents are built from, except the options.
+
+    Args:
+        session: the workspace and its profile.
+        name: the package.
+        build_types: its build types; by default those that it had when it was built.
+    """
+    if build_types is None:
+        stamp = session.state.stamp(BUILD, name)
+        build_types = stamp.build_types if stamp is not None else ()
+    places = [str(session.workspace.install)] if any(shared_builder(session, each) for each in build_types) else []
+    return digest(session.profile_digest, session.sources_digest(name), session.plugins.versions, *places)
+
+
+def shared_builder(session: Session, name: str) -> SharedDocuments | None:
+    """Return a build type that has shared documents; None if it has none, or is not installed.
+
+    The documents of such a build type name each other by absolute paths, so they depend on the install space.
+    """
+    if not any(info.group == "keymint.build_types" and info.name == name for info in session.plugins.infos):
+        return None
+    build_type: object = session.plugins.build_type(name)
+    return build_type if isinstance(build_type, SharedDocuments) else None

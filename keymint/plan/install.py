@@ -15,19 +15,16 @@ from keymint.errors import KeymintError
 from keymint.pki import certificates, keys
 from keymint.plan import build, identity_keys, key_record, lifetimes
 from keymint.plan.authorities import MintedAuthority
-from keymint.plan.build_types import build_types_of
+from keymint.plan.build_types import build_types_of, inputs_digest
 from keymint.plan.enclaves import CERTIFICATE, INSTALLED, enclave_files, orphans, require_sources, unaccounted
 from keymint.plan.identity_keys import Keyring
 from keymint.plan.lifetimes import Lifetime
 from keymint.plan.shared_files import shared_steps
+from keymint.plan.shared_install import HAND_EDITED, OUTDATED, plan_shared_install
 from keymint.plan.signing import sign
 from keymint.session import Inputs, Session
 from keymint.state import Stamp, digest, digest_files
 
-HAND_EDITED = "hand-edited"
-"""Code of the diagnostics on documents that a person edited."""
-OUTDATED = "build-outdated"
-"""Code of the warning on stale builds."""
 STAGE = INSTALLED
 
 
@@ -83,16 +80,19 @@ def plan_install(
     errors += identity_keys.shared_keys(session, fingerprints)
     if errors:
         raise KeymintError.of(errors)
-    # Shared files come first, so that the folder around the enclaves exists before any enclave.
+    # Shared documents come first: rights end before an enclave is removed, and begin before one is there. So do copies,
+    # so that the folder around the enclaves exists before any enclave.
     changed = {each.step.package: (each.build_types, each.artifacts) for each in planned if each.artifacts}
-    steps = [*shared_steps(session, changed), *(enclave.step for enclave in planned)]
+    removed = orphans(session) if prune else ()
+    shared = plan_shared_install(session, names, authorities, removed)
+    steps = [*shared.steps, *shared_steps(session, changed), *(enclave.step for enclave in planned)]
     diagnostics = [diagnostic for enclave in planned for diagnostic in enclave.diagnostics]
     diagnostics += _outdated(session, [enclave.step.package for enclave in planned if enclave.outdated])
+    diagnostics += shared.diagnostics
     diagnostics += lifetimes.findings({each.step.package: each.lifetimes for each in planned}, session)
     diagnostics += [each for each in unaccounted(session) if not prune or each.code != "enclave-orphaned"]
-    stamps = {enclave.step.package: enclave.stamp for enclave in planned if enclave.stamp}
-    removed = orphans(session) if prune else ()
-    state = session.state.updated(STAGE, stamps, removed)
+    stamps = {**shared.stamps, **{each.step.package: each.stamp for each in planned if each.stamp}}
+    state = session.state.updated(STAGE, stamps, (*removed, *shared.removed))
     state = key_record.record(state, key_record.IDENTITIES, fingerprints)
     if prune:
         require_sources(session)
@@ -145,7 +145,11 @@ def _plan_enclave(
     }
     # The certificate comes last: a node that starts in between fails, and admits nobody.
     ordered = dict(sorted(different.items(), key=lambda item: item[0] == CERTIFICATE))
-    changes = (FolderChange(folder, ordered),) if ordered else ()
+    # What another build type of the package installed before would still have effect.
+    obsolete = (
+        tuple(file for file in sorted(recorded.outputs) if file not in files and file in existing) if recorded else ()
+    )
+    changes = (FolderChange(folder, ordered, obsolete),) if ordered or obsolete else ()
     action = (Action.UPDATED if existing else Action.CREATED) if changes else Action.UNCHANGED
     # Unreadable files that do not belong to the enclave are only reported; the others are replaced.
     foreign = [each for each in unreadable if not each.where or each.where.file not in paths]
@@ -236,7 +240,7 @@ def is_current(session: Session, name: str, chains: Mapping[str, bytes]) -> bool
 
 def _inputs_digest(session: Session, name: str, chains: Mapping[str, bytes]) -> str:
     return digest(
-        build.inputs_digest(session, name),
+        inputs_digest(session, name),
         digest_files(build.built_documents(session, name)),
         session.tree.read(session.workspace.identity_key(name)) or b"",
         digest_files(chains),

@@ -6,20 +6,33 @@ The proof of an enclave whose claims were all proven is cached until its files, 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from datetime import datetime
 
 from comarmor.errors import Diagnostic, Severity
 from keymint import __version__
-from keymint.api import BuildType, Claim, LoadedPolicy, Package, Proof, ProofTask, Prover, ValidityTerm
+from keymint.api import (
+    Claim,
+    LoadedPolicy,
+    Package,
+    Proof,
+    ProofTask,
+    Prover,
+    Role,
+    SharedProofTask,
+    SharedProver,
+    ValidityTerm,
+)
 from keymint.errors import KeymintError
 from keymint.ir import SubjectRules
 from keymint.plan import authority_evidence, proof_record, terms
 from keymint.plan.authority_files import trusted_chains
-from keymint.plan.build_types import build_types_of, issuers_of, suffixes_read
+from keymint.plan.build_types import build_types_of, inputs_digest, issuers_of, suffixes_read
 from keymint.plan.enclaves import INSTALLED, enclave_files, not_installed
-from keymint.plan.trust_anchors import anchors_of
+from keymint.plan.shared_documents import load_packages, record_key
+from keymint.plan.shared_proof import SharedReader
+from keymint.plan.trust_anchors import anchors_of, shared_anchors
 from keymint.session import Session
 from keymint.state import Stamp, State, digest, digest_files
 
@@ -51,6 +64,7 @@ class EnclaveProof:
         cached: every claim was proven before, and nothing changed.
         diagnostics: files that could not be read, or that do not rest on the workspace's authorities.
         terms: when the documents are in force.
+        build_type: of claims across subjects, the build type; the subject is empty.
     """
 
     subject: str
@@ -58,6 +72,7 @@ class EnclaveProof:
     cached: bool = False
     diagnostics: tuple[Diagnostic, ...] = ()
     terms: tuple[ValidityTerm, ...] = ()
+    build_type: str = ""
 
 
 @dataclass(frozen=True, slots=True)
@@ -66,15 +81,24 @@ class ProofResults:
 
     Attributes:
         enclaves: the result for each.
+        shared: the results across subjects, for each build type that has some.
         state: the record to keep.
         assumptions: assumptions of the claims, by model.
+        standards: the models that are no vendor's: those that each prover names first.
         now: the time at which the claims are judged, UTC.
     """
 
     enclaves: tuple[EnclaveProof, ...]
+    shared: tuple[EnclaveProof, ...]
     state: State
     assumptions: Mapping[str, Sequence[str]]
+    standards: frozenset[str]
     now: datetime
+
+    @property
+    def all(self) -> tuple[EnclaveProof, ...]:
+        """The results for all enclaves, and those across subjects."""
+        return (*self.enclaves, *self.shared)
 
 
 def prove(
@@ -105,6 +129,7 @@ def prove(
     for name in names:
         run.prove(name)
         on_enclave(name)
+    run.prove_shared(names)
     return run.results()
 
 
@@ -128,22 +153,26 @@ class _ProofRun:
         self._contradictions = authority_evidence.contradictions(session)
         self._policy_digest = digest(*(f"{path} {value.hex()}" for path, value in sorted(policy.seen.items())))
         self._proofs: list[EnclaveProof] = []
+        self._shared_proofs: list[EnclaveProof] = []
         self._stamps: dict[str, Stamp] = {}
         self._refuted: set[str] = set()
         self._assumptions: dict[str, Sequence[str]] = {}
+        self._standards: set[str] = set()
+        self._shared = SharedReader(session, unsigned=unsigned)
 
     def results(self) -> ProofResults:
         """Return the results so far, and the record of them."""
         state = self._session.state
         if self._stamps or any(state.stamp(STAGE, name) for name in self._refuted):
             state = state.updated(STAGE, self._stamps, self._refuted)
-        return ProofResults(tuple(self._proofs), state, self._assumptions, self._session.now)
+        proofs, shared = tuple(self._proofs), tuple(self._shared_proofs)
+        standards = frozenset(self._standards)
+        return ProofResults(proofs, shared, state, self._assumptions, standards, self._session.now)
 
     def prove(self, name: str) -> None:
         """Prove the claims about one enclave, unless the proof is cached."""
         session = self._session
         files, unread = enclave_files(session, name)
-        stamp = session.state.stamp(STAGE, name)
         if defects := self._of_enclave(name, unread):
             self._proofs.append(EnclaveProof(f"/{name}", (), diagnostics=defects))
             self._refuted.add(name)
@@ -155,27 +184,71 @@ class _ProofRun:
         ):
             self._proofs.append(EnclaveProof(f"/{name}", (), diagnostics=contradictions))
             return
-        inputs = self._inputs_digest(session.package_files(name), files)
-        cached = proof_record.load(stamp, self._shown(name)) if stamp and stamp.inputs == inputs else None
-        if stamp and cached and self._same_rules(name, stamp):
+        stamp, folder = session.state.stamp(STAGE, name), self._shown(name)
+        cached = proof_record.load(stamp, folder) if stamp else None
+        current = stamp is not None and stamp.inputs == self._inputs_digest(name, files, stamp.build_types)
+        if stamp and current and cached and self._same_rules(name, stamp, [f"/{name}"]):
             claims, validity = cached
             # The cache does not depend on the clock: whether documents are in force is checked at each run.
             self._proofs.append(EnclaveProof(f"/{name}", claims, cached=True, terms=validity))
-            for build_type in stamp.build_types:
-                self._prover(session.plugins.build_type(build_type, session.package_marker(name)))
+            self._assume(stamp.build_types)
             return
         package = session.package(name)
+        build_types = tuple(build_types_of(session, package))
+        inputs = self._inputs_digest(name, files, build_types)
         rules = _rules(self._policy, package.subject)
         proof = self._proof(package, rules, files)
         self._proofs.append(proof)
+        self._keep(name, proof, (rules,), Stamp(inputs, {}, build_types=build_types), folder)
+
+    def prove_shared(self, names: Sequence[str]) -> None:
+        """Prove the claims across subjects of the build types that some packages have, unless these are cached."""
+        for name, of_type in self._shared.users.items():
+            if set(names).isdisjoint(of_type):
+                continue
+            build_type: object = self._session.plugins.build_type(name)
+            if isinstance(build_type, SharedProver):
+                self._prove_across(name, of_type, build_type)
+
+    def _prove_across(self, name: str, names: Sequence[str], prover: SharedProver) -> None:
+        session, key, folder = self._session, record_key(name), self._shared.folder
+        enclaves = self._shared.enclaves(name)
+        inputs = self._shared.inputs_digest(names, enclaves, name, digest_files(self._chains))
+        stamp, subjects = session.state.stamp(STAGE, key), [f"/{each}" for each in names]
+        cached = proof_record.load(stamp, folder) if stamp and stamp.inputs == inputs else None
+        if stamp and cached and self._same_rules(key, stamp, subjects):
+            self._shared_proofs.append(EnclaveProof("", cached[0], cached=True, build_type=name))
+            return
+        rules = {subject: _rules(self._policy, subject) for subject in subjects}
+        try:
+            packages = load_packages(session, name, names)
+            task = SharedProofTask(
+                packages,
+                rules,
+                enclaves,
+                session.workspace.shown(session.workspace.build if self._unsigned else session.enclaves),
+                self._shared.files(name),
+                folder,
+                shared_anchors(session, packages, session.plugins.build_type(name), self._chains),
+                self._effort.states,
+                self._effort.deadline(),
+                self._unsigned,
+            )
+            proof = EnclaveProof("", tuple(prover.prove_shared(task)), build_type=name)
+        except KeymintError as error:
+            proof = EnclaveProof("", (), diagnostics=tuple(error.diagnostics), build_type=name)
+        self._shared_proofs.append(proof)
+        self._keep(key, proof, rules.values(), Stamp(inputs, {}, build_types=(name,)), folder)
+
+    def _keep(self, key: str, proof: EnclaveProof, rules: Iterable[SubjectRules], stamp: Stamp, folder: str) -> None:
+        """Record a proof if all its claims are proven."""
         if self._standard_only:
             return
         if proof.diagnostics or any(claim.proof is not Proof.PROVEN for claim in proof.claims):
-            self._refuted.add(name)
+            self._refuted.add(key)
         else:
-            outputs = proof_record.dump(proof.claims, proof.terms, (rules,), self._shown(name))
-            build_types = tuple(build_types_of(session, package))
-            self._stamps[name] = Stamp(inputs, outputs, context=self._policy_digest, build_types=build_types)
+            outputs = proof_record.dump(proof.claims, proof.terms, rules, folder)
+            self._stamps[key] = replace(stamp, outputs=outputs, context=self._policy_digest)
 
     def _of_enclave(self, name: str, unread: Sequence[Diagnostic]) -> tuple[Diagnostic, ...]:
         """Return the diagnostics of unreadable files that belong to the enclave, by the record or by their names."""
@@ -190,13 +263,13 @@ class _ProofRun:
             if stamp is None or file in {*stamp.outputs, ""} or file.endswith(suffixes)
         )
 
-    def _same_rules(self, name: str, stamp: Stamp) -> bool:
-        """Tell whether the policy has the same rules for a subject as when the stamp was made."""
+    def _same_rules(self, key: str, stamp: Stamp, subjects: Iterable[str]) -> bool:
+        """Tell whether the policy has the same rules for some subjects as when the stamp was made."""
         if stamp.context == self._policy_digest:
             return True
-        if not proof_record.has_rules(stamp, (_rules(self._policy, f"/{name}"),)):
+        if not proof_record.has_rules(stamp, [_rules(self._policy, subject) for subject in subjects]):
             return False
-        self._stamps[name] = replace(stamp, context=self._policy_digest)
+        self._stamps[key] = replace(stamp, context=self._policy_digest)
         return True
 
     def _shown(self, name: str) -> str:
@@ -212,51 +285,64 @@ class _ProofRun:
         claims: list[Claim] = []
         validity: list[ValidityTerm] = []
         diagnostics: list[Diagnostic] = []
-        for name, build_type in build_types_of(self._session, package).items():
-            prover = self._prover(build_type)
-            if prover is None:
+        build_types = build_types_of(self._session, package)
+        self._assume(build_types)
+        for name, prover in build_types.items():
+            if not isinstance(prover, Prover):
                 message, marker = f"the build type {name} proves nothing", self._session.package_marker(package.name)
                 diagnostics.append(Diagnostic(NO_PROVER, Severity.ERROR, message, marker))
                 continue
             try:
-                anchors = anchors_of(self._session, package, build_type, self._chains)
                 task = ProofTask(
                     package,
                     rules,
                     files,
                     folder,
-                    anchors,
+                    anchors_of(self._session, package, prover, self._chains),
                     self._effort.states,
                     self._effort.deadline(),
                     self._standard_only,
                     self._unsigned,
+                    self._shared.files(name),
+                    self._shared.folder,
                 )
-                own = prover.prove(task)
-                terms_ = prover.terms(files, folder, anchors, task.shared, task.shared_folder)
+                own = self._claims(prover, task)
+                periods = prover.terms(files, folder, task.anchors, task.shared, task.shared_folder)
             except KeymintError as error:
                 diagnostics += error.diagnostics
                 continue
             claims += own
-            validity += terms.terms_of(terms_, {claim.model for claim in own})
+            models = {claim.model for claim in own} or prover.assumptions().keys()
+            validity += terms.terms_of(periods, models)
         of_subject = tuple(replace(each, subject=subject) for each in dict.fromkeys(diagnostics))
         return EnclaveProof(subject, tuple(claims), diagnostics=of_subject, terms=tuple(dict.fromkeys(validity)))
 
-    def _prover(self, build_type: BuildType) -> Prover | None:
-        """Return a build type as a prover and keep its assumptions; None if it is none."""
-        if not isinstance(build_type, Prover):
-            return None
-        self._assumptions.update(build_type.assumptions())
-        return build_type
+    def _claims(self, prover: Prover, task: ProofTask) -> Sequence[Claim]:
+        """Return the claims about an enclave; the policy grants nothing to infrastructure, which must be ours though.
 
-    def _inputs_digest(self, source: Mapping[str, bytes], files: Mapping[str, bytes]) -> str:
+        Raises:
+            KeymintError: the enclave cannot be read, or the anchors do not vouch for it.
+        """
+        if task.package.role is Role.SUBJECT:
+            return prover.prove(task)
+        if found := prover.differences(task.files, task.folder, task.anchors, task.shared, task.shared_folder):
+            raise KeymintError.of(found)
+        return ()
+
+    def _assume(self, build_types: Iterable[str]) -> None:
+        """Keep the assumptions of build types that prove."""
+        for name in build_types:
+            build_type: object = self._session.plugins.build_type(name)
+            if isinstance(build_type, Prover):
+                assumptions = build_type.assumptions()
+                self._assumptions.update(assumptions)
+                self._standards.update([*assumptions][:1])
+
+    def _inputs_digest(self, name: str, files: Mapping[str, bytes], build_types: Iterable[str]) -> str:
         """Return the digest of everything that a proof depends on, except the policy."""
+        shared = (self._shared.digest(each) for each in build_types)
         return digest(
-            digest_files(files),
-            digest_files(source),
-            digest_files(self._chains),
-            self._session.profile_digest,
-            self._session.plugins.versions,
-            __version__,
+            inputs_digest(self._session, name), digest_files(files), *shared, digest_files(self._chains), __version__
         )
 
 

@@ -39,9 +39,9 @@ def sign(
     Raises:
         KeymintError: an authority is unknown or cannot sign, or the documents cannot be signed.
     """
-    issuer = _authority(authorities, package.identity.issuer, package.identity.origin)
+    issuer = authority_of(authorities, package.identity.issuer, package.identity.origin)
     roles = {
-        name: [(role, _authority(authorities, role.name, role.origin)) for role in of_type]
+        name: [(role, authority_of(authorities, role.name, role.origin)) for role in of_type]
         for name, of_type in roles_of(session, package).items()
     }
     pem, public = key
@@ -75,7 +75,17 @@ def sign(
     return artifacts, warnings
 
 
-def _authority(authorities: Mapping[str, MintedAuthority], name: str, origin: Origin) -> MintedAuthority:
+def authority_of(authorities: Mapping[str, MintedAuthority], name: str, origin: Origin) -> MintedAuthority:
+    """Return an authority by its name.
+
+    Args:
+        authorities: the authorities by name.
+        name: the name.
+        origin: the place that names it, for the message.
+
+    Raises:
+        KeymintError: there is none of this name.
+    """
     if name not in authorities:
         raise KeymintError(
             f"no authority {name!r} in the profile, which has {', '.join(sorted(authorities)) or 'none'}",

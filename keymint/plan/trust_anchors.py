@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 
 from comarmor.errors import Diagnostic
@@ -12,6 +12,8 @@ from keymint.plan import authority_evidence
 from keymint.plan.authority_files import trusted_chains
 from keymint.plan.build_types import build_types_of, issuers_of, suffixes_read
 from keymint.plan.enclaves import enclave_files
+from keymint.plan.shared_documents import users
+from keymint.plan.shared_install import shared_files, shared_roles
 from keymint.session import Session
 
 
@@ -24,14 +26,35 @@ def anchors_of(session: Session, package: Package, build_type: BuildType, chains
         build_type: one of its build types.
         chains: certificates of the authorities by name; see :func:`keymint.plan.authority_files.trusted_chains`.
     """
-    workspace = session.workspace
-
-    def anchor(name: str) -> TrustAnchor:
-        return TrustAnchor(name, workspace.shown(workspace.authority_certificate(name)), chains.get(name, b""))
-
     roles = build_type.authorities(package)
-    authorities = {role.role: anchor(role.name) for role in roles}
+    authorities = {role.role: _anchor(session, [role.name], chains) for role in roles}
     return TrustAnchors(authorities, package.identity.subject_name, session.profile.layout)
+
+
+def shared_anchors(
+    session: Session, packages: Iterable[Package], build_type: BuildType, chains: Mapping[str, bytes]
+) -> Mapping[str, TrustAnchor]:
+    """Return the trust anchors by role that the shared documents of a build type must rest on.
+
+    Args:
+        session: the workspace and its profile.
+        packages: the packages of the build type.
+        build_type: the build type.
+        chains: certificates of the authorities by name.
+
+    Raises:
+        KeymintError: two packages have different authorities in a role that signs.
+    """
+    return {
+        role: _anchor(session, [each.name for each in of_role], chains)
+        for role, of_role in shared_roles(packages, build_type).items()
+    }
+
+
+def _anchor(session: Session, names: Sequence[str], chains: Mapping[str, bytes]) -> TrustAnchor:
+    workspace = session.workspace
+    files = ", ".join(workspace.shown(workspace.authority_certificate(name)) for name in names)
+    return TrustAnchor(", ".join(names), files, b"".join(dict.fromkeys(chains.get(name, b"") for name in names)))
 
 
 def differences(session: Session, names: Sequence[str]) -> tuple[Diagnostic, ...]:
@@ -44,6 +67,7 @@ def differences(session: Session, names: Sequence[str]) -> tuple[Diagnostic, ...
     """
     findings: list[Diagnostic] = []
     chains, contradictions = trusted_chains(session), authority_evidence.contradictions(session)
+    of_types = users(session)
     for name in names:
         files, unread = enclave_files(session, name)
         if not (files or unread):
@@ -56,9 +80,11 @@ def differences(session: Session, names: Sequence[str]) -> tuple[Diagnostic, ...
         issuers = issuers_of(session, package)
         findings += authority_evidence.contradictions_for(contradictions, issuers)
         folder = session.workspace.shown(session.enclaves / name)
-        for build_type in build_types_of(session, package).values():
-            if isinstance(build_type, Prover):
-                anchors = anchors_of(session, package, build_type, chains)
-                found = build_type.differences(files, folder, anchors, {}, "")
+        for build_type, prover in build_types_of(session, package).items():
+            if isinstance(prover, Prover):
+                anchors = anchors_of(session, package, build_types_of(session, package)[build_type], chains)
+                shared = shared_files(session, build_type, of_types[build_type]) if build_type in of_types else {}
+                shown = session.workspace.shown(session.workspace.install)
+                found = prover.differences(files, folder, anchors, shared, shown)
                 findings += (replace(each, subject=package.subject) for each in found)
     return tuple(dict.fromkeys(findings))

@@ -1,0 +1,104 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Check the installed documents over all packages of a build type."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from datetime import timedelta
+
+from comarmor.errors import Diagnostic, Origin, Severity
+from keymint.api import BuildOptions, SharedInspection
+from keymint.changes import file_mode
+from keymint.check.file_status import modes
+from keymint.errors import KeymintError
+from keymint.plan.authority_files import trusted_chains
+from keymint.plan.build_types import shared_builder
+from keymint.plan.enclaves import INSTALLED
+from keymint.plan.shared_documents import build_shared, load_packages, record_key, users
+from keymint.plan.shared_install import installed_shared, shared_roles
+from keymint.plan.shared_proof import SharedReader
+from keymint.session import Session
+from keymint.state import digest
+
+
+@dataclass(frozen=True, slots=True)
+class SharedFindings:
+    """The findings on shared documents, and the files that belong to them.
+
+    Attributes:
+        diagnostics: the findings.
+        files: paths of the installed files relative to the install space.
+    """
+
+    diagnostics: tuple[Diagnostic, ...]
+    files: frozenset[str]
+
+
+def check_shared(session: Session, within: timedelta) -> SharedFindings:
+    """Return the findings on the installed shared documents of all build types.
+
+    Args:
+        session: the workspace and its profile.
+        within: report what expires within this time.
+    """
+    diagnostics: list[Diagnostic] = []
+    files: set[str] = set()
+    try:
+        of_types = users(session)
+    except KeymintError as error:
+        return SharedFindings(tuple(error.diagnostics), frozenset())
+    for name, names in of_types.items():
+        stamp = session.state.stamp(INSTALLED, record_key(name))
+        try:
+            inspection = _inspection(session, name, names, within)
+        except KeymintError as error:
+            diagnostics += error.diagnostics
+            files |= set(stamp.outputs if stamp else ())
+            continue
+        files |= inspection.files.keys()
+        own, builder = list(_on_disk(session, name, inspection)), shared_builder(session, name)
+        missing = {each.where for each in own if each.code == "file-missing"}
+        found = builder.check_shared(inspection) if builder else ()
+        diagnostics += (*own, *(each for each in found if each.code != "file-missing" or each.where not in missing))
+    return SharedFindings(tuple(dict.fromkeys(diagnostics)), frozenset(files))
+
+
+def _inspection(session: Session, name: str, names: Sequence[str], within: timedelta) -> SharedInspection:
+    packages = load_packages(session, name, names)
+    # What the options of a build accept was reported and accepted when the documents were built.
+    built = build_shared(session, name, packages, BuildOptions(allow_vendor_specific=True))
+    stamp, chains = session.state.stamp(INSTALLED, record_key(name)), trusted_chains(session)
+    roles = shared_roles(packages, session.plugins.build_type(name))
+    return SharedInspection(
+        packages=packages,
+        documents=built.documents,
+        files=installed_shared(session, sorted({*built.documents, *(stamp.outputs if stamp else ())})),
+        enclaves=SharedReader(session, unsigned=False).enclaves(name),
+        folder=session.workspace.shown(session.workspace.install),
+        layout=session.profile.layout,
+        chains={
+            role: b"".join(dict.fromkeys(chains.get(each.name, b"") for each in of_role))
+            for role, of_role in roles.items()
+        },
+        now=session.now,
+        within_days=within / timedelta(days=1),
+    )
+
+
+def _on_disk(session: Session, name: str, inspection: SharedInspection) -> Iterator[Diagnostic]:
+    """Check that the files are there, their modes, and their recorded digests."""
+    install, files = session.workspace.install, inspection.files
+    stamp = session.state.stamp(INSTALLED, record_key(name))
+    for path in sorted({*inspection.documents, *(stamp.outputs if stamp else ())} - files.keys()):
+        where, help_ = Origin(session.workspace.shown(install / path)), "'keymint build' and 'keymint install' write it"
+        yield Diagnostic("file-missing", Severity.ERROR, "is missing", where, help_)
+    for path, content in files.items():
+        yield from modes(session, install / path, file_mode(secret=stamp is not None and path in stamp.secret), "")
+        if stamp is not None and stamp.outputs.get(path, digest(content)) != digest(content):
+            where = Origin(session.workspace.shown(install / path))
+            message, help_ = "was changed after it was installed", "'keymint install' restores it"
+            yield Diagnostic("file-changed", Severity.ERROR, message, where, help_)
+    if stamp is None and files:
+        message = f"there is no record of the installed shared documents of {name}"
+        yield Diagnostic("record-missing", Severity.NOTE, message, None, "'keymint install' makes one")

@@ -1,0 +1,274 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Documents over all packages of a build type, in the folder ``shared.d`` of the build space.
+
+They hold the rights of everybody, so each run brings them up to date, whichever packages it is about.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import cast
+
+from comarmor.errors import Diagnostic, Origin, Severity
+from keymint.api import BuildOptions, BuildResult, BuildType, Package, SharedDocuments
+from keymint.changes import Action, File, FolderChange, Step
+from keymint.errors import KeymintError
+from keymint.plan.build_types import BUILD, build_types_of, inputs_digest, shared_builder
+from keymint.session import Session
+from keymint.state import Stamp, digest
+from keymint.workspace import packages
+
+FOLDER = "shared.d"
+"""Folder of the build space; a dot is illegal in names of packages."""
+STAGE = BUILD
+_PATH = re.compile(r"[A-Za-z0-9_][A-Za-z0-9_.-]*(?:/[A-Za-z0-9_][A-Za-z0-9_.-]*)*")
+
+Users = Mapping[str, tuple[str, ...]]
+"""Names of the packages that each build type with shared documents has, sorted."""
+
+
+@dataclass(frozen=True, slots=True)
+class SharedPlan:
+    """The plan for the shared documents of all build types.
+
+    Attributes:
+        steps: what is written and removed.
+        stamps: the records that change, by their key.
+        removed: keys of records to remove.
+        diagnostics: findings on the documents.
+    """
+
+    steps: tuple[Step, ...] = ()
+    stamps: Mapping[str, Stamp] = field(default_factory=dict)
+    removed: tuple[str, ...] = ()
+    diagnostics: tuple[Diagnostic, ...] = ()
+
+
+def record_key(build_type: str) -> str:
+    """Return the key of the record of a build type's shared documents; it is no name of a package."""
+    return f"{FOLDER}/{build_type}"
+
+
+def users(session: Session) -> Users:
+    """Return the packages of each build type that has shared documents; build types without packages are omitted.
+
+    Packages that did not change since they were built are not loaded.
+
+    Raises:
+        KeymintError: which build types a package has is unknown, because its sources have defects.
+    """
+    names = packages(session.tree, session.workspace.src)
+    recorded: dict[str, tuple[str, ...]] = {}
+    for name in names:
+        stamp = session.state.stamp(STAGE, name)
+        if stamp is not None and stamp.build_types:
+            recorded[name] = stamp.build_types
+    broken: list[tuple[str, KeymintError]] = []
+
+    def load(name: str) -> tuple[str, ...]:
+        try:
+            return tuple(build_types_of(session, session.package(name)))
+        except KeymintError as error:
+            broken.append((name, error))
+            return ()
+
+    found = recorded | {name: load(name) for name in names if name not in recorded}
+    shared = {name for of_package in found.values() for name in of_package if shared_builder(session, name)}
+    if not shared:
+        return {}
+    for name in recorded:
+        stamp = session.state.stamp(STAGE, name)
+        if stamp is None or stamp.inputs != inputs_digest(session, name):
+            found[name] = load(name)
+    if broken:
+        raise _blocked(session, sorted(shared), broken)
+    return {
+        build_type: tuple(name for name in names if build_type in found[name])
+        for build_type in sorted({name for of_package in found.values() for name in of_package})
+        if shared_builder(session, build_type)
+    }
+
+
+def load_packages(session: Session, build_type: str, names: Iterable[str]) -> tuple[Package, ...]:
+    """Return the packages of a build type.
+
+    Raises:
+        KeymintError: the sources of a package have defects, so the shared documents cannot be built.
+    """
+    loaded: list[Package] = []
+    broken: list[tuple[str, KeymintError]] = []
+    for name in names:
+        try:
+            loaded.append(session.package(name))
+        except KeymintError as error:
+            broken.append((name, error))
+    if broken:
+        raise _blocked(session, [build_type], broken)
+    return tuple(loaded)
+
+
+def _blocked(session: Session, build_types: Sequence[str], broken: Iterable[tuple[str, KeymintError]]) -> KeymintError:
+    diagnostics: list[Diagnostic] = []
+    for name, error in broken:
+        of_types = ", ".join(build_types)
+        message = f"the sources of /{name} have defects, so the shared documents of {of_types} cannot be built"
+        help_ = "fix it: they hold the rights of all packages"
+        where = session.package_marker(name)
+        diagnostics += (Diagnostic("shared-blocked", Severity.ERROR, message, where, help_), *error.diagnostics)
+    return KeymintError.of(list(dict.fromkeys(diagnostics)))
+
+
+def sources_digest(session: Session, names: Iterable[str]) -> str:
+    """Return the digest of everything that shared documents are built from, except the options."""
+    return digest(session.profile.layout, *(part for name in names for part in (name, inputs_digest(session, name))))
+
+
+def is_current(session: Session, build_type: str, names: Sequence[str]) -> bool:
+    """Tell whether the shared documents of a build type were built from the present sources, with any options."""
+    stamp = session.state.stamp(STAGE, record_key(build_type))
+    return stamp is not None and stamp.inputs == sources_digest(session, names)
+
+
+def built_shared(session: Session, build_type: str) -> dict[str, bytes] | None:
+    """Return the unsigned shared documents of a build type by path; None if they were not built or one is missing."""
+    stamp = session.state.stamp(STAGE, record_key(build_type))
+    if stamp is None:
+        return None
+    contents = {path: session.tree.read(shared_folder(session) / path) for path in stamp.outputs}
+    found = {path: content for path, content in contents.items() if content is not None}
+    return found if len(found) == len(contents) else None
+
+
+def shared_folder(session: Session) -> Path:
+    """Return the folder of the unsigned shared documents."""
+    return session.workspace.build / FOLDER
+
+
+def build_shared(session: Session, name: str, loaded: Sequence[Package], options: BuildOptions) -> BuildResult:
+    """Return the shared documents of a build type.
+
+    Args:
+        session: the workspace and its profile.
+        name: name of the build type.
+        loaded: its packages.
+        options: options of the build.
+
+    Raises:
+        KeymintError: the packages contradict each other.
+        ValueError: the build type breaks the rules for paths.
+    """
+    builder = cast("SharedDocuments", session.plugins.build_type(name))
+    result = builder.build_shared(loaded, options)
+    layout = cast("BuildType", builder).LAYOUTS[session.profile.layout]
+    for path in result.documents:
+        if not _PATH.fullmatch(path) or (layout.enclaves and f"{path}/".startswith(f"{layout.enclaves}/")):
+            raise ValueError(f"{name} has a shared document with an illegal path: {path!r}")
+    return result
+
+
+def plan_shared_build(session: Session, options: BuildOptions, *, force: bool) -> SharedPlan:
+    """Plan the unsigned shared documents of all build types.
+
+    Args:
+        session: the workspace and its profile, with the record of the packages that this run builds.
+        options: options of the build.
+        force: rebuild, and overwrite documents that were edited by hand.
+
+    Raises:
+        KeymintError: a package has defects, or packages contradict each other.
+    """
+    of_types = users(session)
+    steps: list[Step] = []
+    stamps: dict[str, Stamp] = {}
+    diagnostics: list[Diagnostic] = []
+    written: dict[str, str] = {}
+    for name, names in of_types.items():
+        step, stamp, findings = _plan_documents(session, name, names, options, force=force)
+        steps.append(step)
+        diagnostics += findings
+        if stamp is not None:
+            stamps[record_key(name)] = stamp
+        recorded = stamp or session.state.stamp(STAGE, record_key(name))
+        for path in recorded.outputs if recorded else ():
+            if written.setdefault(path, name) != name:
+                raise KeymintError(
+                    f"the build types {written[path]} and {name} both have a shared document {path}",
+                    where=session.profile_marker(),
+                    help="use them in different workspaces",
+                    code="file-conflict",
+                )
+    gone = [key for key in _recorded_keys(session) if key.removeprefix(f"{FOLDER}/") not in of_types]
+    steps += [_removal(session, key) for key in gone]
+    return SharedPlan(tuple(steps), stamps, tuple(gone), tuple(dict.fromkeys(diagnostics)))
+
+
+def _recorded_keys(session: Session) -> list[str]:
+    return [key for key in session.state.stamps.get(STAGE, {}) if key.startswith(f"{FOLDER}/")]
+
+
+def _removal(session: Session, key: str) -> Step:
+    stamp = session.state.stamps[STAGE][key]
+    changes = removals(session, shared_folder(session), stamp.outputs)
+    return Step(STAGE, "", Action.REMOVED, changes, f"shared documents of {key.removeprefix(f'{FOLDER}/')}")
+
+
+def removals(session: Session, folder: Path, paths: Iterable[str]) -> tuple[FolderChange, ...]:
+    """Return the changes that remove files, given by path relative to a folder; missing ones are skipped."""
+    existing = [folder / path for path in sorted(paths) if session.tree.has_file(folder / path)]
+    folders: dict[Path, list[str]] = {}
+    for path in existing:
+        folders.setdefault(path.parent, []).append(path.name)
+    return tuple(FolderChange(parent, removed=tuple(names)) for parent, names in folders.items())
+
+
+def by_folder(folder: Path, files: Mapping[str, File]) -> tuple[FolderChange, ...]:
+    """Return the changes that write files, given by path relative to a folder."""
+    folders: dict[Path, dict[str, File]] = {}
+    for path, file in files.items():
+        target = folder / path
+        folders.setdefault(target.parent, {})[target.name] = file
+    return tuple(FolderChange(parent, of_folder) for parent, of_folder in folders.items())
+
+
+def _plan_documents(
+    session: Session, name: str, names: Sequence[str], options: BuildOptions, *, force: bool
+) -> tuple[Step, Stamp | None, Sequence[Diagnostic]]:
+    key, folder = record_key(name), shared_folder(session)
+    stamp = session.state.stamp(STAGE, key)
+    inputs, context = sources_digest(session, names), digest(repr(options))
+    if stamp is not None and (stamp.inputs, stamp.context) == (inputs, context) and not force:
+        existing = built_shared(session, name)
+        if existing is not None:
+            edited = [path for path, content in existing.items() if digest(content) != stamp.outputs[path]]
+            detail = f"{', '.join(edited)} edited by hand; -f rebuilds" if edited else ", ".join(existing)
+            return Step(STAGE, "", Action.KEPT if edited else Action.UNCHANGED, detail=detail), None, ()
+    built = build_shared(session, name, load_packages(session, name, names), options)
+    obsolete = set(stamp.outputs if stamp else ()) - set(built.documents)
+    if not force:
+        _refuse_edits(session, key, {**built.documents, **dict.fromkeys(obsolete, b"")})
+    different = {
+        path: File(content) for path, content in built.documents.items() if session.tree.read(folder / path) != content
+    }
+    changes = (*removals(session, folder, obsolete), *by_folder(folder, different))
+    action = (Action.UPDATED if stamp else Action.CREATED) if changes else Action.UNCHANGED
+    shown = ", ".join(f"{path} {len(content):,} bytes" for path, content in built.documents.items())
+    outputs = {path: digest(content) for path, content in built.documents.items()}
+    made = Stamp(inputs, outputs, context=context, build_types=(name,))
+    return Step(STAGE, "", action, changes, shown), made, built.diagnostics
+
+
+def _refuse_edits(session: Session, key: str, documents: Mapping[str, bytes]) -> None:
+    """Raise an error for an existing document that is neither the recorded build nor the new one."""
+    for path, content in documents.items():
+        file = shared_folder(session) / path
+        existing = session.tree.read(file)
+        if existing is not None and existing != content and not session.state.wrote(STAGE, key, path, existing):
+            raise KeymintError(
+                "was edited by hand, and its sources changed too",
+                where=Origin(session.workspace.shown(file)),
+                help="'keymint build -f' discards the edit",
+                code="hand-edited",
+            )

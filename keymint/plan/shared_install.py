@@ -1,0 +1,276 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Sign and install the documents over all packages of a build type.
+
+They are written before any enclave: rights of a new subject admit nobody until its enclave is there, and the rights of
+a removed subject end before anything else changes.
+"""
+
+from __future__ import annotations
+
+import stat
+from collections.abc import Collection, Iterable, Mapping, Sequence
+from typing import cast
+
+from comarmor.errors import Diagnostic, Origin, Severity
+from keymint.api import AuthorityRole, BuildOptions, BuildType, Package, SharedCredentials, SharedDocuments
+from keymint.changes import Action, File, Step, file_mode
+from keymint.errors import KeymintError
+from keymint.plan.authorities import MintedAuthority
+from keymint.plan.enclaves import INSTALLED
+from keymint.plan.shared_documents import (
+    FOLDER,
+    STAGE,
+    SharedPlan,
+    build_shared,
+    built_shared,
+    by_folder,
+    is_current,
+    load_packages,
+    record_key,
+    removals,
+    shared_folder,
+    sources_digest,
+    users,
+)
+from keymint.plan.signing import authority_of
+from keymint.session import Session
+from keymint.state import Stamp, digest, digest_files
+from keymint.workspace import placed
+
+OUTDATED, HAND_EDITED = "build-outdated", "hand-edited"
+"""Codes of the diagnostics on stale builds and on documents that a person edited."""
+
+
+def plan_shared_install(
+    session: Session,
+    chosen: Collection[str],
+    authorities: Mapping[str, MintedAuthority],
+    orphans: Sequence[str] = (),
+) -> SharedPlan:
+    """Plan the installed shared documents of all build types.
+
+    Args:
+        session: the workspace and its profile.
+        chosen: the packages that this run installs.
+        authorities: the authorities that sign, by name.
+        orphans: the enclaves that this run removes.
+
+    Raises:
+        KeymintError: the documents were not built or cannot be signed, or are stale although enclaves are removed.
+    """
+    steps: list[Step] = []
+    stamps: dict[str, Stamp] = {}
+    diagnostics: list[Diagnostic] = []
+    of_types = users(session)
+    for name, names in of_types.items():
+        documents = built_shared(session, name)
+        if documents is None:
+            if not set(chosen).isdisjoint(names):
+                raise _not_built(session, name)
+            continue
+        if not is_current(session, name, names):
+            if orphans:
+                raise _outdated_removal(session, documents, orphans)
+            diagnostics.append(_outdated(session, documents))
+        chains = {authority: minted.chain for authority, minted in authorities.items()}
+        if is_installed(session, name, names, chains):
+            continue
+        step, stamp = _plan_documents(session, name, names, documents, authorities)
+        steps += [step] if step.changes else []
+        stamps[record_key(name)] = stamp
+        diagnostics += _edits(session, name, documents)
+    recorded = session.state.stamps.get(INSTALLED, {})
+    gone = [key for key in recorded if key.startswith(f"{FOLDER}/") and key.removeprefix(f"{FOLDER}/") not in of_types]
+    for key in gone:
+        changes = removals(session, session.workspace.install, recorded[key].outputs)
+        detail = f"shared documents of {key.removeprefix(f'{FOLDER}/')}"
+        steps.append(Step(INSTALLED, "", Action.REMOVED, changes, detail))
+    return SharedPlan(tuple(steps), stamps, tuple(gone), tuple(diagnostics))
+
+
+def is_installed(session: Session, build_type: str, names: Sequence[str], chains: Mapping[str, bytes]) -> bool:
+    """Tell whether installing the shared documents of a build type again would change no byte and no mode.
+
+    Args:
+        session: the workspace and its profile.
+        build_type: name of the build type.
+        names: its packages.
+        chains: certificates of the authorities by name.
+    """
+    stamp, documents = session.state.stamp(INSTALLED, record_key(build_type)), built_shared(session, build_type)
+    install = session.workspace.install
+    return (
+        stamp is not None
+        and documents is not None
+        and stamp.inputs == _inputs_digest(session, names, documents, chains)
+        and all(
+            (content := session.tree.try_read(install / path)) is not None
+            and digest(content) == value
+            and _has_mode(session, path, secret=path in stamp.secret)
+            for path, value in stamp.outputs.items()
+        )
+    )
+
+
+def installed_shared(session: Session, documents: Iterable[str]) -> dict[str, bytes]:
+    """Return the installed files that belong to shared documents, by path relative to the install space.
+
+    Args:
+        session: the workspace and its profile.
+        documents: paths of the documents; a file belongs to one if it has its path, perhaps with a suffix.
+
+    Raises:
+        KeymintError: a file cannot be read.
+    """
+    found: dict[str, bytes] = {}
+    install = session.workspace.install
+    for document in documents:
+        path = install / document
+        for entry, is_folder in session.tree.names(path.parent):
+            if not is_folder and belongs(entry, [path.name]):
+                content = session.tree.read(path.parent / entry)
+                if content is not None:
+                    found[str((path.parent / entry).relative_to(install))] = content
+    return found
+
+
+def shared_files(session: Session, build_type: str, names: Sequence[str]) -> dict[str, bytes]:
+    """Return the installed files that belong to the shared documents of a build type, by path.
+
+    Args:
+        session: the workspace and its profile.
+        build_type: name of the build type.
+        names: its packages.
+
+    Raises:
+        KeymintError: a file cannot be read; or there is no record of the documents, and a package has defects.
+    """
+    key = record_key(build_type)
+    recorded = session.state.stamp(STAGE, key)
+    if recorded is not None:
+        return installed_shared(session, recorded.outputs)
+    accepting = BuildOptions(allow_vendor_specific=True)
+    built = build_shared(session, build_type, load_packages(session, build_type, names), accepting)
+    return installed_shared(session, built.documents)
+
+
+def belongs(path: str, documents: Iterable[str]) -> bool:
+    """Tell whether a file belongs to one of some shared documents: it has its path, perhaps with a suffix."""
+    return any(path == each or path.startswith(f"{each}.") for each in documents)
+
+
+def shared_roles(loaded: Iterable[Package], build_type: BuildType) -> Mapping[str, tuple[AuthorityRole, ...]]:
+    """Return the authorities that packages have in each role, each name once.
+
+    Raises:
+        KeymintError: two packages have different authorities in a role that signs.
+    """
+    roles: dict[str, dict[str, AuthorityRole]] = {}
+    for package in loaded:
+        for role in build_type.authorities(package):
+            of_role = roles.setdefault(role.role, {})
+            of_role.setdefault(role.name, role)
+            first = next(iter(of_role.values()))
+            if role.signs and role.name != first.name:
+                raise KeymintError(
+                    f"{package.subject} has the authority {role.name!r} in the role {role.role!r}, another package "
+                    f"has {first.name!r} ({first.origin}), but the shared documents have one signer",
+                    where=role.origin,
+                    help="name the same authority in all packages",
+                    code="authority-mismatch",
+                )
+    return {name: tuple(of_role.values()) for name, of_role in roles.items()}
+
+
+def _plan_documents(
+    session: Session,
+    name: str,
+    names: Sequence[str],
+    documents: Mapping[str, bytes],
+    authorities: Mapping[str, MintedAuthority],
+) -> tuple[Step, Stamp]:
+    build_type = session.plugins.build_type(name)
+    loaded = load_packages(session, name, names)
+    roles = {
+        role: [(each, authority_of(authorities, each.name, each.origin)) for each in of_role]
+        for role, of_role in shared_roles(loaded, build_type).items()
+    }
+    credentials = SharedCredentials(
+        {role: b"".join(dict.fromkeys(minted.chain for _, minted in each)) for role, each in roles.items()},
+        {role: minted.signer for role, each in roles.items() for wanted, minted in each if wanted.signs},
+    )
+    existing = installed_shared(session, documents)
+    try:
+        artifacts = cast("SharedDocuments", build_type).install_shared(
+            loaded, documents, credentials, session.profile.layout, existing
+        )
+    except KeymintError as error:
+        raise KeymintError.of([placed(each, shared_folder(session)) for each in error.diagnostics]) from error
+    if foreign := [path for path in artifacts if not belongs(path, documents)]:
+        raise ValueError(f"{name} installs {foreign[0]!r}, which belongs to none of its shared documents")
+    stamp = session.state.stamp(INSTALLED, record_key(name))
+    different = {
+        path: File(artifact.content, secret=artifact.secret)
+        for path, artifact in artifacts.items()
+        if existing.get(path) != artifact.content or not _has_mode(session, path, secret=artifact.secret)
+    }
+    install = session.workspace.install
+    obsolete = set(stamp.outputs if stamp else ()) - set(artifacts)
+    changes = (*removals(session, install, obsolete), *by_folder(install, different))
+    action = Action.UPDATED if existing else Action.CREATED
+    chains = {authority: minted.chain for authority, minted in authorities.items()}
+    made = Stamp(
+        _inputs_digest(session, names, documents, chains),
+        {path: digest(artifact.content) for path, artifact in artifacts.items()},
+        tuple(path for path, artifact in artifacts.items() if artifact.secret),
+        build_types=(name,),
+    )
+    return Step(INSTALLED, "", action, changes, f"{', '.join(documents)}, for all enclaves"), made
+
+
+def _not_built(session: Session, name: str) -> KeymintError:
+    return KeymintError(
+        f"the shared documents of {name} are not built",
+        where=Origin(session.workspace.shown(shared_folder(session))),
+        help="run 'keymint build'",
+        code="not-built",
+    )
+
+
+def _places(session: Session, documents: Iterable[str]) -> Sequence[Origin]:
+    return [Origin(session.workspace.shown(shared_folder(session) / path)) for path in documents]
+
+
+def _outdated(session: Session, documents: Iterable[str]) -> Diagnostic:
+    where = next(iter(_places(session, documents)), None)
+    message, help_ = "is stale; signing the existing build", "'keymint build' rebuilds it"
+    return Diagnostic(OUTDATED, Severity.WARNING, message, where, help_)
+
+
+def _outdated_removal(session: Session, documents: Iterable[str], orphans: Sequence[str]) -> KeymintError:
+    return KeymintError(
+        f"is stale, and may still have the rights of /{orphans[0]}, whose enclave is to be removed",
+        where=next(iter(_places(session, documents)), None),
+        help="run 'keymint build' first",
+        code=OUTDATED,
+    )
+
+
+def _edits(session: Session, name: str, documents: Mapping[str, bytes]) -> Iterable[Diagnostic]:
+    """Yield a warning for each document that is signed although it differs from the built one."""
+    for where, (path, content) in zip(_places(session, documents), documents.items(), strict=True):
+        if not session.state.wrote(STAGE, record_key(name), path, content):
+            message, help_ = "was edited by hand; signing the edited document", "'keymint build -f' discards the edit"
+            yield Diagnostic(HAND_EDITED, Severity.WARNING, message, where, help_)
+
+
+def _inputs_digest(
+    session: Session, names: Sequence[str], documents: Mapping[str, bytes], chains: Mapping[str, bytes]
+) -> str:
+    return digest(sources_digest(session, names), digest_files(documents), digest_files(chains))
+
+
+def _has_mode(session: Session, path: str, *, secret: bool) -> bool:
+    """Tell whether a file on the disk has the mode that it should have; planned files will have it."""
+    status = session.tree.status(session.workspace.install / path)
+    return status is None or stat.S_IMODE(status.st_mode) & 0o777 == file_mode(secret=secret)
