@@ -157,8 +157,10 @@ class Session(Inputs):
         return self._infrastructure[src]
 
     def sources_digest(self, name: str) -> str:
-        """Return the digest of the files that a package is loaded from, those of its infrastructure included."""
-        return digest(*(digest_files(self.package_files(each)) for each in (name, *self.infrastructure())))
+        """Return the digest of all that a package is loaded from except the profile, its infrastructure included."""
+        infrastructure = self.infrastructure()
+        placed = (str(self.workspace.install),) if infrastructure else ()
+        return digest(*placed, *(digest_files(self.package_files(each)) for each in (name, *infrastructure)))
 
     def role(self, name: str) -> Role:
         """Return why a package exists; the role of a subject if there is none or its manifest has defects."""

@@ -156,7 +156,10 @@ class InfrastructurePackage:
 
 @runtime_checkable
 class Infrastructure(Protocol):
-    """Optional capability of a build type: its transport needs identities that are no subjects of the policy."""
+    """Optional capability of a build type: its transport needs identities that are no subjects of the policy.
+
+    The documents of such a workspace may name files by their absolute path, so they are built again when it moves.
+    """
 
     def packages(self, profile: WorkspaceProfile) -> Sequence[InfrastructurePackage]:
         """Return the packages that a workspace needs for them.

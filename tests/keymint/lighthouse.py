@@ -50,8 +50,9 @@ class LighthouseBuildType:
 
     def settings(self, sources: PackageSources) -> PackageSettings:
         lamp = sources.role is Role.INFRASTRUCTURE
+        at = sources.install_space
         usage = "serverAuth" if lamp else "clientAuth"
-        return PackageSettings(lamp, (Extension("extendedKeyUsage", usage, False, sources.parts["lighthouse"].where),))
+        return PackageSettings(at, (Extension("extendedKeyUsage", usage, False, sources.parts["lighthouse"].where),))
 
     def check_rules(self, rules: SubjectRules, distro: str) -> Sequence[Diagnostic]:
         dark = [rule for rule in rules.rules if rule.kind != "ros_topic"]
@@ -67,7 +68,7 @@ class LighthouseBuildType:
 
     def build(self, package: Package, options: BuildOptions) -> BuildResult:
         del options
-        towers = [each.identity.subject_name for each in package.infrastructure]
+        towers = [str(package.settings[NAME]), *(each.identity.subject_name for each in package.infrastructure)]
         return BuildResult(
             {"light.txt": "\n".join([*towers, *(str(each) for each in package.grant.rules.rules)]).encode()}
         )

@@ -136,7 +136,7 @@ def test_infrastructure_is_no_subject_of_the_policy(keymint, tmp_path: Path, pol
     policy.write_text(policy.read_text().replace("</profiles>", everybody))
     ws = prepared(keymint, tmp_path, policy, *LIGHT)
     assert "x" in (ws / "install/enclaves/talker/light.txt").read_text()
-    assert (ws / f"install/enclaves/{TOWER}/light.txt").read_bytes() == b""
+    assert (ws / f"install/enclaves/{TOWER}/light.txt").read_text() == str(ws / "install")
     policy.write_text(policy.read_text().replace("/chatter", "/other"))
     outcome = keymint("build", "-w", "ws")
     assert "2 source packages out of date with the policy: /robot1/listener, /talker" in outcome.err
@@ -156,6 +156,16 @@ def test_a_package_knows_the_infrastructure_of_its_build_types(keymint, tmp_path
     identities.write_text(identities.read_text().replace("<identity/>", named))
     assert keymint("build", "talker", "-w", "ws").code == 0
     assert "CN=beacon" in (ws / "build/talker/light.txt").read_text()
+
+
+def test_documents_that_name_the_install_space_are_built_again_when_it_moves(
+    keymint, tmp_path: Path, policy: Path
+) -> None:
+    prepared(keymint, tmp_path, policy, *LIGHT).rename(tmp_path / "moved")
+    rows = keymint("status", "-w", "moved", "--json").document["result"]["packages"]
+    assert {row["stale"] for row in rows} == {"build"}
+    assert keymint("build", "-w", "moved").code == 0
+    assert (tmp_path / "moved/build/talker/light.txt").read_text().startswith(f"{tmp_path}/moved/install\n")
 
 
 def test_the_policy_must_not_name_infrastructure(keymint, tmp_path: Path, policy: Path) -> None:
