@@ -6,6 +6,8 @@ from __future__ import annotations
 import json
 import os
 import shutil
+import subprocess
+import sys
 from collections.abc import Callable
 from pathlib import Path
 
@@ -83,6 +85,18 @@ def test_the_plugin_is_listed_with_its_version_and_location(environment: Environ
     assert mine["usable"] is True
     (line,) = (line for line in environment.keymint("plugins").splitlines() if THEIRS in line)
     assert {"keymint.build_types", "0.1.0", "keymint-json", "yes"} <= set(line.split())
+
+
+def test_the_plugin_has_the_types_of_the_interface(tmp_path: Path) -> None:
+    """The type checker compares the example with the protocol, member by member."""
+    checked = (
+        "from keymint.api import BuildType\nfrom keymint_json import build_type\nchecked: BuildType = build_type\n"
+    )
+    (tmp_path / "checked.py").write_text(checked)
+    (tmp_path / "mypy.ini").write_text(f"[mypy]\nstrict = true\nmypy_path = {CHECKOUT}:{PLUGIN}\n")
+    command = [sys.executable, "-m", "mypy", "--cache-dir", tmp_path / "cache", "checked.py"]
+    done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stdout + done.stderr
 
 
 def test_the_plugin_builds_and_installs(workspace: Path) -> None:

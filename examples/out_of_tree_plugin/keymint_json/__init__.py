@@ -16,6 +16,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
 from comarmor.errors import Diagnostic, Origin, Severity
+from comarmor.rules import PERMISSIONS
 from keymint.api import (
     Artifact,
     AuthorityRole,
@@ -49,8 +50,9 @@ class JsonBuildType:
     API = "2.0"
     TRANSPORT = "json"
     LAYOUTS: Mapping[str, Layout] = {"sros2": Layout("enclaves"), "flat": Layout("")}
-    READS = (".pem", ".p7s")
-    PARTS = ()
+    READS: tuple[str, ...] = (".pem", ".p7s")
+    KINDS: tuple[str, ...] = tuple(PERMISSIONS)
+    PARTS: tuple[str, ...] = ()
 
     def settings(self, sources: PackageSources) -> PackageSettings:
         """Read nothing: identity and grant have all that it needs."""

@@ -59,5 +59,5 @@ def graph_key(domain: int) -> KeyExpr:
 
 
 def own_tokens_key(domain: int, subject: str) -> KeyExpr:
-    """Return the keys of the tokens of an enclave, which only nodes that run in it (``--enclave``) use."""
+    """Return the keys of the tokens of an enclave, which only nodes that are started in it use."""
     return of_chunks((GRAPH, str(domain), *_TOKEN_IDS, subject.replace("/", "%"), ANY_CHUNKS))
