@@ -152,11 +152,7 @@ class Claim:
         reason: why it is unknown, in one line.
         spent: it is unknown because a limit was reached; with more states or time it may be decided.
         counterexample: if there is one.
-<<<<<<< HEAD
         excepted: what the sources leave open on purpose, one line each; the claim excludes them.
-=======
-        excepted: names that the sources open on purpose, one line each; the claim excludes them.
->>>>>>> 293699a (Help pages and the interface in neutral words; the type checker compares the example with the interface)
     """
 
     model: str
