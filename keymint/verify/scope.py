@@ -63,6 +63,12 @@ def installed_scopes(session: Session, names: Sequence[str]) -> InstalledScopes:
     """
     loaded = {name: session.package(name) for name in sorted(names)}
     chosen = {name: package for name, package in loaded.items() if package.role is Role.SUBJECT}
+    if loaded and not chosen:
+        raise KeymintError(
+            f"{' and '.join(loaded)} has no rights to verify: it belongs to the infrastructure of a transport",
+            help="name a package of a subject",
+            code="packages-none",
+        )
     if not chosen:
         raise KeymintError("there is no package to verify", help="run 'keymint create --all'", code="packages-none")
     there = set(installed(session))

@@ -1,5 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A second transport for tests: a board with the rights of all subjects decides, and no enclave's own document does."""
+"""A second transport for tests: a board with the rights of all subjects decides, and no enclave's own document does.
+
+The board hangs in an office that has an identity of its own, as infrastructure of the transport.
+"""
 
 from __future__ import annotations
 
@@ -22,6 +25,7 @@ from keymint.api import (
     EnclaveCredentials,
     Endpoint,
     Environment,
+    InfrastructurePackage,
     Inspection,
     Layout,
     Package,
@@ -30,15 +34,18 @@ from keymint.api import (
     Tier,
     Transport,
     Verdict,
+    WorkspaceProfile,
 )
 from keymint.graph import Edge
 
 NAME = "board"
 BOARD = "board/rights.txt"
+OFFICE = "office"
 
 
 class BoardBuildType:
-    """Implements :class:`keymint.api.BuildType` and :class:`keymint.api.ActionMapping`."""
+    """Implements :class:`keymint.api.BuildType`, :class:`keymint.api.ActionMapping` and
+    :class:`keymint.api.Infrastructure`."""
 
     API = API_VERSION
     TRANSPORT = "board"
@@ -47,6 +54,10 @@ class BoardBuildType:
     READS = (".pem",)
     KINDS = ("ros_topic", "ros_service", "ros_action", "ros_parameter")
     NOUN = "line of the board"
+
+    def packages(self, profile: WorkspaceProfile) -> Sequence[InfrastructurePackage]:
+        del profile
+        return (InfrastructurePackage(OFFICE, "the office"),)
 
     def settings(self, sources: PackageSources) -> PackageSettings:
         del sources
@@ -123,7 +134,9 @@ class Board:
         folders = {enclave.subject: enclave for enclave in enclaves}
         for edge in edges:
             enclave = folders[edge.subject]
-            assert (enclave.folder / "key.pem").exists() >= self.reads_keys
+            office = enclave.install / "enclaves" / OFFICE
+            assert (office / "cert.pem").exists()
+            assert all((folder / "key.pem").exists() >= self.reads_keys for folder in (office, enclave.folder))
             verdicts = [
                 self._decide(enclave.install / BOARD, edge.subject, action, edge.object.name + suffix)
                 for _, action, suffix in parts(edge.object.kind, edge.permission)
