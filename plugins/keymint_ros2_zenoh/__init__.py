@@ -15,7 +15,8 @@ class Zenoh:
     """The build type for Zenoh's access control, as rmw_zenoh uses Zenoh.
 
     Implements :class:`keymint.api.BuildType`, :class:`keymint.api.SharedDocuments`,
-    :class:`keymint.api.Infrastructure`, :class:`keymint.api.RuleCheck` and :class:`keymint.api.ActionMapping`.
+    :class:`keymint.api.Infrastructure`, :class:`keymint.api.RuleCheck`, :class:`keymint.api.ActionMapping`,
+    :class:`keymint.api.Prover` and :class:`keymint.api.SharedProver`.
     """
 
     API = API_VERSION
@@ -41,6 +42,12 @@ class Zenoh:
     check_shared = lazy("keymint_ros2_zenoh.check:check_shared")
     actions = lazy("keymint_ros2_zenoh.lowering.actions:actions")
     check_rules = lazy("keymint_ros2_zenoh.lowering.rule_check:check_rules")
+
+    differences = lazy("keymint_ros2_zenoh.proving.trust:differences")
+    terms = lazy("keymint_ros2_zenoh.proving.trust:terms")
+    assumptions = lazy("keymint_ros2_zenoh.proving.enclave_proof:assumptions")
+    prove = lazy("keymint_ros2_zenoh.proving.enclave_proof:prove")
+    prove_shared = lazy("keymint_ros2_zenoh.proving.shared_proof:prove_shared")
 
 
 build_type = Zenoh()
