@@ -196,7 +196,7 @@ class _ProofRun:
         package = session.package(name)
         build_types = tuple(build_types_of(session, package))
         inputs = self._inputs_digest(name, files, build_types)
-        rules = _rules(self._policy, package.subject)
+        rules = self._rules(package.subject)
         proof = self._proof(package, rules, files)
         self._proofs.append(proof)
         self._keep(name, proof, (rules,), Stamp(inputs, {}, build_types=build_types), folder)
@@ -219,7 +219,7 @@ class _ProofRun:
         if stamp and cached and self._same_rules(key, stamp, subjects):
             self._shared_proofs.append(EnclaveProof("", cached[0], cached=True, build_type=name))
             return
-        rules = {subject: _rules(self._policy, subject) for subject in subjects}
+        rules = {subject: self._rules(subject) for subject in subjects}
         try:
             packages = load_packages(session, name, names)
             task = SharedProofTask(
@@ -267,7 +267,7 @@ class _ProofRun:
         """Tell whether the policy has the same rules for some subjects as when the stamp was made."""
         if stamp.context == self._policy_digest:
             return True
-        if not proof_record.has_rules(stamp, [_rules(self._policy, subject) for subject in subjects]):
+        if not proof_record.has_rules(stamp, [self._rules(subject) for subject in subjects]):
             return False
         self._stamps[key] = replace(stamp, context=self._policy_digest)
         return True
@@ -345,6 +345,7 @@ class _ProofRun:
             inputs_digest(self._session, name), digest_files(files), *shared, digest_files(self._chains), __version__
         )
 
-
-def _rules(policy: LoadedPolicy, subject: str) -> SubjectRules:
-    return policy.rules(subject) or SubjectRules(subject, ())
+    def _rules(self, subject: str) -> SubjectRules:
+        """Return the policy's rules for a subject; none for infrastructure, even if a profile is for every subject."""
+        of_subject = self._session.role(subject.removeprefix("/")) is Role.SUBJECT
+        return (self._policy.rules(subject) if of_subject else None) or SubjectRules(subject, ())

@@ -130,6 +130,7 @@ class NoticeBoard:
 
     def prove_shared(self, task: api.SharedProofTask) -> Sequence[api.Claim]:
         assert {f"/{package.name}" for package in task.packages} == task.rules.keys()
+        assert not any(task.rules[each.subject].rules for each in task.packages if each.role is api.Role.INFRASTRUCTURE)
         known = {package.subject for package in task.packages}
         strangers = [subject for subject in json.loads(task.shared.get(BOARD, b"{}")) if subject not in known]
         where = f"{task.shared_folder}/{BOARD}"

@@ -353,3 +353,19 @@ def test_two_build_types_that_write_one_file_differently(keymint, ws: Path, monk
     outcome = keymint("install", "--no-prove", cwd=ws)
     assert outcome.code == 1
     assert f"the build types keymint_ros2_dds and {NAME} both write identity_ca.cert.pem, each its own" in outcome.err
+
+
+def test_a_profile_for_every_subject_gives_nothing_to_infrastructure(keymint, ws: Path) -> None:
+    office = ws / "src/office"
+    office.mkdir()
+    build_type = f"<export><build_type>{NAME}</build_type></export>"
+    (office / "keymint_package.xml").write_text(f"<package><role>infrastructure</role>{build_type}</package>")
+    everybody = "<profile name='all'><attachment>/**</attachment><ros_topic qualifier='ALLOW'>"
+    everybody += "<attachment>/x</attachment><permissions><ros_publish/></permissions></ros_topic></profile></profiles>"
+    policy = ws.parent / "policy.xml"
+    policy.write_text(policy.read_text().replace("</profiles>", everybody))
+    for verb in (("create", "--all"), ("build",), ("install",), ("prove",)):
+        outcome = keymint(*verb, cwd=ws)
+        assert outcome.code == 0, outcome.err
+    assert board(ws)["/office"] == []
+    assert all(any("/x" in line for line in board(ws)[subject]) for subject in (TALKER, LISTENER))
