@@ -3,6 +3,9 @@
 
 from __future__ import annotations
 
+import os
+import shutil
+import subprocess
 from collections.abc import Callable
 from pathlib import Path
 
@@ -10,6 +13,8 @@ import pytest
 from cryptography import x509
 from cryptography.x509.oid import ExtendedKeyUsageOID
 from keymint_ros2_zenoh.documents.read import read
+
+from tests.conftest import CHECKOUT
 
 ENCLAVES = ("listener", "talker", "zenoh_router")
 
@@ -22,6 +27,14 @@ def ws(keymint: Callable, tmp_path: Path) -> Path:
         where = [] if arguments[0] == "init" else ["-w", folder]
         assert keymint(*arguments, *where).code == 0
     return folder
+
+
+def router_file(ws: Path) -> bytes:
+    return (ws / "install/zenoh/router.json5").read_bytes()
+
+
+def subjects(ws: Path) -> list[str]:
+    return [each.id for each in read(router_file(ws), "router.json5").access_control.subjects]
 
 
 def certificate(ws: Path, name: str) -> x509.Certificate:
@@ -59,3 +72,84 @@ def test_a_second_run_changes_nothing(ws: Path, keymint: Callable) -> None:
     for verb in ("build", "install"):
         assert keymint(verb, "-w", ws).code == 0
     assert {path: path.read_bytes() for path in ws.rglob("*") if path.is_file()} == before
+
+
+@pytest.mark.skipif(shutil.which("openssl") is None, reason="needs openssl")
+def test_openssl_verifies_the_signature_of_the_router_file(ws: Path) -> None:
+    options = ["-binary", "-no_check_time", "-inform", "DER", "-in", "install/zenoh/router.json5.p7s"]
+    files = ["-content", "install/zenoh/router.json5", "-CAfile", "public/permissions_ca.cert.pem", "-out", os.devnull]
+    subprocess.run(["openssl", "cms", "-verify", *options, *files], cwd=ws, capture_output=True, check=True)
+
+
+def test_all_claims_are_proven(ws: Path, keymint: Callable) -> None:
+    proof = keymint("prove", "-w", ws, "--json")
+    assert proof.code == 0
+    result = proof.document["result"]
+    assert {each["subject"]: each["proof"] for each in result["enclaves"]} == dict.fromkeys(
+        ("/listener", "/talker", "/zenoh_router"), "proven"
+    )
+    assert [each["proof"] for each in result["shared"]] == ["proven"]
+
+
+def test_another_policy_changes_the_router_file_and_no_session(ws: Path, keymint: Callable) -> None:
+    before, sessions = router_file(ws), {name: _session(ws, name) for name in ("talker", "listener")}
+    policy = ws / "profile/comarmor.d/talker_listener.xml"
+    policy.write_text(policy.read_text().replace("/chatter", "/gossip"))
+    for arguments in (["create", "--all"], ["build"], ["install"]):
+        assert keymint(*arguments, "-w", ws).code == 0
+    assert router_file(ws) != before
+    assert b"/gossip/" in router_file(ws)
+    assert b"/chatter/" not in router_file(ws)
+    assert {name: _session(ws, name) for name in sessions} == sessions
+    assert keymint("check", "-w", ws).code == 0
+
+
+def _session(ws: Path, name: str) -> bytes:
+    return (ws / "install/enclaves" / name / "session.json5").read_bytes()
+
+
+def test_a_removed_package_has_no_rights_left(ws: Path, keymint: Callable) -> None:
+    assert subjects(ws) == ["/listener", "/talker"]
+    shutil.rmtree(ws / "src/talker")
+    assert keymint("build", "-w", ws).code == 0
+    assert keymint("install", "-w", ws, "--prune").code == 0
+    assert subjects(ws) == ["/listener"]
+    assert not (ws / "install/enclaves/talker").exists()
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "code"),
+    [
+        (b'"default_permission": "deny"', b'"default_permission": "allow"', "zenoh-default"),
+        (b', "cert_common_names": ["/talker"]', b"", "zenoh-wildcard-subject"),
+        (b"{", b"{ // as before", "zenoh-signature"),
+    ],
+)
+def test_an_altered_router_file_is_found(ws: Path, keymint: Callable, old: bytes, new: bytes, code: str) -> None:
+    path = ws / "install/zenoh/router.json5"
+    assert old in path.read_bytes()
+    path.write_bytes(path.read_bytes().replace(old, new, 1))
+    found = keymint("check", "-w", ws, "--json")
+    assert found.code == 3
+    assert {code, "zenoh-signature"} <= set(found.codes())
+    assert keymint("prove", "-w", ws).code == 3
+
+
+def test_another_host_gives_the_router_another_certificate(ws: Path, keymint: Callable) -> None:
+    defaults = ws / "profile/package.defaults/zenoh.xml"
+    defaults.write_text(defaults.read_text().replace("<host>localhost<", "<host>10.0.0.7<"))
+    for verb in ("build", "install"):
+        assert keymint(verb, "-w", ws).code == 0
+    names = certificate(ws, "zenoh_router").extensions.get_extension_for_class(x509.SubjectAlternativeName).value
+    assert [str(each) for each in names.get_values_for_type(x509.IPAddress)] == ["10.0.0.7"]
+    assert read(_session(ws, "talker"), "session.json5").connect == ("tls/10.0.0.7:7447",)
+    assert keymint("check", "-w", ws).code == 0
+
+
+def test_both_transports_share_an_enclave(keymint: Callable, tmp_path: Path) -> None:
+    ws = tmp_path / "both"
+    policy = CHECKOUT / "examples/fleet/fleet.xml"
+    assert keymint("provision", policy, "-w", ws, "--transport", "dds", "--transport", "zenoh").code == 0
+    files = {path.name for path in (ws / "install/enclaves/robot1/base").iterdir()}
+    assert {"session.json5", "permissions.p7s", "governance.p7s", "cert.pem", "key.pem"} <= files
+    assert keymint("check", "-w", ws).code == 0

@@ -9,7 +9,7 @@ from types import ModuleType
 from typing import Any
 
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from keymint_ros2_zenoh.documents import json5
 
@@ -204,3 +204,35 @@ def _same(ours: Any, theirs: Any) -> bool:
     if isinstance(ours, int | float) and not isinstance(ours, bool):
         return not isinstance(theirs, bool) and math.isclose(ours, theirs)
     return type(ours) is type(theirs) and bool(ours == theirs)
+
+
+PIECES = st.sampled_from(
+    [
+        *("{", "}", "[", "]", ":", ",", '"', "'", "\\", "//", "/*", "*/"),
+        *("\n", "\r", " ", "\t", "\x0b", "\u2028", "\ufeff", "\u00a0", "ä", "#"),
+        *("a", "b", "0", "-", "+", ".", "e", "0x", "NaN", "null", "true"),
+        *("\\u0061", "\\x61", "\\\n", "\\0"),
+    ]
+)
+BASE = ["{", "metadata", ":", "{", "a", ":", "[", "1", ",", '"b"', "]", ",", "b", ":", "'c'", "}", "}"]
+
+
+@given(st.lists(st.tuples(st.integers(0, len(BASE)), PIECES, st.booleans()), min_size=1, max_size=3))
+@settings(max_examples=400, deadline=None)
+def test_mutations_are_read_as_zenoh_reads_them_or_refused(
+    zenoh: ModuleType, edits: list[tuple[int, str, bool]]
+) -> None:
+    parts = list(BASE)
+    for at, piece, replaces in edits:
+        parts[at : at + replaces] = [piece]
+    text = "".join(parts)
+    try:
+        ours = plain(text)
+    except KeymintError:
+        return
+    try:
+        theirs = json.loads(zenoh.Config.from_json5(text).get_json("metadata"))
+    except zenoh.ZError:
+        return  # no router starts with it
+    assert isinstance(ours, dict)
+    assert _same(ours.get("metadata"), theirs), (text, ours, theirs)
