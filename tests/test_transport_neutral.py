@@ -48,7 +48,13 @@ _CAMEL_CASE = re.compile(r"(?<=[a-z0-9])(?=[A-Z])")
 _SEEN = frozenset({tokenize.NAME, tokenize.STRING, tokenize.COMMENT, getattr(tokenize, "FSTRING_MIDDLE", -1)})
 FOLDERS = ("keymint", "comarmor")
 SOURCES = sorted(path for folder in FOLDERS for path in (CHECKOUT / folder).rglob("*.py"))
-SCHEMAS = sorted(path for folder in FOLDERS for path in (CHECKOUT / "schemas" / folder).iterdir() if path.is_file())
+OTHERS = sorted(
+    path
+    for folder in (*FOLDERS, "schemas/comarmor", "schemas/keymint")
+    for path in (CHECKOUT / folder).rglob("*")
+    if path.suffix in {".xsd", ".json", ".j2", ".css", ".js"}
+)
+"""Schemas of the language and of graphs, and the templates of pictures."""
 
 
 class Allowed(NamedTuple):
@@ -101,8 +107,8 @@ def test_every_exception_is_needed() -> None:
     assert len({(each.file, each.word) for each in EXCEPTIONS}) == len(EXCEPTIONS)
 
 
-@pytest.mark.parametrize("path", SCHEMAS, ids=name_of)
-def test_no_schema_of_the_language_or_of_a_graph_names_a_transport(path: Path) -> None:
+@pytest.mark.parametrize("path", OTHERS, ids=name_of)
+def test_no_schema_or_template_names_a_transport(path: Path) -> None:
     assert [(word, line + 1) for word, line in words(path.read_text())] == []
 
 
