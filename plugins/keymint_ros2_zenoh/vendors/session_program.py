@@ -69,9 +69,9 @@ class _Commands:
         self._declared[session] += [self._sessions[session].declare_publisher(key) for key in keys]
 
     def put(self, session: str, samples: list[tuple[str, str]]) -> None:
-        """Publish (key, text) pairs, by a publisher that is not declared."""
+        """Publish (key, text) pairs, by a publisher that is not declared; none is dropped because of a full queue."""
         for key, text in samples:
-            self._sessions[session].put(key, text)
+            self._sessions[session].put(key, text, congestion_control=zenoh.CongestionControl.BLOCK)
 
     def publish(self, session: str, samples: list[tuple[str, str]]) -> None:
         """Publish (key, text) pairs, each by a publisher that is declared once, as a ROS node does.

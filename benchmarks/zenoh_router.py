@@ -1,0 +1,161 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Measure what the file of one Zenoh router costs that holds the rights of N enclaves: build, start, and each message.
+
+usage: python benchmarks/zenoh_router.py [--sizes 10,100,1000] [--messages N] [--repeat 3]
+
+Beside each measurement runs its baseline: the build of the same policy for DDS; and a router, with the same
+certificates, whose access control has one rule, which allows everything to two enclaves. Compare the ratios. Builds
+are measured in processor time, the router in time: it has all of a quiet machine, or a part of a busy one.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from keymint_ros2_zenoh.messages import Flow, Message
+from keymint_ros2_zenoh.vendors import loopback
+from keymint_ros2_zenoh.vendors.loopback_ports import free_port
+from keymint_ros2_zenoh.vendors.zenoh_processes import ZenohProcess, ZenohSystem
+from provision import policy, spent
+
+KEYMINT = (sys.executable, "-m", "keymint")
+SENDER, RECEIVER = "robot0/talker", "robot1/talker"
+OPEN = {
+    "enabled": True,
+    "default_permission": "deny",
+    "rules": [
+        {"id": "all", "messages": list(Message), "flows": list(Flow), "permission": "allow", "key_exprs": ["**"]}
+    ],
+    "subjects": [{"id": "two", "cert_common_names": [f"/{SENDER}", f"/{RECEIVER}"]}],
+    "policies": [{"rules": ["all"], "subjects": ["two"]}],
+}
+"""The baseline's access control."""
+_TRIES = 100
+"""How often the first message is sent, until the subscription has reached the sender."""
+
+
+@dataclass(frozen=True, slots=True)
+class Running:
+    """The time that a router needed to start, and messages per second from one enclave to another."""
+
+    start: float
+    rate: float
+
+
+def build(folder: Path, source: Path, transport: str) -> tuple[Path, float]:
+    """Create a workspace for a transport and build it; return it, and the processor time of the build."""
+    workspace = folder / transport
+    _run("init", workspace, "--policy", source, "--transport", transport)
+    _run("create", "--all", "-w", workspace)
+    begin = spent()
+    _run("build", "-w", workspace)
+    return workspace, spent() - begin
+
+
+def route(system: ZenohSystem, install: Path, messages: int, access_control: object | None) -> Running:
+    """Start the installed router and let one enclave publish to another.
+
+    Args:
+        system: the processes.
+        install: the install space.
+        messages: how many messages, on as many keys.
+        access_control: what replaces the router's own.
+    """
+    process, sessions, port = system.start(), system.start(), str(free_port())
+    ports = {"7447": port}
+    enclaves = install / "enclaves"
+    changes = loopback.router_changes(["tls/127.0.0.1:7447"], ports) | _paths("listen", enclaves / "zenoh_router")
+    if access_control is not None:
+        changes["access_control"] = access_control
+    begin = time.perf_counter()
+    process.open("router", install / "zenoh/router.json5", changes)
+    start = time.perf_counter() - begin
+    for name in (SENDER, RECEIVER):
+        changes = loopback.session_changes(["tls/localhost:7447"], ports) | _paths("connect", enclaves / name)
+        sessions.open(name, enclaves / name / "session.json5", changes)
+    rate = _rate(sessions, messages)
+    process.reap()
+    sessions.reap()
+    return Running(start, rate)
+
+
+def _rate(sessions: ZenohProcess, messages: int) -> float:
+    """Return messages per second on the keys of a topic that all nodes may publish and subscribe."""
+    key = "0/parameter_events/rcl_interfaces::msg::dds_::ParameterEvent_"
+    sessions.ask("subscribe", session=RECEIVER, keys={"box": f"{key}/*"})
+    for number in range(_TRIES):
+        text = f"warm {number}"
+        sessions.ask("put", session=SENDER, samples=[(f"{key}/warm", text)])
+        if any(each == text for _, each in sessions.ask("received", names=["box"], last=text, wait=0.1)["box"]):
+            break
+    samples = [(f"{key}/RIHS{number}", f"text {number}") for number in range(messages)]
+    begin = time.perf_counter()
+    sessions.ask("put", session=SENDER, samples=samples)
+    found = sessions.ask("received", names=["box"], last=samples[-1][1], wait=30.0)["box"]
+    seconds = time.perf_counter() - begin
+    if sum(text.startswith("text") for _, text in found) != messages:
+        raise SystemExit(f"{len(found)} of {messages} messages arrived")
+    return messages / seconds
+
+
+def _paths(role: str, folder: Path) -> dict[str, object]:
+    names = {"root_ca_certificate": "identity_ca.cert.pem", f"{role}_certificate": "cert.pem"}
+    return loopback.path_changes({**names, f"{role}_private_key": "key.pem"}, lambda name: folder / name)
+
+
+def _run(*words: object) -> None:
+    subprocess.run([*KEYMINT, *map(str, words), "-q"], check=True)
+
+
+def measure(size: int, messages: int, repeat: int) -> None:
+    """Measure a size, and print a row."""
+    with tempfile.TemporaryDirectory() as scratch, ZenohSystem(os.environ) as system:
+        source = Path(scratch) / "policy.xml"
+        source.write_text(policy(size))
+        _, dds = build(Path(scratch), source, "dds")
+        workspace, zenoh = build(Path(scratch), source, "zenoh")
+        _run("install", "--no-prove", "-w", workspace)
+        install = workspace / "install"
+        own = [route(system, install, messages, None) for _ in range(repeat)]
+        bare = [route(system, install, messages, OPEN) for _ in range(repeat)]
+        document = (install / "zenoh/router.json5").stat().st_size
+        print(
+            f"| {size} | {document / 1000:,.0f} kB | {zenoh / size * 1000:.1f} ms | {zenoh / dds:.2f} "
+            f"| {_start(own) * 1000:,.0f} ms | {_start(own) / _start(bare):.1f} "
+            f"| {_best(own):,.0f}/s | {_best(own) / _best(bare):.2f} |",
+            flush=True,
+        )
+
+
+def _start(runs: Sequence[Running]) -> float:
+    return min(run.start for run in runs)
+
+
+def _best(runs: Sequence[Running]) -> float:
+    return max(run.rate for run in runs)
+
+
+def main() -> int:
+    """Measure and print."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--sizes", default="10,100,1000")
+    parser.add_argument("--messages", type=int, default=20_000)
+    parser.add_argument("--repeat", type=int, default=3)
+    options = parser.parse_args()
+    print("| enclaves | file | build / N | build / DDS | start | start / bare | messages | messages / bare |")
+    print("|---|---|---|---|---|---|---|---|")
+    for size in map(int, options.sizes.split(",")):
+        measure(size, options.messages, options.repeat)
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
