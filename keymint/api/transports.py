@@ -170,5 +170,6 @@ class ActionMapping(Protocol):
             edge: an edge of a kind that the build type can express.
 
         Raises:
-            KeymintError: the distribution or the permission is not known.
+            KeymintError: the distribution or the permission is not known, or nothing on the transport can have the name
+                of the edge (code ``name-impossible``); ``verify`` does not try names that it makes up then.
         """

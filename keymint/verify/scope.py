@@ -9,9 +9,9 @@ from functools import cache
 from pathlib import Path
 
 from comarmor.text import did_you_mean
-from keymint.api import Enclave, LoadedPolicy, NameMapping, Package, Role
+from keymint.api import ActionMapping, Enclave, LoadedPolicy, NameMapping, Package, Role
 from keymint.errors import KeymintError
-from keymint.graph import Edge, Graph, complete
+from keymint.graph import Edge, Graph, Object, complete
 from keymint.ir import SubjectRules
 from keymint.plan.enclaves import installed
 from keymint.session import Inputs, Session
@@ -29,6 +29,7 @@ class VerificationScope:
         enclaves: installed enclaves by subject, sorted.
         namings: the naming of each subject, if the build type has one.
         domains: the first domain of each subject's grant.
+        actions: what its transports must permit for an edge, if the build type tells.
     """
 
     build_type: str
@@ -36,6 +37,7 @@ class VerificationScope:
     enclaves: Mapping[str, Enclave]
     namings: Mapping[str, Naming]
     domains: Mapping[str, int]
+    actions: ActionMapping | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -107,13 +109,14 @@ def _scope(
     """Return the scope of a build type."""
     built = {subject: packages[subject] for subject in sorted(packages) if name in packages[subject].build_types}
     namings = {subject: naming_of(session, package, name) for subject, package in built.items()}
-    where = session.package_marker(next(iter(built.values())).name)
+    build_type = session.plugins.build_type(name, session.package_marker(next(iter(built.values())).name))
     return VerificationScope(
         name,
-        frozenset(session.plugins.build_type(name, where).KINDS),
+        frozenset(build_type.KINDS),
         {subject: enclaves[subject] for subject in built},
         {subject: naming for subject, naming in namings.items() if naming},
         {subject: package.grant.domains[0].first for subject, package in built.items() if package.grant.domains},
+        build_type if isinstance(build_type, ActionMapping) else None,
     )
 
 
@@ -172,4 +175,18 @@ def edges_of_policy(policy: LoadedPolicy, scope: VerificationScope) -> Callable[
         naming = scope.namings.get(edge.subject)
         return naming.endpoints(edge) if naming else ()
 
-    return lambda: probes.edges(rules, scope.domains, scope.kinds, mentioned, needed)
+    @cache
+    def has_name(distro: str, permission: str, object_: Object) -> bool:
+        """Return whether an object can have its name on the transport: a probing name may be none."""
+        try:
+            if scope.actions is not None:
+                scope.actions.actions(distro, Edge("", permission, object_))
+        except KeymintError as error:
+            return error.diagnostics[0].code != "name-impossible"
+        return True
+
+    return lambda: (
+        edge
+        for edge in probes.edges(rules, scope.domains, scope.kinds, mentioned, needed)
+        if has_name(scope.enclaves[edge.subject].distro, edge.permission, edge.object)
+    )

@@ -27,7 +27,8 @@ def actions(distro: str, edge: Edge) -> tuple[Endpoint, ...]:
         edge: an edge on a ROS name.
 
     Raises:
-        KeymintError: the distribution has no rmw_zenoh, or Zenoh cannot express the edge.
+        KeymintError: the distribution has no rmw_zenoh, or Zenoh cannot express the edge; with the code
+            ``name-impossible`` if no key can have its name.
     """
     return tuple(_endpoints(edge, slots_of(distro, edge.object.kind, edge.permission)))
 
@@ -53,6 +54,6 @@ def _endpoints(edge: Edge, slots: tuple[tuple[Slot, str], ...]) -> Iterator[Endp
         try:
             data = data_key(edge.domain, canonical(f"{edge.object.name}{suffix}".removeprefix("/")))
         except KeyExprError as error:
-            raise KeymintError(f"{edge.object.name!r} is no ROS name: {error}", code="name") from None
+            raise KeymintError(f"{edge.object.name!r} is no ROS name: {error}", code="name-impossible") from None
         key = data if slot.place is Place.DATA else advanced_key(data)
         yield Endpoint(edge.subject, slot.action, key.text, domain=edge.domain)

@@ -51,8 +51,8 @@ def test_composite_permissions(kind: str, permission: str) -> None:
     [
         ("topic", "publish", "rt/a", "permission-unknown"),
         ("ros_topic", "ros_relay", "/a", "permission-unknown"),
-        ("ros_topic", "ros_publish", "//a", "name"),
-        ("ros_topic", "ros_publish", "/a#", "name"),
+        ("ros_topic", "ros_publish", "//a", "name-impossible"),
+        ("ros_topic", "ros_publish", "/a#", "name-impossible"),
     ],
 )
 def test_what_zenoh_does_not_have(kind: str, permission: str, name: str, code: str) -> None:
