@@ -18,7 +18,7 @@ from keymint_ros2_zenoh.lowering.slots import action
 from keymint_ros2_zenoh.messages import Flow, Message
 from keymint_ros2_zenoh.proving import policy_evaluator
 from keymint_ros2_zenoh.proving.automaton import Automaton
-from keymint_ros2_zenoh.proving.key_search import Side, difference
+from keymint_ros2_zenoh.proving.key_search import Side, difference, side_of
 from keymint_ros2_zenoh.proving.policy_side import KeyLists, PolicySide, domain_ids
 from keymint_ros2_zenoh.proving.router_side import LinkRights, RouterRights
 
@@ -118,7 +118,7 @@ class _Rights:
         if any(not denied and (session.open or _include(allowed, needed)) for allowed, denied in own):
             return None
         side = self._side(own, everything=session.open)
-        result = self._compare((*self._side(permitted), *side), side)
+        result = self._compare(side_of((*self._side(permitted), *side)), side)
         if isinstance(result, Unknown):
             return self.claim(message, flow, Proof.UNKNOWN, result.reason, spent=True)
         if isinstance(result, Equal):
@@ -145,11 +145,10 @@ class _Rights:
         """
         nodes = self._automaton
         more = (nodes.everything,) if everything else ()
-        entries = (
+        return side_of(
             (frozenset((*map(nodes.key_expr, allowed), *more)), frozenset(map(nodes.key_expr, denied)))
             for allowed, denied in lists
         )
-        return tuple(sorted((entry for entry in entries if entry[0]), key=lambda entry: tuple(map(sorted, entry))))
 
     def _compare(self, policy: Side, router: Side) -> ProofResult:
         key = (policy, router)

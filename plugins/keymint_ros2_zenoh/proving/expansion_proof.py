@@ -11,7 +11,7 @@ from comarmor.patterns.glob import Glob
 from keymint_ros2_zenoh.keyexpr.expansion import key_exprs
 from keymint_ros2_zenoh.lowering.names import data_key
 from keymint_ros2_zenoh.proving.automaton import Automaton
-from keymint_ros2_zenoh.proving.key_search import difference
+from keymint_ros2_zenoh.proving.key_search import difference, side_of
 
 
 @lru_cache(maxsize=1 << 14)
@@ -30,4 +30,5 @@ def compare(pattern: Glob, states: int) -> ProofResult:
     automaton = Automaton()
     names = frozenset(automaton.names(0, rest) for rest in glob.after(pattern, "/"))
     keys = frozenset(automaton.key_expr(data_key(0, each)) for each in key_exprs(pattern))
-    return difference(automaton, ((names, frozenset()),), ((keys, frozenset()),), SearchBudget(states))
+    left, right = (side_of(((nodes, frozenset()),)) for nodes in (names, keys))
+    return difference(automaton, left, right, SearchBudget(states))

@@ -21,8 +21,8 @@ from keymint_ros2_zenoh.keyexpr.key_expr import VERBATIM
 from keymint_ros2_zenoh.proving.automaton import IN_CHUNK, START, Automaton
 
 Nodes = frozenset[int]
-Side = tuple[tuple[Nodes, Nodes], ...]
-"""For each entry the nodes that it allows, and those that it denies."""
+Side = frozenset[tuple[Nodes, Nodes]]
+"""For each entry the nodes that it allows, and those that it denies; made by :func:`side_of`."""
 
 _LEGIBLE = string.ascii_lowercase + "_" + string.ascii_uppercase + string.digits + "/@%:-."
 _LETTERS = charset((ord(char), ord(char)) for char in string.ascii_letters + "_")
@@ -86,14 +86,18 @@ def _nodes(state: _State) -> Iterator[int]:
         yield from denied
 
 
+def side_of(entries: Iterable[tuple[Nodes, Nodes]]) -> Side:
+    """Return a side; entries that deny the same become one, and one that allows nothing is left out."""
+    together: dict[Nodes, Nodes] = {}
+    for allowed, denied in entries:
+        if allowed:
+            together[denied] = together.get(denied, frozenset()) | allowed
+    return frozenset((allowed, denied) for denied, allowed in together.items())
+
+
 def _step(automaton: Automaton, side: Side, char: str) -> Side:
-    """Return the side after a character; an entry that allows nothing more denies nothing more either."""
-    entries = []
-    for allowed, denied in side:
-        after = automaton.step(allowed, char)
-        if after:
-            entries.append((after, automaton.step(denied, char)))
-    return tuple(entries)
+    """Return the side after a character."""
+    return side_of((automaton.step(allowed, char), automaton.step(denied, char)) for allowed, denied in side)
 
 
 def _permits(automaton: Automaton, side: Side) -> bool:

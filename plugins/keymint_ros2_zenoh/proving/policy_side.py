@@ -37,15 +37,21 @@ class PolicySide:
     domains: tuple[int, ...]
 
     def permitted(self, message: Message, flow: Flow) -> KeyLists:
-        """Return what the policy permits: an entry for each permission that needs the message."""
-        entries = []
-        for place in Place:
-            slot = Slot(message, flow, place)
-            for permission in sorted(USERS[slot]):
-                allowed, denied = (self.names.patterns(effect, permission) for effect in (Effect.ALLOW, Effect.DENY))
-                entries.append((self._keys(place, allowed), self._keys(place, denied)))
-        entries.append((tuple(self._graph(message, flow)), ()))
-        return tuple(entry for entry in entries if entry[0])
+        """Return what the policy permits: an entry for each permission that needs the message on data.
+
+        What is permitted beside data and for the graph is part of the first entry: no key belongs to two of these, so
+        that a denial of one concerns no other.
+        """
+        data, beside = ([*self._of(Slot(message, flow, place))] for place in (Place.DATA, Place.ADVANCED))
+        (allowed, denied), *others = data or [((), ())]
+        for more_allowed, more_denied in beside:
+            allowed, denied = (*allowed, *more_allowed), (*denied, *more_denied)
+        return ((*allowed, *self._graph(message, flow)), denied), *others
+
+    def _of(self, slot: Slot) -> Iterator[tuple[tuple[KeyExpr, ...], tuple[KeyExpr, ...]]]:
+        for permission in sorted(USERS[slot]):
+            allowed, denied = (self.names.patterns(effect, permission) for effect in (Effect.ALLOW, Effect.DENY))
+            yield self._keys(slot.place, allowed), self._keys(slot.place, denied)
 
     def expressible(self, message: Message, flow: Flow) -> KeyLists:
         """Return what one list of denials can express: where permissions share a message, more than :meth:`permitted`.

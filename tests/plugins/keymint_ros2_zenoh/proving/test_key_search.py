@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from keymint_ros2_zenoh.keyexpr.key_expr import KeyExpr, canonical, parse
 from keymint_ros2_zenoh.keyexpr.relations import includes
 from keymint_ros2_zenoh.proving.automaton import Automaton
-from keymint_ros2_zenoh.proving.key_search import Side, difference
+from keymint_ros2_zenoh.proving.key_search import Side, difference, side_of
 
 from comarmor.patterns.decision_lists import Equal, SearchBudget, Unknown, Witness
 
@@ -30,8 +30,8 @@ entries = st.tuples(st.lists(expressions, max_size=3), st.lists(expressions, max
 sides = st.lists(entries, max_size=2)
 
 
-def side_of(automaton: Automaton, entries_: list[tuple[list[KeyExpr], list[KeyExpr]]]) -> Side:
-    return tuple(
+def side_with(automaton: Automaton, entries_: list[tuple[list[KeyExpr], list[KeyExpr]]]) -> Side:
+    return side_of(
         (frozenset(map(automaton.key_expr, allowed)), frozenset(map(automaton.key_expr, denied)))
         for allowed, denied in entries_
     )
@@ -47,7 +47,7 @@ def permits(entries_: list[tuple[list[KeyExpr], list[KeyExpr]]], key: str) -> bo
 
 def compared(left: list, right: list) -> Equal | Witness | Unknown:
     automaton = Automaton()
-    return difference(automaton, side_of(automaton, left), side_of(automaton, right), SearchBudget(20_000))
+    return difference(automaton, side_with(automaton, left), side_with(automaton, right), SearchBudget(20_000))
 
 
 @settings(max_examples=150, deadline=None)
@@ -97,14 +97,16 @@ def test_everything() -> None:
     automaton = Automaton()
     all_of_it = frozenset((automaton.everything,))
     keys = frozenset((automaton.key_expr(parse("**")),))
-    result = difference(automaton, ((all_of_it, frozenset()),), ((keys, frozenset()),), SearchBudget(1000))
+    result = difference(
+        automaton, side_of(((all_of_it, frozenset()),)), side_of(((keys, frozenset()),)), SearchBudget(1000)
+    )
     assert result == Witness("@", left=True)
 
 
 def test_the_budget() -> None:
     automaton = Automaton()
-    left = side_of(automaton, [(lists("a$*b$*a/**/b"), [])])
-    right = side_of(automaton, [(lists("a$*a$*a/**/b"), [])])
+    left = side_with(automaton, [(lists("a$*b$*a/**/b"), [])])
+    right = side_with(automaton, [(lists("a$*a$*a/**/b"), [])])
     assert isinstance(difference(automaton, left, right, SearchBudget(3)), Unknown)
     assert isinstance(difference(automaton, left, right, SearchBudget(500, go_on=lambda: False)), Unknown)
     assert isinstance(difference(automaton, left, right, SearchBudget(500)), Witness)
