@@ -12,7 +12,7 @@ from keymint.api import Claim, Counterexample, DomainRange, Endpoint, PolicyDeci
 from keymint.ir import SubjectRules
 from keymint_ros2_zenoh.decision.access import AccessModel, Link
 from keymint_ros2_zenoh.keyexpr.key_expr import KeyExpr
-from keymint_ros2_zenoh.keyexpr.relations import includes
+from keymint_ros2_zenoh.keyexpr.relations import includes, intersects
 from keymint_ros2_zenoh.lowering.name_rules import name_rules
 from keymint_ros2_zenoh.lowering.slots import action
 from keymint_ros2_zenoh.messages import Flow, Message
@@ -137,7 +137,7 @@ class _Rights:
         return policy_evaluator.decide(self._question.rules, self._policy.domains, key, message, flow)
 
     def _side(self, lists: KeyLists, *, everything: bool = False) -> Side:
-        """Return key expressions as nodes.
+        """Return key expressions as nodes, without denials that concern nothing that is allowed.
 
         Args:
             lists: key expressions by entry.
@@ -146,7 +146,10 @@ class _Rights:
         nodes = self._automaton
         more = (nodes.everything,) if everything else ()
         return side_of(
-            (frozenset((*map(nodes.key_expr, allowed), *more)), frozenset(map(nodes.key_expr, denied)))
+            (
+                frozenset((*map(nodes.key_expr, allowed), *more)),
+                frozenset(nodes.key_expr(each) for each in denied if everything or _meets(each, allowed)),
+            )
             for allowed, denied in lists
         )
 
@@ -183,3 +186,8 @@ class _Rights:
 def _include(outer: Iterable[KeyExpr], inner: Iterable[KeyExpr]) -> bool:
     """Return whether each key expression is included in one of others."""
     return all(any(includes(each, key) for each in outer) for key in inner)
+
+
+def _meets(key: KeyExpr, others: Iterable[KeyExpr]) -> bool:
+    """Return whether a key matches a key expression and one of others."""
+    return any(intersects(key, other) for other in others)

@@ -12,6 +12,7 @@ import string
 from collections import deque
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
+from functools import lru_cache
 from itertools import pairwise
 
 from comarmor.patterns.decision_lists import BudgetError, Equal, ProofResult, SearchBudget, Unknown, Witness
@@ -58,7 +59,7 @@ def difference(automaton: Automaton, left: Side, right: Side, budget: SearchBudg
 
 def _search(automaton: Automaton, left: Side, right: Side, budget: SearchBudget) -> ProofResult:
     count_state = budget.state_counter()
-    alphabet = _Alphabet((*automaton.sets(), IN_CHUNK, START, _LETTERS))
+    alphabet = _alphabet(frozenset((*automaton.sets(), IN_CHUNK, START, _LETTERS)))
     start = _State(left, right, _FIRST)
     before: dict[_State, tuple[_State, str] | None] = {start: None}
     todo = deque([start])
@@ -129,11 +130,16 @@ def _next(where: int, char: str) -> int | None:
     return _IN_NAME if where == _IN_NAME or char in _LETTERS else None
 
 
+@lru_cache(maxsize=64)
+def _alphabet(sets: frozenset[Charset]) -> _Alphabet:
+    return _Alphabet(sorted(sets, key=lambda each: each.ranges))
+
+
 class _Alphabet:
     """The characters to try: those that patterns mention, and one of each class that no set distinguishes."""
 
     def __init__(self, sets: Iterable[Charset]) -> None:
-        distinct = tuple(dict.fromkeys(sets))
+        distinct = tuple(sets)
         ends = (edge for each in distinct for low, high in each.ranges for edge in (low, high + 1))
         edges = sorted({0, MAX_CODE + 1, *ends})
         regions: dict[tuple[bool, ...], list[tuple[int, int]]] = {}
