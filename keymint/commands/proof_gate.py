@@ -14,6 +14,7 @@ from keymint.commands.run import Run
 from keymint.errors import ExitCode, KeymintError
 from keymint.plan.prove import NO_PROVER, EnclaveProof, prove
 from keymint.plan.shared_install import HAND_EDITED
+from keymint.plan.shared_proof import affected
 from keymint.plan.terms import merged
 from keymint.session import Session
 
@@ -42,8 +43,9 @@ def proven(
     Raises:
         KeymintError: a claim about an enclave is refuted or unknown; exit code 3.
     """
-    session, kept = session.after(installed), installed.kept()
-    names = [name for name in names if name not in kept]
+    before, session, kept = session, session.after(installed), installed.kept()
+    # New shared documents decide about enclaves that stay as they are, too.
+    names = [name for name in sorted({*names, *affected(before, session)}) if name not in kept]
     results = prove(session, names, policy, effort_of(run), standard_only=standard_only, unsigned=True)
     diagnostics = list(dict.fromkeys(diagnostic for enclave in results.all for diagnostic in diagnostics_of(enclave)))
     of_vendors = {enclave.subject for enclave in results.enclaves if _holds(enclave, results.standards)}

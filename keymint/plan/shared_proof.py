@@ -8,8 +8,8 @@ from collections.abc import Mapping, Sequence
 
 from keymint import __version__
 from keymint.errors import KeymintError
-from keymint.plan.enclaves import enclave_files
-from keymint.plan.shared_documents import Users, shared_folder, sources_digest, users
+from keymint.plan.enclaves import INSTALLED, enclave_files, installed
+from keymint.plan.shared_documents import Users, record_key, shared_folder, sources_digest, users
 from keymint.plan.shared_install import shared_files
 from keymint.session import Session
 from keymint.state import digest, digest_files
@@ -83,3 +83,18 @@ class SharedReader:
         """
         of_enclaves = (part for subject, files in enclaves.items() for part in (subject, digest_files(files)))
         return digest(sources_digest(self._session, names), self.digest(build_type), chains, __version__, *of_enclaves)
+
+
+def affected(before: Session, after: Session) -> tuple[str, ...]:
+    """Return the packages with an enclave whose shared documents a plan installs, sorted.
+
+    Args:
+        before: the workspace before the plan.
+        after: the workspace after it.
+    """
+    names: set[str] = set()
+    for build_type, of_type in users(after).items():
+        key = record_key(build_type)
+        if before.state.stamp(INSTALLED, key) != after.state.stamp(INSTALLED, key):
+            names |= set(of_type)
+    return tuple(sorted(names.intersection(installed(after)))) if names else ()

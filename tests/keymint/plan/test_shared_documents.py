@@ -216,6 +216,16 @@ class TestManualEdits:
         assert f"build/shared.d/{BOARD}: error: a manual edit changes what the subjects may do" in outcome.err
         assert signed(ws) == before
 
+    def test_that_concern_an_enclave_that_stays_are_refused_too(self, keymint, ws: Path) -> None:
+        keymint("build", cwd=ws)
+        keymint("install", cwd=ws)
+        path = ws / "build/shared.d" / BOARD
+        path.write_text(json.dumps({**board(ws), LISTENER: []}))
+        outcome = keymint("install", "talker", cwd=ws)
+        assert outcome.code == 3
+        assert f"{LISTENER}: the document permits it" in outcome.err
+        assert board(ws)[LISTENER] != []
+
 
 class TestStatus:
     def shared(self, keymint, ws: Path) -> dict[str, object]:
@@ -336,6 +346,22 @@ class TestProve:
         outcome = keymint("prove", cwd=ws)
         assert outcome.code == 3
         assert f"install/{BOARD}: error: is missing" in outcome.err
+
+
+def test_one_authority_signs_for_all(keymint, ws: Path) -> None:
+    manifest = ws / "src/talker/keymint_package.xml"
+    issuer = "<permissions><issuer_name>identity_ca</issuer_name></permissions>"
+    manifest.write_text(manifest.read_text().replace(DDS, "").replace("</package>", f"{issuer}</package>"))
+    assert keymint("build", cwd=ws).code == 0
+    outcome = keymint("install", "--no-prove", cwd=ws)
+    assert outcome.code == 1
+    assert "/talker has the authority 'identity_ca' in the role 'board'" in outcome.err
+
+
+def test_a_hidden_package_has_no_rights(keymint, ws: Path) -> None:
+    (ws / "src/talker/KEYMINT_IGNORE").touch()
+    assert keymint("build", cwd=ws).code == 0
+    assert board(ws, "build").keys() == {LISTENER}
 
 
 def test_two_build_types_that_write_one_file_differently(keymint, ws: Path, monkeypatch: pytest.MonkeyPatch) -> None:
