@@ -165,11 +165,12 @@ class ActionMapping(Protocol):
     def actions(self, distro: str, edge: Edge) -> Sequence[Endpoint]:
         """Return the endpoints that the transport must all permit for an edge.
 
+        There are none if no name on the transport can stand for the object; the transport is not asked about it.
+
         Args:
             distro: ROS 2 distribution whose name mapping applies.
             edge: an edge of a kind that the build type can express.
 
         Raises:
-            KeymintError: the distribution or the permission is not known, or nothing on the transport can have the name
-                of the edge (code ``name-impossible``); ``verify`` does not try names that it makes up then.
+            KeymintError: the distribution or the permission is not known.
         """

@@ -177,11 +177,14 @@ def _unasked(
                 help_ = "'keymint transports' shows how to install one"
                 yield Diagnostic("transport-none", Severity.WARNING, message, None, help_)
             continue
-        edges = [edge for edge in system.edges if edge.object.kind not in scope.kinds] if system else ()
+        edges = [edge for edge in system.edges if not scope.names.has(edge.object)] if system else ()
         if edges:
-            kinds = ", ".join(sorted({edge.object.kind for edge in edges}))
             message = f"{counted(len(edges), 'edge')} of the graph not asked of {enumerated(tuple(groups[name]))}"
-            yield Diagnostic("edges-unasked", Severity.NOTE, f"{message}: {name} cannot express the kind {kinds}")
+            first = edges[0].object
+            reason = f"{name} has no name for the {first.kind} {first.name!r}"
+            more = len({edge.object for edge in edges}) - 1
+            reason += f", and for {counted(more, 'more object')}" if more else ""
+            yield Diagnostic("edges-unasked", Severity.NOTE, f"{message}: {reason}")
 
 
 def _show(run: Run, outcomes: Sequence[Comparison], subjects: int, edges: int) -> None:

@@ -173,7 +173,8 @@ def _labels(explanation: Explanation, typed: Callable[[str], str]) -> Iterator[s
     for (allowed, reason), names in together.items():
         yield f"{'allowed' if allowed else 'denied'} by {enumerated(names)} ({reason})"
     for build_type, unasked in explanation.unasked.items():
-        yield f"not asked: {enumerated(unasked)} ({build_type} cannot express the kind {explanation.edge.object.kind})"
+        wanted = explanation.edge.object
+        yield f"not asked: {enumerated(unasked)} ({build_type} has no name for the {wanted.kind} {wanted.name!r})"
 
 
 def _document(explanation: Explanation, typed: Callable[[str], str]) -> dict[str, Any]:

@@ -9,7 +9,7 @@ either end; the other case. A document whose pattern is wider or narrower than t
 from __future__ import annotations
 
 import string
-from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from functools import lru_cache
 from itertools import islice
 
@@ -33,7 +33,7 @@ _PLAIN = string.ascii_letters + string.digits + "_/"
 def edges(
     rules: Iterable[SubjectRules],
     domains: Mapping[str, int],
-    kinds: Collection[str] = LABELLED,
+    named: Callable[[Object], bool] = lambda _object: True,
     mentioned: Callable[[str], Iterable[Edge]] = lambda _subject: (),
     needed: Callable[[Edge], Iterable[Edge]] = lambda _edge: (),
 ) -> Iterator[Edge]:
@@ -45,19 +45,20 @@ def edges(
     Args:
         rules: the rules of each subject, sorted by subject.
         domains: the domain of each subject.
-        kinds: the kinds of objects to test.
+        named: returns whether an object has a name on the transport; others are not tested.
         mentioned: returns edges of kind ``topic`` on the objects in the documents of a subject.
         needed: returns the endpoints of an edge, which need not be tested again.
     """
     all_rules = tuple(rules)
-    named = {object_ for each in all_rules for rule in each.rules for object_ in _objects(rule, probe=False)}
-    shared = sorted(object_ for object_ in named if object_.kind in kinds)
+    shared = sorted({object_ for each in all_rules for rule in each.rules for object_ in _objects(rule, probe=False)})
     stride = max(1, -(-len(shared) // MOST_OF_OTHERS))
     common = shared[::stride]
     for each in all_rules:
         own = {object_ for rule in each.rules for object_ in _objects(rule, probe=True)}
         yielded: set[Edge] = set()
-        for object_ in sorted({object_ for object_ in own if object_.kind in kinds}.union(common)):
+        for object_ in sorted(own.union(common)):
+            if not named(object_):
+                continue
             for permission in LABELLED[object_.kind]:
                 edge = Edge(each.subject, permission, object_, domains.get(each.subject, 0))
                 yielded.update((edge, *needed(edge)))

@@ -9,14 +9,44 @@ from functools import cache
 from pathlib import Path
 
 from comarmor.text import did_you_mean
-from keymint.api import ActionMapping, Enclave, LoadedPolicy, NameMapping, Package, Role
+from keymint.api import ActionMapping, BuildType, Enclave, LoadedPolicy, NameMapping, Package, Role
 from keymint.errors import KeymintError
-from keymint.graph import Edge, Graph, Object, complete
+from keymint.graph import LABELLED, Edge, Graph, Object, complete
 from keymint.ir import SubjectRules
 from keymint.plan.enclaves import installed
 from keymint.session import Inputs, Session
 from keymint.verify import probes
 from keymint.verify.endpoint_policy import Naming
+
+
+class Names:
+    """Tells which objects have a name on the transports of a build type.
+
+    Args:
+        build_type: the build type.
+        distro: ROS 2 distribution whose name mapping applies.
+    """
+
+    def __init__(self, build_type: BuildType, distro: str) -> None:
+        self._build_type = build_type
+        self._distro = distro
+        self._known: dict[Object, bool] = {}
+
+    def has(self, object_: Object) -> bool:
+        """Tell whether an object has a name.
+
+        Raises:
+            KeymintError: the distribution has no objects of this kind.
+        """
+        if object_ not in self._known:
+            self._known[object_] = object_.kind in self._build_type.KINDS and self._maps(object_)
+        return self._known[object_]
+
+    def _maps(self, object_: Object) -> bool:
+        if not isinstance(self._build_type, ActionMapping):
+            return True
+        edge = Edge("/", LABELLED[object_.kind][0], object_)
+        return bool(self._build_type.actions(self._distro, edge))
 
 
 @dataclass(frozen=True, slots=True)
@@ -25,19 +55,17 @@ class VerificationScope:
 
     Attributes:
         build_type: its name.
-        kinds: the kinds of objects that it can express; no transport is asked for others.
+        names: tells which objects have a name on its transports; these are not asked about others.
         enclaves: installed enclaves by subject, sorted.
         namings: the naming of each subject, if the build type has one.
         domains: the first domain of each subject's grant.
-        actions: what its transports must permit for an edge, if the build type tells.
     """
 
     build_type: str
-    kinds: frozenset[str]
+    names: Names
     enclaves: Mapping[str, Enclave]
     namings: Mapping[str, Naming]
     domains: Mapping[str, int]
-    actions: ActionMapping | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -109,14 +137,13 @@ def _scope(
     """Return the scope of a build type."""
     built = {subject: packages[subject] for subject in sorted(packages) if name in packages[subject].build_types}
     namings = {subject: naming_of(session, package, name) for subject, package in built.items()}
-    build_type = session.plugins.build_type(name, session.package_marker(next(iter(built.values())).name))
+    where = session.package_marker(next(iter(built.values())).name)
     return VerificationScope(
         name,
-        frozenset(build_type.KINDS),
+        Names(session.plugins.build_type(name, where), session.profile.distro),
         {subject: enclaves[subject] for subject in built},
         {subject: naming for subject, naming in namings.items() if naming},
         {subject: package.grant.domains[0].first for subject, package in built.items() if package.grant.domains},
-        build_type if isinstance(build_type, ActionMapping) else None,
     )
 
 
@@ -152,7 +179,7 @@ def subjects_of_graph(graph: Graph, known: Collection[str], *, only: bool) -> Gr
 def edges_of_graph(graph: Graph, scope: VerificationScope) -> tuple[tuple[str, ...], Callable[[], Iterator[Edge]]]:
     """Return the subjects of a graph in a scope, and a function that yields all possible edges of them."""
     kept = tuple(subject for subject in graph.subjects if subject in scope.enclaves)
-    edges = tuple(edge for edge in graph.edges if edge.object.kind in scope.kinds)
+    edges = tuple(edge for edge in graph.edges if scope.names.has(edge.object))
     return kept, lambda: complete(replace(graph, subjects=kept, edges=edges))
 
 
@@ -175,18 +202,4 @@ def edges_of_policy(policy: LoadedPolicy, scope: VerificationScope) -> Callable[
         naming = scope.namings.get(edge.subject)
         return naming.endpoints(edge) if naming else ()
 
-    @cache
-    def has_name(distro: str, permission: str, object_: Object) -> bool:
-        """Return whether an object can have its name on the transport: a probing name may be none."""
-        try:
-            if scope.actions is not None:
-                scope.actions.actions(distro, Edge("", permission, object_))
-        except KeymintError as error:
-            return error.diagnostics[0].code != "name-impossible"
-        return True
-
-    return lambda: (
-        edge
-        for edge in probes.edges(rules, scope.domains, scope.kinds, mentioned, needed)
-        if has_name(scope.enclaves[edge.subject].distro, edge.permission, edge.object)
-    )
+    return lambda: probes.edges(rules, scope.domains, scope.names.has, mentioned, needed)

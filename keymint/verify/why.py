@@ -34,7 +34,7 @@ from keymint.verify.endpoint_policy import RAW, EndpointPolicy, Naming
 from keymint.verify.explain import Explainer
 from keymint.verify.matching import matching_rules, nearest
 from keymint.verify.mismatch import Mismatch
-from keymint.verify.scope import naming_of
+from keymint.verify.scope import Names, naming_of
 from keymint.workspace import packages
 
 _KIND_OF = {permission: kind for kind, permissions in LABELLED.items() for permission in permissions}
@@ -71,11 +71,11 @@ class Explanation:
         package: the rules of the source package that apply to the request.
         packaged: there is a source package.
         needs: what the transports must permit.
-        decisions: the decision of the policy as each build type applies it, by its name; those that cannot express the
-            request are missing.
+        decisions: the decision of the policy as each build type applies it, by its name; those that have no name for
+            the object are missing.
         installed: there is an enclave.
         labels: the decision of each transport, with the place in its document.
-        unasked: transports of build types that cannot express the request, by build type.
+        unasked: transports without a name for the object, by build type.
     """
 
     edge: Edge
@@ -225,12 +225,12 @@ class _View:
 
 
 def _views(session: Session, policy: LoadedPolicy, package: Package | None, edge: Edge) -> Mapping[str, _View]:
-    """Return the views of the build types that can express a request."""
+    """Return the views of the build types that have a name for the object of a request."""
     views: dict[str, _View] = {}
     for name in package.build_types if package else session.profile.build_types:
         where = session.package_marker(package.name) if package else session.profile_marker()
         build_type = session.plugins.build_type(name, where)
-        if edge.object.kind not in build_type.KINDS:
+        if not Names(build_type, session.profile.distro).has(edge.object):
             continue
         naming = naming_of(session, package, name) if package else None
         endpoint_policy = EndpointPolicy(policy, {edge.subject: naming} if naming else {})

@@ -10,7 +10,7 @@ from comarmor.rules import parts
 from keymint.api import Endpoint
 from keymint.errors import KeymintError
 from keymint.graph import Edge
-from keymint_ros2_zenoh.keyexpr.key_expr import KeyExprError, canonical
+from keymint_ros2_zenoh.keyexpr.key_expr import KeyExpr, KeyExprError, canonical
 from keymint_ros2_zenoh.lowering.name_rules import KINDS
 from keymint_ros2_zenoh.lowering.names import advanced_key, check_distro, data_key
 from keymint_ros2_zenoh.lowering.slots import SLOTS, Place, Slot
@@ -22,13 +22,14 @@ NOUN = "key expression"
 def actions(distro: str, edge: Edge) -> tuple[Endpoint, ...]:
     """Return the messages that the router must permit for an edge; their key expressions leave type and hash open.
 
+    There are none if no key can have the name, e.g. ``/a/``.
+
     Args:
         distro: ROS 2 distribution whose name mapping applies.
         edge: an edge on a ROS name.
 
     Raises:
-        KeymintError: the distribution has no rmw_zenoh, or Zenoh cannot express the edge; with the code
-            ``name-impossible`` if no key can have its name.
+        KeymintError: the distribution has no rmw_zenoh, or Zenoh cannot express edges of this kind.
     """
     return tuple(_endpoints(edge, slots_of(distro, edge.object.kind, edge.permission)))
 
@@ -51,9 +52,18 @@ def slots_of(distro: str, kind: str, permission: str) -> tuple[tuple[Slot, str],
 
 def _endpoints(edge: Edge, slots: tuple[tuple[Slot, str], ...]) -> Iterator[Endpoint]:
     for slot, suffix in slots:
-        try:
-            data = data_key(edge.domain, canonical(f"{edge.object.name}{suffix}".removeprefix("/")))
-        except KeyExprError as error:
-            raise KeymintError(f"{edge.object.name!r} is no ROS name: {error}", code="name-impossible") from None
+        name = _key(f"{edge.object.name}{suffix}".removeprefix("/"))
+        if name is None:
+            return
+        data = data_key(edge.domain, name)
         key = data if slot.place is Place.DATA else advanced_key(data)
         yield Endpoint(edge.subject, slot.action, key.text, domain=edge.domain)
+
+
+def _key(name: str) -> KeyExpr | None:
+    """Return the literal key of a name; None if there is none, or if a session would write it in another way."""
+    try:
+        key = canonical(name)
+    except KeyExprError:
+        return None
+    return key if key.is_literal and key.text == name and "$" not in name else None

@@ -138,7 +138,7 @@ def test_why_does_not_ask_a_transport_for_a_kind_that_its_build_type_cannot_expr
 ) -> None:
     outcome = keymint("why", "/talker", "publish", "rt/chatter", "-w", two, *BOTH)
     assert outcome.code == 0, outcome.err
-    assert "not asked: board-1 (board cannot express the kind topic)" in outcome.out
+    assert "not asked: board-1 (board has no name for the topic 'rt/chatter')" in outcome.out
     assert "allowed by omg" in outcome.out
     assert "line of the board" not in outcome.out
 
@@ -168,7 +168,7 @@ def test_edges_of_a_graph_that_a_transport_does_not_know_are_reported(keymint: C
     counts = {name: sum(each["confusion"].values()) for name, each in by_name(document).items()}
     assert counts == {"omg": 4, "board-1": 2}
     (note,) = [each for each in document["diagnostics"] if each["code"] == "edges-unasked"]
-    assert note["message"] == "1 edge of the graph not asked of board-1: board cannot express the kind topic"
+    assert note["message"] == "1 edge of the graph not asked of board-1: board has no name for the topic 'raw'"
 
 
 def test_the_infrastructure_has_no_rights_to_verify(keymint: Callable, two: Path) -> None:

@@ -134,8 +134,8 @@ def test_what_the_documents_mention_is_asked_for_once() -> None:
     assert known not in edges
 
 
-def test_kinds_that_a_build_type_cannot_express_are_not_asked_for() -> None:
+def test_objects_without_a_name_on_the_transport_are_not_asked_for() -> None:
     rules = [SubjectRules("/s", (rule("topic", ["publish"], ["t"]), rule("ros_action", ["ros_request"], ["/x"])))]
     assert {edge.object.kind for edge in probes.edges(rules, {})} > {"topic", "ros_action"}
     kinds = {"ros_topic", "ros_service", "ros_action"}
-    assert {edge.object.kind for edge in probes.edges(rules, {}, kinds)} == kinds
+    assert {edge.object.kind for edge in probes.edges(rules, {}, lambda object_: object_.kind in kinds)} == kinds

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import pytest
+from keymint_ros2_zenoh.decision.operations import operations
 from keymint_ros2_zenoh.lowering.actions import actions
 
 from comarmor.rules import PARTS
@@ -51,14 +52,18 @@ def test_composite_permissions(kind: str, permission: str) -> None:
     [
         ("topic", "publish", "rt/a", "permission-unknown"),
         ("ros_topic", "ros_relay", "/a", "permission-unknown"),
-        ("ros_topic", "ros_publish", "//a", "name-impossible"),
-        ("ros_topic", "ros_publish", "/a#", "name-impossible"),
     ],
 )
 def test_what_zenoh_does_not_have(kind: str, permission: str, name: str, code: str) -> None:
     with pytest.raises(KeymintError) as caught:
         named(permission, kind, name)
     assert caught.value.diagnostics[0].code == code
+
+
+@pytest.mark.parametrize("name", ["//a", "/a/", "/a//b", "/", "/a#", "/a*", "/*", "/a$*", "/a?"])
+def test_a_name_that_no_key_can_have(name: str) -> None:
+    edge = Edge("/talker", "ros_publish", Object("ros_topic", name))
+    assert actions("jazzy", edge) == operations(edge) == ()
 
 
 def test_a_distribution_without_zenoh() -> None:
