@@ -90,10 +90,14 @@ def _attempt(make: Callable[[], _T], defects: list[Diagnostic]) -> _T | None:
 
 
 def _differences(packages: Sequence[Package]) -> Iterator[Diagnostic]:
-    """Yield what packages must have in common and have not: the router, and the authority that signs the rights."""
-    first = packages[0]
+    """Yield what packages must have in common and have not: the router and both authorities.
+
+    An enclave shows its own certificate alone, and trusts its own issuer and those above it. So the certificate of
+    another issuer has no path to what the other side trusts, even below the same root (measured).
+    """
+    first = next((package for package in packages if is_router(package)), packages[0])
     router = settings_of(first).router
-    for package in packages[1:]:
+    for package in packages:
         own = settings_of(package).router
         if own != router:
             yield Diagnostic(
@@ -101,6 +105,14 @@ def _differences(packages: Sequence[Package]) -> Iterator[Diagnostic]:
                 f"{package.subject} has the router {own.name} at {own.endpoint}, but {first.subject} has {router.name} "
                 f"at {router.endpoint}: one router decides for all enclaves of a workspace",
                 own.origin, f"give both the same router, as at {router.origin}", package.subject,
+            )  # fmt: skip
+        if package.identity.issuer != first.identity.issuer:
+            yield Diagnostic(
+                "zenoh-issuers", Severity.ERROR,
+                f"{package.identity.issuer!r} issues the certificate of {package.subject}, {first.identity.issuer!r} "
+                f"that of {first.subject}: a router and a session with different issuers refuse each other",
+                package.identity.origin, f"give both the same issuer_name, as at {first.identity.origin}",
+                package.subject,
             )  # fmt: skip
         if package.grant.issuer != first.grant.issuer:
             yield Diagnostic(

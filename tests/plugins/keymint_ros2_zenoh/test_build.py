@@ -258,11 +258,13 @@ def test_a_shortened_common_name_is_the_one_that_counts() -> None:
     assert (subject.id, subject.common_names) == ("/very/deep/talker", ("/deep/talker",))
 
 
-def test_one_router_and_one_signer_for_all() -> None:
+def test_one_router_one_signer_and_one_issuer_for_all() -> None:
     elsewhere = package(subject="/other", router=Router("zenoh_router", "other.local", 7447, HOST_ORIGIN))
     assert refused(lambda: router(TALKER, elsewhere)) == {"zenoh-routers": str(HOST_ORIGIN)}
     signer = package(subject="/other", issuer="other_ca")
     assert refused(lambda: router(TALKER, signer)) == {"zenoh-signers": "policy.xml:7"}
+    issuer = replace(package(subject="/other"), identity=replace(package(subject="/other").identity, issuer="other_ca"))
+    assert refused(lambda: router(TALKER, issuer)) == {"zenoh-issuers": "src/other/identities.xml:3"}
 
 
 def test_without_a_package_of_the_router() -> None:
