@@ -2,14 +2,16 @@
 # `make demo` and `make test` install everything they need: a virtual environment, and system packages by apt.
 VENV ?= .venv
 DEMO ?= demo_ws
+ZENOH_DEMO ?= demo_zenoh_ws
 BIN = $(VENV)/bin
 WORKERS ?= $(shell nproc)
 
-.PHONY: help setup vendors demo test test-full test-all lint bench lock clean
+.PHONY: help setup vendors demo demo-zenoh test test-full test-all lint bench lock clean
 
 help:
 	@echo "make demo    provision the talker/listener example and show the keystore"
-	@echo "make test    the complete suite, including the tests on real DDS software"
+	@echo "make demo-zenoh  the same for Zenoh; a talker and a listener exchange data, and others are refused"
+	@echo "make test    the complete suite, including the tests on real DDS and Zenoh software"
 	@echo "make test-full  the same without sampling: all cases of every exhaustive test"
 	@echo "make test-all   the suite on every installed Python from 3.11 on"
 	@echo "make lint    ruff, mypy, import-linter"
@@ -24,6 +26,9 @@ vendors:
 
 demo: setup
 	@BIN=$(BIN) DEMO=$(DEMO) .ci/demo
+
+demo-zenoh: setup
+	@BIN=$(BIN) DEMO=$(ZENOH_DEMO) .ci/demo-zenoh
 
 test: setup vendors
 	@BIN=$(BIN) WORKERS=$(WORKERS) .ci/test $(PYTEST_ARGS)
@@ -55,4 +60,4 @@ lock: setup
 		--no-emit-index-url --extra dev --extra zenoh pyproject.toml -o requirements.lock
 
 clean:
-	rm -rf $(VENV) $(DEMO)
+	rm -rf $(VENV) $(DEMO) $(ZENOH_DEMO)
