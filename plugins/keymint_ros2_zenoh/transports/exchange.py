@@ -25,7 +25,7 @@ from keymint_ros2_zenoh.transports.logged_decisions import LoggedSession, no_lin
 from keymint_ros2_zenoh.transports.network import Network
 from keymint_ros2_zenoh.vendors.zenoh_processes import ZenohError, ZenohProcess
 
-BATCH = 50
+BATCH = 500
 """Edges that are tried at a time."""
 ROUNDS = 20
 """How often an allowed sample is sent until it arrives."""
