@@ -24,6 +24,8 @@ from keymint.session import Inputs
 def create(run: Run, names: tuple[str, ...], all_subjects: bool, force: bool) -> Report:
     """Create source packages in src/, one per subject, or update their rules from the policy.
 
+    If a transport of the workspace needs further identities, their packages are created as well.
+
     NAME is a subject, e.g. /robot1/talker. Any subject that a profile applies to is allowed, even if the policy
     names it only by a wildcard. Manual edits of other documents are preserved.
     """

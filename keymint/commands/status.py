@@ -31,7 +31,11 @@ def status(run: Run) -> Report:
     rows = package_rows(session, policy)
     if policy:
         known = {row.package for row in rows}
-        wanted = {*packages_to_create(session, policy), *session.needed_infrastructure()}
+        wanted = {*packages_to_create(session, policy)}
+        try:
+            wanted |= session.needed_infrastructure().keys()
+        except KeymintError as error:
+            diagnostics += error.diagnostics
         missing = sorted(wanted - known)
     now = inputs.now
     cells = [

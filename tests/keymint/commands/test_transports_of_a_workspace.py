@@ -176,6 +176,15 @@ def test_the_policy_must_not_name_infrastructure(keymint, tmp_path: Path, policy
     assert not (tmp_path / "ws").exists()
 
 
+def test_status_tells_what_a_transport_cannot_read(keymint, tmp_path: Path, policy: Path) -> None:
+    manifest = prepared(keymint, tmp_path, policy, *LIGHT) / "profile/keymint_profile.xml"
+    manifest.write_text(manifest.read_text().replace("<distro>jazzy<", "<distro>foxy<"))
+    outcome = keymint("status", "-w", "ws", "--json")
+    assert outcome.code == 0
+    assert outcome.codes().count("light-distro") == 1
+    assert len(outcome.document["result"]["packages"]) == 3
+
+
 def test_a_subject_that_has_the_name_already(keymint, tmp_path: Path, policy: Path) -> None:
     ws = prepared(keymint, tmp_path, policy, *LIGHT)
     (ws / "profile/package.defaults/lighthouse.xml").write_text("talker")
