@@ -31,8 +31,8 @@ def merged_packages(diagnostics: Iterable[Diagnostic], shown: Callable[[str], st
         place = str(diagnostic.where).removeprefix(f"{folder}/") if diagnostic.where else ""
         groups.setdefault((diagnostic.code, text, place), []).append(diagnostic)
     for group in groups.values():
-        count = len({diagnostic.subject for diagnostic in group})
-        yield group[0] if count == 1 else replace(group[0], message=f"{group[0].message} [{count} packages]")
+        count = len({diagnostic.subject for diagnostic in group if diagnostic.subject})
+        yield group[0] if count <= 1 else replace(group[0], message=f"{group[0].message} [{count} packages]")
 
 
 def effort_of(run: Run, states: int = STATES, seconds: float = SECONDS) -> ProofEffort:

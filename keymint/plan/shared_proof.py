@@ -47,8 +47,7 @@ class SharedReader:
 
     def digest(self, build_type: str) -> str:
         """Return the digest of the installed shared documents of a build type, or of why they cannot be read."""
-        found = self._read.get(build_type, {})
-        return digest(repr(found.diagnostics)) if isinstance(found, KeymintError) else digest_files(found)
+        return self._digests.get(build_type, "")
 
     @functools.cached_property
     def _read(self) -> Mapping[str, Mapping[str, bytes] | KeymintError]:
@@ -59,6 +58,13 @@ class SharedReader:
             except KeymintError as error:
                 found[name] = error
         return found
+
+    @functools.cached_property
+    def _digests(self) -> Mapping[str, str]:
+        return {
+            name: digest(repr(found.diagnostics)) if isinstance(found, KeymintError) else digest_files(found)
+            for name, found in self._read.items()
+        }
 
     def enclaves(self, build_type: str) -> Mapping[str, Mapping[str, bytes]]:
         """Return the files of a build type in the installed enclaves, by subject and name."""

@@ -5,13 +5,15 @@ from __future__ import annotations
 
 import json
 import shutil
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 
 import pytest
 
 from keymint import cli
+from keymint.changes import FolderChange
 from keymint.pki import smime
+from keymint.store import Store
 from tests.conftest import NOW, snapshot
 from tests.keymint.conftest import POLICY
 from tests.keymint.notice_board import BOARD, NAME, NOTE, SIGNATURE, register
@@ -145,6 +147,25 @@ def test_a_new_package_is_admitted_before_its_enclave_is_there(keymint, ws: Path
     steps = [(step["stage"], step["package"], step["action"]) for step in outcome.document["steps"]]
     steps = [step for step in steps if step[0] == "install" and step[2] != "unchanged"]
     assert steps.index(("install", "", "updated")) < steps.index(("install", "second", "created"))
+
+
+def test_it_is_written_before_any_enclave(keymint, ws: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Also where a run is killed: the rights of a removed subject end first."""
+    written: list[Path] = []
+    write = Store.change
+
+    def change_folders(store: Store, changes: Iterable[FolderChange]) -> None:
+        kept = list(changes)
+        written.extend(each.folder for each in kept if each.folder.is_relative_to(ws / "install"))
+        write(store, kept)
+
+    shutil.rmtree(ws / "src/talker")
+    change(ws, "robot1/listener")
+    assert keymint("build", cwd=ws).code == 0
+    monkeypatch.setattr(Store, "change", change_folders)
+    assert keymint("install", "--prune", "--no-prove", cwd=ws).code == 0
+    assert {ws / "install/enclaves/talker", ws / "install/enclaves/robot1/listener"} <= {*written}
+    assert written[0] == ws / "install/board"
 
 
 def test_a_removed_package_leaves_it_before_its_enclave_is_removed(keymint, ws: Path) -> None:
