@@ -152,7 +152,8 @@ class Claim:
         reason: why it is unknown, in one line.
         spent: it is unknown because a limit was reached; with more states or time it may be decided.
         counterexample: if there is one.
-        excepted: what the sources leave open on purpose, one line each; the claim excludes them.
+        excepted: what the claim excludes, because the sources leave it open or the transport cannot decide it; one line
+            each.
     """
 
     model: str

@@ -15,6 +15,7 @@ from keymint.commands.options import (
     prove_option,
     prune_option,
     standard_only_option,
+    strict_option,
 )
 from keymint.commands.proof_gate import proven
 from keymint.commands.run import Run
@@ -33,6 +34,7 @@ from keymint.session import Inputs
 @new_authority_option
 @prove_option
 @standard_only_option
+@strict_option
 def install(
     run: Run,
     names: tuple[str, ...],
@@ -40,6 +42,7 @@ def install(
     new_authority: tuple[str, ...],
     prove: bool,
     allow_vendor_specific: bool,
+    strict: bool,
 ) -> Report:
     """Sign the documents in build/ and stage them in install/, one complete enclave per subject.
 
@@ -63,7 +66,10 @@ def install(
         done = replace(done, diagnostics=(*done.diagnostics, *warnings, *missing))
         if not prove:
             return done
-        return proven(run, after, installed, chosen, lazy_policy(session), done, standard_only=allow_vendor_specific)
+        return proven(
+            run, after, installed, chosen, lazy_policy(session), done,
+            standard_only=allow_vendor_specific, strict=strict,
+        )  # fmt: skip
 
     report = run.carry_out(workspace, make_plan)
     nothing = findings_exit([finding for finding in report.diagnostics if finding.code == UNCREATED])

@@ -290,6 +290,11 @@ standard_only_option = click.option(
     is_flag=True,
     help="Prove documents by the transport's standard only; for builds with --allow-vendor-specific.",
 )
+strict_option = click.option(
+    "--strict",
+    is_flag=True,
+    help="Accept no exceptions: what a claim leaves out counts as not proven.",
+)
 
 
 # -- transports ------------------------------------------------------------------------------------------------------

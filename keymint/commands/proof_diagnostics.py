@@ -51,9 +51,25 @@ def dated_of(results: ProofResults) -> Iterator[Diagnostic]:
         yield from terms.findings(enclave.terms, results.now, enclave.subject)
 
 
-def diagnostics_of(enclave: EnclaveProof) -> Iterator[Diagnostic]:
-    """Yield the diagnostics of an enclave, merging the same result of several models."""
+def exceptions_of(enclave: EnclaveProof) -> Iterator[Diagnostic]:
+    """Yield an error for each exception of a proven claim, for those who accept none."""
+    subject = enclave.subject or "all subjects"
+    for exception in dict.fromkeys(exception for claim in enclave.claims for exception in claim.excepted):
+        message = f"{subject}: not part of the proof: {exception}"
+        help_ = "change the policy or the sources, or accept it without --strict"
+        yield Diagnostic("proof-exception", Severity.ERROR, message, None, help_, enclave.subject)
+
+
+def diagnostics_of(enclave: EnclaveProof, *, strict: bool = False) -> Iterator[Diagnostic]:
+    """Yield the diagnostics of an enclave, merging the same result of several models.
+
+    Args:
+        enclave: its proof.
+        strict: exceptions of claims are errors.
+    """
     yield from enclave.diagnostics
+    if strict:
+        yield from exceptions_of(enclave)
     together: dict[tuple[object, ...], list[Claim]] = {}
     for claim in enclave.claims:
         if claim.counterexample is not None:

@@ -28,6 +28,7 @@ def proven(
     plan: Plan,
     *,
     standard_only: bool,
+    strict: bool = False,
 ) -> Plan:
     """Prove the enclaves of a plan, and return the plan with the cached proofs.
 
@@ -39,6 +40,7 @@ def proven(
         policy: the policy to prove.
         plan: what will be done.
         standard_only: prove by the standard only; vendors may differ.
+        strict: exceptions of claims count as not proven.
 
     Raises:
         KeymintError: a claim about an enclave is refuted or unknown; exit code 3.
@@ -47,7 +49,9 @@ def proven(
     # New shared documents decide about enclaves that stay as they are, too.
     names = [name for name in sorted({*names, *affected(before, session)}) if name not in kept]
     results = prove(session, names, policy, effort_of(run), standard_only=standard_only, unsigned=True)
-    diagnostics = list(dict.fromkeys(diagnostic for enclave in results.all for diagnostic in diagnostics_of(enclave)))
+    diagnostics = list(
+        dict.fromkeys(diagnostic for enclave in results.all for diagnostic in diagnostics_of(enclave, strict=strict))
+    )
     of_vendors = {enclave.subject for enclave in results.enclaves if _holds(enclave, results.standards)}
     refused = [
         replace(diagnostic, help=_with_remedy(diagnostic.help, of_vendors=diagnostic.subject in of_vendors))

@@ -13,7 +13,7 @@ from comarmor.errors import Diagnostic, Origin, Severity
 from comarmor.text import counted
 from keymint.api import Claim, Counterexample, Proof
 from keymint.changes import Action, Step
-from keymint.commands.options import Number, complete_package, standard_only_option
+from keymint.commands.options import Number, complete_package, standard_only_option, strict_option
 from keymint.commands.proof_diagnostics import SECONDS, STATES, dated_of, diagnostics_of, effort_of, merged_packages
 from keymint.commands.run import Run
 from keymint.commands.verb import verb
@@ -48,7 +48,10 @@ SHOWN = 5
     help="Stop after this many states per question.",
 )
 @standard_only_option
-def prove(run: Run, names: tuple[str, ...], seconds: float, states: int, allow_vendor_specific: bool) -> Report:
+@strict_option
+def prove(
+    run: Run, names: tuple[str, ...], seconds: float, states: int, allow_vendor_specific: bool, strict: bool
+) -> Report:
     """Prove that installed documents permit exactly what the policy allows, for all names.
 
     Reads the documents in install/ as the transport's standard and each vendor do, and compares them with the policy
@@ -56,8 +59,8 @@ def prove(run: Run, names: tuple[str, ...], seconds: float, states: int, allow_v
     and the rule of the document. Proofs are cached until something changes; validity periods are checked on each run.
     -v lists the assumptions of the proof. ENCLAVE is a package [all].
 
-    Exit code 3: a claim is refuted or unknown; a certificate or grant is expired or not yet valid; an enclave does not
-    trust the workspace's authorities; or an enclave has no source package.
+    Exit code 3: a claim is refuted or unknown, or with --strict has an exception; a certificate or grant is expired or
+    not yet valid; an enclave does not trust the workspace's authorities; or an enclave has no source package.
     """
     workspace = run.workspace()
     inputs = run.snapshot(workspace)
@@ -77,7 +80,7 @@ def prove(run: Run, names: tuple[str, ...], seconds: float, states: int, allow_v
 
     claims = [claim for enclave in results.all for claim in enclave.claims]
     _summary(run, results)
-    proven = all(claim.proof is Proof.PROVEN for claim in claims)
+    proven = all(claim.proof is Proof.PROVEN and not (strict and claim.excepted) for claim in claims)
     unread = any(enclave.diagnostics for enclave in results.all)
     dated = tuple(terms.merged(dated_of(results)))
     return Report(
@@ -87,7 +90,9 @@ def prove(run: Run, names: tuple[str, ...], seconds: float, states: int, allow_v
         [
             *_assumptions(results),
             *merged_packages(
-                dict.fromkeys(diagnostic for enclave in results.all for diagnostic in diagnostics_of(enclave)),
+                dict.fromkeys(
+                    diagnostic for enclave in results.all for diagnostic in diagnostics_of(enclave, strict=strict)
+                ),
                 folder,
             ),
             *dated,
@@ -124,7 +129,7 @@ def _summary(run: Run, results: ProofResults) -> None:
     enclaves = f"{counted(count, 'enclave')}{of_these}{f' for {models}' if models else ''}"
     say(f"proved {enclaves}: {', '.join(parts)}{_when(results)}")
     if excepted := list(dict.fromkeys(_excepted(results))):
-        say(f"not part of the proof, left open on purpose: {'; '.join(excepted[:SHOWN])}{_more(excepted)}")
+        say(f"not part of the proof: {'; '.join(excepted[:SHOWN])}{_more(excepted)}")
 
 
 def _until(results: ProofResults) -> datetime | None:

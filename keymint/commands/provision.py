@@ -23,6 +23,7 @@ from keymint.commands.options import (
     prove_option,
     prune_option,
     renew_option,
+    strict_option,
 )
 from keymint.commands.proof_gate import proven
 from keymint.commands.run import Run
@@ -47,6 +48,7 @@ from keymint.session import Inputs
 @document_options
 @new_authority_option
 @prove_option
+@strict_option
 def provision(
     run: Run,
     policy: Path,
@@ -57,6 +59,7 @@ def provision(
     document_options: DocumentOptions,
     new_authority: tuple[str, ...],
     prove: bool,
+    strict: bool,
 ) -> Report:
     """Turn a ComArmor POLICY into a keystore in one step: init, create --all, build and install.
 
@@ -97,7 +100,7 @@ def provision(
         if not prove:
             return plan
         standard_only = document_options.allow_vendor_specific
-        return proven(run, session, installed, names, acquired, plan, standard_only=standard_only)
+        return proven(run, session, installed, names, acquired, plan, standard_only=standard_only, strict=strict)
 
     def _profile_plan(inputs: Inputs) -> Plan:
         if not inputs.workspace.exists():

@@ -129,8 +129,6 @@ def wider(denied: KeyExpr) -> tuple[KeyExpr, ...]:
     """Return a key expression with one ``$*`` or ``**`` inserted, at each place where this makes a wider one."""
     found: dict[KeyExpr, None] = {}
     chunks = denied.chunks
-    for at in range(len(chunks) + 1):
-        found[of_chunks((*chunks[:at], ANY_CHUNKS, *chunks[at:]))] = None
     for at, chunk in enumerate(chunks):
         if chunk in (ANY_CHUNK, ANY_CHUNKS) or chunk.startswith(VERBATIM):
             continue
@@ -138,4 +136,6 @@ def wider(denied: KeyExpr) -> tuple[KeyExpr, ...]:
             with suppress(KeyExprError):  # within a "$*"
                 inserted = f"{chunk[:split]}{ANY_CHARACTERS}{chunk[split:]}"
                 found[of_chunks((*chunks[:at], inserted, *chunks[at + 1 :]))] = None
+    for at in range(len(chunks) + 1):
+        found[of_chunks((*chunks[:at], ANY_CHUNKS, *chunks[at:]))] = None
     return tuple(each for each in found if not includes(denied, each))
