@@ -53,6 +53,8 @@ class InstallSpace:
         names: common name of a subject's certificate, if it is not the subject.
         changes: what of the configuration of a subject's session, or of the router (``""``), is different.
         lives: how many seconds the certificate of a subject is valid from now, if not ten days.
+        port: the port of the router.
+        authority_key: the private key of the authority.
     """
 
     folder: Path
@@ -63,11 +65,11 @@ class InstallSpace:
     port: int = 7447
 
     def __post_init__(self) -> None:
-        self._key = ec.generate_private_key(ec.SECP256R1())
+        self.authority_key = ec.generate_private_key(ec.SECP256R1())
         self._name = x509.Name.from_rfc4514_string("CN=authority")
-        builder = self._builder(self._name, self._key, 864_000.0)
+        builder = self._builder(self._name, self.authority_key, 864_000.0)
         builder = builder.add_extension(x509.BasicConstraints(ca=True, path_length=None), critical=True)
-        self._certificate = builder.sign(self._key, hashes.SHA256())
+        self._certificate = builder.sign(self.authority_key, hashes.SHA256())
 
     @property
     def authority(self) -> bytes:
@@ -137,7 +139,7 @@ class InstallSpace:
         pem = key.private_bytes(
             serialization.Encoding.PEM, serialization.PrivateFormat.PKCS8, serialization.NoEncryption()
         )
-        return builder.sign(self._key, hashes.SHA256()).public_bytes(serialization.Encoding.PEM), pem
+        return builder.sign(self.authority_key, hashes.SHA256()).public_bytes(serialization.Encoding.PEM), pem
 
     def router(self) -> dict[str, Any]:
         """Return the router's configuration."""
