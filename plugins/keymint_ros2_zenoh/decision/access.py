@@ -133,6 +133,16 @@ class LinkAccess:
         self._control = control
         self._entries = entries
 
+    @property
+    def watched(self) -> frozenset[Flow]:
+        """The flows of which Zenoh looks at each message; it does not look at one that is always allowed."""
+        control = self._control
+        if control is None or not control.enabled:
+            return frozenset()
+        if control.default_permission is Permission.DENY:
+            return frozenset(Flow)
+        return frozenset(flow for entry in self._entries for rules in (entry.deny, entry.allow) for flow, _ in rules)
+
     def decide(self, message: Message, flow: Flow, key_expr: str) -> AccessDecision:
         """Return the decision on a message.
 
@@ -164,15 +174,6 @@ class LinkAccess:
                 denial = AccessDecision(allowed=False, reason=_reason(deny), rule=deny[0], where=deny[0].where)
         reason = f"no rule for {message} {flow} includes {key_expr}; the default is deny"
         return denial or AccessDecision(allowed=False, reason=reason, where=control.where)
-
-
-def watched_flows(control: AccessControl) -> frozenset[Flow]:
-    """Return the flows of which Zenoh looks at each message; it does not look at one that is always allowed."""
-    if not control.enabled:
-        return frozenset()
-    if control.default_permission is Permission.DENY:
-        return frozenset(Flow)
-    return frozenset(flow for rule in control.rules for flow in rule.flows)
 
 
 def _properties(subject: AclSubject) -> Iterable[_Properties]:

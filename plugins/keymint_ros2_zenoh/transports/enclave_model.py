@@ -14,6 +14,7 @@ from keymint.graph import Edge
 from keymint_ros2_zenoh.decision import admission
 from keymint_ros2_zenoh.decision.access import AccessDecision, AccessModel, Link
 from keymint_ros2_zenoh.decision.operations import MIRRORED, Request, operations
+from keymint_ros2_zenoh.messages import Flow
 from keymint_ros2_zenoh.transports import installed
 from keymint_ros2_zenoh.transports.installed import InstalledConfiguration
 from keymint_ros2_zenoh.vendors import loopback
@@ -59,6 +60,16 @@ class EnclaveModel:
         session = AccessModel(self.files.configuration.access_control)
         self._at_router = router.access.on(Link(self.common_name, interface="lo", protocol="tls"))
         self._at_session = session.on(Link(router.common_name, interface="lo", protocol="tls"))
+
+    @property
+    def watched_by_router(self) -> frozenset[Flow]:
+        """The flows of its link of which the router looks at each message."""
+        return self._at_router.watched
+
+    @property
+    def watched_by_session(self) -> frozenset[Flow]:
+        """The flows of its link of which its own access control looks at each message."""
+        return self._at_session.watched
 
     def at_router(self, request: Request) -> AccessDecision:
         """Return what the router decides about a message."""
@@ -131,10 +142,6 @@ class InstalledModels:
             enclave = self.enclave(subject)
             self._models[subject] = EnclaveModel(enclave, self.router(enclave.install), self._environment)
         return self._models[subject]
-
-    def router_of(self, subject: str) -> RouterModel:
-        """Return the model of the router of a subject; raises what :meth:`of` does."""
-        return self.router(self.enclave(subject).install)
 
     def router(self, install: Path) -> RouterModel:
         """Return the model of the router of an install space.

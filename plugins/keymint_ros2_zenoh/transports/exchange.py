@@ -62,7 +62,7 @@ def exchange(network: Network, models: InstalledModels, edges: Iterable[Edge]) -
     for subject, group in groupby(edges, key=lambda edge: edge.subject):
         model = models.of(subject)
         try:
-            session = LoggedSession(network, models.router_of(subject), model)
+            session = LoggedSession(network, model)
         except ZenohError as error:
             verdict = no_link(model, error)
             yield from ((edge, verdict) for edge in group)

@@ -13,10 +13,10 @@ from itertools import count, groupby, islice
 from comarmor.errors import Origin
 from keymint.api import Verdict
 from keymint.graph import Edge
-from keymint_ros2_zenoh.decision.access import AccessDecision, watched_flows
+from keymint_ros2_zenoh.decision.access import AccessDecision
 from keymint_ros2_zenoh.decision.operations import MIRRORED, Operation, Request, operations
-from keymint_ros2_zenoh.documents.access_control import AccessControl
-from keymint_ros2_zenoh.transports.enclave_model import EnclaveModel, InstalledModels, RouterModel, first_denied
+from keymint_ros2_zenoh.messages import Flow
+from keymint_ros2_zenoh.transports.enclave_model import EnclaveModel, InstalledModels, first_denied
 from keymint_ros2_zenoh.transports.network import ROUTER, Network
 from keymint_ros2_zenoh.vendors.zenoh_processes import ZenohError, ZenohProcess
 
@@ -42,7 +42,7 @@ def logged_decisions(
     for subject, group in groupby(edges, key=lambda edge: edge.subject):
         model = models.of(subject)
         try:
-            session = LoggedSession(network, models.router_of(subject), model)
+            session = LoggedSession(network, model)
         except ZenohError as error:
             verdict = no_link(model, error)
             yield from ((edge, verdict) for edge in group)
@@ -65,14 +65,13 @@ class LoggedSession:
 
     Args:
         network: the router.
-        router: its model.
         model: the enclave of the session.
 
     Raises:
         ZenohError: it gets no link to the router.
     """
 
-    def __init__(self, network: Network, router: RouterModel, model: EnclaveModel) -> None:
+    def __init__(self, network: Network, model: EnclaveModel) -> None:
         self._network = network
         self._model = model
         self._fences = count()
@@ -80,8 +79,8 @@ class LoggedSession:
         self._session = network.open(model)
         zid = network.sessions.ask("zid", session=self._session)
         router_zid = network.router.ask("zid", session=ROUTER)
-        self._at_router = _Decisions(network.router, zid, router.files.configuration.access_control)
-        self._at_session = _Decisions(network.sessions, router_zid, model.files.configuration.access_control)
+        self._at_router = _Decisions(network.router, zid, model.watched_by_router)
+        self._at_session = _Decisions(network.sessions, router_zid, model.watched_by_session)
 
     def declare(self, needed: Iterable[Operation]) -> None:
         """Let both ends decide on the keys of operations."""
@@ -122,13 +121,13 @@ class _Decisions:
     Args:
         process: the process.
         zid: identifier of the session at the other end.
-        control: its access control.
+        flows: the flows of which it looks at each message.
     """
 
-    def __init__(self, process: ZenohProcess, zid: str, control: AccessControl) -> None:
+    def __init__(self, process: ZenohProcess, zid: str, flows: frozenset[Flow]) -> None:
         self._process = process
         self._zid = zid
-        self._flows = watched_flows(control)
+        self._flows = flows
         self._found: dict[tuple[str, str, str], bool] = {}
         self._for_all: bool | None = None
 
