@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterator
+from functools import lru_cache
 
 from comarmor.patterns.glob import Glob, parse, units
 from comarmor.patterns.tokens import PatternError, Star, Token
@@ -19,6 +20,7 @@ _DIGITS = "0123456789"
 _LETTERS = "ABCDEFGHIJKLMNOPQRSTUVWXYZabcdefghijklmnopqrstuvwxyz_"
 
 
+@lru_cache(maxsize=1 << 14)
 def matches_ros_name(pattern: Glob) -> bool:
     """Return whether a pattern matches at least one fully qualified ROS name; exact."""
     tokens = units(pattern)
