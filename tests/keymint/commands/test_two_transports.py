@@ -190,3 +190,37 @@ def test_transports_names_the_build_type_of_each(keymint: Callable, two: Path) -
     }
     assert listed["board-1"] == "board"
     assert listed["omg"] == "keymint_ros2_dds"
+
+
+def test_dds_and_zenoh_from_one_policy(keymint: Callable, policy: Path, tmp_path: Path) -> None:
+    """Both decide as the policy does; when it changes, each mismatch is shown in the file that decides."""
+    made = keymint("provision", policy, "-w", "ws", "--transport", "dds", "--transport", "zenoh", "--no-prove")
+    assert made.code == 0, made.err
+    asked = ("-w", "ws", "-t", "omg", "-t", "zenoh-1", "--json")
+    found = keymint("verify", *asked)
+    assert found.code == 0, found.err
+    assert all(each["confusion"]["true_positive"] > 0 for each in by_name(found.document).values())
+    policy.write_text(policy.read_text().replace("<ros_subscribe/>", "<ros_publish/>"))
+    found = keymint("verify", *asked)
+    assert found.code == 3
+    wrong = {
+        name: {
+            (each["error"], each["request"]): Path(each["transport"]["rule"]["file"]).name
+            for each in transport["findings"]
+        }
+        for name, transport in by_name(found.document).items()
+    }
+    requests = ("false-negative", "ros_publish"), ("false-positive", "ros_subscribe")
+    for error, permission in requests:
+        request = error, f"/robot1/listener {permission} /chatter"
+        assert wrong["omg"][request] == "permissions.xml"
+        assert wrong["zenoh-1"][request] == "router.json5"
+    assert (tmp_path / "ws/install/zenoh/router.json5").exists()
+
+
+def test_why_of_a_name_that_zenoh_cannot_have(keymint: Callable, policy: Path) -> None:
+    made = keymint("provision", policy, "-w", "ws", "--transport", "zenoh", "--no-prove")
+    assert made.code == 0, made.err
+    outcome = keymint("why", "/talker", "ros_publish", "/chatter//x", "-w", "ws", "-t", "zenoh-1")
+    assert outcome.code == 0, outcome.err
+    assert "not asked: zenoh-1 (keymint_ros2_zenoh has no name for the ros_topic '/chatter//x')" in outcome.out
