@@ -75,3 +75,15 @@ def test_a_denial_under_a_wildcard_holds_for_names_only(allowed: str, denied: st
     assert codes(allowing, rule("DENY", "ros_topic", ["ros_publish"], denied, line=2)) == expected
     assert codes(allowing, rule("DENY", "ros_topic", ["ros_subscribe"], denied, line=2)) == []
     assert codes(allowing, rule("DENY", "ros_service", ["ros_call"], denied, line=2)) == []
+
+
+@pytest.mark.parametrize(("called", "found"), [("/*", True), ("/secret", True), ("/other", False)])
+def test_cached_data_of_a_denied_topic_reaches_those_that_may_call_a_service_of_its_name(
+    called: str, found: bool
+) -> None:
+    rules = (
+        rule("ALLOW", "ros_topic", ["ros_subscribe"], "/*", line=1),
+        rule("DENY", "ros_topic", ["ros_subscribe"], "/secret", line=2),
+        rule("ALLOW", "ros_service", ["ros_call"], called, line=3),
+    )
+    assert codes(*rules) == ([("zenoh-deny-wildcard", Severity.WARNING, 2)] if found else [])

@@ -8,7 +8,9 @@ from dataclasses import replace
 
 import pytest
 from hypothesis import given, settings
+from keymint_ros2_zenoh.decision.access import AccessModel, Link
 from keymint_ros2_zenoh.documents.access_control import AccessControl, AclPolicy, AclRule, AclSubject
+from keymint_ros2_zenoh.lowering.slots import SLOTS, Place
 from keymint_ros2_zenoh.messages import Flow, Message, Permission
 from keymint_ros2_zenoh.proving.claims import RightsQuestion, prove_rights
 from keymint_ros2_zenoh.proving.router_side import RouterRights
@@ -16,7 +18,14 @@ from keymint_ros2_zenoh.proving.router_side import RouterRights
 from comarmor.errors import Origin
 from keymint.api import Claim, Proof
 from keymint.ir import SubjectRules
-from tests.plugins.keymint_ros2_zenoh.lowering.policies import policies, rule, subject_rules
+from tests.plugins.keymint_ros2_zenoh.lowering.policies import (
+    NAMES,
+    TYPED,
+    policies,
+    policy_allows,
+    rule,
+    subject_rules,
+)
 
 from .controls import DOMAINS, FILE, control_of, with_rules
 
@@ -71,6 +80,21 @@ def test_the_rules_of_another_policy_are_refuted_where_they_differ(rules: Subjec
         assert any(each.proof is not Proof.PROVEN for each in claims(rules, control_of({NAME: other})))
     else:
         assert not refuted(control_of({NAME: rules}), other)
+
+
+@settings(max_examples=20, deadline=None)
+@given(policies())
+def test_the_model_decides_on_each_name_as_the_policy(rules: SubjectRules) -> None:
+    access = AccessModel(control_of({NAME: rules})).on(Link(NAME))
+    for name in NAMES:
+        for permission, slots in SLOTS.items():
+            needed = {
+                access.decide(
+                    slot.message, slot.flow, f"0{name}/{TYPED}" + ("/@adv/**" if slot.place is Place.ADVANCED else "")
+                ).allowed
+                for slot in slots
+            }
+            assert (needed == {True}) is policy_allows(rules, permission, name), (permission, name)
 
 
 def without(control: AccessControl, drop: Callable[[AclRule], bool]) -> AccessControl:

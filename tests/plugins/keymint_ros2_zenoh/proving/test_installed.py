@@ -291,6 +291,21 @@ def test_a_receiver_that_gets_what_a_denial_hides() -> None:
     assert exception.startswith("a put of /talker to 0/public/$*secret/*/* reaches /robot/listener")
 
 
+@pytest.mark.parametrize(("called", "excepted"), [("/public/*", ["address by query"]), ("/other", [])])
+def test_cached_data_that_a_subscriber_is_denied(called: str, excepted: list[str]) -> None:
+    publisher = package(rule("ALLOW", "ros_topic", "ros_publish", "/public/*"))
+    subscriber = package(
+        rule("ALLOW", "ros_topic", "ros_subscribe", "/public/*"),
+        rule("DENY", "ros_topic", "ros_subscribe", "/public/secret", line=8),
+        rule("ALLOW", "ros_service", "ros_call", called, line=9),
+        subject="/robot/listener",
+    )
+    packages = workspace(publisher, subscriber)
+    claims = prove_shared(shared_task(packages=packages, shared=shared(packages)))
+    assert {claim.proof for claim in claims} == {Proof.PROVEN}
+    assert [claim.action for claim in claims if claim.excepted] == excepted
+
+
 def earlier() -> Mapping[str, bytes]:
     """Return a router's file that the authority signed when the policy allowed more."""
     before = package(
