@@ -16,7 +16,7 @@ from keymint_ros2_zenoh.vendors.zenoh_processes import ZenohProcess, ZenohSystem
 
 from tests.plugins.keymint_ros2_zenoh.install_spaces import InstallSpace, merged
 
-FENCE = "0/fence"
+FENCE = "0/fence/type/hash"
 """A topic on which the sender of a test may always send, to know that what came before it did not get through."""
 _SECONDS = 10.0
 _ROUNDS = 3
@@ -53,7 +53,7 @@ class RealNetwork:
     def session(self, path: str, changes: Mapping[str, Any] | None = None, enclave: str | None = None) -> str:
         """Open the installed session of an enclave, or one with changes and the certificate of another enclave."""
         folder = self.space.folder / "enclaves" / path
-        document = merged(json.loads((folder / "session.json5").read_text()), _to(self.port))
+        document = merged(self.space.installed_session(folder), _to(self.port))
         return self._open(self.sessions, merged(document, changes or {}), enclave or path)
 
     def arrives(self, sender: str, key: str, receiver: str, subscription: str, fence: str = FENCE) -> bool:

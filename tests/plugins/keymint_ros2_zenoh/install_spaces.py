@@ -160,6 +160,11 @@ class InstallSpace:
         }
         return merged(_QUIET, document)
 
+    def installed_session(self, folder: Path) -> dict[str, Any]:
+        """Return the configuration that is installed in the folder of an enclave."""
+        document: dict[str, Any] = json.loads((folder / "session.json5").read_text())
+        return document
+
     def session(self, folder: Path) -> dict[str, Any]:
         """Return the configuration of a session, pinned to the router's common name."""
         on_robot = f"/robot/keystore/{folder.relative_to(self.folder)}"
