@@ -20,6 +20,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+from keymint_ros2_zenoh.documents import json5
 from keymint_ros2_zenoh.messages import Flow, Message
 from keymint_ros2_zenoh.vendors import loopback
 from keymint_ros2_zenoh.vendors.loopback_ports import free_port
@@ -60,24 +61,28 @@ def build(folder: Path, source: Path, transport: str) -> tuple[Path, float]:
     return workspace, spent() - begin
 
 
-def route(system: ZenohSystem, install: Path, messages: int, access_control: object | None) -> Running:
-    """Start the installed router and let one enclave publish to another.
+def without_rights(system: ZenohSystem, file: Path) -> Path:
+    """Return a router's file with the baseline's access control."""
+    document = json5.parse(file.read_bytes(), str(file)).plain()
+    return system.file("bare.json5", json.dumps({**document, "access_control": OPEN}).encode())
+
+
+def route(system: ZenohSystem, install: Path, messages: int, file: Path) -> Running:
+    """Start a router with the certificates of an install space and let one enclave publish to another.
 
     Args:
         system: the processes.
         install: the install space.
         messages: how many messages, on as many keys.
-        access_control: what replaces the router's own.
+        file: the router's configuration.
     """
     process, sessions, port = system.start(), system.start(), str(free_port())
     ports = {"7447": port}
     enclaves = install / "enclaves"
     changes = loopback.router_changes(["tls/127.0.0.1:7447"], ports) | _paths("listen", enclaves / "zenoh_router")
-    if access_control is not None:
-        changes["access_control"] = access_control
-    process.ask("accept", file=str(install / "zenoh/router.json5"))  # starts the interpreter and loads the library
+    process.ask("accept", file=str(system.file("empty.json5", b"{}")))  # starts the interpreter, loads the library
     begin = time.perf_counter()
-    process.open("router", install / "zenoh/router.json5", changes)
+    process.open("router", file, changes)
     start = time.perf_counter() - begin
     for name in (SENDER, RECEIVER):
         changes = loopback.session_changes(["tls/localhost:7447"], ports) | _paths("connect", enclaves / name)
@@ -125,11 +130,14 @@ def measure(size: int, messages: int, repeat: int) -> None:
         workspace, zenoh = build(Path(scratch), source, "zenoh")
         _run("install", "--no-prove", "-w", workspace)
         install = workspace / "install"
+        router = install / "zenoh/router.json5"
+        bare_router = without_rights(system, router)
         pairs = [
-            (route(system, install, messages, None), route(system, install, messages, OPEN)) for _ in range(repeat)
+            (route(system, install, messages, router), route(system, install, messages, bare_router))
+            for _ in range(repeat)
         ]
         own, bare = zip(*pairs, strict=True)
-        document = (install / "zenoh/router.json5").stat().st_size
+        document = router.stat().st_size
         print(
             f"| {size} | {document / 1000:,.0f} kB | {zenoh / size * 1000:.1f} ms | {zenoh / dds:.2f} "
             f"| {_start(own) * 1000:,.0f} ms | {_start(own) / _start(bare):.1f} "

@@ -33,6 +33,7 @@ ROUND_SECONDS = 0.5
 """How long a sample may take."""
 SILENCE_SECONDS = 1.0
 """How long no sample must arrive, if there is no other sample to wait for."""
+_A_MOMENT = 0.01
 SETTLE_SECONDS = 0.2
 """How long no sample must arrive after another one has."""
 
@@ -98,6 +99,7 @@ def _try(network: Network, models: InstalledModels, model: EnclaveModel, trials:
     for trial in trials:
         if trial.peer:
             by_run.setdefault((trial.peer, trial.operation.permission), []).append(trial)
+    silent: list[_Run] = []
     for (peer, _), group in by_run.items():
         other = models.of(peer)
         permitted = [trial for trial in group if trial.logged.allowed]
@@ -106,7 +108,23 @@ def _try(network: Network, models: InstalledModels, model: EnclaveModel, trials:
             _Run(network, model, other, permitted, conforming=True).deliver()
         if denied:
             shown = [trial for trial in permitted if trial.delivered][:1]
-            _Run(network, model, other, [*denied, *shown], conforming=False).deliver()
+            run = _Run(network, model, other, [*denied, *shown], conforming=False)
+            if shown:
+                run.deliver()
+            else:
+                silent.append(run)
+    _wait_in_silence(silent)
+
+
+def _wait_in_silence(runs: Sequence[_Run]) -> None:
+    """Wait for the samples of several runs together, of which none must arrive."""
+    for _ in range(2):
+        for run in runs:
+            run.send()
+        for number, run in enumerate(runs):
+            run.collect(_A_MOMENT if number else SILENCE_SECONDS)
+    for run in runs:
+        run.close()
 
 
 class _Run:
@@ -133,53 +151,65 @@ class _Run:
         active = permission in {PUBLISH, CALL}
         self._sender, self._receiver = (self._own, self._other) if active else (self._other, self._own)
         self._is_topic = permission in {PUBLISH, SUBSCRIBE}
+        self._by_querier = conforming and not self._is_topic
+        self._declare()
 
     def deliver(self) -> None:
-        """Send until every permitted sample has arrived, and once more; note what was delivered."""
-        self._declare()
+        """Send until every permitted sample has arrived, and once more if there are denied ones; then end."""
         permitted = [trial for trial in self._trials if trial.logged.allowed]
-        denied = len(permitted) < len(self._trials)
         for _ in range(ROUNDS):
-            self._round(ROUND_SECONDS if permitted else SILENCE_SECONDS)
+            self.send()
+            self.collect(ROUND_SECONDS)
             if all(trial.delivered for trial in permitted):
                 break
-        if denied:
-            self._round(SETTLE_SECONDS if permitted else SILENCE_SECONDS)
+        if len(permitted) < len(self._trials):
+            self.send()
+            self.collect(SETTLE_SECONDS)
+        self.close()
+
+    def send(self) -> None:
+        """Send everything once, the denied samples first."""
+        if self._is_topic:
+            samples = [(trial.operation.key, self._name(trial)) for trial in self._trials]
+            self._process.ask("publish" if self._conforming else "put", session=self._sender, samples=samples)
+        elif not self._by_querier:
+            self._process.ask("query", session=self._sender, name=self._sender, keys=self._keys)
+
+    def collect(self, seconds: float) -> None:
+        """Note what has arrived when the last sample has, if that is permitted, or when a time has passed."""
+        permitted = self._trials[-1].logged.allowed
+        if self._is_topic:
+            names = [self._name(trial) for trial in reversed(self._trials)]
+            last = names[0] if permitted else ""
+            boxes = self._process.ask("received", names=names, last=last, wait=seconds)
+            for trial in self._trials:
+                trial.delivered |= any(text == self._name(trial) for _, text in boxes[self._name(trial)])
+            return
+        if self._by_querier:
+            found = self._process.ask("queriers", session=self._sender, keys=self._keys, wait=seconds)
+            answers = {(key, text) for key, texts in found.items() for text in texts}
+        else:
+            last = self._keys[-1] if permitted else ""
+            found = self._process.ask("answered", name=self._sender, last=last, wait=seconds)
+            answers = {(key, text) for key, text in found}
+        for trial in self._trials:
+            trial.delivered |= (trial.operation.key, self._receiver) in answers
+
+    def close(self) -> None:
+        """Close the sessions."""
         for session in (self._own, self._other):
             self._network.close(session)
 
+    @property
+    def _keys(self) -> list[str]:
+        return [trial.operation.key for trial in self._trials]
+
     def _declare(self) -> None:
-        keys = {self._name(trial): trial.operation.key for trial in self._trials}
         if self._is_topic:
-            self._process.ask("subscribe", session=self._receiver, keys=keys)
+            boxes = {self._name(trial): trial.operation.key for trial in self._trials}
+            self._process.ask("subscribe", session=self._receiver, keys=boxes)
         else:
-            self._process.ask("answer", session=self._receiver, keys=list(keys.values()), text=self._receiver)
-
-    def _round(self, seconds: float) -> None:
-        """Send everything once, and note what arrives until the last permitted sample does, or a time has passed."""
-        if self._is_topic:
-            self._publish(seconds)
-        else:
-            self._query(seconds)
-
-    def _publish(self, seconds: float) -> None:
-        samples = [(trial.operation.key, self._name(trial)) for trial in self._trials]
-        self._process.ask("publish" if self._conforming else "put", session=self._sender, samples=samples)
-        names = [self._name(trial) for trial in reversed(self._trials)]
-        last = names[0] if self._trials[-1].logged.allowed else ""
-        boxes = self._process.ask("received", names=names, last=last, wait=seconds)
-        for trial in self._trials:
-            trial.delivered |= any(text == self._name(trial) for _, text in boxes[self._name(trial)])
-
-    def _query(self, seconds: float) -> None:
-        keys = [trial.operation.key for trial in self._trials]
-        if self._conforming:
-            answers = self._process.ask("queriers", session=self._sender, keys=keys, wait=seconds)
-        else:
-            last = keys[-1] if self._trials[-1].logged.allowed else ""
-            answers = self._process.ask("query", session=self._sender, keys=keys, last=last, wait=seconds)
-        for trial in self._trials:
-            trial.delivered |= self._receiver in answers[trial.operation.key]
+            self._process.ask("answer", session=self._receiver, keys=self._keys, text=self._receiver)
 
     def _name(self, trial: _Trial) -> str:
         """Return a mailbox of this run, and the text of its sample."""

@@ -17,6 +17,8 @@ from typing import Any
 import zenoh
 import zenoh.ext
 
+_QUERY_SECONDS = 10.0
+
 
 class _Mailbox:
     """Samples in the order of their arrival."""
@@ -29,6 +31,12 @@ class _Mailbox:
         with self._arrival:
             self._samples.append((key, text))
             self._arrival.notify_all()
+
+    def wait_for_key(self, last: str, seconds: float) -> list[tuple[str, str]]:
+        """Return all samples until now, but first wait for one on the key ``last``, up to a time."""
+        with self._arrival:
+            self._arrival.wait_for(lambda: any(key == last for key, _ in self._samples), seconds)
+            return list(self._samples)
 
     def wait(self, last: str, seconds: float) -> list[tuple[str, str]]:
         """Return all samples until now, but first wait for one with the text ``last``, up to a time."""
@@ -129,6 +137,10 @@ class _Commands:
             liveliness = self._sessions[session].liveliness()
             self._declared[session].append(liveliness.declare_subscriber(key, changed, history=True))
 
+    def answered(self, name: str, last: str, seconds: float) -> list[tuple[str, str]]:
+        """Return what is in a mailbox; wait for something on the key ``last``, up to a time."""
+        return self._mailboxes[name].wait_for_key(last, seconds)
+
     def received(self, names: list[str], last: str, seconds: float) -> dict[str, list[tuple[str, str]]]:
         """Return the samples in mailboxes; wait for the text ``last`` in the first of them, up to a time."""
         first = self._mailboxes[names[0]].wait(last, seconds)
@@ -145,27 +157,19 @@ class _Commands:
             queryable = self._sessions[session].declare_queryable(key, reply, complete=complete)
             self._declared[session].append(queryable)
 
-    def query(self, session: str, keys: list[str], last: str, seconds: float) -> dict[str, list[str]]:
-        """Send a query for each key; return the answers by key when the one for ``last`` comes, or after a time.
-
-        Queries and their answers keep their order on a link, so what ``last`` overtakes is not answered.
-        """
-        found: dict[str, list[str]] = {key: [] for key in keys}
-        fence = threading.Event()
+    def query(self, session: str, name: str, keys: list[str]) -> None:
+        """Send a query for each key; its answers come into a mailbox as the key and the text."""
+        box = self._mailboxes[name] = _Mailbox()
 
         def ask(key: str) -> None:
             def replied(reply: Any) -> None:
                 if reply.ok is not None:
-                    found[key].append(reply.ok.payload.to_string())
-                    if key == last:
-                        fence.set()
+                    box.put(key, reply.ok.payload.to_string())
 
-            self._sessions[session].get(key, replied, timeout=max(seconds, 1.0))
+            self._sessions[session].get(key, replied, timeout=_QUERY_SECONDS)
 
         for key in keys:
             ask(key)
-        fence.wait(seconds)
-        return {key: list(texts) for key, texts in found.items()}
 
     def send_queries(self, session: str, keys: list[str]) -> None:
         """Send queries for keys and for liveliness tokens, and do not wait for answers."""
