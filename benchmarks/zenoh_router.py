@@ -11,6 +11,7 @@ are measured in processor time, the router in time: it has all of a quiet machin
 from __future__ import annotations
 
 import argparse
+import json
 import os
 import subprocess
 import sys
