@@ -48,6 +48,7 @@ _MODELLED = frozenset(
         *(f"transport/link/tls/{name}" for name in _TLS),
     }
 )
+_AROUND_MODELLED = frozenset(path[:at] for path in _MODELLED for at, char in enumerate(path) if char == "/")
 
 
 @lru_cache(maxsize=8)
@@ -116,9 +117,9 @@ class _Reading:
                 self._other[f"{path}{quoted(key)}"] = member.plain()
             elif inner in _MODELLED:
                 self._found[inner] = member
-            elif isinstance(member.value, dict):
+            elif isinstance(member.value, dict) and (member.value or inner in _AROUND_MODELLED):
                 self._collect(f"{inner}/", member)
-            elif member.value is not None:
+            else:  # also {} and null: the name alone says which plugin to load
                 self._other[inner] = member.plain()
 
     def _plain(self, path: str) -> Any:

@@ -112,6 +112,9 @@ class _Rights:
         session = self._question.session
         if session is None:
             return None
+        if session.unmodelled:
+            reason = f"the configuration of the enclave's own sessions: {session.unmodelled}"
+            return self.claim(message, flow, Proof.UNKNOWN, reason)
         other = Flow.EGRESS if flow is Flow.INGRESS else Flow.INGRESS
         own, permitted = session.keys(message, other), self._policy.permitted(message, flow)
         needed = [key for allowed, _ in permitted for key in allowed]

@@ -81,6 +81,9 @@ def of_router(found: Configuration, package: Package, file: str) -> Iterator[Sho
     for endpoint in found.listen:
         secured = endpoint.partition("/")[0] in AUTHENTICATED
         yield from check("listen/endpoints", secured, f"it listens on {endpoint}, where links have no certificate")
+        # They override the settings of TLS, such as the authority: tls/[::]:7447#root_ca_certificate_file=/tmp/ca.pem
+        plain = not any(mark in endpoint for mark in "?#")
+        yield from check("listen/endpoints", plain, f"it listens on {endpoint}, which has settings of its own")
     yield from _scouting(check, found)
     yield from _links(check, found)
     yield from _paths(check, found, package, connects=False)
@@ -88,6 +91,8 @@ def of_router(found: Configuration, package: Package, file: str) -> Iterator[Sho
 
 def unmodelled(found: Configuration, router: bool) -> str:
     """Return a setting whose effect on access is not known, in words; empty if there is none.
+
+    A setting that is missing has Zenoh's default, which is another value than the known one.
 
     Args:
         found: the configuration.
@@ -97,7 +102,8 @@ def unmodelled(found: Configuration, router: bool) -> str:
     for path, value in found.other.items():
         if path not in known or known[path] != value:
             return f"what the setting {path} does to access is not known"
-    return ""
+    missing = next((path for path in known if path not in found.other), "")
+    return missing and f"the setting {missing} is missing; what its default does to access is not known"
 
 
 class _Check:

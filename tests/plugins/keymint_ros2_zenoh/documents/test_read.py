@@ -89,10 +89,15 @@ def test_certificates_and_keys() -> None:
 def test_other_settings_are_kept_with_their_places() -> None:
     text = b"{\n  mode: 'client',\n  transport: {\n    unicast: {max_links: 2, x: null},\n  },\n  namespace: 'a',\n}"
     configuration = read(text, "r.json5")
-    assert configuration.other == {"transport/unicast/max_links": 2, "namespace": "a"}
+    assert configuration.other == {"transport/unicast/max_links": 2, "transport/unicast/x": None, "namespace": "a"}
     assert configuration.place("transport/unicast/max_links", "r.json5") == Origin("r.json5", 4)
     assert configuration.place("transport/link/tls", "r.json5") == Origin("r.json5", 3)
     assert configuration.place("scouting/gossip", "r.json5") == Origin("r.json5")
+
+
+def test_objects_without_members_are_kept_where_their_name_may_say_something() -> None:
+    assert reading(scouting={"gossip": {}}, transport={}).other == {}
+    assert reading(plugins={"rest": {}}, adminspace={}).other == {"plugins/rest": {}, "adminspace": {}}
 
 
 def test_a_key_that_looks_like_a_path_is_no_setting() -> None:
