@@ -192,6 +192,36 @@ class TestPeer:
         assert not network.reaches(mallory, listener, CHATTER)
 
 
+class TestForgedGraph:
+    """Mallory announces a node of the talker to the graph."""
+
+    OWN, TALKERS = (f"@ros2_lv/0/aaa/0/1/NN/%{enclave}/%/node" for enclave in ("mallory", "talker"))
+    EVERY = "@ros2_lv/0/**"
+
+    def seen(self, network: RealNetwork, *tokens: str) -> set[str]:
+        """Declare tokens as mallory, and return those that the listener sees."""
+        listener, mallory = network.session("listener"), network.session("mallory", NO_OWN_ACCESS_CONTROL)
+        for token in tokens:
+            network.sessions.ask("tokens", session=mallory, keys=[token])
+        for _ in range(20):
+            found = set(network.sessions.ask("alive", session=listener, key=self.EVERY, wait=1.0))
+            if tokens[-1] in found:
+                return found
+        raise AssertionError("the last token was not seen, so nothing is known about the others")
+
+    def test_an_enclave_announces_its_own_nodes_only(self, network: RealNetwork) -> None:
+        network.router()
+        assert self.seen(network, self.TALKERS, self.OWN) == {self.OWN}
+
+    def test_with_a_right_to_all_tokens_it_would_be_believed(self, network: RealNetwork) -> None:
+        control = network.space.router()["access_control"]
+        for rule in control["rules"]:
+            if any("%mallory" in each for each in rule["key_exprs"]):
+                rule["key_exprs"] = [self.EVERY]
+        network.router({"access_control": {"rules": control["rules"]}})
+        assert self.seen(network, self.TALKERS, self.OWN) == {self.TALKERS, self.OWN}
+
+
 class TestExpiry:
     """The talker's certificate expires while its link lives."""
 
