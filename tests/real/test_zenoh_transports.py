@@ -14,7 +14,7 @@ from keymint_ros2_zenoh.transports import real_zenoh, zenoh_1
 from keymint.api import Enclave, Environment, Tier, Verdict
 from keymint.errors import KeymintError
 from keymint.graph import Edge, Object
-from tests.plugins.keymint_ros2_zenoh.install_spaces import InstallSpace, key
+from tests.plugins.keymint_ros2_zenoh.install_spaces import ROUTER, InstallSpace, key
 
 pytestmark = pytest.mark.zenoh
 
@@ -127,6 +127,20 @@ def test_a_certificate_that_no_subject_names_has_no_rights(
     space.enclave("talker", "/Talker")
     found = labelled(real_zenoh.open(environment), enclaves, Tier.DECISION, *edges_of("/talker"))
     assert not any(verdict.allowed for verdict in found)
+
+
+@pytest.mark.parametrize("host", ["robot.local", "other.local"])
+def test_a_router_on_another_host_is_tried_here_if_its_certificate_names_that_host(
+    zenoh_library: str, space: InstallSpace, environment: Environment, host: str
+) -> None:
+    for subject in space.rights:
+        space.changes[subject] = {"connect": {"endpoints": ["tls/robot.local:7447"]}}
+    enclaves, edge = space.write(), edges_of("/talker")[0]
+    space.enclave(ROUTER, ROUTER, server=True, host=host)
+    for opened in (zenoh_1.open(environment), real_zenoh.open(environment)):
+        [found] = labelled(opened, enclaves, Tier.DECISION, edge)
+        assert found.allowed == (host == "robot.local")
+        assert found.allowed or "subjectAltName" in found.reason
 
 
 def test_a_router_without_access_control_allows_everything_that_sessions_do(

@@ -56,7 +56,7 @@ def logged_decisions(
 
 def no_link(model: EnclaveModel, error: ZenohError) -> Verdict:
     """Return the verdict on all edges of an enclave whose session has no link to the router."""
-    reason = f"{model.refusal} ({error})" if model.refusal else f"the session has no link to the router: {error}"
+    reason = model.refusal or f"the session has no link to the router: {error}"
     return Verdict(allowed=False, reason=reason, where=Origin(str(model.files.file)))
 
 

@@ -76,10 +76,13 @@ class Network:
                 router restrains.
 
         Raises:
-            ZenohError: it gets no link to the router.
+            ZenohError: it gets no link to the router; or the model refuses the link to a host that is not this machine,
+                whose name is not compared here.
         """
         name = f"session{next(self._numbers)}"
         connect = model.files.configuration.connect
+        if model.refusal and not {loopback.host(each) for each in connect} <= set(loopback.LOOPBACK):
+            raise ZenohError(model.refusal)
         changes = loopback.session_changes(connect, self._ports) | _paths(model.files)
         if not conforming:
             changes |= _NO_ACCESS_CONTROL
