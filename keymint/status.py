@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from datetime import datetime
 
-from keymint.api import LoadedPolicy
+from keymint.api import LoadedPolicy, Role
 from keymint.errors import KeymintError
 from keymint.plan import build, create, install
 from keymint.plan.authority_files import trusted_chains
@@ -128,7 +128,8 @@ def _row(
     stage = "installed" if installed else "built" if built else "source"
     try:
         package = session.package(name)
-        permissions_end = package.grant.validity.not_after if package.grant.validity else None
+        if package.role is Role.SUBJECT and package.grant.validity:
+            permissions_end = package.grant.validity.not_after
         if name in differing:
             stale, problem = "create", differing[name]
     except KeymintError as error:

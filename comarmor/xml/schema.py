@@ -126,6 +126,14 @@ def _enumeration(match: re.Match[str], _v: SchemaVocabulary, _e: etree._Element 
     return f"{_node(match)} is {quoted(match[3])}, expected {' or '.join(values)}", did_you_mean(match[3], values)
 
 
+def _long(match: re.Match[str], _v: SchemaVocabulary, _e: etree._Element | None) -> tuple[str, str]:
+    return f"{_node(match)} has {match[3]} characters, expected {match[4]} or fewer", ""
+
+
+def _beyond(match: re.Match[str], _v: SchemaVocabulary, _e: etree._Element | None) -> tuple[str, str]:
+    return f"{_node(match)} is {quoted(match[4])}, expected {match[5]} or {'more' if match[3] == 'min' else 'less'}", ""
+
+
 def _short(match: re.Match[str], _v: SchemaVocabulary, _e: etree._Element | None) -> tuple[str, str]:
     least = int(match[4])
     if not int(match[3]):
@@ -156,6 +164,14 @@ _EXPLANATIONS: tuple[tuple[re.Pattern[str], _Explanation], ...] = tuple(
         (
             r"Element '(.+?)'(?:, attribute '(.+?)')?: \[facet 'minLength'\] .* length of '(\d+)'.* length of '(\d+)'",
             _short,
+        ),
+        (
+            r"Element '(.+?)'(?:, attribute '(.+?)')?: \[facet 'maxLength'\] .* length of '(\d+)'.* length of '(\d+)'",
+            _long,
+        ),
+        (
+            r"Element '(.+?)'(?:, attribute '(.+?)')?: \[facet '(min|max)Inclusive'\] .* '(.*)' is .+ \('(.+)'\)",
+            _beyond,
         ),
         (
             r"Element '(.+?)': Element content is not allowed",

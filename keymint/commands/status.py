@@ -49,7 +49,10 @@ def status(run: Run) -> Report:
         for row in rows
     ] + [[name, "-", "create", "-", "-"] for name in missing]
     shared = shared_rows(session)
-    cells += [[", ".join(row.documents) or row.build_type, row.stage, row.stale or "-", "-", "-"] for row in shared]
+    cells += [
+        [", ".join(row.documents) or row.build_type or "shared documents", row.stage, row.stale or "-", "-", "-"]
+        for row in shared
+    ]
     run.console.table(["PACKAGE", "STAGE", "STALE", "CERTIFICATE", "PERMISSIONS"], cells)
     for row in rows:
         if row.problem:

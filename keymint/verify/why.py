@@ -19,6 +19,7 @@ from keymint.api import (
     LoadedPolicy,
     Package,
     PolicyDecision,
+    Role,
     RuleLocator,
     Tier,
     Transport,
@@ -277,7 +278,16 @@ def _models(
 
 def _source_package(session: Session, subject: str) -> Package | None:
     name = subject.removeprefix("/")
-    return session.package(name) if name in packages(session.tree, session.workspace.src) else None
+    if name not in packages(session.tree, session.workspace.src):
+        return None
+    package = session.package(name)
+    if package.role is Role.INFRASTRUCTURE:
+        raise KeymintError(
+            f"{subject} has no rights to explain: it belongs to the infrastructure of a transport",
+            help="name a subject of the policy",
+            code="packages-none",
+        )
+    return package
 
 
 def _rules_of_package(session: Session, package: Package, edges: Sequence[Edge]) -> Sequence[MatchedRule]:

@@ -4,10 +4,11 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from ipaddress import ip_address
 
 from comarmor.errors import Diagnostic, Severity
 from keymint.api import CertificateSpec, Package
-from keymint_ros2_zenoh.settings import is_router
+from keymint_ros2_zenoh.settings import is_address, is_router, settings_of
 
 _CURVES = ("SECP256R1", "SECP384R1")
 _REFUSED_WITH_EC = "SHA512"
@@ -28,6 +29,8 @@ def check_identity(package: Package) -> Iterator[Diagnostic]:
         yield from _curve(authority.certificate, f"the key of the authority {authority.name!r}", subject)
     yield from _signatures(package)
     yield from _usage(package, is_server=is_router(package))
+    if is_router(package):
+        yield from _host(package)
 
 
 def _curve(certificate: CertificateSpec, what: str, subject: str) -> Iterator[Diagnostic]:
@@ -70,6 +73,29 @@ def _usage(package: Package, *, is_server: bool) -> Iterator[Diagnostic]:
                 "zenoh-key-usage", Severity.WARNING,
                 _too_much(is_server=is_server), extension.origin, "leave out the extension", package.subject,
             )  # fmt: skip
+
+
+def _host(package: Package) -> Iterator[Diagnostic]:
+    """Yield a name of the router's certificate that the sources give, and sessions do not look for."""
+    host = settings_of(package).router.host
+    needed = f"{'IP' if is_address(host) else 'DNS'}:{host}"
+    for extension in package.identity.extensions:
+        if extension.name == "subjectAltName" and not any(
+            _same_name(part.strip(), needed) for part in extension.value.split(",")
+        ):
+            yield Diagnostic(
+                "zenoh-host-name", Severity.ERROR,
+                f"the certificate's subjectAltName lacks the router's host {host!r}, so that no session connects to it",
+                extension.origin, f"add {needed}, or leave out the extension", package.subject,
+            )  # fmt: skip
+
+
+def _same_name(one: str, other: str) -> bool:
+    """Return whether two names of a certificate are the same: addresses in any notation, DNS names in any case."""
+    kind, _, value = one.partition(":")
+    if kind == "IP" and other.startswith("IP:") and is_address(value):
+        return ip_address(value) == ip_address(other.removeprefix("IP:"))
+    return one.casefold() == other.casefold()
 
 
 def _too_much(*, is_server: bool) -> str:

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import re
 from dataclasses import dataclass
+from ipaddress import ip_address
 from typing import TYPE_CHECKING
 
 from comarmor.errors import Diagnostic, Origin, Severity
@@ -89,7 +90,10 @@ def settings(sources: PackageSources) -> PackageSettings:
         message, help_ = (
             (f"the router {router.name!r} is a subject of the policy", "give the router or the subject another name")
             if is_server
-            else (f"{sources.name} is infrastructure, but the router is {router.name!r}", "remove the package")
+            else (
+                f"the package {sources.name} is of a router, but the router is {router.name!r}",
+                "remove the package's folder, then run 'keymint create --all', or give the router its old name",
+            )
         )
         raise KeymintError(message, where=found.where("router/name"), help=help_, code="zenoh-router-name")
     origin = found.where("router/host")
@@ -149,10 +153,10 @@ class _Values:
     def host(self) -> str:
         """Return the host of the router."""
         host = self._required("router/host")
-        if host and not is_address(host) and not _DNS_NAME.fullmatch(host):
+        if host and (not _DNS_NAME.fullmatch(host) if not is_address(host) else not _is_reachable(host)):
             self._defect(
                 "zenoh-host",
-                f"the host {quoted(host)} is neither a DNS name nor an IP address",
+                f"the host {quoted(host)} is neither a DNS name nor the IP address of one machine",
                 "router/host",
                 "write the name or address by which sessions reach the router, e.g. robot1.local",
             )
@@ -189,6 +193,12 @@ class _Values:
         self.defects.append(Diagnostic(code, Severity.ERROR, message, self.where(path), help_))
 
 
+def _is_reachable(address: str) -> bool:
+    """Return whether an IP address is that of one machine, without a zone, which no certificate has."""
+    parsed = ip_address(address)
+    return not (parsed.is_unspecified or parsed.is_multicast or "%" in address)
+
+
 def _missing(path: str, where: Origin) -> KeymintError:
     tag = path.rpartition("/")[2]
     return KeymintError(
@@ -203,6 +213,6 @@ def _missing_file(file: str, where: Origin) -> KeymintError:
     return KeymintError(
         f"there is no file {quoted(file, 200)} in the package or its profile",
         where=where,
-        help="create it, or correct the path",
+        help="write it as docs/zenoh.md shows",
         code="file-missing",
     )

@@ -176,12 +176,14 @@ def _never_matches(expression: str, rule: Rule, subject: str) -> Diagnostic:
 
 
 def _dropped(rule: Rule, subject: str) -> Diagnostic:
+    # Without the files that include the rule: they differ from subject to subject, and all have one note together.
+    where = rule.origin.alone()
     return Diagnostic(
         "zenoh-infrastructure",
         Severity.NOTE,
         f"the rule on {DDS_INFRASTRUCTURE}, which only DDS has, is left out: on Zenoh every enclave may announce its "
         "own nodes and read the graph",
-        rule.origin,
+        where,
         "",
         subject,
     )

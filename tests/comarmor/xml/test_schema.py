@@ -13,7 +13,11 @@ from comarmor.xml.schema import validate
 
 COMMON = """<xs:schema xmlns:xs="http://www.w3.org/2001/XMLSchema">
   <xs:complexType name="Key">
-    <xs:all><xs:element name="curve" type="xs:string"/><xs:element name="size" type="xs:int" minOccurs="0"/></xs:all>
+    <xs:all><xs:element name="curve" type="xs:string"/><xs:element name="size" type="xs:int" minOccurs="0"/>
+      <xs:element name="port" minOccurs="0"><xs:simpleType><xs:restriction base="xs:integer">
+        <xs:minInclusive value="1"/><xs:maxInclusive value="65535"/></xs:restriction></xs:simpleType></xs:element>
+      <xs:element name="name" minOccurs="0"><xs:simpleType><xs:restriction base="xs:token">
+        <xs:maxLength value="3"/></xs:restriction></xs:simpleType></xs:element></xs:all>
   </xs:complexType>
 </xs:schema>"""
 MAIN = """<xs:schema xmlns:xs="http://www.w3.org/2001/XMLSchema">
@@ -54,3 +58,16 @@ def test_an_element_that_occurs_twice(schema: Path) -> None:
 def test_a_value_of_the_wrong_type(schema: Path) -> None:
     (diagnostic,) = violations("<key><curve/><size>big</size></key>", schema)
     assert diagnostic.message.startswith("<size> is 'big', which is not a valid value")
+
+
+@pytest.mark.parametrize(
+    ("content", "message"),
+    [
+        ("<port>0</port>", "<port> is '0', expected 1 or more"),
+        ("<port>65536</port>", "<port> is '65536', expected 65535 or less"),
+        ("<name>four</name>", "<name> has 4 characters, expected 3 or fewer"),
+    ],
+)
+def test_a_value_beyond_its_limit(schema: Path, content: str, message: str) -> None:
+    (diagnostic,) = violations(f"<key><curve/>{content}</key>", schema)
+    assert diagnostic.message == message

@@ -177,6 +177,14 @@ def test_the_infrastructure_has_no_rights_to_verify(keymint: Callable, two: Path
     assert "office has no rights to verify: it belongs to the infrastructure of a transport" in outcome.err
 
 
+def test_the_infrastructure_has_no_rights_to_explain_and_none_that_expire(keymint: Callable, two: Path) -> None:
+    outcome = keymint("why", f"/{board.OFFICE}", "ros_publish", "/chatter", "-w", two)
+    assert outcome.code == 1
+    assert "office has no rights to explain: it belongs to the infrastructure of a transport" in outcome.err
+    rows = keymint("status", "-w", two, "--json").document["result"]["packages"]
+    assert {row["package"] for row in rows if row["permissions_expire"] is None} == {board.OFFICE}
+
+
 def test_pictures_and_comparisons_of_the_policy_need_no_transport(keymint: Callable, two: Path) -> None:
     for verb in (("diff", two, two), ("graph", "-w", two, "-o", "picture.svg")):
         outcome = keymint(*verb)

@@ -228,6 +228,26 @@ def test_signatures_that_zenoh_does_not_verify(key: KeySpec, digest: str, errors
     assert [each.code for each in check_identity(own)] == errors
 
 
+@pytest.mark.parametrize(
+    ("host", "names", "fits"),
+    [
+        ("localhost", "DNS:other.example.com", False),
+        ("localhost", "DNS:other.example.com, DNS:LOCALHOST", True),
+        ("10.0.0.7", "DNS:10.0.0.7", False),
+        ("fe80::1", "IP:10.0.0.7,IP:fe80:0::1", True),
+    ],
+)
+def test_own_names_of_the_router_include_its_host(host: str, names: str, fits: bool) -> None:
+    own = router_package(
+        router=replace(ROUTER, host=host),
+        extensions=(Extension("subjectAltName", names, False, HOST_ORIGIN),),
+    )
+    if fits:
+        assert not build(own, OPTIONS).diagnostics
+    else:
+        assert refused(lambda: build(own, OPTIONS)) == {"zenoh-host-name": str(HOST_ORIGIN)}
+
+
 @pytest.mark.parametrize("subject", ["/talker", "/zenoh_router"])
 def test_a_certificate_for_both_sides_is_a_warning(subject: str) -> None:
     both = (Extension("extendedKeyUsage", "serverAuth, clientAuth", False, HOST_ORIGIN),)

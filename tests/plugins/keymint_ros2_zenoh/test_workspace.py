@@ -153,3 +153,27 @@ def test_both_transports_share_an_enclave(keymint: Callable, tmp_path: Path) -> 
     files = {path.name for path in (ws / "install/enclaves/robot1/base").iterdir()}
     assert {"session.json5", "permissions.p7s", "governance.p7s", "cert.pem", "key.pem"} <= files
     assert keymint("check", "-w", ws).code == 0
+
+
+def test_the_rule_that_is_left_out_for_all_is_noted_once(ws: Path, keymint: Callable) -> None:
+    found = keymint("build", "-f", "-w", ws, "--json").document["diagnostics"]
+    [note] = [each for each in found if each["code"] == "zenoh-infrastructure"]
+    assert (Path(note["file"]).name, note["line"]) == ("graph.xml", 4)
+
+
+def test_another_router_needs_another_package(ws: Path, keymint: Callable) -> None:
+    """What happens between the steps that the message names is shown by status, with a name in each row."""
+    defaults = ws / "profile/package.defaults/zenoh.xml"
+    defaults.write_text(defaults.read_text().replace("<name>zenoh_router<", "<name>fleet/router<"))
+    outcome = keymint("build", "-w", ws)
+    assert outcome.code == 1
+    assert "remove the package's folder, then run 'keymint create --all'" in outcome.err
+    shown = keymint("status", "-w", ws).out
+    assert [line.split()[0] for line in shown.splitlines()[1:6]] == [
+        "listener", "talker", "zenoh_router", "fleet/router", "shared",
+    ]  # fmt: skip
+    shutil.rmtree(ws / "src/zenoh_router")
+    for verb in (["create", "--all"], ["build"], ["install", "--prune"], ["check"]):
+        outcome = keymint(*verb, "-w", ws)
+        assert outcome.code == 0, outcome.err
+    assert [folder.name for folder in sorted((ws / "install/enclaves").iterdir())] == ["fleet", "listener", "talker"]

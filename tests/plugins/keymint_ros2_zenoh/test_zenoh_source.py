@@ -82,8 +82,9 @@ def test_hosts(host: str) -> None:
 
 @pytest.mark.parametrize(
     "host",
-    ["-a", "a-", "a..b", "a_b", "http://a", "a:7447", "a b", "10.0.0", "1.2.3.4.5", "a/b", "ü.de", "a" * 64, "[::1]"],
-)
+    ["-a", "a-", "a..b", "a_b", "http://a", "a:7447", "a b", "10.0.0", "1.2.3.4.5", "a/b", "ü.de", "a" * 64, "[::1]",
+     "0.0.0.0", "::", "224.0.0.1", "ff02::1", "fe80::1%eth0"],
+)  # fmt: skip
 def test_no_hosts(host: str) -> None:
     assert refused(sources(USUAL.replace("localhost", host))) == [("zenoh-host", f"{DEFAULTS}:4")]
 
@@ -98,7 +99,7 @@ def test_no_hosts(host: str) -> None:
         ("zenoh_router", "/zenoh_router"),
         ("localhost", ""),
         ("<port>", "<door>7</door><port>"),
-        ("</zenoh>", "<keystore>relative</keystore></zenoh>"),
+        ("</zenoh>", "<keystore>/a</keystore><keystore>/b</keystore></zenoh>"),
     ],
 )
 def test_the_schema(old: str, new: str) -> None:
@@ -107,7 +108,7 @@ def test_the_schema(old: str, new: str) -> None:
     assert where.startswith(f"{DEFAULTS}:")
 
 
-@pytest.mark.parametrize("path", ["/a/../b", "/a//b"])
+@pytest.mark.parametrize("path", ["relative", "", "~/a", "/a/../b", "/a//b"])
 def test_keystores(path: str) -> None:
     own = f"<zenoh><keystore>{path}</keystore></zenoh>"
     assert refused(sources(own=own)) == [("zenoh-keystore", f"{OWN}:1")]
