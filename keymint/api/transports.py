@@ -94,12 +94,15 @@ class Verdict:
         where: the rule that decided, with the path of its file; without a line if no rule of the file did. None if no
             file decided.
         deviation: the row in the table of vendor deviations that explains a difference from the standard, or empty.
+        partial: the subject can use the edge in some way, but not everything that the edge needs is permitted. That is
+            a mismatch whatever the policy says; ``allowed`` is False.
     """
 
     allowed: bool
     reason: str = ""
     where: Origin | None = None
     deviation: str = ""
+    partial: bool = False
 
 
 @dataclass(frozen=True, slots=True)

@@ -10,7 +10,7 @@ from typing import Any
 import click
 
 from comarmor.errors import Diagnostic, Origin, Severity, cited
-from keymint.api import AppliedProfile, DomainRange, Tier
+from keymint.api import AppliedProfile, DomainRange, Tier, Verdict
 from keymint.commands.options import transport_option
 from keymint.commands.run import Run
 from keymint.commands.verb import verb
@@ -165,16 +165,22 @@ def _labels(explanation: Explanation, typed: Callable[[str], str]) -> Iterator[s
     """Yield the decisions of transports, one line for all with the same reason."""
     if not explanation.installed:
         yield "not installed (run 'keymint build' and 'keymint install')"
-    together: dict[tuple[bool, str], list[str]] = {}
+    together: dict[tuple[str, str], list[str]] = {}
     for name, label in explanation.labels.items():
         deviation = f"; deviates from the standard: {label.verdict.deviation}" if label.verdict.deviation else ""
         reason = f"{_at(label.document, typed)}: {label.reason or 'no reason is given'}{deviation}"
-        together.setdefault((label.verdict.allowed, reason), []).append(name)
-    for (allowed, reason), names in together.items():
-        yield f"{'allowed' if allowed else 'denied'} by {enumerated(names)} ({reason})"
+        together.setdefault((_decision(label.verdict), reason), []).append(name)
+    for (decision, reason), names in together.items():
+        yield f"{decision} by {enumerated(names)} ({reason})"
     for build_type, unasked in explanation.unasked.items():
         wanted = explanation.edge.object
         yield f"not asked: {enumerated(unasked)} ({build_type} has no name for the {wanted.kind} {wanted.name!r})"
+
+
+def _decision(verdict: Verdict) -> str:
+    if verdict.partial:
+        return "allowed in part"
+    return "allowed" if verdict.allowed else "denied"
 
 
 def _document(explanation: Explanation, typed: Callable[[str], str]) -> dict[str, Any]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import replace
 from itertools import groupby
 from operator import attrgetter
 
@@ -55,11 +56,12 @@ def compare(
         wrong: list[tuple[Edge, Verdict]] = []
         for edge, verdict in labelled:
             allowed = next(expected)
-            counts[allowed][verdict.allowed] += 1
-            if allowed != verdict.allowed:
+            decided = verdict.allowed if not verdict.partial else not allowed
+            counts[allowed][decided] += 1
+            if allowed != decided:
                 by_subject[subject] = by_subject.get(subject, 0) + 1
                 if len(findings) + len(wrong) < limit:
-                    wrong.append((edge, verdict))
+                    wrong.append((edge, replace(verdict, allowed=decided) if verdict.partial else verdict))
         if wrong:
             findings += explain(name, enclaves[subject], wrong)
         on_subject(subject)

@@ -78,6 +78,11 @@ class Explainer:
         except KeymintError:
             return plain
         return [
-            (model, name) if model.allowed == verdict.allowed else (verdict, "")
+            (model, name) if _alike(model, verdict) else (verdict, "")
             for (_, verdict), model in zip(wrong, models, strict=True)
         ]
+
+
+def _alike(one: Verdict, other: Verdict) -> bool:
+    """Tell whether two verdicts decide the same; a partial one counts as the opposite of what the policy says."""
+    return one.partial == other.partial and (one.partial or one.allowed == other.allowed)

@@ -96,7 +96,11 @@ class Explanation:
     @property
     def wrong(self) -> Mapping[str, Mismatch]:
         """The labels that differ from the policy's decision."""
-        return {name: each for name, each in self.labels.items() if each.verdict.allowed != each.policy.allowed}
+        return {
+            name: each
+            for name, each in self.labels.items()
+            if each.verdict.partial or each.verdict.allowed != each.policy.allowed
+        }
 
 
 def request(subject: str, permission: str, name: str, partitions: Sequence[str], domain: int) -> Edge:

@@ -6,7 +6,7 @@ The parts of a key that no right depends on are fixed: the type and its hash, an
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from types import MappingProxyType
 
@@ -14,7 +14,7 @@ from comarmor.rules import parts
 from keymint.graph import Edge
 from keymint_ros2_zenoh.keyexpr.key_expr import KeyExprError, canonical, parse
 from keymint_ros2_zenoh.lowering.names import ADVANCED
-from keymint_ros2_zenoh.lowering.slots import SLOTS, Place
+from keymint_ros2_zenoh.lowering.slots import SLOTS, WAYS, Place, Slot
 from keymint_ros2_zenoh.messages import Flow, Message
 
 TYPE = "std_msgs::msg::dds_::String_"
@@ -48,11 +48,16 @@ class Operation:
     @property
     def requests(self) -> tuple[Request, ...]:
         """The messages that it needs, all of them."""
+        return self._requests(SLOTS[self.permission])
+
+    @property
+    def ways(self) -> tuple[tuple[Request, ...], ...]:
+        """The ways in which a session that keeps to no convention can do it, each with the messages that are enough."""
+        return tuple(map(self._requests, WAYS[self.permission]))
+
+    def _requests(self, slots: Iterable[Slot]) -> tuple[Request, ...]:
         plain, beside = self.keys
-        return tuple(
-            Request(slot.message, slot.flow, plain if slot.place is Place.DATA else beside)
-            for slot in SLOTS[self.permission]
-        )
+        return tuple(Request(slot.message, slot.flow, plain if slot.place is Place.DATA else beside) for slot in slots)
 
 
 @dataclass(frozen=True, slots=True)

@@ -83,6 +83,28 @@ Only ``reply`` on data belongs to two permissions of a subject: to publish and t
 A reply needs a query that was permitted to reach the subject. So a reply that is permitted for the one is no right to
 the other.
 """
+WAYS: Mapping[str, tuple[tuple[Slot, ...], ...]] = MappingProxyType(
+    {
+        "ros_publish": (
+            (Slot(Message.PUT, _IN),),
+            (
+                Slot(Message.REPLY, _IN),
+                Slot(Message.QUERY, _OUT, _BESIDE),
+                Slot(Message.DECLARE_QUERYABLE, _IN, _BESIDE),
+            ),
+        ),
+        "ros_subscribe": (
+            (Slot(Message.DECLARE_SUBSCRIBER, _IN), Slot(Message.PUT, _OUT)),
+            (Slot(Message.QUERY, _IN, _BESIDE), Slot(Message.REPLY, _OUT)),
+        ),
+        "ros_call": ((Slot(Message.QUERY, _IN),),),
+        "ros_execute": ((Slot(Message.DECLARE_QUERYABLE, _IN), Slot(Message.QUERY, _OUT)),),
+    }
+)
+"""The ways in which a session that keeps to no convention can use a permission: all slots of a way are enough.
+
+A sample is sent by ``put``, or as the reply of a cache. A query makes a server act, whether or not its reply arrives.
+"""
 USERS: Mapping[Slot, frozenset[str]] = MappingProxyType(
     {
         slot: frozenset(permission for permission, slots in SLOTS.items() if slot in slots)

@@ -16,6 +16,7 @@ from keymint_ros2_zenoh.decision.access import AccessDecision, AccessModel, Link
 from keymint_ros2_zenoh.decision.operations import MIRRORED, Request, operations
 from keymint_ros2_zenoh.messages import Flow
 from keymint_ros2_zenoh.transports import installed
+from keymint_ros2_zenoh.transports.edge_verdict import edge_verdict
 from keymint_ros2_zenoh.transports.installed import InstalledConfiguration
 from keymint_ros2_zenoh.vendors import loopback
 
@@ -87,19 +88,16 @@ class EnclaveModel:
         decision, file = (self.at_router(request), self._router_file) if own.allowed else (own, self._session_file)
         return Verdict(decision.allowed, f"{request}: {decision.reason}", decision.where or Origin(file))
 
+    def decide_at_router(self, request: Request) -> Verdict:
+        """Return the decision on a message of a session that ignores its own access control."""
+        if self.refusal:
+            return Verdict(allowed=False, reason=self.refusal, where=Origin(self._session_file))
+        decision = self.at_router(request)
+        return Verdict(decision.allowed, f"{request}: {decision.reason}", decision.where or Origin(self._router_file))
+
     def label(self, edge: Edge) -> Verdict:
-        """Return the decision on an edge: all messages that it needs must be allowed."""
-        return first_denied(self.decide(request) for operation in operations(edge) for request in operation.requests)
-
-
-def first_denied(verdicts: Iterable[Verdict]) -> Verdict:
-    """Return the first verdict that denies, else the first one; without any, the name is no name of Zenoh."""
-    first = None
-    for verdict in verdicts:
-        if not verdict.allowed:
-            return verdict
-        first = first or verdict
-    return first or Verdict(allowed=False, reason="no key of Zenoh can have this name")
+        """Return the decision on an edge."""
+        return edge_verdict(operations(edge), self.decide, self.decide_at_router)
 
 
 class InstalledModels:

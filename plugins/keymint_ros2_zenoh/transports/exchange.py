@@ -14,13 +14,14 @@ declaration of its receiver may get lost.
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import groupby, islice
 
 from keymint.api import Verdict
 from keymint.graph import Edge
 from keymint_ros2_zenoh.decision.operations import CALL, OTHER_END, PUBLISH, SUBSCRIBE, Operation, operations
-from keymint_ros2_zenoh.transports.enclave_model import EnclaveModel, InstalledModels, first_denied
+from keymint_ros2_zenoh.transports.edge_verdict import NAMELESS
+from keymint_ros2_zenoh.transports.enclave_model import EnclaveModel, InstalledModels
 from keymint_ros2_zenoh.transports.logged_decisions import LoggedSession, no_link
 from keymint_ros2_zenoh.transports.network import Network
 from keymint_ros2_zenoh.vendors.zenoh_processes import ZenohError, ZenohProcess
@@ -218,14 +219,15 @@ class _Run:
 
 def _verdict(trials: Sequence[_Trial]) -> Verdict:
     """Combine the trials of an edge: all must succeed."""
-    return first_denied(map(_single, trials))
+    verdicts = [_single(trial) for trial in trials] or [NAMELESS]
+    return next((verdict for verdict in verdicts if not verdict.allowed), verdicts[0])
 
 
 def _single(trial: _Trial) -> Verdict:
     logged, peer = trial.logged, trial.peer
     if not peer:
         reason = f"{logged.reason}; no other enclave may do the other end, so nothing was sent"
-        return Verdict(logged.allowed, reason, logged.where)
+        return replace(logged, reason=reason)
     if logged.allowed:
         delivered = f"data was delivered with {peer}"
         lost = f"it is permitted, but no data was delivered with {peer}"

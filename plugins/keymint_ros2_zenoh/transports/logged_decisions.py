@@ -16,7 +16,8 @@ from keymint.graph import Edge
 from keymint_ros2_zenoh.decision.access import AccessDecision
 from keymint_ros2_zenoh.decision.operations import MIRRORED, Operation, Request, operations
 from keymint_ros2_zenoh.messages import Flow
-from keymint_ros2_zenoh.transports.enclave_model import EnclaveModel, InstalledModels, first_denied
+from keymint_ros2_zenoh.transports.edge_verdict import edge_verdict
+from keymint_ros2_zenoh.transports.enclave_model import EnclaveModel, InstalledModels
 from keymint_ros2_zenoh.transports.network import ROUTER, Network
 from keymint_ros2_zenoh.vendors.zenoh_processes import ZenohError, ZenohProcess
 
@@ -96,7 +97,7 @@ class LoggedSession:
 
     def verdict(self, needed: Sequence[Operation]) -> Verdict:
         """Return the decision on an edge by its operations, which were declared: all their messages are needed."""
-        return first_denied(self._decide(request) for operation in needed for request in operation.requests)
+        return edge_verdict(needed, self._decide, self._decide_at_router)
 
     def close(self) -> None:
         """Close the session."""
@@ -106,6 +107,9 @@ class LoggedSession:
         own = self._at_session.allows(request.message, MIRRORED[request.flow], request.key)
         if not own:
             return self._verdict(own, "the session", request, self._model.at_session(request))
+        return self._decide_at_router(request)
+
+    def _decide_at_router(self, request: Request) -> Verdict:
         router = self._at_router.allows(request.message, request.flow, request.key)
         return self._verdict(router, "the router", request, self._model.at_router(request))
 

@@ -155,3 +155,17 @@ def test_a_refused_enclave_answers_each_edge_once() -> None:
     edges = [edge for edge in EDGES if edge.subject == "/b"]
     found = list(label_enclave(Transport(refuses="/b"), ENCLAVES["/b"], edges, Tier.DECISION))
     assert [edge for edge, _ in found] == edges
+
+
+@pytest.mark.parametrize("label", [0, 1])
+def test_a_partial_permission_is_a_mismatch_whatever_the_policy_says(label: int) -> None:
+    edge = graph(1)[0]
+
+    class Partial(Transport):
+        def _decided(self, edge: Edge) -> tuple[Edge, Verdict]:
+            return edge, Verdict(False, "in part", partial=True)
+
+    outcome = compare("t", Partial(), ENCLAVES, [edge], [label], Tier.DECISION, explain, 9)
+    assert outcome.confusion == ConfusionMatrix(false_negative=label, false_positive=1 - label)
+    [finding] = outcome.findings
+    assert finding.verdict.allowed != bool(label)

@@ -63,6 +63,75 @@ def test_every_message_is_needed(space: InstallSpace, left_out: str) -> None:
     [found] = label(enclaves, PUBLISH)
     assert not found.allowed
     assert f"{left_out} in on 0/chatter/" in found.reason
+    assert found.partial  # a bare put is a way to publish, and so is the reply of a cache
+
+
+def rights(messages: list[str], flows: list[str], expression: str) -> dict[str, object]:
+    return {"id": "more", "permission": "allow", "messages": messages, "flows": flows, "key_exprs": [expression]}
+
+
+@pytest.mark.parametrize(
+    ("subject", "edge", "rules"),
+    [
+        ("/listener", "ros_publish", [rights(["put"], ["ingress"], "0/chatter/*/*")]),
+        (
+            "/listener",
+            "ros_publish",
+            [
+                rights(["reply"], ["ingress"], "0/chatter/*/*"),
+                {**rights(["query"], ["egress"], "0/chatter/*/*/@adv/**"), "id": "beside"},
+                {**rights(["declare_queryable"], ["ingress"], "0/chatter/*/*/@adv/**"), "id": "answers"},
+            ],
+        ),
+        (
+            "/talker",
+            "ros_subscribe",
+            [
+                rights(["query"], ["ingress"], "0/chatter/*/*/@adv/**"),
+                {**rights(["reply"], ["egress"], "0/chatter/*/*"), "id": "cached"},
+            ],
+        ),
+        ("/talker", "ros_call", [rights(["query"], ["ingress"], "0/asked/*/*")]),
+        (
+            "/talker",
+            "ros_execute",
+            [
+                rights(["query"], ["egress"], "0/asked/*/*"),
+                {**rights(["declare_queryable"], ["ingress"], "0/asked/*/*"), "id": "served"},
+            ],
+        ),
+    ],
+)
+def test_a_way_around_what_ros_needs_is_a_partial_permission(
+    space: InstallSpace, subject: str, edge: str, rules: list[dict[str, object]]
+) -> None:
+    enclaves = space.write()
+    file = space.folder / "zenoh/router.json5"
+    document = json.loads(file.read_text())
+    control = document["access_control"]
+    policy = next(each for each in control["policies"] if subject in each["subjects"][0])
+    is_topic = edge in {"ros_publish", "ros_subscribe"}
+    wanted = Edge(subject, edge, CHATTER if is_topic else Object("ros_service", "/asked"))
+    for length in range(len(rules) + 1):
+        file.write_text(
+            json.dumps(
+                document
+                | {
+                    "access_control": control
+                    | {
+                        "rules": control["rules"] + rules[:length],
+                        "policies": [
+                            each | {"rules": each["rules"] + [rule["id"] for rule in rules[:length]]}
+                            if each is policy
+                            else each
+                            for each in control["policies"]
+                        ],
+                    }
+                }
+            )
+        )
+        [found] = label(enclaves, wanted)
+        assert (found.allowed, found.partial) == (False, length == len(rules))
 
 
 def test_the_sessions_own_access_control_decides_as_well(space: InstallSpace) -> None:
