@@ -36,7 +36,7 @@ POLICIES = 60 if os.environ.get("KEYMINT_FULL") else 6
 SUBJECTS = ("/one", "/other")
 NAMES = ("/a", "/b", "/ab", "/a/b", "/b/a")
 EXPRESSIONS = (*NAMES, "*", "/a*", "/*b", "/a/*", "/*/a", "/a*b", "/[ab]", "/?b")
-CHUNKS = ("*", "**", "a$*", "$*b", "a", "b")
+CHUNKS = ("*", "**", "a$*", "$*b", "a$*b", "a", "b")
 FENCE, PASSED = "/fence", "passed"
 _ROUNDS = 2
 """A message that closely follows declarations may get lost by chance."""
