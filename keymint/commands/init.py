@@ -137,13 +137,16 @@ def refuse_contradiction(run: Run, workspace: Workspace, given: ProfileOptions, 
 
 
 def _refuse_other_transports(run: Run, workspace: Workspace, profile: WorkspaceProfile, given: Sequence[str]) -> None:
-    if not given or {*build_types_of(run.plugins, given)} == {*profile.build_types}:
+    wanted = build_types_of(run.plugins, given)
+    if not given or {*wanted} == {*profile.build_types}:
         return
+    elements = " and ".join(f"<build_type>{name}</build_type>" for name in wanted)
     has = " and ".join(repr(each) for each in transports_of(run.plugins, profile.build_types))
     marker = workspace.shown(workspace.profile / PROFILE_MARKER)
     raise KeymintError(
         f"the workspace has transport {has}, so {' '.join(f'--transport {each}' for each in given)} cannot take effect",
         where=Origin(marker),
-        help=f"change <build_type> in {marker} and in the packages that exist, or name another workspace",
+        help=f"write {elements} in <export> of {marker} and of each existing package, then run 'keymint create --all', "
+        "which names what else is missing; or name another workspace",
         code="workspace-exists",
     )

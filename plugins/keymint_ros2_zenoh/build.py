@@ -16,7 +16,7 @@ from keymint_ros2_zenoh.enclave_layout import ROUTER, SESSION
 from keymint_ros2_zenoh.gathering import gathered
 from keymint_ros2_zenoh.lowering.key_rule import KeyRule
 from keymint_ros2_zenoh.lowering.rule_check import lower_package
-from keymint_ros2_zenoh.settings import is_router, settings_of
+from keymint_ros2_zenoh.settings import BUILD_TYPE, is_router, settings_of
 
 _T = TypeVar("_T")
 
@@ -72,12 +72,22 @@ def build_shared(packages: Sequence[Package], options: BuildOptions) -> BuildRes
             rules.append((package, lowered.rules))
     if defects:
         raise KeymintError.of(dict.fromkeys(defects))
+    notes = () if enclaves else (_admits_nobody(routers[0]),)
     plain = write(emission.router(routers[0], rules), _ROUTER_TITLE)
     if not options.optimise:
-        return BuildResult({ROUTER: plain})
+        return BuildResult({ROUTER: plain}, notes)
     fewer = [(package, gathered(own)) for package, own in rules]
     smaller = write(emission.router(routers[0], fewer), _ROUTER_TITLE)
-    return BuildResult({ROUTER: smaller}, (), {ROUTER: len(plain)})
+    return BuildResult({ROUTER: smaller}, notes, {ROUTER: len(plain)})
+
+
+def _admits_nobody(router: Package) -> Diagnostic:
+    return Diagnostic(
+        "zenoh-enclaves", Severity.WARNING,
+        f"no package of a subject has the build type {BUILD_TYPE}, so the router gives nobody rights",
+        settings_of(router).router.origin,
+        f"write <build_type>{BUILD_TYPE}</build_type> in <export> of their keymint_package.xml", router.subject,
+    )  # fmt: skip
 
 
 def _attempt(make: Callable[[], _T], defects: list[Diagnostic]) -> _T | None:

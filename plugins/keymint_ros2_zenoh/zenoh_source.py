@@ -35,6 +35,9 @@ _DNS_NAME = re.compile(rf"(?!.*\.[0-9]+$)(?=.{{1,253}}$){_LABEL}(\.{_LABEL})*")
 """A DNS name (RFC 1123, 2.1), whose last label is no number, which would be an IPv4 address."""
 
 
+_EXAMPLE = "<zenoh><router><name>zenoh_router</name><host>localhost</host><port>7447</port></router></zenoh>"
+
+
 @dataclass(frozen=True, slots=True)
 class _Value:
     """The text of an element and its line."""
@@ -213,6 +216,6 @@ def _missing_file(file: str, where: Origin) -> KeymintError:
     return KeymintError(
         f"there is no file {quoted(file, 200)} in the package or its profile",
         where=where,
-        help="write it as docs/zenoh.md shows",
+        help=f"write it, for example: {_EXAMPLE}",
         code="file-missing",
     )

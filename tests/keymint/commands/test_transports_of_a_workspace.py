@@ -112,6 +112,7 @@ def test_another_transport_for_a_workspace_that_exists_is_refused(
     outcome = keymint(*verb, *LIGHT)
     assert outcome.code == 1
     assert "has transport 'dds' and 'light', so --transport light cannot take effect" in outcome.err
+    assert "</build_type> in <export> of ws/profile/keymint_profile.xml and of each existing package" in outcome.err
     assert snapshot(tmp_path) == before
 
 

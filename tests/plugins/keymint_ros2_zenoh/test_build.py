@@ -185,6 +185,12 @@ def test_rules_that_zenoh_cannot_express_are_refused_by_both_stages() -> None:
         assert refused(make) == {"zenoh-raw-topic": "policy.xml:12"}
 
 
+def test_a_router_without_enclaves_is_warned_of() -> None:
+    [found] = build_shared(workspace(), OPTIONS).diagnostics
+    assert (found.code, found.severity) == ("zenoh-enclaves", Severity.WARNING)
+    assert not build_shared(workspace(TALKER), OPTIONS).diagnostics
+
+
 def test_notes_about_rules_are_reported() -> None:
     graph = package(rule("ALLOW", "topic", "publish subscribe", "ros_discovery_info"))
     [note] = build(workspace(graph)[0], OPTIONS).diagnostics

@@ -4,8 +4,10 @@
 from __future__ import annotations
 
 import os
+import re
 import shutil
 import subprocess
+import sys
 from collections.abc import Callable
 from pathlib import Path
 
@@ -177,3 +179,41 @@ def test_another_router_needs_another_package(ws: Path, keymint: Callable) -> No
         outcome = keymint(*verb, "-w", ws)
         assert outcome.code == 0, outcome.err
     assert [folder.name for folder in sorted((ws / "install/enclaves").iterdir())] == ["fleet", "listener", "talker"]
+
+
+def test_zenoh_is_added_to_a_workspace_for_dds_as_its_page_says(keymint: Callable, tmp_path: Path) -> None:
+    """The commands on the page lead to what a new workspace for both has; keys and documents for DDS stay."""
+    text = (CHECKOUT / "docs/zenoh.md").read_text()
+    [commands] = re.findall(r"## Add Zenoh .*?```sh\n(.*?)```", text, re.DOTALL)
+    example = CHECKOUT / "examples/fleet"
+    ws, new = tmp_path / "ws", tmp_path / "new"
+    assert keymint("provision", example, "-w", ws).code == 0
+    before = {path: path.read_bytes() for path in ws.rglob("*") if path.name in {"key.pem", "permissions.xml"}}
+    path = f"{Path(sys.executable).parent}:{os.environ['PATH']}"
+    done = subprocess.run(
+        ["/bin/sh", "-e"],
+        input=commands,
+        cwd=ws,
+        env={**os.environ, "PATH": path},
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert done.returncode == 0, done.stderr
+    assert before == {path: path.read_bytes() for path in before}
+    assert keymint("provision", example, "-w", new, "--transport", "dds", "--transport", "zenoh").code == 0
+    for folder in ("install", "build"):
+        assert names(ws / folder) == names(new / folder)
+    assert router_file(ws) == router_file(new).replace(bytes(new), bytes(ws))
+    for verb in (
+        ["check"],
+        ["prove"],
+        ["provision", example],
+        ["init", ws, "--transport", "zenoh", "--transport", "dds"],
+    ):
+        outcome = keymint(*verb, *([] if verb[0] == "init" else ["-w", ws]))
+        assert outcome.code == 0, outcome.err
+
+
+def names(folder: Path) -> set[Path]:
+    return {path.relative_to(folder) for path in folder.rglob("*")}
