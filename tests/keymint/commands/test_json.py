@@ -71,6 +71,47 @@ def test_of_a_verb_that_succeeds(keymint, provisioned: Path, verb: str) -> None:
     assert document["exit_code"] == 0
 
 
+@pytest.fixture
+def both(keymint, policy: Path, tmp_path: Path) -> Path:
+    """A workspace with two transports, each with its own documents."""
+    made = keymint("provision", policy, "-w", "ws", "--transport", "dds", "--transport", "zenoh")
+    assert made.code == 0, made.err
+    return tmp_path / "ws"
+
+
+MODELS = ("-t", "omg", "-t", "zenoh-1")
+
+
+def test_of_every_verb_in_a_workspace_with_two_transports(keymint, both: Path) -> None:
+    with_models = {verb: [*CALLS[verb][:-1], MODELS[1], *MODELS[2:]] for verb in ("verify", "why")}
+    for verb, words in {**CALLS, **with_models, "provision": ["provision", "policy.xml", "-w", "ws"]}.items():
+        assert held(keymint(*words, "--json"))["exit_code"] == 0, verb
+
+
+def test_shared_documents_in_every_stage(keymint, both: Path) -> None:
+    """What differs with a second transport: the router's file, its claims, and what both transports need."""
+    router = both / "install/zenoh/router.json5"
+    status = held(keymint("status", "-w", "ws", "--json"))["result"]
+    assert [each["documents"] for each in status["shared"]] == [["zenoh/router.json5"]]
+    why = held(keymint("why", "/talker", "ros_publish", "/chatter", "-w", "ws", *MODELS, "--json"))["result"]
+    assert {each["action"] for each in why["endpoints"]} > {"publish", "put in"}
+    assert {each["name"] for each in why["transports"]} == {"omg", "zenoh-1"}
+    assert "claims" in held(keymint("prove", "-w", "ws", "--json"))["result"]["shared"][0]
+    router.write_text(router.read_text().replace("0/chatter/", "0/other/"))
+    codes = {}
+    for verb in ("check", "prove", "verify", "status"):
+        document = held(keymint(verb, "-w", "ws", *(MODELS if verb == "verify" else ()), "--json"))
+        codes[verb] = document["exit_code"]
+    assert codes == {"check": 3, "prove": 3, "verify": 3, "status": 0}
+    router.unlink()
+    for verb in codes:
+        held(keymint(verb, "-w", "ws", *(MODELS if verb == "verify" else ()), "--json"))
+    defaults = both / "profile/package.defaults/zenoh.xml"
+    defaults.write_text(defaults.read_text().replace("<name>zenoh_router", "<name>other"))
+    for verb in (*codes, "build", "install"):
+        held(keymint(verb, "-w", "ws", *(MODELS if verb == "verify" else ()), "--json"))
+
+
 @pytest.mark.parametrize("verb", CALLS)
 def test_of_a_usage_error(keymint, verb: str) -> None:
     document = held(keymint(verb, "--no-such-option", "--json"))
