@@ -14,7 +14,10 @@ import time
 from pathlib import Path
 from queue import Empty, Queue
 
-import zenoh
+try:
+    import zenoh
+except ModuleNotFoundError:
+    sys.exit("this example needs the library of Zenoh: pip install eclipse-zenoh")
 
 CHATTER = "0/chatter/std_msgs::msg::dds_::String_/TypeHashNotSupported"
 """The key of /chatter in domain 0: domain, name, type and its hash."""
@@ -36,8 +39,11 @@ def publish(session: zenoh.Session, text: str, received: Queue[str]) -> bool:
 
 
 def connect(file: Path) -> zenoh.Session:
-    """Open a session with a configuration."""
-    return zenoh.open(zenoh.Config.from_file(str(file)))
+    """Open a session with a configuration; exit with a message if that fails."""
+    try:
+        return zenoh.open(zenoh.Config.from_file(str(file)))
+    except zenoh.ZError as error:
+        sys.exit(f"{file}: error: Zenoh does not start with it: {str(error).splitlines()[0]}")
 
 
 def without_certificate(file: Path) -> str:
@@ -75,4 +81,6 @@ def main(install: Path) -> int:
 
 
 if __name__ == "__main__":
+    if len(sys.argv) != 2:  # noqa: PLR2004
+        sys.exit("usage: python talker_listener.py INSTALL_SPACE")
     sys.exit(main(Path(sys.argv[1])))
