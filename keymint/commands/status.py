@@ -3,10 +3,11 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from datetime import datetime
 from typing import Any
 
-from comarmor.errors import Diagnostic
+from comarmor.errors import Diagnostic, Severity
 from keymint.commands.run import Run
 from keymint.commands.verb import verb
 from keymint.errors import KeymintError
@@ -28,7 +29,7 @@ def status(run: Run) -> Report:
         policy = load_policy(session)
     except KeymintError as error:
         policy, diagnostics = None, list(error.diagnostics)
-    rows = package_rows(session, policy)
+    rows = [replace(row, problem=_as_typed(run, row.problem)) for row in package_rows(session, policy)]
     if policy:
         known = {row.package for row in rows}
         wanted = {*packages_to_create(session, policy)}
@@ -48,7 +49,7 @@ def status(run: Run) -> Report:
         ]
         for row in rows
     ] + [[name, "-", "create", "-", "-"] for name in missing]
-    shared = shared_rows(session)
+    shared = [replace(row, problem=_as_typed(run, row.problem)) for row in shared_rows(session)]
     cells += [
         [", ".join(row.documents) or row.build_type or "shared documents", row.stage, row.stale or "-", "-", "-"]
         for row in shared
@@ -68,6 +69,11 @@ def status(run: Run) -> Report:
         "shared": [_shared_document(row) for row in shared],
     }
     return Report(run.verb, workspace, (), diagnostics, result)
+
+
+def _as_typed(run: Run, problem: str) -> str:
+    """Return a problem with paths as the user would type them."""
+    return run.as_typed(Diagnostic("problem", Severity.ERROR, problem)).message
 
 
 def _shared_document(row: SharedRow) -> dict[str, Any]:

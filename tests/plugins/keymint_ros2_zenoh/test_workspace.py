@@ -174,6 +174,7 @@ def test_another_router_needs_another_package(ws: Path, keymint: Callable) -> No
     assert [line.split()[0] for line in shown.splitlines()[1:6]] == [
         "listener", "talker", "zenoh_router", "fleet/router", "shared",
     ]  # fmt: skip
+    assert "talker: ws/profile/package.defaults/zenoh.xml:" in shown
     shutil.rmtree(ws / "src/zenoh_router")
     for verb in (["create", "--all"], ["build"], ["install", "--prune"], ["check"]):
         outcome = keymint(*verb, "-w", ws)
