@@ -51,10 +51,11 @@ def meaning_of(key: str) -> KeyMeaning | None:
 
 
 def edges(subject: str, key: str, message: Message, flow: Flow) -> Iterator[Edge]:
-    """Yield the edges that need a message on a key."""
+    """Yield the edges that need a message on a key, topics before services."""
     meaning = meaning_of(key)
     if meaning is not None:
-        for permission in sorted(USERS[Slot(message, flow, meaning.place)]):
+        users = USERS[Slot(message, flow, meaning.place)]
+        for permission in (each for each in _KIND if each in users):
             yield Edge(subject, permission, Object(_KIND[permission], meaning.name), meaning.domain)
 
 

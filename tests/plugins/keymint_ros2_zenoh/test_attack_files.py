@@ -103,3 +103,11 @@ def test_a_second_access_control_is_refused(doubled: str) -> None:
 
     with pytest.raises(KeymintError, match="the key 'access_control' occurs twice"):
         of_router(TIME, f"{TIME}, {doubled}")
+
+
+def test_a_reply_that_a_topic_needs_is_named_as_one_about_the_topic() -> None:
+    keys = '\n        "key_exprs": ["0/chatter/*/*", "0/public/*'
+    files = signed(changed(router_files()[ROUTER], f'["put", "reply"],{keys}', f'["put"],{keys}'))
+    [found] = [claim.counterexample for claim in prove(task(shared=files)) if claim.counterexample]
+    assert found.meaning is not None
+    assert found.meaning.permission == "ros_publish"
