@@ -4,7 +4,8 @@ VENV ?= .venv
 DEMO ?= demo_ws
 ZENOH_DEMO ?= demo_zenoh_ws
 BIN = $(VENV)/bin
-WORKERS ?= $(shell nproc)
+# Two for each core: tests on real software mostly wait for it.
+WORKERS ?= $(shell expr $$(nproc) \* 2)
 
 .PHONY: help setup vendors demo demo-zenoh test test-full test-all lint bench lock clean
 
