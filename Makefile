@@ -4,8 +4,8 @@ VENV ?= .venv
 DEMO ?= demo_ws
 ZENOH_DEMO ?= demo_zenoh_ws
 BIN = $(VENV)/bin
-# Two for each core: tests on real software mostly wait for it.
-WORKERS ?= $(shell expr $$(nproc) \* 2)
+# One more than the cores: tests on real software mostly wait for it.
+WORKERS ?= $(shell expr $$(nproc) + 1)
 
 .PHONY: help setup vendors demo demo-zenoh test test-full test-all lint bench lock clean
 

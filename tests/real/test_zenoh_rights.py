@@ -41,13 +41,21 @@ def publish(network: RealNetwork, one: str, other: str) -> bool:
 
 
 def late(network: RealNetwork, one: str, other: str) -> bool:
-    """Publish a sample before there is a subscriber for it."""
+    """Publish a sample before there is a subscriber for it: a later one on the same link has arrived elsewhere."""
     box = f"box{next(_NUMBERS)}"
+    fence = f"fence of {box}"
+    network.sessions.ask("subscribe", session=other, keys={fence: KEY})
     network.sessions.ask("publish_late", session=one, key=KEY, text=box)
+    for _ in range(_TRIES):
+        network.sessions.ask("publish", session=one, samples=[(KEY, fence)])
+        arrived = network.sessions.ask("received", names=[fence], last=fence, wait=0.3)[fence]
+        if any(text == fence for _, text in arrived):
+            break
     for number in range(_TRIES):
         name = f"{box} {number}"
         network.sessions.ask("subscribe_late", session=other, name=name, key=KEY)
-        if network.sessions.ask("received", names=[name], last=box, wait=0.3)[name]:
+        arrived = network.sessions.ask("received", names=[name], last=box, wait=0.3)[name]
+        if any(text == box for _, text in arrived):
             return True
     return False
 

@@ -30,7 +30,7 @@ pytestmark = pytest.mark.strace
 Keymint = Callable[..., Any]
 CRITICAL = frozenset({"renameat", "renameat2", "rmdir", "unlink"})
 """The calls that change the visible files."""
-IN_ORDER = 14
+IN_ORDER = 8
 """Number of calls of one kind to disturb, evenly spread over the run."""
 
 
@@ -98,7 +98,7 @@ def chosen(points: Sequence[Point], most: int = IN_ORDER) -> list[Point]:
     kept: list[Point] = []
     for call in sorted({point.call for point in points}):
         of_kind = [point for point in points if point.call == call]
-        limit = most if call in CRITICAL else most // 4
+        limit = most if call in CRITICAL else max(1, most // 4)
         step = max(1, -(-len(of_kind) // limit))
         kept += [*of_kind[::step], of_kind[-1]]
     return sorted(set(kept), key=points.index)
