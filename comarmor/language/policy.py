@@ -7,13 +7,15 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from comarmor.language.decide import decide
+from comarmor.language.decide import Row, RuleIndex
 from comarmor.language.syntax import Decision, Profile, ProfileRule, Tunable
 from comarmor.patterns.expression import beginning, literal, matches
 from comarmor.rules import Rule
 
 _MOST_CACHED = 4096
 """Subjects whose rules are cached."""
+_MOST_INDEXED = 256
+"""Subjects whose rules are indexed: questions come grouped by subject."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -79,6 +81,7 @@ class Policy:
     unused_tunables: tuple[Tunable, ...] = ()
     _level: _ProfileLookup = field(init=False, repr=False)
     _cached_rules: dict[str, tuple[Rule, ...]] = field(init=False, repr=False, default_factory=dict)
+    _indexes: dict[str, RuleIndex] = field(init=False, repr=False, default_factory=dict)
     _shared_rules: dict[int, Rule] = field(init=False, repr=False, default_factory=dict)
     """By identity of the profile's rule: the rules that are the same for all subjects."""
 
@@ -111,6 +114,15 @@ class Policy:
             self._shared_rules[id(rule)] = rule.with_expressions(attachment.text for attachment in rule.attachments)
         return self._shared_rules[id(rule)]
 
+    def row(self, subject: str, kind: str, permission: str) -> Row:
+        """Return what the rules of a subject say about a permission, for many requests; see :meth:`decide`."""
+        index = self._indexes.get(subject)
+        if index is None:
+            if len(self._indexes) >= _MOST_INDEXED:
+                self._indexes.clear()
+            index = self._indexes[subject] = RuleIndex(self.rules(subject))
+        return index.row(kind, permission)
+
     def decide(
         self,
         subject: str,
@@ -131,7 +143,7 @@ class Policy:
         Raises:
             ComArmorError: the kind or the permission is not known.
         """
-        return decide(self.rules(subject), kind, permission, object, partitions)
+        return self.row(subject, kind, permission).decision(object, partitions)
 
     def subjects(self) -> tuple[str, ...]:
         """Return, sorted, the subjects that an attachment names exactly and that its profile applies to."""

@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Protocol, runtime_checkable
@@ -62,6 +62,24 @@ class LoadedPolicy(Protocol):
 
     def decide(self, edge: Edge) -> PolicyDecision:
         """Decide an edge; its domain does not matter.
+
+        Raises:
+            KeymintError: the kind or the permission is not known.
+        """
+
+
+@runtime_checkable
+class RowPolicy(Protocol):
+    """Optional capability of a loaded policy: decides about many objects at once."""
+
+    def allowed(self, subject: str, kind: str, permission: str, names: Iterable[str]) -> bytes:
+        """Decide about objects in the default partition, one byte each: 1 allowed, 0 denied.
+
+        Args:
+            subject: name of the subject.
+            kind: kind of the objects.
+            permission: a permission of that kind.
+            names: names of the objects.
 
         Raises:
             KeymintError: the kind or the permission is not known.

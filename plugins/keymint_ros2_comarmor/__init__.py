@@ -3,13 +3,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+import functools
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 import comarmor
 import comarmor.language.source
-from comarmor.rules import Expectation
+from comarmor.language.decide import Ruling
+from comarmor.rules import Effect, Expectation
 from keymint.api import (
     API_VERSION,
     AppliedProfile,
@@ -62,10 +64,20 @@ class ComArmorPolicy:
     def decide(self, edge: Edge) -> PolicyDecision:
         """See :meth:`keymint.api.LoadedPolicy.decide`."""
         requested = edge.object
-        decision = self.policy.decide(
-            edge.subject, requested.kind, edge.permission, requested.name, requested.partitions
-        )
-        return PolicyDecision(decision.allowed, decision.where, decision.reason, decision.audit)
+        row = self.policy.row(edge.subject, requested.kind, edge.permission)
+        return _decision(row.ruling(requested.name, requested.partitions))
+
+    def allowed(self, subject: str, kind: str, permission: str, names: Iterable[str]) -> bytes:
+        """See :meth:`keymint.api.RowPolicy.allowed`."""
+        return self.policy.row(subject, kind, permission).allowed(names)
+
+
+@functools.lru_cache(maxsize=1024)
+def _decision(ruling: Ruling) -> PolicyDecision:
+    """Return the decision of a ruling, which most requests share with others."""
+    where = ruling.rules[0].origin if ruling.rules else None
+    audit = any(rule.audit for rule in ruling.rules)
+    return PolicyDecision(ruling.effect is Effect.ALLOW, where, ruling.reason, audit)
 
 
 class ComArmorPolicyType:
