@@ -4,31 +4,20 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 
 from comarmor.errors import Diagnostic, Origin
 from keymint.api import BuildOptions, BuildResult, Package
 from keymint.changes import Action, DocumentSize, File, FolderChange, Plan, Step, changed
 from keymint.errors import KeymintError
-from keymint.plan import identity_keys, key_record, lifetimes, shared_documents
+from keymint.plan import identity_keys, lifetimes, shared_documents
 from keymint.plan.build_types import BUILD, build_types_of, inputs_digest, two_writers
-from keymint.plan.lifetimes import Lifetime
+from keymint.plan.stage import PackagePlan, recorded, steps_of
 from keymint.session import Inputs, Session
 from keymint.state import Stamp, digest
 
 STAGE = BUILD
-
-
-@dataclass(frozen=True, slots=True)
-class _PackageBuild:
-    """The plan for one package; the fingerprint is set if its key is new."""
-
-    step: Step
-    stamp: Stamp | None = None
-    fingerprint: str = ""
-    diagnostics: Sequence[Diagnostic] = ()
-    lifetimes: Sequence[Lifetime] = ()
 
 
 def plan_build(
@@ -51,26 +40,46 @@ def plan_build(
     Raises:
         KeymintError: the defects of all packages together.
     """
-    planned: list[_PackageBuild] = []
-    errors: list[Diagnostic] = []
-    for name in names:
+    stage = BuildStage(session, options, force=force, renew=renew)
+    return stage.plan([stage.package(name) for name in names])
+
+
+class BuildStage:
+    """The stage ``build``.
+
+    Args:
+        session: the workspace and its profile.
+        options: options of the build types.
+        force: rebuild, and overwrite documents that were edited by hand.
+        renew: replace the private keys of the subjects.
+    """
+
+    NAME = STAGE
+
+    def __init__(self, session: Session, options: BuildOptions, *, force: bool, renew: bool) -> None:
+        self._session = session
+        self._options = options
+        self._force = force
+        self._renew = renew
+
+    def package(self, name: str) -> PackagePlan:
+        """Return the plan for a package."""
         try:
-            planned.append(_plan_package(session, name, options, force=force, renew=renew))
+            return _plan_package(self._session, name, self._options, force=self._force, renew=self._renew)
         except KeymintError as error:
-            errors += error.diagnostics
-    if errors:
-        raise KeymintError.of(errors)
-    # Packages repeat the diagnostics of their authority: keep one of each.
-    diagnostics = dict.fromkeys(diagnostic for each in planned for diagnostic in each.diagnostics)
-    of_packages = {each.step.package: each.lifetimes for each in planned}
-    diagnostics |= dict.fromkeys(lifetimes.findings(of_packages, session))
-    stamps = {each.step.package: each.stamp for each in planned if each.stamp}
-    built = replace(session, state=session.state.updated(STAGE, stamps))
-    shared = shared_documents.plan_shared_build(built, options, force=force)
-    minted = {each.step.package: each.fingerprint for each in planned if each.fingerprint}
-    state = key_record.record(built.state.updated(STAGE, shared.stamps, shared.removed), key_record.IDENTITIES, minted)
-    diagnostics |= dict.fromkeys(shared.diagnostics)
-    return Plan((*(each.step for each in planned), *shared.steps), state, tuple(diagnostics))
+            return PackagePlan(name, errors=tuple(error.diagnostics))
+
+    def plan(self, planned: Sequence[PackagePlan]) -> Plan:
+        """Put the plans for some packages together, and add the shared documents."""
+        session, steps = self._session, steps_of(planned)
+        # Packages repeat the diagnostics of their authority: keep one of each.
+        diagnostics = dict.fromkeys(diagnostic for each in planned for diagnostic in each.diagnostics)
+        diagnostics |= dict.fromkeys(lifetimes.findings({each.name: each.lifetimes for each in planned}, session))
+        built = replace(session, state=recorded(session.state, STAGE, planned))
+        shared = shared_documents.plan_shared_build(built, self._options, force=self._force)
+        diagnostics |= dict.fromkeys(shared.diagnostics)
+        state = built.state.updated(STAGE, shared.stamps, shared.removed)
+        return Plan((*steps, *shared.steps), state, tuple(diagnostics))
 
 
 def is_current(session: Session, name: str) -> bool:
@@ -107,7 +116,7 @@ def _plan_package(
     *,
     force: bool,
     renew: bool,
-) -> _PackageBuild:
+) -> PackagePlan:
     folder = session.workspace.build / name
     sources_digest = inputs_digest(session, name)
     options = _options_of(options, f"/{name}")
@@ -122,7 +131,7 @@ def _plan_package(
             edited = [file for file, content in existing.items() if digest(content or b"") != stamp.outputs[file]]
             detail = f"{', '.join(edited)} edited by hand; -f rebuilds" if edited else ""
             step = Step(STAGE, name, Action.KEPT if edited else Action.UNCHANGED, detail=detail)
-            return _PackageBuild(step, lifetimes=lifetimes.recalled(session, name, stamp))
+            return PackagePlan(name, step, lifetimes=lifetimes.recalled(session, name, stamp))
     package = session.package(name)
     built = _built(session, package, options)
     if not force:
@@ -151,7 +160,7 @@ def _plan_package(
         lifetimes=lifetimes.dump(own, session.workspace),
         build_types=package.build_types,
     )
-    return _PackageBuild(step, made, fingerprint, list(built.diagnostics), own)
+    return PackagePlan(name, step, made, built.diagnostics, fingerprint=fingerprint, lifetimes=own)
 
 
 def _built(session: Session, package: Package, options: BuildOptions) -> BuildResult:

@@ -4,7 +4,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 
 from comarmor.errors import Diagnostic, Severity
 from comarmor.text import did_you_mean
@@ -14,6 +13,7 @@ from keymint.errors import KeymintError
 from keymint.ir import SubjectRules
 from keymint.names import refuse_case_collisions, refuse_reserved
 from keymint.plan.policy import package_of, record_policy
+from keymint.plan.stage import PackagePlan, recorded, steps_of
 from keymint.session import Session
 from keymint.state import Stamp, digest
 from keymint.workspace import packages, placed
@@ -51,24 +51,8 @@ def plan_create(
         KeymintError: no profile of the policy applies to a name, names collide, the policy names a package of
             infrastructure, or a manual edit is in the way; all of them together.
     """
-    packages_plan = _Packages(session, policy)
-    infrastructure = session.needed_infrastructure()
-    refuse_named(policy, infrastructure)
-    names = [name for name in names if name not in infrastructure and session.role(name) is Role.SUBJECT]
-    refuse_case_collisions([*packages_plan.existing, *names, *infrastructure])
-    reserved = [each for layout in session.layouts for each in layout.reserved]
-    for name in (*names, *infrastructure):
-        refuse_reserved(name, reserved)
-    planned = {name: packages_plan.planned(name, force=force) for name in names}
-    planned |= {
-        name: packages_plan.infrastructure(name, build_type) for name, (_, build_type) in infrastructure.items()
-    }
-    if errors := [error for each in planned.values() for error in each.errors]:
-        raise KeymintError.of(errors)
-    steps = tuple(each.step for each in planned.values() if each.step)
-    stamps = {name: each.stamp for name, each in planned.items() if each.stamp}
-    diagnostics = tuple(diagnostic for each in planned.values() for diagnostic in each.diagnostics)
-    return Plan(steps, record_policy(session, policy).updated(STAGE, stamps), diagnostics)
+    stage = CreateStage(session, policy, force=force)
+    return stage.plan([stage.package(name) for name in stage.subjects(names)])
 
 
 def stale(session: Session, policy: LoadedPolicy, names: Sequence[str]) -> Mapping[str, tuple[Diagnostic, ...]]:
@@ -82,17 +66,17 @@ def stale(session: Session, policy: LoadedPolicy, names: Sequence[str]) -> Mappi
     Raises:
         KeymintError: names collide.
     """
-    packages_plan = _Packages(session, policy)
-    refuse_case_collisions([*packages_plan.existing, *names])
+    stage = CreateStage(session, policy, force=False)
+    refuse_case_collisions([*stage.existing, *names])
     differing: dict[str, tuple[Diagnostic, ...]] = {}
     for name in (each for each in names if session.role(each) is Role.SUBJECT):
         try:
-            each = packages_plan.planned(name, force=False)
+            each = stage.package(name)
         except KeymintError as error:  # a file that is no file, or too large
             differing[name] = error.diagnostics
             continue
         if each.step is None or each.step.action is not Action.UNCHANGED:
-            differing[name] = tuple(each.errors)
+            differing[name] = each.errors
     return differing
 
 
@@ -114,37 +98,60 @@ def refuse_named(policy: LoadedPolicy, infrastructure: Mapping[str, tuple[Infras
             )
 
 
-@dataclass(frozen=True, slots=True)
-class _PackageSources:
-    """The plan for the sources of one package, or the errors that prevent it."""
+class CreateStage:
+    """The stage ``create``; what packages share is computed once.
 
-    step: Step | None = None
-    stamp: Stamp | None = None
-    diagnostics: tuple[Diagnostic, ...] = ()
-    errors: tuple[Diagnostic, ...] = ()
+    Args:
+        session: the workspace and its profile.
+        policy: its policy.
+        force: replace documents of rules that were edited by hand.
+    """
 
+    NAME = STAGE
 
-class _Packages:
-    """Plans packages one by one, and computes what they share once."""
-
-    def __init__(self, session: Session, policy: LoadedPolicy) -> None:
+    def __init__(self, session: Session, policy: LoadedPolicy, *, force: bool) -> None:
         self._session = session
         self._policy = policy
+        self._force = force
         self.existing = frozenset(packages(session.tree, session.workspace.src))
         self._policy_digest = digest(
             *(part for path, value in sorted(policy.seen.items()) for part in (str(path), value))
         )
         self._package_type = session.plugins.package_type(session.profile.package_type, session.profile_marker())
 
-    def planned(self, name: str, *, force: bool) -> _PackageSources:
-        """Return the plan for a package."""
+    def subjects(self, names: Sequence[str]) -> tuple[str, ...]:
+        """Return the names that are packages of subjects, not of infrastructure.
+
+        Raises:
+            KeymintError: names collide, are reserved, or the policy names a package of infrastructure.
+        """
+        session, infrastructure = self._session, self._session.needed_infrastructure()
+        refuse_named(self._policy, infrastructure)
+        subjects = [name for name in names if name not in infrastructure and session.role(name) is Role.SUBJECT]
+        refuse_case_collisions([*self.existing, *subjects, *infrastructure])
+        reserved = [each for layout in session.layouts for each in layout.reserved]
+        for name in (*subjects, *infrastructure):
+            refuse_reserved(name, reserved)
+        return tuple(subjects)
+
+    def plan(self, planned: Sequence[PackagePlan]) -> Plan:
+        """Put the plans for some packages together, and add the packages of infrastructure."""
         session = self._session
+        needed = session.needed_infrastructure().items()
+        planned = [*planned, *(self._infrastructure(name, build_type) for name, (_, build_type) in needed)]
+        steps = steps_of(planned)
+        diagnostics = tuple(diagnostic for each in planned for diagnostic in each.diagnostics)
+        return Plan(steps, recorded(record_policy(session, self._policy), STAGE, planned), diagnostics)
+
+    def package(self, name: str) -> PackagePlan:
+        """Return the plan for a package."""
+        session, force = self._session, self._force
         folder = session.workspace.src / name
         files = session.package_files(name)
         stamp = session.state.stamp(STAGE, name)
         inputs = digest(self._policy_digest, session.profile_digest)
         if stamp and stamp.inputs == inputs and _outputs(files) == stamp.outputs and not force:
-            return _PackageSources(Step(STAGE, name, Action.UNCHANGED))
+            return PackagePlan(name, Step(STAGE, name, Action.UNCHANGED))
         known = name in self.existing
         rules = self._policy.rules(f"/{name}")
         unnamed: tuple[Diagnostic, ...] = ()
@@ -156,31 +163,34 @@ class _Packages:
             new = self._package_type.create(session.profile, rules, files, force=force)
         except KeymintError as error:
             in_the_way = (placed(diagnostic, session.workspace.src) for diagnostic in error.diagnostics)
-            return _PackageSources(None, None, unnamed if known else (), (*errors, *in_the_way))
+            return PackagePlan(name, None, None, unnamed if known else (), (*errors, *in_the_way))
         # The marker goes last: until then a later run sees no package, and creates the missing files.
         ordered = sorted(new.items(), key=lambda item: item[0] == self._package_type.MARKER)
         changes = changed(session.tree, folder, {file: File(content) for file, content in ordered})
         action = (Action.UPDATED if known else Action.CREATED) if changes else Action.UNCHANGED
         step = Step(STAGE, name, action, changes)
-        return _PackageSources(step, Stamp(inputs, _outputs(files | dict(new))), unnamed if known else (), errors)
+        stamp = Stamp(inputs, _outputs(files | dict(new)))
+        return PackagePlan(name, step, stamp, unnamed if known else (), errors)
 
-    def infrastructure(self, name: str, build_type: str) -> _PackageSources:
+    def _infrastructure(self, name: str, build_type: str) -> PackagePlan:
         """Return the plan for a package that a transport needs, which does not follow the policy."""
         session = self._session
         folder = session.workspace.src / name
         if name in self.existing:
             if session.role(name) is Role.INFRASTRUCTURE:
-                return _PackageSources(Step(STAGE, name, Action.UNCHANGED))
+                return PackagePlan(name, Step(STAGE, name, Action.UNCHANGED))
             message = "the package is that of a subject, but a transport needs one of this name"
             help_ = f"remove src/{name}, or give the package of the transport another name in the profile"
             where = session.package_marker(name)
-            return _PackageSources(errors=(Diagnostic("infrastructure-taken", Severity.ERROR, message, where, help_),))
+            return PackagePlan(
+                name, errors=(Diagnostic("infrastructure-taken", Severity.ERROR, message, where, help_),)
+            )
         files = session.package_files(name)
         new = self._package_type.create_infrastructure(session.profile, name, build_type, files)
         ordered = sorted(new.items(), key=lambda item: item[0] == self._package_type.MARKER)
         changes = changed(session.tree, folder, {file: File(content) for file, content in ordered})
         stamp = Stamp(digest(self._policy_digest, session.profile_digest), _outputs(files | dict(new)))
-        return _PackageSources(Step(STAGE, name, Action.CREATED, changes), stamp)
+        return PackagePlan(name, Step(STAGE, name, Action.CREATED, changes), stamp)
 
 
 def _outputs(files: dict[str, bytes]) -> dict[str, str]:

@@ -5,11 +5,10 @@ from __future__ import annotations
 
 import stat
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from pathlib import Path
 
 from comarmor.errors import Diagnostic, Origin, Severity
-from keymint.api import Artifact
 from keymint.changes import Action, File, FolderChange, Plan, Step, file_mode
 from keymint.errors import KeymintError
 from keymint.pki import certificates, keys
@@ -18,39 +17,14 @@ from keymint.plan.authorities import MintedAuthority
 from keymint.plan.build_types import build_types_of, inputs_digest
 from keymint.plan.enclaves import CERTIFICATE, INSTALLED, enclave_files, orphans, require_sources, unaccounted
 from keymint.plan.identity_keys import Keyring
-from keymint.plan.lifetimes import Lifetime
 from keymint.plan.shared_files import shared_steps
 from keymint.plan.shared_install import HAND_EDITED, OUTDATED, plan_shared_install
 from keymint.plan.signing import sign
+from keymint.plan.stage import PackagePlan, recorded, steps_of
 from keymint.session import Inputs, Session
 from keymint.state import Stamp, digest, digest_files
 
 STAGE = INSTALLED
-
-
-@dataclass(frozen=True, slots=True)
-class _EnclavePlan:
-    """The plan for one enclave.
-
-    Attributes:
-        step: what is written.
-        stamp: the record of it; None if nothing changes.
-        build_types: the package's build types.
-        artifacts: the files of the enclave; empty if nothing changes.
-        diagnostics: warnings about the package.
-        fingerprint: fingerprint of the subject's key; empty if nothing changes.
-        lifetimes: validity of the package's grant and certificate.
-        outdated: the package's sources changed after its documents were built.
-    """
-
-    step: Step
-    stamp: Stamp | None = None
-    build_types: tuple[str, ...] = ()
-    artifacts: Mapping[str, Artifact] = field(default_factory=dict)
-    diagnostics: Sequence[Diagnostic] = ()
-    fingerprint: str = ""
-    lifetimes: Sequence[Lifetime] = ()
-    outdated: bool = False
 
 
 def plan_install(
@@ -67,43 +41,66 @@ def plan_install(
     Raises:
         KeymintError: the defects of all packages together, e.g. one that was not built.
     """
-    owners = {keys.fingerprint(certificates.public_key(each.certificate)): who for who, each in authorities.items()}
-    keyring = Keyring(session, owners)
-    planned: list[_EnclavePlan] = []
-    errors: list[Diagnostic] = []
-    for name in names:
+    stage = InstallStage(session, authorities, prune=prune)
+    return stage.plan([stage.package(name) for name in names])
+
+
+class InstallStage:
+    """The stage ``install``.
+
+    Args:
+        session: the workspace and its profile.
+        authorities: the authorities that issue and sign, by name.
+        prune: remove installed enclaves that have no source package.
+    """
+
+    NAME = STAGE
+
+    def __init__(self, session: Session, authorities: Mapping[str, MintedAuthority], *, prune: bool) -> None:
+        self._session = session
+        self._authorities = authorities
+        self._prune = prune
+        owners = {keys.fingerprint(certificates.public_key(each.certificate)): who for who, each in authorities.items()}
+        self._keyring = Keyring(session, owners)
+
+    def package(self, name: str) -> PackagePlan:
+        """Return the plan for the enclave of a package."""
         try:
-            planned.append(_plan_enclave(session, name, authorities, keyring))
+            return _plan_enclave(self._session, name, self._authorities, self._keyring)
         except KeymintError as error:
-            errors += error.diagnostics
-    fingerprints = {enclave.step.package: enclave.fingerprint for enclave in planned if enclave.fingerprint}
-    errors += identity_keys.shared_keys(session, fingerprints)
-    if errors:
-        raise KeymintError.of(errors)
-    # Shared documents come first: rights end before an enclave is removed, and begin before one is there. So do copies,
-    # so that the folder around the enclaves exists before any enclave.
-    changed = {each.step.package: (each.build_types, each.artifacts) for each in planned if each.artifacts}
-    removed = orphans(session) if prune else ()
-    shared = plan_shared_install(session, names, authorities, removed)
-    steps = [*shared.steps, *shared_steps(session, changed), *(enclave.step for enclave in planned)]
-    diagnostics = [diagnostic for enclave in planned for diagnostic in enclave.diagnostics]
-    diagnostics += _outdated(session, [enclave.step.package for enclave in planned if enclave.outdated])
-    diagnostics += shared.diagnostics
-    diagnostics += lifetimes.findings({each.step.package: each.lifetimes for each in planned}, session)
-    diagnostics += [each for each in unaccounted(session) if not prune or each.code != "enclave-orphaned"]
-    stamps = {**shared.stamps, **{each.step.package: each.stamp for each in planned if each.stamp}}
-    state = session.state.updated(STAGE, stamps, (*removed, *shared.removed))
-    state = key_record.record(state, key_record.IDENTITIES, fingerprints)
-    if prune:
-        require_sources(session)
-        steps += [_prune(session, name) for name in removed]
-        state = key_record.forget(state, key_record.IDENTITIES, removed)
-    return Plan(tuple(steps), state, tuple(diagnostics))
+            return PackagePlan(name, errors=tuple(error.diagnostics))
+
+    def plan(self, planned: Sequence[PackagePlan]) -> Plan:
+        """Put the plans for some enclaves together, and add what they share and what is pruned."""
+        session, prune = self._session, self._prune
+        fingerprints = {each.name: each.fingerprint for each in planned if each.fingerprint}
+        errors = [error for each in planned for error in each.errors]
+        errors += identity_keys.shared_keys(session, fingerprints)
+        if errors:
+            raise KeymintError.of(errors)
+        # Shared documents come first: rights end before an enclave is removed, and begin before one is there. So do
+        # copies, so that the folder around the enclaves exists before any enclave.
+        changed = {each.name: (each.build_types, each.artifacts) for each in planned if each.artifacts}
+        removed = orphans(session) if prune else ()
+        shared = plan_shared_install(session, [each.name for each in planned], self._authorities, removed)
+        steps = [*shared.steps, *shared_steps(session, changed), *steps_of(planned)]
+        diagnostics = [diagnostic for each in planned for diagnostic in each.diagnostics]
+        diagnostics += _outdated(session, [each.name for each in planned if each.outdated])
+        diagnostics += shared.diagnostics
+        diagnostics += lifetimes.findings({each.name: each.lifetimes for each in planned}, session)
+        diagnostics += [each for each in unaccounted(session) if not prune or each.code != "enclave-orphaned"]
+        state = recorded(session.state, STAGE, planned, (*removed, *shared.removed))
+        state = state.updated(STAGE, shared.stamps)
+        if prune:
+            require_sources(session)
+            steps += [_prune(session, name) for name in removed]
+            state = key_record.forget(state, key_record.IDENTITIES, removed)
+        return Plan(tuple(steps), state, tuple(diagnostics))
 
 
 def _plan_enclave(
     session: Session, name: str, authorities: Mapping[str, MintedAuthority], keyring: Keyring
-) -> _EnclavePlan:
+) -> PackagePlan:
     workspace = session.workspace
     documents = build.built_documents(session, name)
     key_path = workspace.identity_key(name)
@@ -125,9 +122,10 @@ def _plan_enclave(
             code="symlink-refused",
         )
     chains = {authority: minted.chain for authority, minted in authorities.items()}
-    recorded = session.state.stamp(STAGE, name)
+    stamp = session.state.stamp(STAGE, name)
     if is_current(session, name, chains):
-        return _EnclavePlan(Step(STAGE, name, Action.UNCHANGED), lifetimes=lifetimes.recalled(session, name, recorded))
+        own = lifetimes.recalled(session, name, stamp)
+        return PackagePlan(name, Step(STAGE, name, Action.UNCHANGED), lifetimes=own)
     package = session.package(name)
     own = lifetimes.lifetimes(package)
     existing, unreadable = enclave_files(session, name)
@@ -136,7 +134,8 @@ def _plan_enclave(
     artifacts, warnings = sign(session, package, documents, authorities, (key_pem, public), existing)
     paths = {workspace.shown(folder / file) for file in artifacts}
     if blocking := [each for each in unreadable if _is_blocking(each, paths)]:
-        return _EnclavePlan(Step(STAGE, name, Action.KEPT, detail="not updated"), diagnostics=blocking, lifetimes=own)
+        kept = Step(STAGE, name, Action.KEPT, detail="not updated")
+        return PackagePlan(name, kept, diagnostics=tuple(blocking), lifetimes=own)
     files = {file: File(artifact.content, secret=artifact.secret) for file, artifact in artifacts.items()}
     different = {
         file: item
@@ -146,32 +145,29 @@ def _plan_enclave(
     # The certificate comes last: a node that starts in between fails, and admits nobody.
     ordered = dict(sorted(different.items(), key=lambda item: item[0] == CERTIFICATE))
     # What another build type of the package installed before would still have effect.
-    obsolete = (
-        tuple(file for file in sorted(recorded.outputs) if file not in files and file in existing) if recorded else ()
-    )
+    obsolete = tuple(file for file in sorted(stamp.outputs) if file not in files and file in existing) if stamp else ()
     changes = (FolderChange(folder, ordered, obsolete),) if ordered or obsolete else ()
     action = (Action.UPDATED if existing else Action.CREATED) if changes else Action.UNCHANGED
     # Unreadable files that do not belong to the enclave are only reported; the others are replaced.
     foreign = [each for each in unreadable if not each.where or each.where.file not in paths]
     # Without a record of the build nothing is known about edits or staleness.
     is_recorded = session.state.stamp(build.STAGE, name) is not None
-    return _EnclavePlan(
+    edits = _edits(session, name, documents) if is_recorded else ()
+    made = Stamp(
+        _inputs_digest(session, name, chains),
+        {file: digest(item.content) for file, item in files.items()},
+        tuple(file for file, item in files.items() if item.secret),
+        lifetimes=lifetimes.dump(own, workspace),
+    )
+    return PackagePlan(
+        name,
         Step(STAGE, name, action, changes),
-        Stamp(
-            _inputs_digest(session, name, chains),
-            {file: digest(item.content) for file, item in files.items()},
-            tuple(file for file, item in files.items() if item.secret),
-            lifetimes=lifetimes.dump(own, workspace),
-        ),
-        tuple(build_types_of(session, package)),
-        artifacts,
-        [
-            *warnings,
-            *(replace(each, severity=Severity.WARNING) for each in foreign),
-            *(_edits(session, name, documents) if is_recorded else ()),
-        ],
-        keys.fingerprint(public),
-        own,
+        made,
+        (*warnings, *(replace(each, severity=Severity.WARNING) for each in foreign), *edits),
+        fingerprint=keys.fingerprint(public),
+        lifetimes=own,
+        build_types=tuple(build_types_of(session, package)),
+        artifacts=artifacts,
         outdated=is_recorded and not build.is_current(session, name),
     )
 

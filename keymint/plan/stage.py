@@ -1,0 +1,90 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A stage plans each package by itself, and then puts the plans together.
+
+Only the second part looks at several packages. So other processes may do the first part.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Protocol
+
+from comarmor.errors import Diagnostic
+from keymint.api import Artifact
+from keymint.changes import Plan, Step
+from keymint.errors import KeymintError
+from keymint.plan import key_record
+from keymint.plan.lifetimes import Lifetime
+from keymint.session import Session
+from keymint.state import Stamp, State
+
+
+@dataclass(frozen=True, slots=True)
+class PackagePlan:
+    """What a stage plans for one package, or the errors that prevent it.
+
+    Attributes:
+        name: the package.
+        step: what is written.
+        stamp: the record of it; None if nothing changes.
+        diagnostics: warnings about the package.
+        errors: what prevents the step.
+        fingerprint: fingerprint of the subject's key, if it is to be recorded.
+        lifetimes: validity of the package's grant and certificate.
+        build_types: the package's build types, if its enclave changes.
+        artifacts: the files of its enclave that may be copied for all enclaves, if it changes.
+        outdated: the package's sources changed after its documents were built.
+    """
+
+    name: str
+    step: Step | None = None
+    stamp: Stamp | None = None
+    diagnostics: tuple[Diagnostic, ...] = ()
+    errors: tuple[Diagnostic, ...] = ()
+    fingerprint: str = ""
+    lifetimes: tuple[Lifetime, ...] = ()
+    build_types: tuple[str, ...] = ()
+    artifacts: Mapping[str, Artifact] = field(default_factory=dict)
+    outdated: bool = False
+
+
+class Stage(Protocol):
+    """A stage of a run."""
+
+    NAME: str
+
+    def package(self, name: str) -> PackagePlan:
+        """Return the plan for a package; it depends on no other package."""
+
+    def plan(self, planned: Sequence[PackagePlan]) -> Plan:
+        """Put the plans for some packages together.
+
+        Raises:
+            KeymintError: the errors of all packages.
+        """
+
+
+def steps_of(planned: Iterable[PackagePlan]) -> tuple[Step, ...]:
+    """Return the steps of some plans.
+
+    Raises:
+        KeymintError: the errors of all packages.
+    """
+    planned = tuple(planned)
+    if errors := [error for each in planned for error in each.errors]:
+        raise KeymintError.of(errors)
+    return tuple(each.step for each in planned if each.step)
+
+
+def recorded(state: State, stage: str, planned: Iterable[PackagePlan], removed: Iterable[str] = ()) -> State:
+    """Return the state with the stamps and the keys of some plans, and without the stamps of removed packages."""
+    planned = tuple(planned)
+    state = state.updated(stage, {each.name: each.stamp for each in planned if each.stamp}, removed)
+    fingerprints = {each.name: each.fingerprint for each in planned if each.fingerprint}
+    return key_record.record(state, key_record.IDENTITIES, fingerprints)
+
+
+def after(session: Session, stage: str, planned: Sequence[PackagePlan]) -> Session:
+    """Return a session as it is once the plans of a stage are carried out; errors as :func:`steps_of`."""
+    return session.after(Plan(steps_of(planned), recorded(session.state, stage, planned)))
