@@ -65,6 +65,10 @@ class Origin:
         """File, line and column: the same wherever the file is included from."""
         return self.file, self.line, self.column
 
+    def included(self, chain: tuple[Origin, ...]) -> Origin:
+        """Return the place in a file that other places include, innermost first."""
+        return Origin(self.file, self.line, (*self.chain, *chain), self.column)
+
     def alone(self) -> Origin:
         """Return the place without the chain of includes."""
         return Origin(self.file, self.line, (), self.column)

@@ -43,6 +43,7 @@ MOST_VALUES = 10_000
 MOST_CHARACTERS = 4096
 """The most characters of an expression."""
 
+_NAME, _NAMESPACE = Placeholder.NAME, Placeholder.NAMESPACE
 _PLAIN = re.compile(r"[^*?\[\\{}@\s]+")
 _REFERENCE = re.compile(r"@\{([^{}]*)\}")
 _BRACES = re.compile(r"\{[^{}]*\}?|\}")
@@ -53,6 +54,8 @@ _BLANKS = " \t\r\n"
 def strip(text: str) -> str:
     r"""Strip white space, but keep an escaped blank (``\ ``) at the end."""
     bare = text.strip(_BLANKS)
+    if not bare.endswith("\\"):
+        return bare
     backslashes = len(bare) - len(bare.rstrip("\\"))
     tail = text.lstrip(_BLANKS)[len(bare) : len(bare) + 1]
     return bare + tail if backslashes % 2 else bare
@@ -107,16 +110,20 @@ def _add(pieces: list[Piece | TunableReference], text: str) -> None:
         pieces.append(text)
 
 
-def expand(pieces: Iterable[Piece | TunableReference], values: Callable[[str], Sequence[Value]]) -> Iterator[Value]:
+def expand(pieces: Sequence[Piece | TunableReference], values: Callable[[str], Sequence[Value]]) -> Iterator[Value]:
     """Expand the tunables of an attachment: yield every combination of their values, as AppArmor does.
 
     Args:
-        pieces: the attachment.
+        pieces: the attachment, as :func:`parse` returns it.
         values: returns the expanded values of a tunable, or raises.
 
     Raises:
         ComArmorError: there are too many combinations, or one is too long.
     """
+    written = tuple(piece for piece in pieces if not isinstance(piece, TunableReference))
+    if len(written) == len(pieces):
+        yield _bounded(written)
+        return
     choices = [
         [(value, True) for value in values(piece.name)] if isinstance(piece, TunableReference) else [((piece,), False)]
         for piece in pieces
@@ -127,10 +134,13 @@ def expand(pieces: Iterable[Piece | TunableReference], values: Callable[[str], S
             f"the tunables have {number:,} combinations, more than the {MOST_VALUES:,} allowed", code="tunable"
         )
     for combination in product(*choices):
-        value = _join(_flat(combination))
-        if sum(map(len, value)) > MOST_CHARACTERS:
-            raise ComArmorError(f"the expression is longer than {MOST_CHARACTERS:,} characters", code="expression")
-        yield value
+        yield _bounded(_join(_flat(combination)))
+
+
+def _bounded(value: Value) -> Value:
+    if sum(map(len, value)) > MOST_CHARACTERS:
+        raise ComArmorError(f"the expression is longer than {MOST_CHARACTERS:,} characters", code="expression")
+    return value
 
 
 def _flat(combination: Iterable[tuple[Value, bool]]) -> Iterator[tuple[Piece, bool]]:
@@ -140,13 +150,17 @@ def _flat(combination: Iterable[tuple[Value, bool]]) -> Iterator[tuple[Piece, bo
 
 
 def for_subject(value: Value, subject: str) -> str:
-    """Return the expression of an attachment for a subject.
+    """Return the expression of an attachment for a subject."""
+    return for_parts(value, *parts(subject))
 
-    The values of ``{name}`` and ``{namespace}`` are escaped: for ``/foo/bar/talker`` they are ``talker`` and
-    ``/foo/bar/``.
+
+def parts(subject: str) -> tuple[str, str]:
+    """Return the values of ``{namespace}`` and ``{name}`` for a subject, escaped.
+
+    For ``/foo/bar/talker`` they are ``/foo/bar/`` and ``talker``.
     """
     head, slash, name = subject.rpartition("/")
-    return for_parts(value, escape(head + slash), escape(name))
+    return escape(head + slash), escape(name)
 
 
 def for_parts(value: Value, namespace: str, name: str) -> str:
@@ -157,8 +171,11 @@ def for_parts(value: Value, namespace: str, name: str) -> str:
         namespace: expression that begins and ends with ``/``.
         name: expression of the last segment.
     """
-    text = {Placeholder.NAME: name, Placeholder.NAMESPACE: namespace}
-    (joined,) = _join((text[p], True) if isinstance(p, Placeholder) else (p, False) for p in value) or ("",)
+    texts = [name if p is _NAME else namespace if p is _NAMESPACE else p for p in value]
+    plain = "".join(texts)
+    if "//" not in plain:
+        return plain
+    (joined,) = _join((text, isinstance(p, Placeholder)) for text, p in zip(texts, value, strict=True)) or ("",)
     return joined
 
 

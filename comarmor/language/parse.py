@@ -14,14 +14,14 @@ from comarmor.language.attachments import parse as parse_attachment
 from comarmor.language.attachments import strip
 from comarmor.language.policy import Policy
 from comarmor.language.source import INCLUDE, PolicyFile, PolicyFiles
-from comarmor.language.syntax import Attachment, Profile, ProfileRule
-from comarmor.language.tunables import ExpansionBudget, TunableScope
+from comarmor.language.syntax import Attachment, Inclusion, Profile, ProfileRule
+from comarmor.language.tunables import MOST_CHARACTERS, ExpansionBudget, TunableScope
 from comarmor.patterns.expression import literal
 from comarmor.ros_names import is_fully_qualified
 from comarmor.rules import PERMISSIONS, Effect
 from comarmor.text import quoted
 from comarmor.xml import schema
-from comarmor.xml.reader import column, line
+from comarmor.xml.reader import place
 
 _LONGEST_NAME = 1024
 _LONGEST_SEGMENT = 255
@@ -41,14 +41,36 @@ class _PlacedElement:
     def where(self) -> Origin:
         return _place(self.document, self.element, self.chain)
 
+    @property
+    def inner_chain(self) -> tuple[Origin, ...]:
+        """The chain of the elements that this one includes."""
+        return (_place(self.document, self.element), *self.chain)
+
+
+@dataclass(frozen=True, slots=True)
+class _Fragment:
+    """The rules of a file that are the same wherever it is included, and the characters of its expressions."""
+
+    rules: tuple[ProfileRule, ...]
+    characters: int
+
 
 @dataclass(slots=True)
 class _PolicyParser:
-    """Parses the documents of a policy in order, and collects every defect."""
+    """Parses the documents of a policy in order, and collects every defect.
+
+    Attributes:
+        checked: documents that were validated.
+        budget: tunables, and characters of expressions.
+        diagnostics: the defects.
+        fragments: by document and whether it is included into a watched profile; None for a document that must be
+            parsed at each inclusion.
+    """
 
     checked: set[PolicyFile] = field(default_factory=set)
     budget: ExpansionBudget = field(default_factory=ExpansionBudget)
     diagnostics: list[Diagnostic] = field(default_factory=list)
+    fragments: dict[tuple[PolicyFile, bool], _Fragment | None] = field(default_factory=dict)
 
     def collect(self, error: ComArmorError, where: Origin) -> None:
         """Collect the defects of an error; those without a place get the given one."""
@@ -64,16 +86,15 @@ class _PolicyParser:
         self.collect(ComArmorError(message, where=where, help=help_, code=code), where)
 
     def validate(self, document: PolicyFile, chain: tuple[Origin, ...]) -> None:
-        """Validate a document and its includes against the schema, each once, where it is first included."""
-        if document in self.checked:
-            return
+        """Validate a document and its includes, unless they were, against the schema: where each is first included."""
         self.checked.add(document)
         try:
             schema.validate(document.root, locate("comarmor", "schemas") / "comarmor.xsd", document.name, chain)
         except ComArmorError as error:
             self.collect(error, Origin(document.name))
         for element, included in document.includes.items():
-            self.validate(included, (_place(document, element), *chain))
+            if included not in self.checked:
+                self.validate(included, (_place(document, element), *chain))
 
     def root(self, document: PolicyFile) -> tuple[Profile, ...]:
         """Return the profiles of a root file."""
@@ -91,19 +112,51 @@ class _PolicyParser:
         )
         return ()
 
-    def children(self, item: _PlacedElement) -> Iterator[_PlacedElement]:
-        """Yield the child elements of an element, with includes replaced by the included elements."""
+    def children(self, item: _PlacedElement, *, audit: bool | None = None) -> Iterator[_PlacedElement]:
+        """Yield the child elements of an element, with includes replaced by the included elements.
+
+        Args:
+            item: the element.
+            audit: whether it is a watched profile; if given, an include with a :meth:`fragment` is not replaced.
+        """
         for element in item.element:
-            if element.tag != INCLUDE:
-                yield _PlacedElement(element, item.document, item.chain)
+            child = _PlacedElement(element, item.document, item.chain)
+            if element.tag != INCLUDE or (audit is not None and self.fragment(child, audit=audit)):
+                yield child
                 continue
             included = item.document.includes[element]
-            chain = (_place(item.document, element), *item.chain)
-            inner = _PlacedElement(included.root, included, chain)
+            inner = _PlacedElement(included.root, included, child.inner_chain)
             if included.root.tag == "profiles":
-                yield from self.children(inner)
+                yield from self.children(inner, audit=audit)
             else:
                 yield inner
+
+    def fragment(self, include: _PlacedElement, *, audit: bool) -> _Fragment | None:
+        """Return the rules that an include adds to a profile; None if they must be parsed at each inclusion."""
+        key = include.document.includes[include.element], audit
+        if key not in self.fragments:
+            self.fragments[key] = _PolicyParser(fragments=self.fragments).alone(*key)
+        fragment = self.fragments[key]
+        return fragment if fragment and self.budget.used + fragment.characters <= MOST_CHARACTERS else None
+
+    def alone(self, document: PolicyFile, audit: bool) -> _Fragment | None:
+        """Return the rules of a file; None if it has other elements, needs tunables, or has defects."""
+        root = _PlacedElement(document.root, document, ())
+        rules: list[ProfileRule] = []
+        for child in self.children(root, audit=audit) if document.root.tag == "profiles" else (root,):
+            if child.element.tag == INCLUDE:
+                rules += self.inclusion(child, audit=audit).placed()
+            elif child.element.tag in PERMISSIONS:
+                rules.append(self.rule(child, TunableScope(self.budget), audit=audit))
+            else:
+                return None
+        return None if self.diagnostics else _Fragment(tuple(rules), self.budget.used)
+
+    def inclusion(self, include: _PlacedElement, *, audit: bool) -> Inclusion:
+        """Return the rules of an include that has a :meth:`fragment`."""
+        fragment = self.fragments[include.document.includes[include.element], audit]
+        self.budget.used += fragment.characters if fragment else 0
+        return Inclusion(fragment.rules if fragment else (), include.inner_chain)
 
     def profiles(self, item: _PlacedElement, scope: TunableScope) -> tuple[Profile, ...]:
         """Return the profiles in a ``<profiles>`` element."""
@@ -131,8 +184,8 @@ class _PolicyParser:
         audit = audit or item.element.get("modifier") == "AUDIT"
         attachments: list[Attachment] = []
         inner: list[Profile] = []
-        rules: list[ProfileRule] = []
-        for child in self.children(item):
+        parts: list[ProfileRule | Inclusion] = []
+        for child in self.children(item, audit=audit):
             tag = child.element.tag
             if tag == "tunable":
                 self.tunable(child, scope)
@@ -140,10 +193,12 @@ class _PolicyParser:
                 attachments += self.subjects(child, scope)
             elif tag == "profile":
                 inner += self.profile(child, scope, audit=audit, depth=depth + 1)
+            elif tag == INCLUDE:
+                parts.append(self.inclusion(child, audit=audit))
             else:
-                rules.append(self.rule(child, scope, audit=audit))
+                parts.append(self.rule(child, scope, audit=audit))
         name = item.element.get("name", "")
-        yield Profile(name, audit, _unique(attachments), tuple(inner), tuple(rules), item.where)
+        yield Profile(name, audit, _unique(attachments), tuple(inner), tuple(parts), item.where)
 
     def tunable(self, item: _PlacedElement, scope: TunableScope) -> None:
         """Declare a tunable."""
@@ -241,7 +296,8 @@ def parse(sources: PolicyFiles) -> Policy:
     """
     parser = _PolicyParser()
     for document in sources.roots:
-        parser.validate(document, ())
+        if document not in parser.checked:
+            parser.validate(document, ())
     if parser.diagnostics:
         raise ComArmorError.of(parser.diagnostics)
     profiles = tuple(profile for document in sources.roots for profile in parser.root(document))
@@ -252,7 +308,8 @@ def parse(sources: PolicyFiles) -> Policy:
 
 
 def _place(document: PolicyFile, element: etree._Element, chain: tuple[Origin, ...] = ()) -> Origin:
-    return Origin(document.name, line(element), chain, column(element))
+    line, column = place(element)
+    return Origin(document.name, line, chain, column)
 
 
 def _unique(expressions: list[Attachment]) -> tuple[Attachment, ...]:

@@ -7,8 +7,9 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
+from comarmor.language.attachments import parts
 from comarmor.language.decide import Row, RuleIndex
-from comarmor.language.syntax import Decision, Profile, ProfileRule, Tunable
+from comarmor.language.syntax import Decision, Inclusion, Profile, ProfileRule, Tunable
 from comarmor.patterns.expression import beginning, literal, matches
 from comarmor.rules import Rule
 
@@ -101,17 +102,27 @@ class Policy:
         cached = self._cached_rules.get(subject)
         if cached is not None:
             return cached
-        rules = tuple(self._expanded(rule, subject) for profile in self.applicable(subject) for rule in profile.rules)
+        namespace, name = parts(subject)
+        rules = tuple(
+            rule
+            for profile in self.applicable(subject)
+            for part in profile.parts
+            for rule in (
+                part.expanded(namespace, name)
+                if isinstance(part, Inclusion)
+                else (self._expanded(part, namespace, name),)
+            )
+        )
         if len(self._cached_rules) >= _MOST_CACHED:
             self._cached_rules.clear()
         self._cached_rules[subject] = rules
         return rules
 
-    def _expanded(self, rule: ProfileRule, subject: str) -> Rule:
+    def _expanded(self, rule: ProfileRule, namespace: str, name: str) -> Rule:
         if rule.depends_on_subject:
-            return rule.with_expressions(attachment.expanded(subject) for attachment in rule.attachments)
+            return rule.for_parts(namespace, name)
         if id(rule) not in self._shared_rules:
-            self._shared_rules[id(rule)] = rule.with_expressions(attachment.text for attachment in rule.attachments)
+            self._shared_rules[id(rule)] = rule.for_parts(namespace, name)
         return self._shared_rules[id(rule)]
 
     def row(self, subject: str, kind: str, permission: str) -> Row:

@@ -3,11 +3,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
-from dataclasses import dataclass
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass, replace
 
 from comarmor.errors import Origin, Reason
-from comarmor.language.attachments import Placeholder, Value, for_subject
+from comarmor.language.attachments import Placeholder, Value, for_parts, for_subject
 from comarmor.rules import Effect, Rule
 
 
@@ -33,6 +33,14 @@ class Attachment:
     def expanded(self, subject: str) -> str:
         """Return the ``fnmatch`` expression of this attachment for a subject."""
         return for_subject(self.value, subject) if self.value else self.text
+
+    def for_parts(self, namespace: str, name: str) -> str:
+        """Return the expression for expressions of a namespace, which ends with ``/``, and of a name."""
+        return for_parts(self.value, namespace, name) if self.value else self.text
+
+    def included(self, chain: tuple[Origin, ...]) -> Attachment:
+        """Return the attachment of a file that other places include, innermost first."""
+        return Attachment(self.text, self.where.included(chain), self.value)
 
 
 @dataclass(frozen=True, slots=True)
@@ -71,10 +79,41 @@ class ProfileRule:
         """Whether an attachment contains ``{name}`` or ``{namespace}``."""
         return any(attachment.value for attachment in self.attachments)
 
-    def with_expressions(self, expressions: Iterable[str]) -> Rule:
-        """Return the rule with expressions in place of its attachments."""
+    def for_parts(self, namespace: str, name: str, where: Origin | None = None) -> Rule:
+        """Return the rule for a subject, whose parts are given as :meth:`Attachment.for_parts` needs them."""
+        return self.with_expressions([each.for_parts(namespace, name) for each in self.attachments], where)
+
+    def with_expressions(self, expressions: Iterable[str], where: Origin | None = None) -> Rule:
+        """Return the rule with expressions in place of its attachments, and another place if one is given."""
         unique = tuple(dict.fromkeys(expressions))
-        return Rule(self.effect, self.kind, self.permissions, unique, self.partitions, self.audit, self.where)
+        return Rule(self.effect, self.kind, self.permissions, unique, self.partitions, self.audit, where or self.where)
+
+
+@dataclass(frozen=True, slots=True)
+class Inclusion:
+    """The rules of an included file that uses no tunables: they are the same wherever it is included.
+
+    Attributes:
+        rules: the rules, whose places have the includes within that file only.
+        chain: the places that include it, innermost first.
+    """
+
+    rules: tuple[ProfileRule, ...]
+    chain: tuple[Origin, ...]
+
+    def expanded(self, namespace: str, name: str) -> Iterator[Rule]:
+        """Yield the rules for a subject, as :meth:`ProfileRule.for_parts`; rules of one file share their chain."""
+        chains: dict[int, tuple[Origin, ...]] = {}
+        for rule in self.rules:
+            at = rule.where
+            chain = chains.get(id(at.chain)) or chains.setdefault(id(at.chain), (*at.chain, *self.chain))
+            yield rule.for_parts(namespace, name, Origin(at.file, at.line, chain, at.column))
+
+    def placed(self) -> Iterator[ProfileRule]:
+        """Yield the rules with all places that include them."""
+        for rule in self.rules:
+            attachments = tuple(attachment.included(self.chain) for attachment in rule.attachments)
+            yield replace(rule, attachments=attachments, where=rule.where.included(self.chain))
 
 
 @dataclass(frozen=True, slots=True)
@@ -86,7 +125,7 @@ class Profile:
         audit: requests that match its rules are to be logged, by its modifier or that of an enclosing profile.
         attachments: the subjects it applies to, if all enclosing profiles apply to them as well.
         profiles: the nested profiles.
-        rules: its rules.
+        parts: its rules in order; those of an included file in one piece.
         where: where it is written.
     """
 
@@ -94,8 +133,15 @@ class Profile:
     audit: bool
     attachments: tuple[Attachment, ...]
     profiles: tuple[Profile, ...]
-    rules: tuple[ProfileRule, ...]
+    parts: tuple[ProfileRule | Inclusion, ...]
     where: Origin
+
+    @property
+    def rules(self) -> tuple[ProfileRule, ...]:
+        """The rules, each with all places that include it."""
+        return tuple(
+            rule for part in self.parts for rule in (part.placed() if isinstance(part, Inclusion) else (part,))
+        )
 
 
 @dataclass(frozen=True, slots=True)

@@ -113,9 +113,9 @@ def line(element: etree._Element) -> int:
     return sourceline if isinstance(sourceline, int) else 0
 
 
-def column(element: etree._Element) -> int:
-    """Return the column in which an element of a parsed document begins, from 1."""
-    return element.place[1] if isinstance(element, _Element) else 0
+def place(element: etree._Element) -> tuple[int, int]:
+    """Return line and column at which an element of a parsed document begins, from 1."""
+    return element.place if isinstance(element, _Element) else (0, 0)
 
 
 class _Scanner:

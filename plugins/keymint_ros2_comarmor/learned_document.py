@@ -66,4 +66,4 @@ def profile_size(rules: tuple[ProfileRule, ...]) -> int:
 def _profile(name: str, attachment: str, rules: tuple[ProfileRule, ...]) -> etree._Element:
     """Return the element of a profile with one attachment."""
     attachments = (Attachment(attachment, NOWHERE),)
-    return render.profile(Profile(name, audit=False, attachments=attachments, profiles=(), rules=rules, where=NOWHERE))
+    return render.profile(Profile(name, audit=False, attachments=attachments, profiles=(), parts=rules, where=NOWHERE))

@@ -7,7 +7,6 @@ from collections.abc import Iterator
 from functools import partial
 
 import comarmor
-from comarmor.language.attachments import for_parts
 from keymint.api import PolicyStructure, WrittenProfile, WrittenRule
 
 _Around = tuple[tuple[str, ...], ...]
@@ -51,7 +50,4 @@ def _texts(profile: comarmor.Profile) -> tuple[str, ...]:
 
 
 def _expand(rule: comarmor.ProfileRule, namespace: str, name: str) -> tuple[str, ...]:
-    return tuple(
-        for_parts(attachment.value, namespace, name) if attachment.value else attachment.text
-        for attachment in rule.attachments
-    )
+    return tuple(attachment.for_parts(namespace, name) for attachment in rule.attachments)

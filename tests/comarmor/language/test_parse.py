@@ -13,7 +13,7 @@ from lxml import etree
 import comarmor
 from comarmor import data
 
-from .policies import allow, include, profile, profiles, tunable
+from .policies import allow, include, profile, profiles, topics, tunable
 
 
 def test_both_dialects_even_mixed(load) -> None:
@@ -194,3 +194,42 @@ def test_legal_names(load) -> None:
     names = ("/a", "/A_1/_b", "/" + "x" * 255)
     policy = load(profiles(*(profile(attachment=name) for name in names)))
     assert policy.subjects() == tuple(sorted(names))
+
+
+def test_an_included_file_means_the_same_in_every_profile_but_for_tunables_and_audit(load) -> None:
+    uses = (include("own/uses.xml"), include("own/plain.xml"))
+    policy = load(
+        policy=profiles(
+            profile(tunable("T", "/one"), *uses, attachment="/r/a"),
+            profile(tunable("T", "/two"), *uses, attachment="/r/b", attributes=' modifier="AUDIT"'),
+        ),
+        own__uses=profiles(include("tunable.xml"), include("more.xml")),
+        own__plain=profiles(include("rule.xml"), include("more.xml")),
+        own__tunable=allow("@{T}"),
+        own__rule=allow("/plain", "{namespace}x"),
+        own__more=allow("{name}"),
+    )
+    assert topics(policy, "/r/a") == ["/one", "a", "/plain", "/r/x", "a"]
+    assert topics(policy, "/r/b") == ["/two", "b", "/plain", "/r/x", "b"]
+    assert {rule.audit for rule in policy.rules("/r/a")} == {False}
+    assert {rule.audit for rule in policy.rules("/r/b")} == {True}
+    for subject, written in zip(("/r/a", "/r/b"), policy.profiles, strict=True):
+        places = [rule.origin for rule in policy.rules(subject)]
+        assert places == [rule.where for rule in written.rules]
+        files = [[each.file.rpartition("/")[2] for each in (place, *place.chain)] for place in places]
+        more = [["more.xml", name, "policy.xml"] for name in ("uses.xml", "plain.xml")]
+        of_rules = [["tunable.xml", "uses.xml", "policy.xml"], ["rule.xml", "plain.xml", "policy.xml"]]
+        assert files == [of_rules[0], more[0], of_rules[1], more[1]]
+        attached = [attachment.where for rule in written.rules for attachment in rule.attachments]
+        assert {(place.file, place.chain) for place in attached} == {(place.file, place.chain) for place in places}
+        assert {place.chain[-1].column for place in places} == {place.chain[-1].column for place in attached}
+
+
+def test_a_defect_of_an_included_file_is_reported_at_each_inclusion(load) -> None:
+    broken = allow("/x@{UNKNOWN}")
+    with pytest.raises(comarmor.ComArmorError) as caught:
+        load(
+            policy=profiles(*(profile(include("own/broken.xml"), attachment=name) for name in ("/a", "/b"))),
+            own__broken=broken,
+        )
+    assert [len(each.where.chain) for each in caught.value.diagnostics if each.where] == [1, 1]

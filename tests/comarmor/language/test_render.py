@@ -70,7 +70,7 @@ def profiles(depth: int) -> st.SearchStrategy[Profile]:
         audit=st.booleans(),
         attachments=expressions(PROFILE_TEXTS),
         profiles=inner,
-        rules=st.lists(rules(), max_size=3).map(tuple),
+        parts=st.lists(rules(), max_size=3).map(tuple),
         where=st.just(HERE),
     )
 

@@ -6,7 +6,7 @@ from __future__ import annotations
 import pytest
 
 from comarmor.errors import ComArmorError, Diagnostic
-from comarmor.xml.reader import Limits, column, line, parse
+from comarmor.xml.reader import Limits, parse, place
 from tests.effort import calls_of
 
 
@@ -76,7 +76,7 @@ def test_limits() -> None:
 
 def test_places_are_exact_beyond_16_bits() -> None:
     root = parse(b"<a>" + b"\n" * 70_000 + b"  <b\n/></a>", "x")
-    assert (line(root[0]), column(root[0])) == (70_001, 3)
+    assert place(root[0]) == (70_001, 3)
 
 
 def test_schema_locations_are_removed() -> None:
