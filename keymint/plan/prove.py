@@ -6,7 +6,7 @@ The proof of an enclave whose claims were all proven is cached until its files, 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from datetime import datetime
 
@@ -76,6 +76,25 @@ class EnclaveProof:
 
 
 @dataclass(frozen=True, slots=True)
+class PackageProof:
+    """The proof of one package, or across all packages of a build type, and what becomes of its record.
+
+    Attributes:
+        name: the package; of claims across subjects, their key in the record.
+        proof: the result.
+        build_types: the build types of the package.
+        stamp: the record to keep; None if it does not change.
+        refuted: the proof must not be on record.
+    """
+
+    name: str
+    proof: EnclaveProof
+    build_types: tuple[str, ...] = ()
+    stamp: Stamp | None = None
+    refuted: bool = False
+
+
+@dataclass(frozen=True, slots=True)
 class ProofResults:
     """The results for all enclaves.
 
@@ -125,24 +144,29 @@ def prove(
     Raises:
         KeymintError: a package has defects.
     """
-    run = _ProofRun(session, policy, effort, standard_only, unsigned)
+    stage = ProofStage(session, policy, effort, standard_only=standard_only, unsigned=unsigned)
+    proven: list[PackageProof] = []
     for name in names:
-        run.prove(name)
+        proven.append(stage.package(name))
         on_enclave(name)
-    run.prove_shared(names)
-    return run.results()
+    return stage.results(proven)
 
 
-class _ProofRun:
-    """Proves enclaves one by one, and collects the results."""
+class ProofStage:
+    """The stage ``prove``: proves enclaves one by one, and then the claims across them.
+
+    Args:
+        session: the workspace and its profile.
+        policy: the policy that the enclaves are compared with.
+        effort: limits of the search.
+        standard_only: claim only what the standard says; nothing is recorded.
+        unsigned: the documents are about to be signed: messages cite the unsigned ones in the build space.
+    """
+
+    NAME = STAGE
 
     def __init__(
-        self,
-        session: Session,
-        policy: LoadedPolicy,
-        effort: ProofEffort,
-        standard_only: bool,
-        unsigned: bool,
+        self, session: Session, policy: LoadedPolicy, effort: ProofEffort, *, standard_only: bool, unsigned: bool
     ) -> None:
         self._session = session
         self._policy = policy
@@ -152,73 +176,69 @@ class _ProofRun:
         self._chains = trusted_chains(session)
         self._contradictions = authority_evidence.contradictions(session)
         self._policy_digest = digest(*(f"{path} {value.hex()}" for path, value in sorted(policy.seen.items())))
-        self._proofs: list[EnclaveProof] = []
-        self._shared_proofs: list[EnclaveProof] = []
-        self._stamps: dict[str, Stamp] = {}
-        self._refuted: set[str] = set()
-        self._assumptions: dict[str, Sequence[str]] = {}
-        self._standards: set[str] = set()
         self._shared = SharedReader(session, unsigned=unsigned)
 
-    def results(self) -> ProofResults:
-        """Return the results so far, and the record of them."""
+    def results(self, proven: Sequence[PackageProof]) -> ProofResults:
+        """Put the proofs of some packages together, and add the claims across subjects."""
+        across = tuple(self._across({each.name for each in proven}))
+        stamps = {each.name: each.stamp for each in (*proven, *across) if each.stamp}
+        refuted = {each.name for each in (*proven, *across) if each.refuted}
         state = self._session.state
-        if self._stamps or any(state.stamp(STAGE, name) for name in self._refuted):
-            state = state.updated(STAGE, self._stamps, self._refuted)
-        proofs, shared = tuple(self._proofs), tuple(self._shared_proofs)
-        standards = frozenset(self._standards)
-        return ProofResults(proofs, shared, state, self._assumptions, standards, self._session.now)
+        if stamps or any(state.stamp(STAGE, name) for name in refuted):
+            state = state.updated(STAGE, stamps, refuted)
+        assumptions: dict[str, Sequence[str]] = {}
+        standards: set[str] = set()
+        for name in dict.fromkeys(name for each in proven for name in each.build_types):
+            build_type: object = self._session.plugins.build_type(name)
+            if isinstance(build_type, Prover):
+                assumptions |= build_type.assumptions()
+                standards.update([*build_type.assumptions()][:1])
+        proofs, shared = tuple(each.proof for each in proven), tuple(each.proof for each in across)
+        return ProofResults(proofs, shared, state, assumptions, frozenset(standards), self._session.now)
 
-    def prove(self, name: str) -> None:
+    def package(self, name: str) -> PackageProof:
         """Prove the claims about one enclave, unless the proof is cached."""
         session = self._session
         files, unread = enclave_files(session, name)
         if defects := self._of_enclave(name, unread):
-            self._proofs.append(EnclaveProof(f"/{name}", (), diagnostics=defects))
-            self._refuted.add(name)
-            return
+            return PackageProof(name, EnclaveProof(f"/{name}", (), diagnostics=defects), refuted=True)
         if self._contradictions and (
             contradictions := authority_evidence.contradictions_for(
                 self._contradictions, issuers_of(session, session.package(name))
             )
         ):
-            self._proofs.append(EnclaveProof(f"/{name}", (), diagnostics=contradictions))
-            return
+            return PackageProof(name, EnclaveProof(f"/{name}", (), diagnostics=contradictions))
         stamp, folder = session.state.stamp(STAGE, name), self._shown(name)
         cached = proof_record.load(stamp, folder) if stamp else None
         current = stamp is not None and stamp.inputs == self._inputs_digest(name, files, stamp.build_types)
-        if stamp and current and cached and self._same_rules(name, stamp, [f"/{name}"]):
+        if stamp and current and cached and self._same_rules(stamp, [f"/{name}"]):
             claims, validity = cached
             # The cache does not depend on the clock: whether documents are in force is checked at each run.
-            self._proofs.append(EnclaveProof(f"/{name}", claims, cached=True, terms=validity))
-            self._assume(stamp.build_types)
-            return
+            proof = EnclaveProof(f"/{name}", claims, cached=True, terms=validity)
+            return PackageProof(name, proof, stamp.build_types, self._of_policy(stamp))
         package = session.package(name)
-        build_types = tuple(build_types_of(session, package))
+        build_types = tuple(build_types_of(session, package)) if files else ()
         inputs = self._inputs_digest(name, files, build_types)
         rules = self._rules(package.subject)
         proof = self._proof(package, rules, files)
-        self._proofs.append(proof)
-        self._keep(name, proof, (rules,), Stamp(inputs, {}, build_types=build_types), folder)
+        return self._kept(name, proof, (rules,), Stamp(inputs, {}, build_types=build_types), folder)
 
-    def prove_shared(self, names: Sequence[str]) -> None:
+    def _across(self, names: Collection[str]) -> Iterator[PackageProof]:
         """Prove the claims across subjects of the build types that some packages have, unless these are cached."""
         for name, of_type in self._shared.users.items():
-            if set(names).isdisjoint(of_type):
-                continue
             build_type: object = self._session.plugins.build_type(name)
-            if isinstance(build_type, SharedProver):
-                self._prove_across(name, of_type, build_type)
+            if isinstance(build_type, SharedProver) and not set(names).isdisjoint(of_type):
+                yield self._prove_across(name, of_type, build_type)
 
-    def _prove_across(self, name: str, names: Sequence[str], prover: SharedProver) -> None:
+    def _prove_across(self, name: str, names: Sequence[str], prover: SharedProver) -> PackageProof:
         session, key, folder = self._session, record_key(name), self._shared.folder
         enclaves = self._shared.enclaves(name)
         inputs = self._shared.inputs_digest(names, enclaves, name, digest_files(self._chains))
         stamp, subjects = session.state.stamp(STAGE, key), [f"/{each}" for each in names]
         cached = proof_record.load(stamp, folder) if stamp and stamp.inputs == inputs else None
-        if stamp and cached and self._same_rules(key, stamp, subjects):
-            self._shared_proofs.append(EnclaveProof("", cached[0], cached=True, build_type=name))
-            return
+        if stamp and cached and self._same_rules(stamp, subjects):
+            proof = EnclaveProof("", cached[0], cached=True, build_type=name)
+            return PackageProof(key, proof, stamp=self._of_policy(stamp))
         rules = {subject: self._rules(subject) for subject in subjects}
         try:
             packages = load_packages(session, name, names)
@@ -237,18 +257,18 @@ class _ProofRun:
             proof = EnclaveProof("", tuple(prover.prove_shared(task)), build_type=name)
         except KeymintError as error:
             proof = EnclaveProof("", (), diagnostics=tuple(error.diagnostics), build_type=name)
-        self._shared_proofs.append(proof)
-        self._keep(key, proof, rules.values(), Stamp(inputs, {}, build_types=(name,)), folder)
+        return self._kept(key, proof, rules.values(), Stamp(inputs, {}, build_types=(name,)), folder)
 
-    def _keep(self, key: str, proof: EnclaveProof, rules: Iterable[SubjectRules], stamp: Stamp, folder: str) -> None:
-        """Record a proof if all its claims are proven."""
+    def _kept(
+        self, key: str, proof: EnclaveProof, rules: Iterable[SubjectRules], stamp: Stamp, folder: str
+    ) -> PackageProof:
+        """Return a proof with its record if all its claims are proven."""
         if self._standard_only:
-            return
+            return PackageProof(key, proof, stamp.build_types)
         if proof.diagnostics or any(claim.proof is not Proof.PROVEN for claim in proof.claims):
-            self._refuted.add(key)
-        else:
-            outputs = proof_record.dump(proof.claims, proof.terms, rules, folder)
-            self._stamps[key] = replace(stamp, outputs=outputs, context=self._policy_digest)
+            return PackageProof(key, proof, stamp.build_types, refuted=True)
+        outputs = proof_record.dump(proof.claims, proof.terms, rules, folder)
+        return PackageProof(key, proof, stamp.build_types, replace(stamp, outputs=outputs, context=self._policy_digest))
 
     def _of_enclave(self, name: str, unread: Sequence[Diagnostic]) -> tuple[Diagnostic, ...]:
         """Return the diagnostics of unreadable files that belong to the enclave, by the record or by their names."""
@@ -263,14 +283,15 @@ class _ProofRun:
             if stamp is None or file in {*stamp.outputs, ""} or file.endswith(suffixes)
         )
 
-    def _same_rules(self, key: str, stamp: Stamp, subjects: Iterable[str]) -> bool:
+    def _same_rules(self, stamp: Stamp, subjects: Iterable[str]) -> bool:
         """Tell whether the policy has the same rules for some subjects as when the stamp was made."""
-        if stamp.context == self._policy_digest:
-            return True
-        if not proof_record.has_rules(stamp, [self._rules(subject) for subject in subjects]):
-            return False
-        self._stamps[key] = replace(stamp, context=self._policy_digest)
-        return True
+        return stamp.context == self._policy_digest or proof_record.has_rules(
+            stamp, [self._rules(subject) for subject in subjects]
+        )
+
+    def _of_policy(self, stamp: Stamp) -> Stamp | None:
+        """Return a stamp as the present policy has it, or None if it is that already."""
+        return None if stamp.context == self._policy_digest else replace(stamp, context=self._policy_digest)
 
     def _shown(self, name: str) -> str:
         """Return the path of an enclave's files in messages, as the user would type it."""
@@ -285,9 +306,7 @@ class _ProofRun:
         claims: list[Claim] = []
         validity: list[ValidityTerm] = []
         diagnostics: list[Diagnostic] = []
-        build_types = build_types_of(self._session, package)
-        self._assume(build_types)
-        for name, prover in build_types.items():
+        for name, prover in build_types_of(self._session, package).items():
             if not isinstance(prover, Prover):
                 message, marker = f"the build type {name} proves nothing", self._session.package_marker(package.name)
                 diagnostics.append(Diagnostic(NO_PROVER, Severity.ERROR, message, marker))
@@ -328,15 +347,6 @@ class _ProofRun:
         if found := prover.differences(task.files, task.folder, task.anchors, task.shared, task.shared_folder):
             raise KeymintError.of(found)
         return ()
-
-    def _assume(self, build_types: Iterable[str]) -> None:
-        """Keep the assumptions of build types that prove."""
-        for name in build_types:
-            build_type: object = self._session.plugins.build_type(name)
-            if isinstance(build_type, Prover):
-                assumptions = build_type.assumptions()
-                self._assumptions.update(assumptions)
-                self._standards.update([*assumptions][:1])
 
     def _inputs_digest(self, name: str, files: Mapping[str, bytes], build_types: Iterable[str]) -> str:
         """Return the digest of everything that a proof depends on, except the policy."""
