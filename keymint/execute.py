@@ -1,11 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Carry out a plan step by step, and report each step."""
+"""Carry out a plan: all its steps in one group, marked and recorded."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import ThreadPoolExecutor
-from itertools import groupby
+from collections.abc import Callable
 
 from keymint.changes import File, Plan, Step
 from keymint.plan import gitignore, key_record
@@ -22,9 +20,7 @@ def open_store(workspace: Workspace) -> Store:
     return Store(roots | {workspace.private: True}, workspace.state)
 
 
-def execute(
-    plan: Plan, workspace: Workspace, store: Store, before: State, jobs: int, on_step: Callable[[Step], None]
-) -> None:
+def execute(plan: Plan, workspace: Workspace, store: Store, before: State, on_step: Callable[[Step], None]) -> None:
     """Carry out a plan.
 
     Args:
@@ -32,8 +28,7 @@ def execute(
         workspace: the workspace.
         store: the writer.
         before: the previous record; written only if it changes.
-        jobs: threads that write at the same time.
-        on_step: called after every step.
+        on_step: called for every step, after all of them.
 
     Raises:
         KeymintError: the system refuses a write; no file is incomplete, and a later run goes on from here.
@@ -54,31 +49,7 @@ def execute(
     with store.marked(dump_mark(before, public, key_record.new_fingerprints(before, plan.state))):
         for guard in guards:  # before the first secret is written
             store.write(guard.folder, guard.files, private=guard.private)
-        for batch in _batches(plan.steps):
-            _carry_out(batch, store, jobs, on_step)
+        store.change(change for step in plan.steps for change in step.changes)
+        for step in plan.steps:
+            on_step(step)
         store.write(workspace.state, {RECORD: File(record)})
-
-
-def _batches(steps: Sequence[Step]) -> Iterator[Sequence[Step]]:
-    """Yield the steps stage by stage, so that a stage is written before the next one begins."""
-    for _, batch in groupby(steps, key=lambda step: (step.stage, not step.package)):
-        yield tuple(batch)
-
-
-def _carry_out(steps: Sequence[Step], store: Store, jobs: int, on_step: Callable[[Step], None]) -> None:
-    # Packages below one namespace stay in one thread: an outer enclave is created before the ones inside it.
-    ordered = sorted(steps, key=lambda step: step.package)
-    groups = [tuple(group) for _, group in groupby(ordered, key=lambda step: step.package.split("/")[0])]
-
-    def write(group: Sequence[Step]) -> Sequence[Step]:
-        store.change(change for step in group for change in step.changes)
-        return group
-
-    with ThreadPoolExecutor(max(jobs, 1)) as pool:
-        try:
-            for written in (pool.map if jobs > 1 and len(groups) > 1 else map)(write, groups):
-                for step in written:
-                    on_step(step)
-        except BaseException:
-            pool.shutdown(wait=True, cancel_futures=True)
-            raise

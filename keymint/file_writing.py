@@ -49,8 +49,8 @@ def opened_folder(name: str | Path, parent: int | None = None) -> Iterator[int]:
         os.close(descriptor)
 
 
-def create(folder: int, shown: Path, name: str, file: File, owner: tuple[int, int] | None = None) -> None:
-    """Create and synchronise a file.
+def create(folder: int, shown: str | Path, name: str, file: File, owner: tuple[int, int] | None = None) -> None:
+    """Create a file.
 
     Args:
         folder: the open folder.
@@ -59,30 +59,32 @@ def create(folder: int, shown: Path, name: str, file: File, owner: tuple[int, in
         file: its content.
         owner: user and group to give it to, if the system permits that.
     """
-    with reported(shown / name):
+    try:
         opened = os.open(name, NEW_FILE, 0o600, dir_fd=folder)
         try:
             write_all(opened, file.content)
             give(opened, owner)
             os.fchmod(opened, file_mode(secret=file.secret))
-            os.fsync(opened)
         finally:
             os.close(opened)
+    except OSError as error:
+        refuse(f"{shown}/{name}", error)
 
 
 def write_all(opened: int, content: bytes) -> None:
     """Write to an open file; the system may take several writes for it."""
-    view = memoryview(content)
-    while view:
-        view = view[os.write(opened, view) :]
+    written = os.write(opened, content)
+    while written < len(content):
+        written += os.write(opened, memoryview(content)[written:])
 
 
 def give(opened: int, owner: tuple[int, int] | None) -> None:
     """Give an open file or folder to a user and group; does nothing unless run as root."""
-    status = os.fstat(opened)
-    if owner is not None and owner != (status.st_uid, status.st_gid):
-        with contextlib.suppress(PermissionError):
-            os.fchown(opened, *owner)
+    if owner is not None:
+        status = os.fstat(opened)
+        if owner != (status.st_uid, status.st_gid):
+            with contextlib.suppress(PermissionError):
+                os.fchown(opened, *owner)
 
 
 def make_folder(name: str | Path, mode: int, parent: int | None = None) -> None:
@@ -92,7 +94,7 @@ def make_folder(name: str | Path, mode: int, parent: int | None = None) -> None:
         os.chmod(name, mode, dir_fd=parent)
 
 
-def check_component(name: str, folder: Path) -> None:
+def check_component(name: str, folder: str | Path) -> None:
     """Raise an error for text that cannot be the name of a file."""
     if name in {"", ".", ".."} or "/" in name or "\0" in name:
         raise KeymintError(f"{name!r} is not a file name", where=Origin(str(folder)), code="confined")
@@ -104,7 +106,7 @@ def check_component(name: str, folder: Path) -> None:
         )
 
 
-def require_regular(folder: int, shown: Path, name: str) -> os.stat_result | None:
+def require_regular(folder: int, shown: str | Path, name: str) -> os.stat_result | None:
     """Return the status of the regular file that is about to be replaced, or None if there is none.
 
     Raises:
@@ -118,7 +120,7 @@ def require_regular(folder: int, shown: Path, name: str) -> os.stat_result | Non
         kind = "a symbolic link" if stat.S_ISLNK(status.st_mode) else "not a regular file"
         raise KeymintError(
             f"is {kind}, so it is not replaced",
-            where=Origin(str(shown / name)),
+            where=Origin(f"{shown}/{name}"),
             help="remove it if it is not yours",
             code="symlink-refused",
         )
@@ -126,7 +128,7 @@ def require_regular(folder: int, shown: Path, name: str) -> os.stat_result | Non
 
 
 @contextlib.contextmanager
-def reported(path: Path) -> Iterator[None]:
+def reported(path: str | Path) -> Iterator[None]:
     """Turn an error of the system into a one-line error for the user."""
     try:
         yield
@@ -136,8 +138,9 @@ def reported(path: Path) -> Iterator[None]:
         refuse(path, error)
 
 
-def refuse(path: Path, error: OSError) -> NoReturn:
+def refuse(path: str | Path, error: OSError) -> NoReturn:
     """Raise the error for a path that cannot be written."""
+    path = Path(path)
     if error.errno == errno.ELOOP or (
         error.errno == errno.ENOTDIR and any(above.is_symlink() for above in (path, *path.parents))
     ):

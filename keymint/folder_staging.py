@@ -15,7 +15,6 @@ import shutil
 import stat
 from collections.abc import Collection
 from dataclasses import dataclass, field
-from pathlib import Path
 from typing import NoReturn
 
 from comarmor.errors import Origin
@@ -46,6 +45,8 @@ class FolderContent:
         mode: mode of a new folder; an existing one keeps its mode.
         private: set the folder's mode to 0700 if others can enter it.
         folders: new content of the subfolders that change, by name.
+        order: number of the first change here or below.
+        own: number of the last change here.
     """
 
     files: dict[str, File] = field(default_factory=dict)
@@ -53,6 +54,8 @@ class FolderContent:
     mode: int = 0o755
     private: bool = False
     folders: dict[str, FolderContent] = field(default_factory=dict)
+    order: int = 0
+    own: int = 0
 
     def writes(self) -> bool:
         """Tell whether a file is written here or below."""
@@ -72,8 +75,8 @@ class Carried:
     left: set[str] = field(default_factory=set)
 
 
-def stage(old: int, new_parent: int, name: str, shown: Path, content: FolderContent) -> Carried | None:
-    """Create and synchronise the replacement of a folder.
+def stage(old: int, new_parent: int, name: str, shown: str, content: FolderContent) -> Carried | None:
+    """Create the replacement of a folder.
 
     Args:
         old: the existing folder, open.
@@ -107,11 +110,10 @@ def stage(old: int, new_parent: int, name: str, shown: Path, content: FolderCont
                 return None
             mode = stat.S_IMODE(status.st_mode)
             os.fchmod(new, 0o700 if content.private and mode & 0o077 else mode)
-            os.fsync(new)
     return carried
 
 
-def _carry(old: int, new: int, shown: Path, content: FolderContent) -> Carried:
+def _carry(old: int, new: int, shown: str, content: FolderContent) -> Carried:
     """Carry over the entries that do not change, and stage the subfolders."""
     carried = Carried(left={*content.files, *content.removed})
     mount = mount_of(old)
@@ -124,27 +126,27 @@ def _carry(old: int, new: int, shown: Path, content: FolderContent) -> Carried:
                 raise IsADirectoryError(errno.EISDIR, os.strerror(errno.EISDIR))
             with opened_folder(name, old) as inner:
                 if mount_of(inner) != mount:
-                    refuse_mount(shown / name)
-                below = stage(inner, new, name, shown / name, content.folders.get(name, FolderContent()))
+                    refuse_mount(f"{shown}/{name}")
+                below = stage(inner, new, name, f"{shown}/{name}", content.folders.get(name, FolderContent()))
             if below is None:
                 carried.left.add(name)
             else:
                 carried.folders[name] = below
         elif name not in carried.left:
-            _link(old, new, shown / name, name)
+            _link(old, new, f"{shown}/{name}", name)
             carried.files[name] = entry.inode()
     return carried
 
 
-def _add_folders(parent: int, shown: Path, content: FolderContent, staged: Collection[str] = ()) -> None:
+def _add_folders(parent: int, shown: str, content: FolderContent, staged: Collection[str] = ()) -> None:
     """Create the new subfolders of a staged folder."""
     for name, inner in content.folders.items():
         if inner.writes() and name not in staged:
-            add(parent, name, shown / name, inner)
+            add(parent, name, f"{shown}/{name}", inner)
 
 
-def add(parent: int, name: str, shown: Path, content: FolderContent) -> None:
-    """Create and synchronise a new folder.
+def add(parent: int, name: str, shown: str, content: FolderContent) -> None:
+    """Create a new folder.
 
     Args:
         parent: the open folder in which to create it.
@@ -162,10 +164,9 @@ def add(parent: int, name: str, shown: Path, content: FolderContent) -> None:
                 create(new, shown, file, content.files[file])
             _add_folders(new, shown, content)
             os.fchmod(new, 0o700 if content.private else content.mode)
-            os.fsync(new)
 
 
-def _link(old: int, new: int, shown: Path, name: str) -> None:
+def _link(old: int, new: int, shown: str, name: str) -> None:
     with reported(shown):
         try:
             os.link(name, name, src_dir_fd=old, dst_dir_fd=new, follow_symlinks=False)
@@ -177,7 +178,7 @@ def _link(old: int, new: int, shown: Path, name: str) -> None:
             _copy(old, new, shown, name)
 
 
-def _copy(old: int, new: int, shown: Path, name: str) -> None:
+def _copy(old: int, new: int, shown: str, name: str) -> None:
     """Copy a file if no hard link can be made, e.g. on FAT."""
     status = os.stat(name, dir_fd=old, follow_symlinks=False)
     if stat.S_ISLNK(status.st_mode):
@@ -186,7 +187,7 @@ def _copy(old: int, new: int, shown: Path, name: str) -> None:
     if not stat.S_ISREG(status.st_mode):
         raise KeymintError(
             "is not a regular file, and cannot be kept when its folder is replaced",
-            where=Origin(str(shown)), help="remove it, or move it elsewhere", code="carry-refused",
+            where=Origin(shown), help="remove it, or move it elsewhere", code="carry-refused",
         )  # fmt: skip
     source = os.open(name, os.O_RDONLY | os.O_NOFOLLOW | os.O_CLOEXEC, dir_fd=old)
     target = os.open(name, NEW_FILE, 0o600, dir_fd=new)
@@ -198,12 +199,11 @@ def _copy(old: int, new: int, shown: Path, name: str) -> None:
         if (made.st_uid, made.st_gid) != (status.st_uid, status.st_gid):
             raise KeymintError(
                 f"belongs to user {status.st_uid} and group {status.st_gid}, and cannot be kept in a new folder",
-                where=Origin(str(shown)), help="run as that user or as root, or change its owner", code="carry-refused",
+                where=Origin(shown), help="run as that user or as root, or change its owner", code="carry-refused",
             )  # fmt: skip
         _copy_attributes(source, target)
         os.fchmod(target, stat.S_IMODE(status.st_mode))
         os.utime(target, ns=(status.st_atime_ns, status.st_mtime_ns))
-        os.fsync(target)
     finally:
         os.close(source)
         os.close(target)
@@ -230,11 +230,11 @@ def mount_of(opened: int) -> str:
     return str(os.fstat(opened).st_dev)
 
 
-def refuse_mount(shown: Path) -> NoReturn:
+def refuse_mount(shown: str) -> NoReturn:
     """Raise the error for a folder that cannot be replaced because it is a mount point."""
     raise KeymintError(
         "is a mount point, which cannot be replaced",
-        where=Origin(str(shown)),
+        where=Origin(shown),
         help="unmount it; mount the folder above the enclaves instead",
         code="mount-refused",
     )

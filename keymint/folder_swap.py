@@ -73,7 +73,6 @@ def swap_in(parent: int, staged: str, name: str) -> str | None:
         old = _replace(parent, staged, name)
     else:
         old = staged
-    os.fsync(parent)
     return old
 
 

@@ -191,7 +191,7 @@ class Run:
                 planned = (inputs, make_plan(inputs))
             inputs, plan = planned
             with self.console.progress(len(plan.steps), self.setting.monotonic) as advance:
-                execute(plan, workspace, store, inputs.state, self.jobs, advance)
+                execute(plan, workspace, store, inputs.state, advance)
         return Report(self.verb, workspace, plan.steps, plan.diagnostics, {}, _exit_code(plan))
 
     def keep(self, inputs: Inputs, state: State) -> tuple[Diagnostic, ...]:

@@ -3,8 +3,7 @@
 
 from __future__ import annotations
 
-import threading
-from collections.abc import Iterable
+import os
 from pathlib import Path
 from typing import Any
 
@@ -32,14 +31,13 @@ def stamped(*packages: str) -> State:
     return State().updated("build", {name: Stamp("in", {"document.xml": "out"}) for name in packages})
 
 
-def run(plan: Plan, workspace: Workspace, *, before: State | None = None, jobs: int = 1) -> list[str]:
+def run(plan: Plan, workspace: Workspace, *, before: State | None = None) -> list[str]:
     done: list[str] = []
     execute(
         plan,
         workspace,
         open_store(workspace),
         before or State(),
-        jobs,
         lambda finished: done.append(f"{finished.stage} {finished.package}"),
     )
     return done
@@ -50,11 +48,10 @@ def everything(workspace: Workspace) -> dict[str, int]:
     return {str(path.relative_to(workspace.root)): path.stat().st_mtime_ns for path in files}
 
 
-@pytest.mark.parametrize("jobs", [1, 2, 8])
-def test_all_steps_are_carried_out_and_told_and_recorded(workspace: Workspace, jobs: int) -> None:
+def test_all_steps_are_carried_out_and_told_and_recorded(workspace: Workspace) -> None:
     names = ["a", "a/b", "b", "b/c/d", "e"]
     plan = Plan(tuple(step(workspace, name) for name in names), stamped(*names))
-    assert run(plan, workspace, jobs=jobs) == [f"build {name}" for name in names]
+    assert run(plan, workspace) == [f"build {name}" for name in names]
     for name in names:
         assert (workspace.build / name / "document.xml").read_bytes() == b"x"
     assert load((workspace.state / RECORD).read_bytes()) == plan.state
@@ -75,54 +72,59 @@ def test_a_changed_record_alone_is_written(workspace: Workspace) -> None:
     assert load((workspace.state / RECORD).read_bytes()) == stamped("a")
 
 
-def test_a_stage_ends_before_the_next_begins(workspace: Workspace, monkeypatch: pytest.MonkeyPatch) -> None:
-    order: list[str] = []
-    lock = threading.Lock()
-    change = Store.change
-
-    def watched(self: Store, changes: Iterable[FolderChange]) -> None:
-        listed = list(changes)
-        change(self, listed)
-        with lock:
-            order.extend(name for each in listed for name in each.files)
-
-    monkeypatch.setattr(Store, "change", watched)
-    steps = [
-        Step(stage, f"p{number}", Action.CREATED, (FolderChange(workspace.build / f"p{number}", {stage: File(b"")}),))
-        for stage in ("first", "second", "third")
-        for number in range(10)
-    ]
-    run(Plan(tuple(steps), State()), workspace, jobs=8)
-    written = [name for name in order if name in {"first", "second", "third"}]
-    assert written == sorted(written)
-    assert len(written) == 30
-
-
-def test_an_outer_package_is_made_before_the_ones_inside_whatever_order_they_were_named_in(
+def test_the_steps_become_visible_in_their_order_and_none_before_all_are_staged(
     workspace: Workspace, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     order: list[str] = []
-    change = Store.change
+    rename = os.rename
 
-    def watched(self: Store, changes: Iterable[FolderChange]) -> None:
-        listed = list(changes)
-        order.extend(each.folder.name for each in listed)
-        change(self, listed)
+    def watched(source: str, target: str, **options: Any) -> None:
+        if not order:
+            assert len(list(workspace.build.glob(".keymint-*"))) == 30
+        if target.startswith("p"):
+            order.append(target)
+        rename(source, target, **options)
 
-    monkeypatch.setattr(Store, "change", watched)
+    names = [f"p{number}-{stage}" for stage in ("first", "second", "third") for number in range(10)]
+    workspace.build.mkdir(parents=True)
+    for guarded in (workspace.build, workspace.state):
+        guarded.mkdir(exist_ok=True)
+        (guarded / ".gitignore").touch()
+    with open_store(workspace).marked(b""):
+        monkeypatch.setattr(os, "rename", watched)
+        open_store(workspace).change(change for name in names for change in step(workspace, name).changes)
+    assert order == names
+
+
+def test_an_outer_package_is_made_with_the_ones_inside_whatever_order_they_were_named_in(
+    workspace: Workspace, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    seen: list[set[str]] = []
+    rename = os.rename
+
+    def watched(source: str, target: str, **options: Any) -> None:
+        rename(source, target, **options)
+        seen.append(
+            {path.parent.name for path in workspace.build.rglob("document.xml") if ".keymint-" not in str(path)}
+        )
+
+    monkeypatch.setattr(os, "rename", watched)
     steps = tuple(step(workspace, name) for name in ("x/y/z", "b", "x/y", "a", "x"))
-    run(Plan(steps, State()), workspace, jobs=4)
-    assert order.index("x") < order.index("y") < order.index("z")
+    run(Plan(steps, State()), workspace)
+    assert [names for at, names in enumerate(seen) if names and names != seen[at - 1]] == [
+        {"x", "y", "z"},
+        {"x", "y", "z", "b"},
+        {"x", "y", "z", "b", "a"},
+    ]
 
 
-@pytest.mark.parametrize("jobs", [1, 4])
-def test_a_step_that_fails_ends_the_run_with_its_mark_and_without_its_record(workspace: Workspace, jobs: int) -> None:
+def test_a_step_that_fails_ends_the_run_with_its_mark_and_without_its_record(workspace: Workspace) -> None:
     names = ["a", "b", "c"]
     workspace.build.mkdir(parents=True)
     (workspace.build / "b").write_bytes(b"in the way")
     plan = Plan(tuple(step(workspace, name) for name in names), stamped(*names))
     with pytest.raises(KeymintError):
-        run(plan, workspace, jobs=jobs)
+        run(plan, workspace)
     assert not (workspace.state / RECORD).exists()
     interrupted = load(None, (workspace.state / "running").read_bytes())
     # What it wrote, and what it did not come to write, is ours and no edit by hand.
@@ -130,7 +132,7 @@ def test_a_step_that_fails_ends_the_run_with_its_mark_and_without_its_record(wor
     assert not interrupted.wrote("build", "a", "document.xml", b"edited")
 
     (workspace.build / "b").unlink()
-    run(plan, workspace, before=interrupted, jobs=jobs)
+    run(plan, workspace, before=interrupted)
     assert load((workspace.state / RECORD).read_bytes()) == stamped(*names)
     assert not (workspace.state / "running").exists()
 

@@ -1,0 +1,214 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Make staged changes visible, all of them in one group.
+
+Everything that was staged is synchronised first, then the names are exchanged in order, then the exchanges are
+synchronised, and only then the old folders are removed. So a loss of power at any time leaves each folder as it was or
+as it will be, and never an empty one.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import errno
+import os
+import shutil
+import stat
+from collections.abc import Iterable, Sequence
+
+from keymint.file_writing import opened_folder, reported, require_regular, temporary
+from keymint.folder_staging import Carried, clear
+from keymint.folder_swap import swap_in
+from keymint.open_folders import OpenFolders, Roots, close_to_others
+from keymint.staged import Exchange, Staged, remove_staged
+from keymint.syncing import FEW, sync_file_system, sync_tree
+
+_EXISTS = {errno.EEXIST, errno.ENOTEMPTY}
+"""Errors of a rename onto a folder that is not empty (POSIX allows either)."""
+
+
+def commit(roots: Roots, staged: Sequence[Staged]) -> None:
+    """Make staged changes visible, in order.
+
+    Args:
+        roots: the roots of the store.
+        staged: what was staged, by this process or by others.
+
+    Raises:
+        KeymintError: the system refuses. What is not visible yet is removed; if it could not be synchronised, nothing
+            became visible.
+    """
+    exchanges = [exchange for each in staged for exchange in each.exchanges]
+    if not exchanges:
+        return
+    few = sum(each.size for each in staged) <= FEW
+    inner = _inside_replaced(exchanges) if len(staged) > 1 else {}
+    old: list[tuple[Exchange, str]] = []
+    made = 0
+    with OpenFolders(roots, create=False) as folders:
+        try:
+            _sync(exchanges, folders, few=few, staged=True)
+            for exchange in exchanges:
+                for moved in inner.get(f"{exchange.folder}/{exchange.name}", ()):
+                    _move_along(exchange, moved, folders)
+                with reported(f"{exchange.folder}/{exchange.name}"):
+                    left = _make_visible(folders.open(exchange.folder), exchange)
+                made += 1
+                if left is not None:
+                    old.append((exchange, left))
+            _sync(exchanges, folders, few=few, staged=False)
+            while old:
+                _clear(*old[-1], folders)
+                old.pop()
+        except BaseException:
+            remove_staged(exchanges[made:], folders)
+            for exchange, left in old:
+                with contextlib.suppress(Exception):
+                    _clear(exchange, left, folders)
+            raise
+
+
+def _make_visible(folder: int, exchange: Exchange) -> str | None:
+    """Change one name.
+
+    Returns:
+        The name that the old folder has now, if there is one.
+    """
+    name, staged = exchange.name, exchange.staged
+    if staged is not None and exchange.old is not None:
+        return swap_in(folder, staged, name)
+    if staged is not None:
+        try:
+            os.rename(staged, name, src_dir_fd=folder, dst_dir_fd=folder)
+        except OSError as error:
+            if error.errno not in _EXISTS:
+                raise
+            _merge(folder, staged, folder, name, f"{exchange.folder}/{name}")
+    elif exchange.old is not None:
+        return _remove_folder(folder, name, exchange.old)
+    else:
+        with contextlib.suppress(FileNotFoundError):
+            os.unlink(name, dir_fd=folder)
+    return None
+
+
+def _remove_folder(parent: int, name: str, expected: Carried) -> str | None:
+    """Rename a folder away if it contains only what is to be removed, or else remove that from it.
+
+    Returns:
+        The temporary name of the folder, if it was renamed.
+    """
+    if _contains_only(parent, name, expected):
+        away = temporary()
+        try:
+            os.rename(name, away, src_dir_fd=parent, dst_dir_fd=parent)
+        except OSError as error:
+            if error.errno != errno.EXDEV:
+                raise
+            shutil.rmtree(name, dir_fd=parent)  # overlayfs cannot rename a folder of a lower layer, but can remove it
+            return None
+        return away
+    with contextlib.suppress(FileNotFoundError), opened_folder(name, parent) as opened:
+        for file in expected.left:
+            with contextlib.suppress(FileNotFoundError):
+                os.unlink(file, dir_fd=opened)
+        for folder, below in expected.folders.items():
+            if renamed := _remove_folder(opened, folder, below):
+                shutil.rmtree(renamed, dir_fd=opened)
+    return None
+
+
+def _contains_only(parent: int, name: str, expected: Carried) -> bool:
+    try:
+        with opened_folder(name, parent) as opened:
+            return all(
+                entry in expected.left
+                or (entry in expected.folders and _contains_only(opened, entry, expected.folders[entry]))
+                for entry in os.listdir(opened)
+            )
+    except FileNotFoundError:
+        return False
+
+
+def _merge(parent: int, staged: str, target_parent: int, name: str, shown: str) -> None:
+    """Move what was staged as a new folder into a folder that another process created in the meantime."""
+    with opened_folder(staged, parent) as new, opened_folder(name, target_parent) as target:
+        if not stat.S_IMODE(os.fstat(new).st_mode) & 0o077:
+            close_to_others(target)
+        for entry in sorted(os.scandir(new), key=lambda each: each.name):
+            if not entry.is_dir(follow_symlinks=False):
+                require_regular(target, shown, entry.name)
+            try:
+                os.rename(entry.name, entry.name, src_dir_fd=new, dst_dir_fd=target)
+            except OSError as error:
+                if error.errno not in _EXISTS:
+                    raise
+                _merge(new, entry.name, target, entry.name, f"{shown}/{entry.name}")
+        os.fsync(target)
+    os.rmdir(staged, dir_fd=parent)
+
+
+def _clear(exchange: Exchange, left: str, folders: OpenFolders) -> None:
+    """Remove the old folder of an exchange."""
+    with reported(f"{exchange.folder}/{exchange.name}"):
+        parent = folders.open(exchange.folder)
+        if exchange.staged is None or exchange.old is None:
+            shutil.rmtree(left, dir_fd=parent)
+            return
+        with opened_folder(exchange.name, parent) as new:
+            clear(parent, left, new, exchange.old)
+
+
+# -- what was staged inside of a folder that is replaced ---------------------------------------------------------
+
+
+def _inside_replaced(exchanges: Iterable[Exchange]) -> dict[str, list[Exchange]]:
+    """Return, for each folder that is replaced, the exchanges inside of it, which another process staged."""
+    replaced = {f"{each.folder}/{each.name}" for each in exchanges if each.staged and each.old is not None}
+    inside: dict[str, list[Exchange]] = {}
+    for exchange in exchanges if replaced else ():
+        above = exchange.folder
+        while above and exchange.staged:
+            if above in replaced:
+                inside.setdefault(above, []).append(exchange)
+            above = above.rpartition("/")[0]
+    return inside
+
+
+def _move_along(exchange: Exchange, moved: Exchange, folders: OpenFolders) -> None:
+    """Move what was staged inside of a folder into the replacement of that folder."""
+    relative = moved.folder[len(f"{exchange.folder}/{exchange.name}") :]
+    with reported(moved.folder):
+        source = os.dup(folders.open(moved.folder))
+        try:
+            target = folders.open(f"{exchange.folder}/{exchange.staged}{relative}")
+            os.rename(str(moved.staged), str(moved.staged), src_dir_fd=source, dst_dir_fd=target)
+        finally:
+            os.close(source)
+
+
+# -- durability --------------------------------------------------------------------------------------------------
+
+
+def _sync(exchanges: Iterable[Exchange], folders: OpenFolders, *, few: bool, staged: bool) -> None:
+    """Synchronise what was staged, or the names that were exchanged."""
+    of_folder: dict[str, list[Exchange]] = {}
+    for exchange in exchanges:
+        of_folder.setdefault(exchange.folder, []).append(exchange)
+    done: dict[int, bool] = {}
+    """File systems by their number, with whether they were synchronised."""
+    singly: list[str] = []
+    for folder, changing in of_folder.items():
+        with reported(folder):
+            opened = folders.open(folder)
+            device = os.fstat(opened).st_dev
+            if device not in done:
+                done[device] = not few and sync_file_system(opened)
+            if done[device]:
+                continue
+            singly.append(folder)
+            for exchange in changing if staged else ():
+                if exchange.staged is not None:
+                    sync_tree(opened, exchange.staged)
+    synced: set[str] = set()
+    for folder in () if staged else singly:
+        folders.sync(folder, synced)

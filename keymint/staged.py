@@ -1,0 +1,249 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Write changes beside their places: nothing of them is visible until :mod:`keymint.group_commit` exchanges the names.
+
+What changes in one folder appears in one step, and with it the changes in its subfolders: a new folder is staged whole,
+and so is the replacement of a folder in which several files change.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import shutil
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
+
+from keymint.changes import File, FolderChange
+from keymint.file_writing import (
+    FOLDER,
+    check_component,
+    create,
+    is_temporary,
+    opened_folder,
+    refuse,
+    reported,
+    require_regular,
+    temporary,
+)
+from keymint.folder_staging import Carried, FolderContent, add, mount_of, refuse_mount, stage
+from keymint.open_folders import OpenFolders, Roots, close_to_others
+
+
+@dataclass(frozen=True, slots=True)
+class Exchange:
+    """A name that changes.
+
+    Attributes:
+        order: number of the change that it belongs to.
+        folder: the folder with the name.
+        name: the name of a file or folder.
+        staged: the name, in the same folder, of what was staged for it; None if the name is removed.
+        old: the entries of the folder that is replaced or removed; None if a file changes, or a folder is new.
+    """
+
+    order: int
+    folder: str
+    name: str
+    staged: str | None
+    old: Carried | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Staged:
+    """Changes that were staged.
+
+    Attributes:
+        exchanges: the names that change, in order.
+        size: number of files that were written.
+    """
+
+    exchanges: tuple[Exchange, ...] = ()
+    size: int = 0
+
+
+@dataclass(frozen=True, slots=True)
+class _Loose:
+    """A file to write or remove (None) in a folder that is never replaced."""
+
+    order: int
+    folder: str
+    name: str
+    file: File | None
+    private: bool
+
+
+class Staging:
+    """Stages changes below roots.
+
+    Args:
+        roots: where it may write.
+    """
+
+    def __init__(self, roots: Roots) -> None:
+        self._roots = roots
+        self._trees: dict[str, FolderContent] = {}
+        self._loose: list[_Loose] = []
+        self._checked: set[str] = set()
+        self._exchanges: list[Exchange] = []
+
+    def stage(self, changes: Iterable[FolderChange]) -> Staged:
+        """Stage changes; all of them are checked before the first one is staged.
+
+        Raises:
+            KeymintError: a path is not below a root, a symbolic link is in the way, or the system refuses. Then nothing
+                is left behind.
+        """
+        size = 0
+        for order, change in enumerate(changes):
+            self._add(order, change)
+            size += len(change.files)
+        with OpenFolders(self._roots) as folders:
+            try:
+                for root, tree in self._trees.items():
+                    # What is only removed creates no root.
+                    if tree.writes() or os.path.lexists(root):
+                        self._inside(folders.open(root), root, tree)
+                for loose in self._loose:
+                    self._file_of_kept(loose, folders)
+            except BaseException:
+                remove_staged(self._exchanges, folders)
+                raise
+        return Staged(tuple(sorted(self._exchanges, key=lambda each: each.order)), size)
+
+    # -- what changes --------------------------------------------------------------------------------------------
+
+    def _add(self, order: int, change: FolderChange) -> None:
+        folder = str(change.folder)
+        for name in (*change.files, *change.removed):
+            self._check(name, folder)
+        if not change.files and not change.removed:
+            return
+        root = self._roots.of(folder)
+        closed = self._roots.private[root]
+        private = closed or change.private or any(file.secret for file in change.files.values())
+        if folder in self._roots.kept:
+            files = (*change.files.items(), *((name, None) for name in change.removed))
+            self._loose += (_Loose(order, folder, name, file, private) for name, file in files)
+            return
+        content = self._trees.setdefault(root, FolderContent())
+        for part in folder[len(root) + 1 :].split("/"):
+            inner = content.folders.get(part)
+            if inner is None:
+                self._check(part, folder)
+                inner = content.folders[part] = FolderContent(mode=0o700 if closed else 0o755, order=order)
+            content = inner
+        content.own = order
+        content.removed.difference_update(change.files)
+        content.files.update(change.files)
+        for name in change.removed:
+            content.files.pop(name, None)
+        content.removed.update(change.removed)
+        content.private = content.private or private
+
+    def _check(self, name: str, folder: str) -> None:
+        if name not in self._checked:
+            check_component(name, folder)
+            self._checked.add(name)
+
+    # -- how it is staged ----------------------------------------------------------------------------------------
+
+    def _inside(self, opened: int, shown: str, content: FolderContent) -> None:
+        """Stage the changes in the subfolders of an existing folder that is not replaced."""
+        for name, inner in content.folders.items():
+            try:
+                old = os.open(name, FOLDER, dir_fd=opened)
+            except FileNotFoundError:
+                if inner.writes():
+                    with self._temporary(inner.order, opened, shown, name) as staged:
+                        add(opened, staged, f"{shown}/{name}", inner)
+                continue
+            except OSError as error:
+                refuse(f"{shown}/{name}", error)
+            try:
+                self._existing(opened, shown, name, old, inner)
+            finally:
+                os.close(old)
+
+    def _existing(self, parent: int, around: str, name: str, old: int, content: FolderContent) -> None:
+        shown = f"{around}/{name}"
+        with reported(shown):
+            if content.removes():
+                if not content.writes() and (emptied := _emptied(old, content)) is not None:
+                    self._exchanges.append(Exchange(content.order, around, name, None, emptied))
+                    return
+                content.removed.intersection_update(os.listdir(old))
+        changing = {*content.files, *content.removed}
+        if len(changing) > 1:
+            with reported(shown):
+                if mount_of(old) != mount_of(parent):
+                    refuse_mount(shown)
+                with self._temporary(content.order, parent, around, name) as staged:
+                    carried = stage(old, parent, staged, shown, content)
+            self._exchanges[-1] = Exchange(content.order, around, name, staged, carried)
+            return
+        if content.private:
+            with reported(shown):
+                close_to_others(old)
+        for file in changing:
+            self._file(content.own, old, shown, file, content.files.get(file))
+        self._inside(old, shown, content)
+
+    def _file_of_kept(self, loose: _Loose, folders: OpenFolders) -> None:
+        if loose.file is not None or os.path.lexists(loose.folder):
+            opened = folders.open(loose.folder, private=loose.private and loose.file is not None)
+            self._file(loose.order, opened, loose.folder, loose.name, loose.file)
+
+    def _file(self, order: int, folder: int, shown: str, name: str, file: File | None) -> None:
+        """Stage one file of an existing folder."""
+        if file is None:
+            self._exchanges.append(Exchange(order, shown, name, None))
+            return
+        replaced = require_regular(folder, shown, name) or os.fstat(folder)
+        with self._temporary(order, folder, shown, name) as staged:
+            create(folder, shown, staged, file, (replaced.st_uid, replaced.st_gid))
+
+    @contextlib.contextmanager
+    def _temporary(self, order: int, folder: int, shown: str, name: str) -> Iterator[str]:
+        """Yield the temporary name of what is staged for a name; it is removed again after an error."""
+        staged = temporary()
+        try:
+            yield staged
+        except BaseException:
+            remove(folder, staged)
+            raise
+        self._exchanges.append(Exchange(order, shown, name, staged))
+
+
+def _emptied(old: int, content: FolderContent) -> Carried | None:
+    """Return the entries of a folder that would be empty, or None if something would be left in it."""
+    gone = Carried()
+    for entry in list(os.scandir(old)):
+        inner = content.folders.get(entry.name)
+        if entry.is_dir(follow_symlinks=False) and not is_temporary(entry.name):
+            if inner is None:
+                return None
+            with opened_folder(entry.name, old) as opened:
+                below = _emptied(opened, inner)
+            if below is None:
+                return None
+            gone.folders[entry.name] = below
+        elif entry.name in content.removed or is_temporary(entry.name):
+            gone.left.add(entry.name)
+        else:
+            return None
+    return gone
+
+
+def remove_staged(exchanges: Iterable[Exchange], folders: OpenFolders) -> None:
+    """Remove what was staged, as far as it is still there."""
+    for exchange in exchanges:
+        if exchange.staged is not None:
+            remove(folders.open(exchange.folder), exchange.staged)
+
+
+def remove(folder: int, name: str) -> None:
+    """Remove a file or folder, as far as the system permits it."""
+    try:
+        os.unlink(name, dir_fd=folder)
+    except OSError:
+        shutil.rmtree(name, ignore_errors=True, dir_fd=folder)
