@@ -13,8 +13,8 @@ from keymint.pki import distinguished_names
 from keymint_ros2_dds import governance_warnings, vendor_limits
 from keymint_ros2_dds.documents import governance_document
 from keymint_ros2_dds.domains import in_words, uncovered
-from keymint_ros2_dds.emission import emit
 from keymint_ros2_dds.enclave_layout import GOVERNANCE, GOVERNANCE_XML, PERMISSIONS, PERMISSIONS_XML
+from keymint_ros2_dds.kinds.members import emit_by_kind
 from keymint_ros2_dds.settings import settings_of, validity_of
 
 
@@ -31,7 +31,7 @@ def build(package: Package, options: BuildOptions) -> BuildResult:
     notes: list[Diagnostic] = []
     emitted, governance = None, b""
     try:
-        emitted = emit(package, options)
+        emitted = emit_by_kind(package, options)
         notes += emitted.diagnostics
     except KeymintError as error:
         errors += error.diagnostics

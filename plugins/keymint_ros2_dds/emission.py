@@ -7,19 +7,17 @@ refuted or not decided, the plain form is emitted.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 
 from comarmor.errors import Diagnostic, Severity
 from comarmor.patterns.steps import step_limit
 from keymint.api import BuildOptions, Claim, Package, Proof
 from keymint.errors import KeymintError
-from keymint.pki import distinguished_names
 from keymint_ros2_dds import subject_name_text
 from keymint_ros2_dds.compiling.compile import Compiled, compile_rules, vendor_notes
 from keymint_ros2_dds.decision import OMG
-from keymint_ros2_dds.documents import dds_xml
-from keymint_ros2_dds.documents.permissions_document import document_tree
+from keymint_ros2_dds.documents import dds_xml, permissions_document
 from keymint_ros2_dds.enclave_layout import PERMISSIONS, PERMISSIONS_XML
 from keymint_ros2_dds.lowering.dds_topics import TopicAction
 from keymint_ros2_dds.lowering.grant_rules import GrantRule
@@ -38,15 +36,24 @@ class Emitted:
 
     Attributes:
         document: the unsigned document.
+        rules: the rules that it is written from.
         plain_size: bytes of its plain form.
-        lowered: the rules of the policy as DDS patterns.
+        compiled: the forms of the rules; None if another subject's were renamed (:mod:`keymint_ros2_dds.kinds`).
+        claims: what is proven about it, or not.
         diagnostics: warnings and notes.
     """
 
     document: bytes
+    rules: tuple[GrantRule[str], ...]
     plain_size: int
-    lowered: Lowered
+    compiled: Compiled | None
+    claims: tuple[Claim, ...]
     diagnostics: tuple[Diagnostic, ...]
+
+    @property
+    def lowered(self) -> Lowered | None:
+        """The rules of the policy as DDS patterns, if they are known."""
+        return None if self.compiled is None else self.compiled.lowered
 
 
 def emit(package: Package, options: BuildOptions) -> Emitted:
@@ -65,16 +72,18 @@ def _smallest_proven(package: Package, options: BuildOptions, compiled: Compiled
     """Return the document in its first form that is proven, else in its plain form."""
     diagnostics: list[Diagnostic] = []
     for rules in _forms(compiled, optimise=options.optimise):
-        document = dds_xml.render(document_tree(package.grant, rules), PERMISSIONS)
-        open_claims = _open_claims(package, compiled.lowered, document, _models(compiled))
+        document = permissions_document.render(package.grant, rules)
+        claims = _claims(package, compiled.lowered, document, _models(compiled))
+        open_claims = _open(claims)
         if not open_claims or rules is compiled.plain:
             diagnostics += compiled.diagnostics
             diagnostics += _plain_unproven(package, compiled, open_claims)
             diagnostics += vendor_notes(rules, package.grant)
             break
         diagnostics.append(_form_unproven(package, open_claims[0]))
-    plain = document if rules == compiled.plain else dds_xml.serialize(document_tree(package.grant, compiled.plain))
-    return Emitted(document, len(plain), compiled.lowered, tuple(diagnostics))
+    dds_xml.require_valid(document, PERMISSIONS, PERMISSIONS_XML)
+    plain = document if rules == compiled.plain else permissions_document.render(package.grant, compiled.plain)
+    return Emitted(document, rules, len(plain), compiled, claims, tuple(diagnostics))
 
 
 def _forms(compiled: Compiled, *, optimise: bool) -> Iterator[tuple[GrantRule[str], ...]]:
@@ -94,13 +103,12 @@ def is_form_of(package: Package, document: bytes) -> bool:
         KeymintError: the document cannot be read, or the rules cannot be compiled.
     """
     compiled = compile_rules(package.grant, package.distro, BuildOptions(allow_vendor_specific=True))
-    trees = (document_tree(package.grant, rules) for rules in (*compiled.forms, compiled.plain))
-    forms = [dds_xml.render(tree, PERMISSIONS) for tree in trees]
+    forms = [permissions_document.render(package.grant, rules) for rules in (*compiled.forms, compiled.plain)]
     if document in forms:
         return True
     if _not_proven(document) not in map(_not_proven, forms):
         return False
-    return not _open_claims(package, compiled.lowered, document, _models(compiled))
+    return not _open(_claims(package, compiled.lowered, document, _models(compiled)))
 
 
 def _not_proven(document: bytes) -> list[tuple[str, str, str]]:
@@ -118,17 +126,18 @@ def _models(compiled: Compiled) -> tuple[str, ...]:
     return tuple(ASSUMPTIONS) if compiled.portable else (OMG.name,)
 
 
-def _open_claims(package: Package, lowered: Lowered, document: bytes, models: Sequence[str]) -> list[Claim]:
-    """Return the claims about a document that are not proven."""
-    spec = ProofSpec(
-        subject_name_text.render(distinguished_names.parse(package.grant.subject_name, package.grant.origin)),
-        package.grant.rules,
-        package.distro,
-        package.grant.domains,
-        STATES,
-        lambda: True,
-    )
-    claims = prove_content(document, (PERMISSIONS_XML, 0), spec, models=models, lowered=lowered)
+def _claims(package: Package, lowered: Lowered, document: bytes, models: Sequence[str]) -> tuple[Claim, ...]:
+    return prove_content(document, (PERMISSIONS_XML, 0), proof_spec(package), models=models, lowered=lowered)
+
+
+def proof_spec(package: Package) -> ProofSpec:
+    """Return what the permissions document of a package must permit."""
+    name = subject_name_text.of(package.grant)
+    return ProofSpec(name, package.grant.rules, package.distro, package.grant.domains, STATES, lambda: True)
+
+
+def _open(claims: Iterable[Claim]) -> list[Claim]:
+    """Return the claims that are not proven."""
     return [claim for claim in claims if claim.proof is not Proof.PROVEN]
 
 

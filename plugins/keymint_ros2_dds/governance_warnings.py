@@ -52,7 +52,7 @@ def findings(package: Package, lowered: Lowered | None = None) -> tuple[Diagnost
     for rule in settings_of(package).governance.domain_rules:
         domains = tuple(_without(rule.domains, earlier))
         earlier += rule.domains
-        if domains:
+        if domains and not _is_closed(rule):
             results = (*_open_domain(rule, domains), *_open_topics(package, rule, domains, lowered))
             diagnostics += (Diagnostic(code, severity, text, where, help_) for code, text, where in results)
     return tuple(dict.fromkeys(diagnostics))
@@ -69,6 +69,16 @@ def _without(domains: tuple[DomainRange, ...], earlier: list[DomainRange]) -> It
         inside = any(each.first <= first <= each.last for each in domains)
         if inside and not any(each.first <= first <= each.last for each in earlier):
             yield DomainRange(first, following - 1)
+
+
+def _is_closed(rule: DomainRule) -> bool:
+    """Tell whether nothing in a rule can leave anything open."""
+    return (
+        rule.enable_join_access_control
+        and not rule.allow_unauthenticated_participants
+        and all(_controls(topic, action) for topic in rule.topic_rules for action in ACCESS)
+        and not any(_kinds(rule, topic) == {_NONE} for topic in rule.topic_rules)
+    )
 
 
 def _open_domain(rule: DomainRule, domains: tuple[DomainRange, ...]) -> Iterator[_Finding]:
@@ -102,14 +112,17 @@ def _open_topics(
                 f"topics in {in_words(domains)}, also those that the policy does not allow"
             )
             yield "governance-open", text, topic.origin
-        kinds = (rule.rtps_protection_kind, topic.metadata_protection_kind, topic.data_protection_kind)
-        if set(kinds) == {_NONE}:
+        if _kinds(rule, topic) == {_NONE}:
             text = (
                 f"nothing protects what {topic.expression!r} matches in {in_words(domains)} (rtps_, metadata_ and "
                 "data_protection_kind are NONE): whoever reaches the network can read and forge it"
             )
             yield UNPROTECTED, text, topic.origin
         earlier += effective
+
+
+def _kinds(rule: DomainRule, topic: TopicProtection) -> set[str]:
+    return {rule.rtps_protection_kind, topic.metadata_protection_kind, topic.data_protection_kind}
 
 
 def _controls(topic: TopicProtection, action: str) -> bool:

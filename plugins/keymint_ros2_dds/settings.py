@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 from comarmor.errors import Origin
 from keymint.api import DomainRange, Grant, Package, Validity
@@ -23,6 +23,7 @@ class TopicProtection:
         expression: POSIX ``fnmatch`` expression.
         metadata_protection_kind: NONE, SIGN, ENCRYPT, SIGN_WITH_ORIGIN_AUTHENTICATION, ENCRYPT_WITH_….
         data_protection_kind: NONE, SIGN or ENCRYPT.
+        origin: where it is written; rules that are written in two places may be equal.
     """
 
     kind: str
@@ -33,7 +34,7 @@ class TopicProtection:
     enable_write_access_control: bool
     metadata_protection_kind: str
     data_protection_kind: str
-    origin: Origin
+    origin: Origin = field(compare=False)
 
 
 @dataclass(frozen=True, slots=True)
@@ -41,6 +42,7 @@ class DomainRule:
     """A domain rule of a governance document (DDS Security 1.1, 9.4.1.2.4).
 
     Attributes:
+        origin: where it is written; rules that are written in two places may be equal.
         domains_origin: where its domains are written, if not at ``origin``.
     """
 
@@ -51,8 +53,8 @@ class DomainRule:
     liveliness_protection_kind: str
     rtps_protection_kind: str
     topic_rules: tuple[TopicProtection, ...]
-    origin: Origin
-    domains_origin: Origin | None = None
+    origin: Origin = field(compare=False)
+    domains_origin: Origin | None = field(default=None, compare=False)
 
 
 @dataclass(frozen=True, slots=True)

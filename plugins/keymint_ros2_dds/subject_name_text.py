@@ -11,6 +11,7 @@ import re
 from cryptography import x509
 
 from comarmor.errors import Origin
+from keymint.api import Grant
 from keymint.errors import KeymintError
 from keymint.pki import distinguished_names
 
@@ -19,6 +20,15 @@ MAX_TOKENS = 20
 _AMBIGUOUS = frozenset('"\\<>;|')
 """Characters that some vendor escapes or treats as a separator when it compares names."""
 _ESCAPED = re.compile(r"^#|[,+]")
+
+
+def of(grant: Grant) -> str:
+    """Return the text of ``<subject_name>`` of a grant.
+
+    Raises:
+        KeymintError: the name is invalid, or contains something that vendors read differently.
+    """
+    return render(distinguished_names.parse(grant.subject_name, grant.origin))
 
 
 def render(name: x509.Name, where: Origin | None = None) -> str:

@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from datetime import UTC, datetime
 
 from lxml import etree
@@ -31,8 +31,17 @@ _HEAD = b'<?xml version="1.0" encoding="UTF-8"?>\n'
 def root(kind: str) -> etree._Element:
     """Return the root element of a document of ``permissions`` or ``governance``."""
     element = etree.Element("dds", nsmap={"xsi": _XSI})
-    element.set(f"{{{_XSI}}}noNamespaceSchemaLocation", f"{_SPEC}/omg_shared_ca_{kind}.xsd")
+    element.set(f"{{{_XSI}}}noNamespaceSchemaLocation", _schema(kind))
     return element
+
+
+def start(kind: str) -> str:
+    """Return the start tag of a document of ``permissions`` or ``governance``."""
+    return f'<dds xmlns:xsi="{_XSI}" xsi:noNamespaceSchemaLocation="{_schema(kind)}">'
+
+
+def _schema(kind: str) -> str:
+    return f"{_SPEC}/omg_shared_ca_{kind}.xsd"
 
 
 def child(parent: etree._Element, tag: str, text: str | None = None) -> etree._Element:
@@ -67,19 +76,32 @@ def render(document: etree._Element, kind: str) -> bytes:
         KeymintError: the document is not valid.
     """
     validate(document, kind, f"{kind}.xml")
-    content = serialize(document)
-    _valid.add(_digest(content, kind))
+    content = indented_if_small(lambda indentation: _serialize(document, indentation))
+    know_valid(content, kind)
     return content
 
 
-def serialize(document: etree._Element) -> bytes:
-    """Return a document as bytes, indented unless it is large."""
+def _serialize(document: etree._Element, indentation: str) -> str:
+    etree.indent(document, indentation)
+    return etree.tostring(document, encoding="unicode")
+
+
+def indented_if_small(write: Callable[[str], str]) -> bytes:
+    """Return a document as bytes, indented unless it is large.
+
+    Args:
+        write: returns the document as text, without declaration, for the text by which each level is indented.
+    """
     for indentation in ("  ", ""):
-        etree.indent(document, indentation)
-        content = _HEAD + etree.tostring(document, encoding="utf-8") + b"\n"
+        content = _HEAD + write(indentation).encode() + b"\n"
         if len(content) <= INDENTED:
             break
     return content
+
+
+def know_valid(content: bytes, kind: str) -> None:
+    """Remember that a document is valid against its schema."""
+    _valid.add(_digest(content, kind))
 
 
 def require_valid(content: bytes, kind: str, name: str) -> None:
@@ -88,10 +110,9 @@ def require_valid(content: bytes, kind: str, name: str) -> None:
     Raises:
         KeymintError: the document cannot be read or is not valid; each defect with ``file:line``.
     """
-    digest = _digest(content, kind)
-    if digest not in _valid:
+    if _digest(content, kind) not in _valid:
         read(content, kind, name)
-        _valid.add(digest)
+        know_valid(content, kind)
 
 
 def _digest(content: bytes, kind: str) -> bytes:

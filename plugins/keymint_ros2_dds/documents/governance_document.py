@@ -56,6 +56,9 @@ def build(
     Raises:
         KeymintError: a kind of protection is unknown, or a rule cannot be expressed portably; each with its place.
     """
+    content = _without_findings(governance, distro, allow_vendor_specific)
+    if content:
+        return content, ()
     content, diagnostics = _compile(governance, distro, allow_vendor_specific)
     diagnostics = tuple(replace(item, subject=subject) for item in diagnostics)
     if errors := [item for item in diagnostics if item.severity is Severity.ERROR]:
@@ -64,8 +67,13 @@ def build(
 
 
 @lru_cache(maxsize=64)
+def _without_findings(governance: Governance, distro: str, lenient: bool) -> bytes:
+    """Return the document, empty if there is something to report; cached, since most packages have an equal one."""
+    content, problems = _compile(governance, distro, lenient)
+    return b"" if problems else content
+
+
 def _compile(governance: Governance, distro: str, lenient: bool) -> tuple[bytes, tuple[Diagnostic, ...]]:
-    """Compile a governance; cached, since most packages of a workspace have the same one."""
     problems = list(_check(governance, lenient))
     root = dds_xml.root(GOVERNANCE)
     rules = dds_xml.child(root, "domain_access_rules")

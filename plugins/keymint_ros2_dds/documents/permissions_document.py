@@ -3,15 +3,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
+from functools import lru_cache
 
 from lxml import etree
 
 from comarmor.errors import Diagnostic, Severity
 from comarmor.rules import Effect
-from keymint.api import Grant
+from keymint.api import DomainRange, Grant
 from keymint.errors import KeymintError
-from keymint.pki import distinguished_names
 from keymint_ros2_dds import subject_name_text
 from keymint_ros2_dds.documents import dds_xml
 from keymint_ros2_dds.domains import check_domains
@@ -21,10 +21,15 @@ from keymint_ros2_dds.settings import validity_of
 
 _MAX_YEAR = 2261
 """Cyclone DDS counts time in nanoseconds of 64 bits, and reads later years as expired."""
+_ESCAPED = {"&": "&amp;", "<": "&lt;", ">": "&gt;", "\r": "&#13;"}
+_TEXT = str.maketrans(_ESCAPED)
+_ATTRIBUTE = str.maketrans({**_ESCAPED, '"': "&quot;", "\n": "&#10;", "\t": "&#9;"})
 
 
-def document_tree(permissions: Grant, rules: Iterable[GrantRule[str]]) -> etree._Element:
-    """Return the root element of the permissions document; a pure function of its arguments.
+def render(permissions: Grant, rules: Iterable[GrantRule[str]]) -> bytes:
+    """Return the permissions document, indented unless it is large; a pure function of its arguments.
+
+    It is written as text, which is faster than to build a tree first.
 
     Raises:
         KeymintError: the subject's name, a date or a domain cannot be expressed portably across DDS vendors.
@@ -38,32 +43,51 @@ def document_tree(permissions: Grant, rules: Iterable[GrantRule[str]]) -> etree.
         problems.append(Diagnostic("portability-date", Severity.ERROR, message, permissions.origin, help_, subject))
     if problems:
         raise KeymintError.of(problems)
-    root = dds_xml.root(PERMISSIONS)
-    grant = dds_xml.child(dds_xml.child(root, "permissions"), "grant")
-    grant.set("name", permissions.name)
-    dds_xml.child(
-        grant,
-        "subject_name",
-        subject_name_text.render(distinguished_names.parse(permissions.subject_name, permissions.origin)),
+    name = subject_name_text.of(permissions)
+    rules = tuple(rules)
+    return dds_xml.indented_if_small(
+        lambda indent: "".join(
+            (
+                f"{dds_xml.start(PERMISSIONS)}\n",
+                f"{indent}<permissions>\n",
+                f'{indent * 2}<grant name="{permissions.name.translate(_ATTRIBUTE)}">\n',
+                f"{indent * 3}<subject_name>{name.translate(_TEXT)}</subject_name>\n",
+                f"{indent * 3}<validity>\n",
+                f"{indent * 4}<not_before>{dds_xml.date(period.not_before)}</not_before>\n",
+                f"{indent * 4}<not_after>{dds_xml.date(period.not_after)}</not_after>\n",
+                f"{indent * 3}</validity>\n",
+                *(part for rule in rules for part in _rule(rule, permissions.domains, indent)),
+                f"{indent * 3}<default>DENY</default>\n",
+                f"{indent * 2}</grant>\n",
+                f"{indent}</permissions>\n",
+                "</dds>",
+            )
+        )
     )
-    validity = dds_xml.child(grant, "validity")
-    dds_xml.child(validity, "not_before", dds_xml.date(period.not_before))
-    dds_xml.child(validity, "not_after", dds_xml.date(period.not_after))
-    for rule in rules:
-        _add_rule(grant, permissions, rule)
-    dds_xml.child(grant, "default", "DENY")
-    return root
 
 
-def _add_rule(grant: etree._Element, permissions: Grant, rule: GrantRule[str]) -> None:
-    element = dds_xml.child(grant, "allow_rule" if rule.effect is Effect.ALLOW else "deny_rule")
-    dds_xml.domains(element, permissions.domains)
+def _rule(rule: GrantRule[str], domains: tuple[DomainRange, ...], indent: str) -> Iterator[str]:
+    """Yield the lines of a rule."""
+    tag = "allow_rule" if rule.effect is Effect.ALLOW else "deny_rule"
+    yield f"{indent * 3}<{tag}>\n"
+    yield _domains(domains, indent)
     for action, expressions in rule.topics.items():
-        criteria = dds_xml.child(element, action)
-        topics = dds_xml.child(criteria, "topics")
-        for expression in expressions:
-            dds_xml.child(topics, "topic", expression)
+        yield f"{indent * 4}<{action}>\n"
+        yield _listed("topic", expressions, indent)
         if rule.partitions != DEFAULT:
-            partitions = dds_xml.child(criteria, "partitions")
-            for partition in rule.partitions:
-                dds_xml.child(partitions, "partition", partition)
+            yield _listed("partition", rule.partitions, indent)
+        yield f"{indent * 4}</{action}>\n"
+    yield f"{indent * 3}</{tag}>\n"
+
+
+def _listed(tag: str, texts: Iterable[str], indent: str) -> str:
+    items = "".join(f"{indent * 6}<{tag}>{text.translate(_TEXT)}</{tag}>\n" for text in texts)
+    return f"{indent * 5}<{tag}s>\n{items}{indent * 5}</{tag}s>\n"
+
+
+@lru_cache(maxsize=64)
+def _domains(ranges: tuple[DomainRange, ...], indent: str) -> str:
+    rule = etree.Element("rule")
+    dds_xml.domains(rule, ranges)
+    etree.indent(rule, indent, level=3)
+    return f"{indent * 4}{etree.tostring(rule[0], encoding='unicode', with_tail=False)}\n"

@@ -6,7 +6,8 @@ from __future__ import annotations
 import hashlib
 from collections.abc import Sequence
 
-from keymint.api import Claim, Proof
+from keymint.api import Claim, DomainRange, Proof
+from keymint.keymake.kinds import Arguments, Kind, kind_of
 from keymint_ros2_dds import decision
 from keymint_ros2_dds.lowering.lower import Lowered, lower
 from keymint_ros2_dds.proving.claims import ASSUMPTIONS, ProofQuestion, ProofSpec, prove_document
@@ -15,7 +16,8 @@ from keymint_ros2_dds.proving.enclave_governance import EnclaveGovernance
 MOST = 10_000
 """Number of documents whose claims are cached."""
 
-_proven: dict[bytes, tuple[Claim, ...]] = {}
+_Key = tuple[bytes, bytes, Kind, Arguments, str, str, str, tuple[DomainRange, ...], tuple[str, ...]]
+_proven: dict[_Key, tuple[Claim, ...]] = {}
 
 
 def prove_content(
@@ -54,14 +56,29 @@ def prove_content(
     question = ProofQuestion(document, spec, lower(spec.rules, spec.distro) if lowered is None else lowered, governance)
     claims = prove_document(question, models=names)
     # Proofs do not depend on the place of the document; counterexamples name it.
-    if len(_proven) < MOST and all(claim.proof is Proof.PROVEN for claim in claims):
-        _proven[key] = claims
+    if all(claim.proof is Proof.PROVEN for claim in claims):
+        _keep(key, claims)
     return claims
 
 
-def _key(content: bytes, spec: ProofSpec, models: tuple[str, ...], governance: EnclaveGovernance | None) -> bytes:
-    """Return a digest of everything that proven claims depend on."""
-    rules = tuple((r.effect, r.kind, r.permissions, r.expressions, r.partitions) for r in spec.rules.rules)
-    text = repr((spec.subject_name, spec.rules.subject, rules, spec.distro, spec.domains, models))
-    text += "" if governance is None else governance.key.hex()
-    return hashlib.sha256(hashlib.sha256(content).digest() + text.encode()).digest()
+def remember(content: bytes, spec: ProofSpec, claims: tuple[Claim, ...]) -> None:
+    """Remember what is proven about a document, by all models and without its governance.
+
+    Args:
+        content: the document, unsigned.
+        spec: what it must permit.
+        claims: what is proven.
+    """
+    _keep(_key(content, spec, tuple(ASSUMPTIONS), None), claims)
+
+
+def _keep(key: _Key, claims: tuple[Claim, ...]) -> None:
+    if len(_proven) < MOST:
+        _proven[key] = claims
+
+
+def _key(content: bytes, spec: ProofSpec, models: tuple[str, ...], governance: EnclaveGovernance | None) -> _Key:
+    """Return everything that proven claims depend on."""
+    kind, arguments = kind_of(spec.rules.rules)
+    about = hashlib.sha256(content).digest(), b"" if governance is None else governance.key
+    return *about, kind, arguments, spec.subject_name, spec.rules.subject, spec.distro, spec.domains, models

@@ -152,8 +152,9 @@ class TestWhatIsNotProven:
         assert [found.code for found in built.diagnostics] == ["compile-unproven"]
 
     def test_a_document_that_is_refuted_is_an_error(self) -> None:
+        other = document(package(rule("ALLOW", *TOPIC, "/c")))
         with (
-            mock.patch.object(emission.dds_xml, "render", return_value=document(package(rule("ALLOW", *TOPIC, "/c")))),
+            mock.patch.object(emission.permissions_document, "render", return_value=other),
             pytest.raises(KeymintError) as caught,
         ):
             build_type.build(self.LOADED, BuildOptions())

@@ -1,0 +1,117 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The DDS names that a subject puts into its kind, and what must be alike for two subjects to have alike documents."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import combinations
+
+from comarmor.patterns.glob import Glob, literal, parse
+from comarmor.patterns.matching import matcher, regex
+from comarmor.patterns.relations import TooComplexError, intersection
+from comarmor.patterns.steps import StepLimitError, step_limit
+from comarmor.patterns.tokens import ANY, Charset
+from comarmor.ros_names import is_fully_qualified
+from comarmor.rules import parts
+from keymint.keymake.kinds import Arguments, Kind
+from keymint_ros2_dds.lowering.dds_topics import DDS_TOPICS
+from keymint_ros2_dds.lowering.mapping import ARDENT, dds_patterns
+
+MOST_WILDCARDS = 64
+"""Wildcards of a kind: the engine takes subjects with more."""
+STEPS = 20_000
+"""Steps to intersect these (:mod:`comarmor.patterns.steps`)."""
+
+PLAIN_TEXT = re.compile(r"[!#-%'-);=@-Z^-~,-:+]+")
+"""Text that every parser and model reads as itself: printable ASCII, without blanks, wildcards, brackets and markup."""
+
+Slot = tuple[str, int, str]
+"""A DDS name of a kind: a text, the number of an argument, and a text."""
+Signature = tuple[tuple[int, ...], tuple[int, ...]]
+"""Which names are equal, and for each name which wildcards match it, as bits."""
+
+
+@dataclass(frozen=True, slots=True)
+class Structure:
+    """The DDS names and wildcards of a kind.
+
+    Attributes:
+        slots: the names.
+        ros: numbers of the arguments that must be ROS names.
+        wildcards: the patterns of the policy, and the intersections of any two.
+    """
+
+    slots: tuple[Slot, ...]
+    ros: tuple[int, ...]
+    wildcards: tuple[Glob, ...]
+    _any: re.Pattern[str] | None
+
+    @classmethod
+    def of(cls, kind: Kind, distro: str) -> Structure | None:
+        """Return the structure of a kind; None if its documents depend on more than :meth:`signature` tells."""
+        slots: dict[Slot, None] = {}
+        ros: dict[int, None] = {}
+        own: dict[Glob, None] = {}
+        for effect, rule_kind, permissions, expressions, partitions, _ in kind:
+            if partitions or distro == ARDENT:
+                return None
+            for permission in permissions:
+                for _, part, tail in parts(rule_kind, permission):
+                    for topic in DDS_TOPICS[part]:
+                        for each in expressions:
+                            if isinstance(each, int):
+                                slots[topic.prefix, each, tail + topic.suffix] = None
+                                if topic.prefix:
+                                    ros[each] = None
+                            else:
+                                patterns = dds_patterns(distro, parse(each), topic, tail, effect)
+                                own.update((pattern, None) for pattern, _ in patterns)
+        wildcards = _with_intersections([*own])
+        if wildcards is None:
+            return None
+        match = re.compile("|".join(f"(?:{regex(each)})" for each in wildcards), re.DOTALL) if wildcards else None
+        return cls(tuple(slots), tuple(ros), wildcards, match)
+
+    def names(self, arguments: Arguments) -> list[str] | None:
+        """Return the DDS names of a subject; None if one may be read in several ways, or is no ROS name."""
+        if not all(map(PLAIN_TEXT.fullmatch, arguments)):
+            return None
+        if not all(is_fully_qualified(arguments[number]) for number in self.ros):
+            return None
+        return [head + arguments[number] + tail for head, number, tail in self.slots]
+
+    def signature(self, names: Sequence[str]) -> Signature:
+        """Return what two subjects must have in common.
+
+        Args:
+            names: from :meth:`names`.
+        """
+        first: dict[str, int] = {}
+        equal = tuple(first.setdefault(name, index) for index, name in enumerate(names))
+        if self._any is None:
+            return equal, ()
+        match = self._any.fullmatch
+        return equal, tuple(self._matches(name) if match(name) else 0 for name in names)
+
+    def _matches(self, name: str) -> int:
+        return sum(1 << bit for bit, pattern in enumerate(self.wildcards) if matcher(pattern)(name))
+
+
+def _with_intersections(patterns: Sequence[Glob]) -> tuple[Glob, ...] | None:
+    """Return patterns and the intersections of any two; None if one is a name, has a set, or these are too many.
+
+    The compiler writes intersections where one direction denies what the other allows. A name among them, or among
+    the alternatives for a set, is the same text in the documents of all subjects.
+    """
+    found = dict.fromkeys(patterns)
+    try:
+        with step_limit(STEPS):
+            for pair in combinations(patterns, 2) if len(patterns) <= MOST_WILDCARDS else ():
+                found.update(dict.fromkeys(intersection(*pair)))
+    except (TooComplexError, StepLimitError):
+        return None
+    sets = any(isinstance(token, Charset) and token != ANY for pattern in found for token in pattern)
+    names = any(literal(pattern) is not None for pattern in found)
+    return None if sets or names or len(found) > MOST_WILDCARDS else tuple(found)
