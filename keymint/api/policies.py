@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Protocol, runtime_checkable
@@ -66,6 +66,14 @@ class LoadedPolicy(Protocol):
         Raises:
             KeymintError: the kind or the permission is not known.
         """
+
+
+@runtime_checkable
+class DivisiblePolicy(Protocol):
+    """Optional capability of a loaded policy: it can be sent to another machine, a part at a time."""
+
+    def about(self, subjects: Collection[str]) -> LoadedPolicy:
+        """Return the policy about some subjects, as data that can be pickled; nothing is asked about others."""
 
 
 @runtime_checkable

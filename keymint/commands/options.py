@@ -19,6 +19,8 @@ from keymint.tree import Tree
 from keymint.workspace import SPACES, find, packages
 
 Decorator = Callable[[Any], Any]
+PROCESSES = "processes"
+"""The executor that is used if none is named."""
 DEFAULT_PROFILE_TYPE = "keymint_ros"
 PATH = click.Path(path_type=Path)
 FILE = click.Path(path_type=Path, dir_okay=False)
@@ -105,13 +107,14 @@ def option_group(parameter: str, group: type, *options: Decorator) -> Decorator:
 # -- the options of all verbs ----------------------------------------------------------------------------------------
 
 
-def common_options(*, workspace: bool, jobs: bool, dry_run: bool) -> Sequence[Decorator]:
+def common_options(*, workspace: bool, jobs: bool, dry_run: bool, executor: bool) -> Sequence[Decorator]:
     """Return the options that are not about what a verb does.
 
     Args:
         workspace: the verb may read or write a workspace.
         jobs: the verb writes several packages at a time.
         dry_run: the verb writes files.
+        executor: the verb can compute in other processes, here or on a cluster.
     """
     options = [
         click.option("--json", "as_json", is_flag=True, help="Print one JSON document (docs/json.md)."),
@@ -134,10 +137,18 @@ def common_options(*, workspace: bool, jobs: bool, dry_run: bool) -> Sequence[De
             click.option(f"--{space}-space", type=PATH, metavar="DIR", hidden=True)  # 'keymint --help' lists them
             for space in SPACES
         ]
-    if jobs:
+    if jobs or executor:
+        what = "Write N packages at a time [all cores]." if jobs else "Use N processes [all cores]."
+        options.append(click.option("-j", "--jobs", type=click.IntRange(1, 256), metavar="N", help=what))
+    if executor:
         options.append(
             click.option(
-                "-j", "--jobs", type=click.IntRange(1, 256), metavar="N", help="Write N packages at a time [all cores]."
+                "--executor",
+                default=PROCESSES,
+                show_default=True,
+                metavar="WHERE",
+                help="Compute in processes of this machine, or on a cluster: dask://HOST:PORT, tls://HOST:PORT "
+                "(docs/scale.md).",
             )
         )
     if dry_run:

@@ -3,7 +3,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from datetime import datetime
 from pathlib import Path
@@ -13,8 +14,10 @@ from comarmor.errors import Diagnostic, Origin, Severity, cited
 from comarmor.text import did_you_mean
 from keymint.api import Environment
 from keymint.changes import File, Plan
+from keymint.commands.options import PROCESSES
 from keymint.errors import ExitCode, KeymintError
 from keymint.execute import RECORD, execute, open_store
+from keymint.executors import Pool, Processes
 from keymint.names import package_name
 from keymint.output.console import Console, Streams
 from keymint.output.report import Report
@@ -70,6 +73,7 @@ class Run:
             as_json=options["as_json"],
         )
         self.plugins = Plugins(environment=Environment(setting.now, setting.cache, setting.environment))
+        self._executor: str = options.get("executor", PROCESSES)
         self._named: Path | None = options.get("workspace")
         self._spaces: dict[str, Path] = {
             space: folder for space in SPACES if (folder := options.get(f"{space}_space")) is not None
@@ -163,6 +167,24 @@ class Run:
                     code="package-unknown",
                 )
         return names
+
+    # -- computing elsewhere -------------------------------------------------------------------------------------
+
+    @contextmanager
+    def pool(self) -> Iterator[Pool]:
+        """Yield where to carry out work that can be divided.
+
+        Raises:
+            KeymintError: the user named a cluster that cannot be used.
+        """
+        if self._executor == PROCESSES:
+            yield Processes(self.plugins, self.jobs)
+            return
+        from keymint.executors.cluster import cluster  # noqa: PLC0415 - few runs need it
+
+        setting = self.setting
+        with cluster(self._executor, self.plugins, setting.now, setting.environment, trusted=False) as pool:
+            yield pool
 
     # -- doing it ------------------------------------------------------------------------------------------------
 

@@ -16,10 +16,12 @@ from keymint.errors import ExitCode, KeymintError
 from keymint.output.report import Report, folded
 
 Verb = Callable[..., Report]
-_COMMON = {"workspace", "as_json", "verbose", "quiet", "jobs", "dry_run"}
+_COMMON = {"workspace", "as_json", "verbose", "quiet", "jobs", "dry_run", "executor"}
 
 
-def verb(*, workspace: bool = True, jobs: bool = False, dry_run: bool = False) -> Callable[[Verb], click.Command]:
+def verb(
+    *, workspace: bool = True, jobs: bool = False, dry_run: bool = False, executor: bool = False
+) -> Callable[[Verb], click.Command]:
     """Return a decorator that makes a click command of a function ``(run, **options) -> Report``.
 
     The command adds the common options (see :func:`keymint.commands.options.common_options`), shows the report or
@@ -45,7 +47,7 @@ def verb(*, workspace: bool = True, jobs: bool = False, dry_run: bool = False) -
         own: list[click.Parameter] = list(getattr(function, "__click_params__", []))
         wrapped: Any = click.pass_context(command)
         wrapped.__click_params__ = []
-        for option in reversed(common_options(workspace=workspace, jobs=jobs, dry_run=dry_run)):
+        for option in reversed(common_options(workspace=workspace, jobs=jobs, dry_run=dry_run, executor=executor)):
             wrapped = option(wrapped)
         wrapped.__click_params__ += own
         return click.command(name)(wrapped)

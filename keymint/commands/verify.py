@@ -4,14 +4,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import replace
 from pathlib import Path
 
 import click
 
 from comarmor.errors import Diagnostic, Severity
 from comarmor.text import counted
-from keymint.api import LoadedPolicy, Tier, Transport
+from keymint.api import Tier, Transport
 from keymint.changes import Action, Step
 from keymint.commands.options import FILE, PATH, complete_package, transport_option
 from keymint.commands.policies import workspace_library_rules
@@ -29,20 +28,19 @@ from keymint.output.report import Report
 from keymint.output.sarif import sarif as sarif_log
 from keymint.plan.policy import load_policy
 from keymint.plan.trust_anchors import differences
-from keymint.verify.copies import Copies, copied
+from keymint.verify.copies import copied
 from keymint.verify.mismatch import Comparison
+from keymint.verify.parts import verified_in_parts
 from keymint.verify.scope import (
     VerificationScope,
-    edges_of_graph,
-    edges_of_policy,
     installed_scopes,
     subjects_of_graph,
 )
-from keymint.verify.usable_transports import choose, models
-from keymint.verify.verification import Asking, Verification, verification
+from keymint.verify.usable_transports import choose
+from keymint.verify.verification import Asking, Verification
 
 
-@verb()
+@verb(executor=True)
 @click.argument("names", nargs=-1, metavar="[NAME]...", shell_complete=complete_package)
 @click.option(
     "-g",
@@ -111,10 +109,11 @@ def verify(
         total = sum((1 + len(group)) * len(there.scopes[name].enclaves) for name, group in groups.items())
         with run.console.progress(total, run.setting.monotonic) as advance:
             asking = Asking(Tier(tier), limit, lambda name, subject: advance(Step(name, subject, Action.UNCHANGED)))
-            verified = [
-                _verified(run, there.scopes[name], policy, system, copies, group, asking)
-                for name, group in groups.items()
-            ]
+            with run.pool() as pool:
+                verified = [
+                    verified_in_parts(pool, run.plugins, there.scopes[name], policy, system, copies, group, asking)
+                    for name, group in groups.items()
+                ]
         subjects = tuple(sorted({subject for each in verified for subject in each.subjects}))
         outcomes = [outcome for each in verified for outcome in each.comparisons]
         edges = sum(len(each.labels) for each in verified)
@@ -137,29 +136,6 @@ def verify(
         comparisons_json(outcomes, subjects, edges, run.typed),
         ExitCode.FINDINGS if wrong or foreign else ExitCode.DONE,
     )
-
-
-def _verified(
-    run: Run,
-    scope: VerificationScope,
-    policy: LoadedPolicy,
-    system: Graph | None,
-    copies: Copies,
-    transports: Mapping[str, Transport],
-    asking: Asking,
-) -> Verification:
-    """Verify one build type, on copies of the enclaves."""
-    subjects = tuple(scope.enclaves)
-    if system is None:
-        own = {subject: copies.enclaves[subject] for subject in subjects}
-        edges = edges_of_policy(policy, replace(scope, enclaves=own))
-    else:
-        subjects, edges = edges_of_graph(system, scope)
-
-    def find_models() -> Mapping[str, Transport]:
-        return copies.read_by(models(run.plugins, scope.build_type))
-
-    return verification(scope, policy, subjects, edges, copies.read_by(transports), find_models, asking)
 
 
 def _unasked(

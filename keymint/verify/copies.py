@@ -20,6 +20,11 @@ from keymint.graph import Edge
 from keymint.tree import Tree
 from keymint.verify.usable_transports import names_rules
 
+PUBLIC = {".json", ".json5", ".p7s", ".pem", ".sig", ".xml"}
+"""Suffixes of files that a model may read, and that may leave this machine."""
+_PRIVATE = b"PRIVATE KEY"
+"""What a private key in PEM says of itself (RFC 7468)."""
+
 
 @dataclass(frozen=True, slots=True)
 class Copies:
@@ -29,15 +34,31 @@ class Copies:
         enclaves: the copies by subject.
         root: the install space of the copies.
         install: the install space of the originals.
+        left_out: the folders of enclaves that these copies are not about.
     """
 
     enclaves: Mapping[str, Enclave]
     root: Path
     install: Path
+    left_out: frozenset[Path] = frozenset()
 
     def read_by(self, transports: Mapping[str, Transport]) -> dict[str, Transport]:
         """Return transports that read the copies instead of the originals."""
         return {name: _OnCopies(each, self) for name, each in transports.items()}
+
+    def about(self, subjects: Collection[str]) -> Copies:
+        """Return the copies of some subjects; the files that are no enclave's, and of infrastructure, are kept."""
+        others = frozenset(each.folder for subject, each in self.enclaves.items() if subject not in subjects)
+        return replace(self, enclaves={subject: self.enclaves[subject] for subject in subjects}, left_out=others)
+
+    def public_files(self) -> Mapping[str, bytes]:
+        """Return the files that are no secrets, by path relative to the root."""
+        return {
+            str(file.relative_to(self.root)): content
+            for file in sorted(self.root.rglob("*"))
+            if file.parent not in self.left_out and file.suffix in PUBLIC and file.is_file()
+            if _PRIVATE not in (content := file.read_bytes())
+        }
 
     def back(self, text: str) -> str:
         """Replace the directory of the copies by the directory of the originals."""
@@ -87,6 +108,25 @@ def copied(
             yield copies
         except KeymintError as error:
             raise copies.named(error) from error
+
+
+@contextlib.contextmanager
+def placed(copies: Copies, files: Mapping[str, bytes] | None) -> Iterator[Copies]:
+    """Yield copies that can be read here: these, or on another machine those that are made of their files."""
+    if files is None:
+        yield copies
+        return
+    with tempfile.TemporaryDirectory(prefix="keymint-") as folder:
+        root = Path(folder).resolve()
+        for path, content in files.items():
+            file = root / path
+            file.parent.mkdir(parents=True, exist_ok=True)
+            file.write_bytes(content)
+        enclaves = {
+            subject: replace(each, folder=root / each.folder.relative_to(copies.root), install=root)
+            for subject, each in copies.enclaves.items()
+        }
+        yield Copies(enclaves, root, copies.install)
 
 
 def _shared(tree: Tree, folder: Path, enclaves: Collection[Path]) -> Iterator[Path]:

@@ -70,7 +70,8 @@ def with_halves(
             if kept:
                 findings += explain(outcome.transport, enclaves[subject], [(each, verdicts[each]) for each in kept])
     confusion = replace(outcome.confusion, false_positive=outcome.confusion.false_positive + count)
-    return replace(outcome, confusion=confusion, findings=tuple(findings), wrong=wrong)
+    endpoints_found = len(findings) - len(outcome.findings)
+    return replace(outcome, confusion=confusion, findings=tuple(findings), wrong=wrong, endpoints=endpoints_found)
 
 
 def _endpoints(

@@ -45,6 +45,7 @@ class Comparison:
         confusion: counts of all edges.
         findings: the first mismatches, in the order of the edges.
         wrong: number of mismatches by subject.
+        endpoints: number of findings, at the end, that are single endpoints of an edge.
     """
 
     transport: str
@@ -53,6 +54,7 @@ class Comparison:
     confusion: ConfusionMatrix
     findings: tuple[Mismatch, ...]
     wrong: Mapping[str, int]
+    endpoints: int = 0
 
     @property
     def omitted(self) -> int:

@@ -32,6 +32,7 @@ _PLAIN = string.ascii_letters + string.digits + "_/"
 
 def edges(
     rules: Iterable[SubjectRules],
+    common: Iterable[Object],
     domains: Mapping[str, int],
     named: Callable[[Object], bool] = lambda _object: True,
     mentioned: Callable[[str], Iterable[Edge]] = lambda _subject: (),
@@ -39,21 +40,18 @@ def edges(
 ) -> Iterator[Edge]:
     """Yield edges to test, grouped by subject, without duplicates.
 
-    Every subject is tested with the objects of its own rules and their probes, with the named objects of other rules
-    (an even selection if there are more than :data:`MOST_OF_OTHERS`), and with further objects of its documents.
+    Every subject is tested with the objects of its own rules and their probes, with common objects, and with further
+    objects of its documents.
 
     Args:
         rules: the rules of each subject, sorted by subject.
+        common: see :func:`common_objects`.
         domains: the domain of each subject.
         named: returns whether an object has a name on the transport; others are not tested.
         mentioned: returns edges of kind ``topic`` on the objects in the documents of a subject.
         needed: returns the endpoints of an edge, which need not be tested again.
     """
-    all_rules = tuple(rules)
-    shared = sorted({object_ for each in all_rules for rule in each.rules for object_ in _objects(rule, probe=False)})
-    stride = max(1, -(-len(shared) // MOST_OF_OTHERS))
-    common = shared[::stride]
-    for each in all_rules:
+    for each in rules:
         own = {object_ for rule in each.rules for object_ in _objects(rule, probe=True)}
         yielded: set[Edge] = set()
         for object_ in sorted(own.union(common)):
@@ -64,6 +62,12 @@ def edges(
                 yielded.update((edge, *needed(edge)))
                 yield edge
         yield from (edge for edge in dict.fromkeys(mentioned(each.subject)) if edge not in yielded)
+
+
+def common_objects(rules: Iterable[SubjectRules]) -> tuple[Object, ...]:
+    """Return the named objects of rules, an even selection if there are more than :data:`MOST_OF_OTHERS`."""
+    named = sorted({object_ for each in rules for rule in each.rules for object_ in _objects(rule, probe=False)})
+    return tuple(named[:: max(1, -(-len(named) // MOST_OF_OTHERS))])
 
 
 def raw_edges(subject: str, expression: str, partitions: Sequence[str], domain: int) -> Iterator[Edge]:

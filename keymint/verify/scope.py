@@ -3,10 +3,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cache
 from pathlib import Path
+from typing import TypeVar
 
 from comarmor.text import did_you_mean
 from keymint.api import ActionMapping, BuildType, Enclave, LoadedPolicy, NameMapping, Package, Role
@@ -17,6 +18,8 @@ from keymint.plan.enclaves import installed
 from keymint.session import Inputs, Session
 from keymint.verify import probes
 from keymint.verify.endpoint_policy import Naming
+
+_Value = TypeVar("_Value")
 
 
 class Names:
@@ -42,6 +45,10 @@ class Names:
             self._known[object_] = object_.kind in self._build_type.KINDS and self._maps(object_)
         return self._known[object_]
 
+    def __reduce__(self) -> tuple[type, tuple[BuildType, str]]:
+        """Leave what is known when this is sent to another machine."""
+        return Names, (self._build_type, self._distro)
+
     def _maps(self, object_: Object) -> bool:
         if not isinstance(self._build_type, ActionMapping):
             return True
@@ -66,6 +73,14 @@ class VerificationScope:
     enclaves: Mapping[str, Enclave]
     namings: Mapping[str, Naming]
     domains: Mapping[str, int]
+
+    def about(self, subjects: Iterable[str]) -> VerificationScope:
+        """Return the scope of some of the subjects."""
+
+        def those(by_subject: Mapping[str, _Value]) -> dict[str, _Value]:
+            return {subject: by_subject[subject] for subject in subjects if subject in by_subject}
+
+        return replace(self, enclaves=those(self.enclaves), namings=those(self.namings), domains=those(self.domains))
 
 
 @dataclass(frozen=True, slots=True)
@@ -183,9 +198,26 @@ def edges_of_graph(graph: Graph, scope: VerificationScope) -> tuple[tuple[str, .
     return kept, lambda: complete(replace(graph, subjects=kept, edges=edges))
 
 
-def edges_of_policy(policy: LoadedPolicy, scope: VerificationScope) -> Callable[[], Iterator[Edge]]:
-    """Return a function that yields edges on the objects of the policy and the documents, and on probing names."""
-    rules = [policy.rules(subject) or SubjectRules(subject, ()) for subject in scope.enclaves]
+def common_objects(policy: LoadedPolicy, scope: VerificationScope) -> tuple[Object, ...]:
+    """Return the objects of the policy that every subject of a scope is asked about."""
+    return probes.common_objects(_rules(policy, scope))
+
+
+def _rules(policy: LoadedPolicy, scope: VerificationScope) -> list[SubjectRules]:
+    return [policy.rules(subject) or SubjectRules(subject, ()) for subject in scope.enclaves]
+
+
+def edges_of_policy(
+    policy: LoadedPolicy, scope: VerificationScope, common: Sequence[Object]
+) -> Callable[[], Iterator[Edge]]:
+    """Return a function that yields edges on the objects of the policy and the documents, and on probing names.
+
+    Args:
+        policy: the policy.
+        scope: the enclaves.
+        common: the objects that every subject is asked about.
+    """
+    rules = _rules(policy, scope)
 
     @cache  # each transport asks for the edges, and reading a document is slow
     def topics(subject: str) -> Sequence[tuple[str, Sequence[str]]]:
@@ -202,4 +234,4 @@ def edges_of_policy(policy: LoadedPolicy, scope: VerificationScope) -> Callable[
         naming = scope.namings.get(edge.subject)
         return naming.endpoints(edge) if naming else ()
 
-    return lambda: probes.edges(rules, scope.domains, scope.names.has, mentioned, needed)
+    return lambda: probes.edges(rules, common, scope.domains, scope.names.has, mentioned, needed)

@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 import functools
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -66,6 +66,11 @@ class ComArmorPolicy:
         requested = edge.object
         row = self.policy.row(edge.subject, requested.kind, edge.permission)
         return _decision(row.ruling(requested.name, requested.partitions))
+
+    def about(self, subjects: Collection[str]) -> ComArmorPolicy:
+        """See :meth:`keymint.api.DivisiblePolicy.about`."""
+        applicable = {id(profile) for subject in subjects for profile in self.policy.applicable(subject)}
+        return ComArmorPolicy(comarmor.Policy(tuple(each for each in self.policy.profiles if id(each) in applicable)))
 
     def allowed(self, subject: str, kind: str, permission: str, names: Iterable[str]) -> bytes:
         """See :meth:`keymint.api.RowPolicy.allowed`."""

@@ -4,6 +4,8 @@
 from __future__ import annotations
 
 import itertools
+from collections.abc import Iterator
+from typing import Any
 
 import pytest
 from hypothesis import example, given, settings
@@ -20,6 +22,10 @@ from keymint.verify import probes
 HERE = Origin("policy.xml", 1)
 PIECES = st.sampled_from(["*", "?", "[abc]", "[a-d]", "[!x]", "/a", "/b1", "c", "_"])
 PATTERNS = st.lists(PIECES, min_size=1, max_size=5).map("".join)
+
+
+def edges_of(rules: list[SubjectRules], domains: dict[str, int], *others: Any, **named: Any) -> Iterator[Edge]:
+    return probes.edges(rules, probes.common_objects(rules), domains, *others, **named)
 
 
 def rule(kind: str, permissions: list[str], expressions: list[str], partitions: tuple[str, ...] = ()) -> Rule:
@@ -95,7 +101,7 @@ def test_edges_are_grouped_by_subject_and_bounded() -> None:
         SubjectRules(f"/s{n}", (rule("ros_topic", ["ros_publish"], [f"/t{n}_{m}" for m in range(100)]),))
         for n in range(30)
     ]
-    edges = list(probes.edges(rules, {}))
+    edges = list(edges_of(rules, {}))
     groups = [(key, list(group)) for key, group in itertools.groupby(edges, key=lambda edge: edge.subject)]
     assert [key for key, _ in groups] == [each.subject for each in rules]
     assert len(edges) == len(set(edges))
@@ -107,35 +113,46 @@ def test_edges_are_grouped_by_subject_and_bounded() -> None:
 
 def test_composites_are_asked_for_with_their_parts() -> None:
     rules = [SubjectRules("/s", (rule("ros_action", ["ros_request"], ["/move"]),))]
-    objects = {edge.object for edge in probes.edges(rules, {"/s": 7})}
+    objects = {edge.object for edge in edges_of(rules, {"/s": 7})}
     assert Object("ros_action", "/move") in objects
     assert Object("ros_service", "/move/_action/send_goal") in objects
     assert Object("ros_topic", "/move/_action/status") in objects
-    assert {edge.domain for edge in probes.edges(rules, {"/s": 7})} == {7}
+    assert {edge.domain for edge in edges_of(rules, {"/s": 7})} == {7}
 
 
 def test_partitions_are_probed() -> None:
     rules = [SubjectRules("/s", (rule("topic", ["publish"], ["t"], ("ops", "r*")),))]
-    asked = {edge.object.partitions for edge in probes.edges(rules, {}) if edge.object.name == "t"}
+    asked = {edge.object.partitions for edge in edges_of(rules, {}) if edge.object.name == "t"}
     assert {(), ("ops",), ("opsx",), ("r",), ("", "ops"), ("ops", "r")} <= asked
 
 
 def test_a_ros_name_begins_with_a_slash() -> None:
     rules = [SubjectRules("/s", (rule("ros_topic", ["ros_publish"], ["*"]),))]
-    assert {edge.object.name[0] for edge in probes.edges(rules, {})} == {"/"}
+    assert {edge.object.name[0] for edge in edges_of(rules, {})} == {"/"}
 
 
 def test_what_the_documents_mention_is_asked_for_once() -> None:
     rules = [SubjectRules("/s", (rule("ros_topic", ["ros_publish"], ["/t"]),))]
     known = Edge("/s", "publish", Object("topic", "rt/t"))
     spy = Edge("/s", "publish", Object("topic", "rt/spy"))
-    edges = list(probes.edges(rules, {}, mentioned=lambda _subject: [known, spy, spy], needed=lambda _edge: [known]))
+    edges = list(
+        probes.edges(
+            rules,
+            probes.common_objects(rules),
+            {},
+            mentioned=lambda _subject: [known, spy, spy],
+            needed=lambda _edge: [known],
+        )
+    )
     assert edges.count(spy) == 1
     assert known not in edges
 
 
 def test_objects_without_a_name_on_the_transport_are_not_asked_for() -> None:
     rules = [SubjectRules("/s", (rule("topic", ["publish"], ["t"]), rule("ros_action", ["ros_request"], ["/x"])))]
-    assert {edge.object.kind for edge in probes.edges(rules, {})} > {"topic", "ros_action"}
+    assert {edge.object.kind for edge in edges_of(rules, {})} > {
+        "topic",
+        "ros_action",
+    }
     kinds = {"ros_topic", "ros_service", "ros_action"}
-    assert {edge.object.kind for edge in probes.edges(rules, {}, lambda object_: object_.kind in kinds)} == kinds
+    assert {edge.object.kind for edge in edges_of(rules, {}, lambda object_: object_.kind in kinds)} == kinds

@@ -1,0 +1,160 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Verify a build type in parts, on a pool: each part has some of the subjects, and asks models of transports."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import astuple, dataclass, replace
+
+from keymint.api import DivisiblePolicy, LoadedPolicy, Transport
+from keymint.executors import Pool
+from keymint.graph import ConfusionMatrix, Edge, Graph, Object
+from keymint.plugins import Plugins
+from keymint.verify.copies import Copies, placed
+from keymint.verify.endpoint_policy import EndpointPolicy
+from keymint.verify.mismatch import Comparison
+from keymint.verify.scope import VerificationScope, common_objects, edges_of_graph, edges_of_policy
+from keymint.verify.usable_transports import models, names_rules
+from keymint.verify.verification import Asking, Verification, verification
+
+LEAST = 20_000
+"""Edges, times models, for which a process of its own is worth its start."""
+
+
+@dataclass(frozen=True, slots=True)
+class VerificationPart:
+    """Some subjects to verify.
+
+    Attributes:
+        scope: the scope of these subjects.
+        policy: the policy, at least about these subjects.
+        graph: a graph with these subjects and the objects to ask about; None to ask about the objects of the policy.
+        common: objects of the policy that every subject is asked about, if there is no graph.
+        transports: names of the models.
+        asking: how to ask.
+        copies: the enclaves.
+        files: the files of the copies by relative path, for a machine that does not have them.
+    """
+
+    scope: VerificationScope
+    policy: LoadedPolicy
+    graph: Graph | None
+    common: tuple[Object, ...]
+    transports: tuple[str, ...]
+    asking: Asking
+    copies: Copies
+    files: Mapping[str, bytes] | None = None
+
+    def edges(self) -> tuple[tuple[str, ...], Callable[[], Iterator[Edge]]]:
+        """Return the subjects, and a function that yields all edges to ask about."""
+        if self.graph is not None:
+            return edges_of_graph(self.graph, self.scope)
+        own = {subject: self.copies.enclaves[subject] for subject in self.scope.enclaves}
+        return tuple(own), edges_of_policy(self.policy, replace(self.scope, enclaves=own), self.common)
+
+    def verified(self, plugins: Plugins, transports: Mapping[str, Transport]) -> Verification:
+        """Compare transports with the policy; errors as :func:`keymint.verify.verification.verification`."""
+        copies = self.copies
+
+        def find_models() -> Mapping[str, Transport]:
+            return copies.read_by(models(plugins, self.scope.build_type))
+
+        return verification(
+            self.scope, self.policy, *self.edges(), copies.read_by(transports), find_models, self.asking
+        )
+
+    def about(self, subjects: Sequence[str], *, elsewhere: bool) -> VerificationPart:
+        """Return the part about some of the subjects, for this machine or for another one."""
+        graph = self.graph and replace(self.graph, subjects=tuple(subjects))
+        part = replace(
+            self, scope=self.scope.about(subjects), graph=graph, asking=replace(self.asking, on_subject=_unseen)
+        )
+        if not elsewhere or not isinstance(self.policy, DivisiblePolicy):
+            return part
+        copies = self.copies.about(subjects)
+        return replace(part, policy=self.policy.about(subjects), copies=copies, files=copies.public_files())
+
+
+@dataclass(frozen=True, slots=True)
+class PartResult:
+    """The labels of the policy, and the comparison of each model."""
+
+    labels: bytes
+    comparisons: tuple[Comparison, ...]
+
+
+def verify_part(plugins: Plugins, part: VerificationPart) -> PartResult:
+    """Verify a part; errors as :func:`keymint.verify.verification.verification`."""
+    with placed(part.copies, part.files) as copies:
+        named = {name: plugins.transport(name) for name in part.transports}
+        verified = replace(part, copies=copies).verified(plugins, named)
+        return PartResult(bytes(verified.labels), verified.comparisons)
+
+
+def verified_in_parts(
+    pool: Pool,
+    plugins: Plugins,
+    scope: VerificationScope,
+    policy: LoadedPolicy,
+    graph: Graph | None,
+    copies: Copies,
+    transports: Mapping[str, Transport],
+    asking: Asking,
+) -> Verification:
+    """Verify one build type on copies of the enclaves; models are asked on a pool if that is worth it.
+
+    Args:
+        pool: where models are asked.
+        plugins: the installed plugins.
+        scope: the enclaves.
+        policy: the policy.
+        graph: a graph with the subjects and objects to ask about; None to ask about the objects of the policy.
+        copies: copies of the enclaves.
+        transports: the transports, by name.
+        asking: how to ask.
+
+    Raises:
+        KeymintError: a transport does not work, or the pool is lost.
+    """
+    modelled = tuple(name for name, each in transports.items() if names_rules(each.usable()))
+    common = () if graph else common_objects(policy, scope)
+    whole = VerificationPart(scope, policy, graph, common, modelled, asking, copies)
+    subjects, edges = whole.edges()
+    objects = len(graph.objects) if graph else len(common)
+    divided = pool.parts(subjects, -(-LEAST // max(1, objects * len(modelled))))
+    if len(divided) < 2 if pool.shares_memory else not (modelled and isinstance(policy, DivisiblePolicy)):  # noqa: PLR2004
+        return whole.verified(plugins, transports)
+    others = {name: each for name, each in transports.items() if name not in modelled}
+    compared = {each.transport: each for each in (whole.verified(plugins, others).comparisons if others else ())}
+    results: list[PartResult] = []
+    tasks = (whole.about(each, elsewhere=not pool.shares_memory) for each in divided)
+    for each, result in zip(divided, pool.map(verify_part, tasks), strict=True):
+        results.append(result)
+        for name in ("policy", *modelled):
+            for subject in each:
+                asking.on_subject(name, subject)
+    for at, name in enumerate(modelled):
+        compared[name] = _together([result.comparisons[at] for result in results], asking.limit)
+    labels = bytearray().join(result.labels for result in results)
+    decide = EndpointPolicy(policy, scope.namings).decide
+    return Verification(scope.build_type, subjects, edges, labels, decide, tuple(compared[name] for name in transports))
+
+
+def _unseen(_name: str, _subject: str) -> None:
+    """Show no progress: a part is done as a whole."""
+
+
+def _together(comparisons: Sequence[Comparison], limit: int) -> Comparison:
+    """Return the comparison of all subjects, given those of the parts in the order of the subjects."""
+    ends = [len(each.findings) - each.endpoints for each in comparisons]
+    edges = [finding for each, end in zip(comparisons, ends, strict=True) for finding in each.findings[:end]][:limit]
+    endpoints = [finding for each, end in zip(comparisons, ends, strict=True) for finding in each.findings[end:]]
+    kept = endpoints[: limit - len(edges)]
+    counts = [astuple(each.confusion) for each in comparisons]
+    return replace(
+        comparisons[0],
+        confusion=ConfusionMatrix(*map(sum, zip(*counts, strict=True))),
+        findings=(*edges, *kept),
+        wrong={subject: count for each in comparisons for subject, count in each.wrong.items()},
+        endpoints=len(kept),
+    )
