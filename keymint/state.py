@@ -11,6 +11,7 @@ import hashlib
 import json
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
+from typing import Any
 
 MAX_RECORD = 1 << 30
 """Largest record in bytes; an enclave needs about 1,500."""
@@ -103,8 +104,25 @@ class State:
                 for stage, stamps in sorted(self.stamps.items())
             },
         }
-        body = json.dumps(document, separators=(",", ":"), sort_keys=True).encode().removesuffix(b"}")
-        return body + _SEAL + digest(body).encode() + _END
+        return sealed(document)
+
+
+def sealed(document: Mapping[str, Any]) -> bytes:
+    """Return a document as JSON that ends with its digest; equal documents give equal bytes."""
+    body = json.dumps(document, separators=(",", ":"), sort_keys=True).encode().removesuffix(b"}")
+    return body + _SEAL + digest(body).encode() + _END
+
+
+def unsealed(content: bytes | None, version: int) -> Mapping[str, Any] | None:
+    """Return the document of :func:`sealed`, or None if it is missing, damaged or of another version."""
+    body, _, seal = (content or b"").rpartition(_SEAL)
+    if seal != digest(body).encode() + _END:
+        return None
+    try:
+        document = json.loads(content or b"")
+        return document if document["version"] == version else None
+    except (ValueError, KeyError, TypeError, RecursionError):
+        return None
 
 
 def dump_mark(state: State, contents: Iterable[bytes], fingerprints: Iterable[str] = ()) -> bytes:
@@ -124,13 +142,10 @@ def load(content: bytes | None, mark: bytes | None = None) -> State:
 
 
 def _stamps(content: bytes | None) -> dict[str, dict[str, Stamp]]:
-    body, _, seal = (content or b"").rpartition(_SEAL)
-    if seal != digest(body).encode() + _END:
+    document = unsealed(content, VERSION)
+    if document is None:
         return {}
     try:
-        document = json.loads(content or b"")
-        if document["version"] != VERSION:
-            return {}
         return {
             str(stage): {
                 str(name): Stamp(
@@ -145,5 +160,5 @@ def _stamps(content: bytes | None) -> dict[str, dict[str, Stamp]]:
             }
             for stage, stamps in document["stamps"].items()
         }
-    except (ValueError, KeyError, TypeError, AttributeError, RecursionError):
+    except (ValueError, KeyError, TypeError, AttributeError):
         return {}

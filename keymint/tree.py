@@ -15,6 +15,7 @@ from typing import TypeVar
 
 from comarmor.errors import Origin
 from keymint.errors import KeymintError
+from keymint.state import digest
 
 MAX_FILE = 16 * 1024 * 1024
 """Largest file that is read, in bytes; far more than any document, certificate or key."""
@@ -78,9 +79,16 @@ _Read = TypeVar("_Read", bytes | None, dict[str, bool])
 
 
 class _Disk:
-    """The files on the disk; every file and folder is read at most once."""
+    """The files on the disk; every file and folder is read at most once.
 
-    def __init__(self) -> None:
+    Args:
+        known: digests of files that need not be read for them, by folder and name.
+    """
+
+    def __init__(self, known: Mapping[str, Mapping[str, str]]) -> None:
+        self.digests: dict[str, dict[str, str]] = {}
+        """Digests that were asked for, by folder and name."""
+        self.known = known
         self._contents: dict[Path, bytes | KeymintError | None] = {}
         self._entries: dict[Path, dict[str, bool] | KeymintError] = {}
         self._statuses: dict[Path, os.stat_result | None] = {}
@@ -91,6 +99,19 @@ class _Disk:
         if path not in self._contents:
             self._contents[path] = None if self._is_absent(path) else read_file(path)
         return _or_raise(self._contents[path])
+
+    def digest(self, path: Path) -> str | None:
+        folder, _, name = str(path).rpartition("/")
+        digests = self.digests.setdefault(folder, {})
+        if name not in digests:
+            value = self.known.get(folder, {}).get(name)
+            if value is None:
+                content = self.read(path)
+                if content is None:
+                    return None
+                value = digest(content)
+            digests[name] = value
+        return digests[name]
 
     def entries(self, folder: Path) -> Mapping[str, bool]:
         if folder not in self._entries:
@@ -165,10 +186,16 @@ class Tree:
     Args:
         overlay: planned content by absolute path, which hides the disk; None for a file that will be removed.
         disk: the files on the disk, if some were already read.
+        known: digests of files that need not be read for them, by folder and name.
     """
 
-    def __init__(self, overlay: Mapping[Path, bytes | None] | None = None, disk: _Disk | None = None) -> None:
-        self._disk = disk or _Disk()
+    def __init__(
+        self,
+        overlay: Mapping[Path, bytes | None] | None = None,
+        disk: _Disk | None = None,
+        known: Mapping[str, Mapping[str, str]] | None = None,
+    ) -> None:
+        self._disk = disk or _Disk(known or {})
         self._overlay = overlay or {}
         self._planned: dict[Path, dict[str, bool]] = {}
         """Entries of folders that the overlay adds, each with whether it is a folder."""
@@ -197,6 +224,29 @@ class Tree:
         if path in self._overlay:
             return self._overlay[path]
         return self._disk.read(path)
+
+    def digest(self, path: Path) -> str | None:
+        """Return the digest of a file (see :func:`keymint.state.digest`), or None if there is none.
+
+        A file is not read if its status tells that it did not change since its digest was recorded.
+
+        Raises:
+            KeymintError: as :func:`read_file`.
+        """
+        if path in self._overlay:
+            content = self._overlay[path]
+            return None if content is None else digest(content)
+        return self._disk.digest(path)
+
+    @property
+    def known(self) -> Mapping[str, Mapping[str, str]]:
+        """The digests of files that need not be read for them, by folder and name."""
+        return self._disk.known
+
+    @property
+    def digests(self) -> Mapping[str, Mapping[str, str]]:
+        """The digests of files on the disk that were asked for, by folder and name."""
+        return self._disk.digests
 
     def try_read(self, path: Path) -> bytes | None:
         """Return a file's bytes, or None if there is none or it cannot be read."""

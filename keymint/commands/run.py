@@ -12,22 +12,25 @@ from typing import Any
 
 from comarmor.errors import Diagnostic, Origin, Severity, cited
 from comarmor.text import did_you_mean
+from keymint import file_index
 from keymint.api import Environment
 from keymint.changes import File, Plan
 from keymint.commands.options import PROCESSES
 from keymint.errors import ExitCode, KeymintError
 from keymint.execute import RECORD, execute, open_store
 from keymint.executors import Pool, Processes
+from keymint.file_index import Sight
 from keymint.names import package_name
 from keymint.output.console import Console, Streams
 from keymint.output.report import Report
+from keymint.plan import gitignore
 from keymint.plugins import Plugins
 from keymint.session import Inputs
 from keymint.state import MAX_RECORD, State
 from keymint.state import load as load_state
 from keymint.tree import Tree, read_file
 from keymint.workspace import SPACES, Workspace, find, packages, shown
-from keymint.workspace_lock import LOCK, read_lock
+from keymint.workspace_lock import LOCK, clock, read_lock
 
 
 @dataclass(frozen=True, slots=True)
@@ -126,11 +129,17 @@ class Run:
         )
         return self.known_workspace
 
-    def inputs(self, workspace: Workspace) -> Inputs:
-        """Read the inputs of a plan."""
+    def inputs(self, workspace: Workspace, sight: Sight | None = None) -> Inputs:
+        """Read the inputs of a plan.
+
+        Args:
+            workspace: the workspace.
+            sight: its folders as they are; without it all files are read.
+        """
         record, mark = (read_file(workspace.state / name, MAX_RECORD) for name in (RECORD, "running"))
         state = load_state(record, mark)
-        return Inputs(workspace, Tree(), state, self.plugins, self.setting.environment, self.setting.now)
+        tree = Tree(known=file_index.load(workspace, sight) if sight else {})
+        return Inputs(workspace, tree, state, self.plugins, self.setting.environment, self.setting.now)
 
     def snapshot(self, workspace: Workspace) -> Inputs:
         """Read a consistent snapshot of a workspace into memory, for verbs that do not write.
@@ -197,6 +206,7 @@ class Run:
             plan = make_plan(self.snapshot(workspace))
             return Report(self.verb, workspace, plan.steps, plan.diagnostics, {}, _exit_code(plan), dry_run=True)
         planned: tuple[Inputs, Plan] | None = None
+        sight = Sight.of(workspace.spaces())
         if not workspace.state.is_dir():
             inputs = self.inputs(workspace)
             try:
@@ -209,11 +219,15 @@ class Run:
         with store.locked(self.console.waiting):
             store.sweep()
             if planned is None or workspace.exists() or workspace.state.joinpath(RECORD).exists():
-                inputs = self.inputs(workspace)
+                sight = Sight.of(workspace.spaces(), clock(workspace.state))
+                inputs = self.inputs(workspace, sight)
                 planned = (inputs, make_plan(inputs))
             inputs, plan = planned
+            guards = gitignore.missing_files(workspace, plan)
             with self.console.progress(len(plan.steps), self.setting.monotonic) as advance:
                 execute(plan, workspace, store, inputs.state, advance)
+            changes = (*guards, *(change for step in plan.steps for change in step.changes))
+            file_index.save(store, workspace, inputs.tree, sight, changes)
         return Report(self.verb, workspace, plan.steps, plan.diagnostics, {}, _exit_code(plan))
 
     def keep(self, inputs: Inputs, state: State) -> tuple[Diagnostic, ...]:
