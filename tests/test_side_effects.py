@@ -18,8 +18,11 @@ from tests.conftest import CHECKOUT
 pytestmark = pytest.mark.xdist_group("audit")  # one worker, so that the verbs run once
 
 WRITERS = {
-    f"keymint/{name}.py" for name in ("store", "folder_staging", "folder_swap", "file_writing", "workspace_lock")
-}
+    f"keymint/{name}.py"
+    for name in (
+        "store", "folder_staging", "folder_swap", "file_writing", "open_folders", "group_commit", "workspace_lock"
+    )
+}  # fmt: skip
 """The lock's time of change is the clock of the file system."""
 TEMPORARY = {"keymint/git.py", "keymint/verify/copies.py"}
 """Extract trees of a revision, or copy enclaves for transports, into a temporary folder that they remove."""
