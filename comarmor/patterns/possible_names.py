@@ -7,50 +7,47 @@ See :mod:`comarmor.ros_names` for the form of these names.
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator
 from functools import lru_cache
 
-from comarmor.patterns.glob import Glob, parse, units
-from comarmor.patterns.tokens import PatternError, Star, Token
+from comarmor.patterns.glob import Glob, parse
+from comarmor.patterns.tokens import PatternError, Star
 from comarmor.ros_names import RAW_PREFIXES
 
-_START, _SLASH, _SEGMENT = range(3)
-"""The previous character: none, a ``/``, or one of a segment. A name ends in a segment."""
+_START, _SLASH, _SEGMENT = 1, 2, 4
+"""The previous character: none, a ``/``, or one of a segment; as bits, for a set of these. A name ends in a segment."""
 _DIGITS = "0123456789"
 _LETTERS = "ABCDEFGHIJKLMNOPQRSTUVWXYZabcdefghijklmnopqrstuvwxyz_"
+_SLASH_AFTER, _LETTER_AFTER, _DIGIT_AFTER = _START | _SEGMENT, _SLASH | _SEGMENT, _SEGMENT
+"""After which characters a ``/``, a letter and a digit may follow."""
+_NAME_SO_FAR = re.compile(r"(?:/[A-Za-z_][A-Za-z0-9_]*)*(/)?")
 
 
 @lru_cache(maxsize=1 << 14)
 def matches_ros_name(pattern: Glob) -> bool:
     """Return whether a pattern matches at least one fully qualified ROS name; exact."""
-    tokens = units(pattern)
-    todo = [(0, _START)]
-    seen = set(todo)
-    while todo:
-        index, previous = todo.pop()
-        if index == len(tokens):
-            if previous == _SEGMENT:
-                return True
-            continue
-        for state in _following(tokens[index], index, previous):
-            if state not in seen:
-                seen.add(state)
-                todo.append(state)
-    return False
+    previous = _START
+    for token in pattern:
+        if isinstance(token, Star):
+            previous |= _SLASH | _SEGMENT if previous else 0  # every name so far can go on to both
+        elif isinstance(token, str):
+            previous = _after_text(previous, token)
+        else:
+            previous = _after(previous, *(any(char in token for char in chars) for chars in ("/", _LETTERS, _DIGITS)))
+    return bool(previous & _SEGMENT)
 
 
-def _following(token: Token, index: int, previous: int) -> Iterator[tuple[int, int]]:
-    if isinstance(token, Star):
-        yield index + 1, previous
-    following = index if isinstance(token, Star) else index + 1
-    if previous != _SLASH and _has(token, "/"):
-        yield following, _SLASH
-    if previous != _START and _has(token, _LETTERS if previous == _SLASH else _LETTERS + _DIGITS):
-        yield following, _SEGMENT
+def _after_text(previous: int, text: str) -> int:
+    if previous == _START and (name := _NAME_SO_FAR.fullmatch(text)):
+        return _SLASH if name[1] else _SEGMENT if text else _START
+    for char in text:
+        previous = _after(previous, char == "/", char in _LETTERS, char in _DIGITS)
+    return previous
 
 
-def _has(token: Token, chars: str) -> bool:
-    return isinstance(token, Star) or any(char in token for char in chars)
+def _after(previous: int, slash: bool, letter: bool, digit: bool) -> int:
+    """Return what a character of a token may be, after these previous ones: no bit if none can follow."""
+    segment = (letter and previous & _LETTER_AFTER) or (digit and previous & _DIGIT_AFTER)
+    return (_SLASH if slash and previous & _SLASH_AFTER else 0) | (_SEGMENT if segment else 0)
 
 
 def advice(expression: str) -> str:

@@ -7,7 +7,7 @@ Names that differ in one position share a pattern with a set of characters there
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from string import ascii_letters, digits
 
 MEMBERS = frozenset(ascii_letters + digits + "_")
@@ -25,16 +25,37 @@ def gather(names: Iterable[str]) -> tuple[Pattern, ...]:
     Args:
         names: names; special characters stand for themselves.
     """
-    by_length: dict[int, set[Pattern]] = {}
-    for name in names:
-        by_length.setdefault(len(name), set()).add(tuple(name))
-    patterns: list[Pattern] = []
-    for length, words in sorted(by_length.items()):
-        positions = [index for index in range(length) if len({word[index] for word in words}) > 1]
+    distinct = set(names)
+    close = similar(distinct)
+    patterns: list[Pattern] = [tuple(name) for name in distinct - close]
+    for words, positions in _by_length(close):
         # The order matters: numbers fold best from the right, namespaces from the left.
-        left, right = _fold(words, positions), _fold(words, positions[::-1])
+        left, right = (_fold(map(tuple, words), order) for order in (positions, positions[::-1]))
         patterns += left if len(left) < len(right) else right
     return tuple(sorted(patterns))
+
+
+def similar(names: Iterable[str]) -> frozenset[str]:
+    """Return the names that differ from another one in one position only: no other name can share a pattern."""
+    found: set[str] = set()
+    for words, positions in _by_length(names):
+        for index in positions:
+            seen: dict[str, str] = {}
+            for word in words:
+                other = seen.setdefault(word[:index] + word[index + 1 :], word)
+                if other is not word:
+                    found.update((word, other))
+    return frozenset(found)
+
+
+def _by_length(names: Iterable[str]) -> Iterator[tuple[list[str], list[int]]]:
+    """Yield the distinct names of each length, and the positions in which they differ."""
+    lengths: dict[int, list[str]] = {}
+    for name in dict.fromkeys(names):
+        lengths.setdefault(len(name), []).append(name)
+    for words in lengths.values():
+        columns = enumerate(zip(*words, strict=True)) if len(words) > 1 else ()
+        yield words, [index for index, chars in columns if len(set(chars)) > 1]
 
 
 def _fold(words: Iterable[Pattern], positions: Sequence[int]) -> list[Pattern]:

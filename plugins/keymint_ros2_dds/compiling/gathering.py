@@ -13,7 +13,7 @@ from itertools import product
 from comarmor.patterns import glob
 from comarmor.patterns.matching import matcher
 from comarmor.rules import Effect
-from keymint.keymake.gather import Pattern, gather
+from keymint.keymake.gather import Pattern, gather, similar
 from keymint_ros2_dds.lowering.dds_topics import TopicAction
 from keymint_ros2_dds.lowering.grant_rules import DEFAULT, EVERY, GrantRule, Partitions, is_name
 
@@ -39,7 +39,7 @@ def gathered(rules: Sequence[GrantRule[str]], *, min_saved: int | None = None) -
     size = _size(rules)
     if min_saved is None:
         min_saved = max(MIN_SAVED, size // MIN_SAVED_PART)
-    if _most_saved(rules) < min_saved:
+    if _most_saved(rules) < min_saved or _most_shared(rules) < min_saved:
         return tuple(rules)
     relay = next((n for n, rule in enumerate(rules) if rule.topics and not _has_endpoints(rule)), len(rules))
     endpoints, relays = rules[:relay], rules[relay:]
@@ -115,6 +115,18 @@ def _most_saved(rules: Iterable[GrantRule[str]]) -> int:
     allowing = (texts for rule in rules if rule.effect is Effect.ALLOW for texts in rule.topics.values())
     names = sum(_TOPIC + len(text) for texts in allowing for text in texts)
     return names - 2 * (_RULE + _CRITERIA)
+
+
+def _most_shared(rules: Iterable[GrantRule[str]]) -> int:
+    """Return a closer bound, without the names that are similar to no other one."""
+    most = 0
+    for rule in rules:
+        for action in _ACTIONS if rule.effect is Effect.ALLOW else ():
+            texts = rule.topics.get(action, ())
+            close = similar(texts)
+            most += sum(_TOPIC + len(text) for text in close)
+            most += _RULE + _CRITERIA if len(close) == len(texts) else 0
+    return most
 
 
 def _size(rules: Iterable[GrantRule[str]]) -> int:

@@ -142,7 +142,13 @@ _NONE = _Permitted((NOTHING,))
 
 
 class _Comparator:
-    """Compares the policy with decision lists of the document, once for all models with the same lists."""
+    """Compares the policy with decision lists of the document, once for all models with the same lists.
+
+    Attributes:
+        pairs: words have partitions.
+        lists: the decision lists of the document.
+        independent: no expression depends on the locale.
+    """
 
     def __init__(self, question: ProofQuestion) -> None:
         self._question = question
@@ -151,6 +157,8 @@ class _Comparator:
         self._universe = Universe(
             octets.ALPHABET, fields=2 if self.pairs else 1, separator=permission_lists.SEPARATOR, last_nonempty=True
         )
+        self.lists = permission_lists.GrantLists(question.document.grants, pairs=self.pairs)
+        self.independent = octets.is_independent(question.document, question.spec.rules)
         self._policy = {
             action: permission_lists.of_policy(question.lowered, action, pairs=self.pairs) for action in ACTIONS
         }
@@ -196,11 +204,13 @@ class _Model:
             if self._refused
             else tuple(grant_periods(question.document, question.spec.subject_name, self._semantics))
         )
-        grants = [era.grant for era in self._eras]
-        unread, self._by_locale = octets.locale_dependence(
-            question.document, grants, question.spec.rules, self._semantics
-        )
-        self._unmodelled = self._unmodelled or unread
+        self._by_locale = ""
+        if not comparison.independent:
+            grants = [era.grant for era in self._eras]
+            unread, self._by_locale = octets.locale_dependence(
+                question.document, grants, question.spec.rules, self._semantics
+            )
+            self._unmodelled = self._unmodelled or unread
 
     def claims(self) -> Iterator[Claim]:
         groups = tuple(self._domains())
@@ -289,7 +299,7 @@ class _Model:
     def _permitted(self, grant: DocumentGrant, action: str, domain: int, *, inside: bool) -> _Permitted:
         """Return what is permitted while a grant is in force."""
         pairs, semantics = self._comparison.pairs, self._semantics
-        own = permission_lists.of_grant(grant, domain, action, semantics, pairs=pairs)
+        own = self._comparison.lists.of(grant, domain, action, semantics)
         governed = self._rule(domain)
         if governed is None or self._governance is None:
             return _Permitted(own)

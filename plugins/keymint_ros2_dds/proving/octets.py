@@ -18,11 +18,11 @@ from collections.abc import Iterable, Iterator
 
 from comarmor.patterns.glob import Glob
 from comarmor.patterns.tokens import charset
-from keymint.ir import SubjectRules
+from keymint.ir import Rule, SubjectRules
 from keymint_ros2_dds.decision import fnmatch
 from keymint_ros2_dds.decision.semantics import Semantics
 from keymint_ros2_dds.lowering.dds_topics import TopicAction
-from keymint_ros2_dds.reading.signed_permissions import DocumentGrant, PermissionsDocument
+from keymint_ros2_dds.reading.signed_permissions import DocumentCriteria, DocumentGrant, PermissionsDocument
 
 ALPHABET = charset([(0x01, 0xFF)])
 """The bytes of a name."""
@@ -43,12 +43,24 @@ _CLASS = re.compile(r"\[:(?!x?digit:\])")
 
 def of_glob(glob: Glob) -> Glob:
     """Return a pattern over bytes: its literals as UTF-8."""
+    if all(token.isascii() for token in glob if isinstance(token, str)):
+        return glob
     return tuple(fnmatch.in_bytes(token) if isinstance(token, str) else token for token in glob)
 
 
 def in_text(name: str) -> str:
     """Return a name of bytes as text; invalid UTF-8 becomes surrogates (PEP 383)."""
     return name if name.isascii() else name.encode("latin-1").decode("utf-8", "surrogateescape")
+
+
+def is_independent(document: PermissionsDocument, rules: SubjectRules) -> bool:
+    """Return whether no expression depends on the locale, however it is read: see :func:`locale_dependence`."""
+    texts = [text for rule in rules.rules for each in (rule.expressions, rule.partitions) for text in each]
+    criteria = (each for grant in document.grants for rule in grant.rules for each in rule.criteria)
+    for each in criteria:
+        texts += (*each.topics, *(each.partitions or ()))
+    joined = "".join(texts)
+    return joined.isascii() and not _CLASS.search(joined)
 
 
 def locale_dependence(
@@ -65,36 +77,36 @@ def locale_dependence(
         rules: the policy's rules for the subject.
         semantics: how the document is read.
     """
-    own = tuple(_expressions(document, grants, semantics))
-    expressions = (
-        *own,
-        *((text, str(rule.origin)) for rule in rules.rules for text in (*rule.expressions, *rule.partitions)),
-    )
-    wide = [(expression, place) for expression, place in expressions if not expression.isascii()]
+    own = tuple(_expressions(grants, semantics))
+    policy = ((text, rule) for rule in rules.rules for text in (*rule.expressions, *rule.partitions))
+    expressions: tuple[tuple[str, DocumentCriteria | Rule], ...] = (*own, *policy)
+
+    def cited(expression: str, source: DocumentCriteria | Rule) -> str:
+        place = source.origin if isinstance(source, Rule) else document.place(source.line)
+        return f"{place}: {expression!r} has"
+
+    wide = [(expression, source) for expression, source in expressions if not expression.isascii()]
     sets = (
-        f"{place}: {expression!r} has a set and characters beyond ASCII: what it matches {_DEPENDS}"
-        for expression, place in wide
+        f"{cited(expression, source)} a set and characters beyond ASCII: what it matches {_DEPENDS}"
+        for expression, source in wide
         if "[" in expression
     )
     unread = next(sets, "")
     if semantics.fnmatch is not fnmatch.CYCLONE_DDS:
-        for expression, place in own:
+        for expression, source in own:
             if _CLASS.search(expression):
-                return unread, f"{place}: {expression!r} has a class of characters: what it matches {_DEPENDS}"
+                return unread, f"{cited(expression, source)} a class of characters: what it matches {_DEPENDS}"
     if wide and not all(_MANY.isdisjoint(expression) for expression, _ in expressions):
-        expression, place = wide[0]
         reason = "characters beyond ASCII: whether '?' and sets elsewhere match them by byte or by character"
-        return unread, f"{place}: {expression!r} has {reason} {_DEPENDS}"
+        return unread, f"{cited(*wide[0])} {reason} {_DEPENDS}"
     return unread, ""
 
 
-def _expressions(
-    document: PermissionsDocument, grants: Iterable[DocumentGrant], semantics: Semantics
-) -> Iterator[tuple[str, str]]:
-    """Yield the expressions of grants, each with its place."""
+def _expressions(grants: Iterable[DocumentGrant], semantics: Semantics) -> Iterator[tuple[str, DocumentCriteria]]:
+    """Yield the expressions of grants, each with its criteria."""
     for grant in grants:
         for rule in grant.rules:
             for criteria in rule.criteria:
                 if criteria.action != TopicAction.RELAY:
                     for text in (*criteria.topics, *(criteria.partitions or ())):
-                        yield semantics.reads_text(text), str(document.place(criteria.line))
+                        yield semantics.reads_text(text), criteria

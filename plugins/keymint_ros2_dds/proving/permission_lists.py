@@ -7,6 +7,7 @@ a combination that a rule permits by accident is a word, too. Otherwise a word i
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterable, Iterator, Sequence
 from itertools import chain
 
@@ -24,6 +25,8 @@ from keymint_ros2_dds.reading.signed_permissions import DocumentCriteria, Docume
 
 SEPARATOR = "\0"
 _DEFAULT: Glob = ()
+_DIFFERS = re.compile(r"[\[\\\s]")
+"""What models may read differently: sets, escapes, and blanks, which some trim."""
 
 
 def has_partitions(lowered: Lowered, grants: Iterable[DocumentGrant]) -> bool:
@@ -84,6 +87,54 @@ def of_grant(
     if semantics.topic_check:
         lists.append((*_topics(rules, semantics, pairs=pairs), *default))
     return tuple(lists)
+
+
+class GrantLists:
+    """The decision lists of the grants of a document; models that read a list alike share it.
+
+    Args:
+        grants: the grants.
+        pairs: words have partitions.
+    """
+
+    def __init__(self, grants: Sequence[DocumentGrant], *, pairs: bool) -> None:
+        self._pairs = pairs
+        self._alike = not pairs and all(map(_is_read_alike, grants))
+        self._known: dict[tuple[object, ...], DecisionList] = {}
+
+    def of(self, grant: DocumentGrant, domain: int, action: str, semantics: Semantics) -> tuple[DecisionList, ...]:
+        """Return what :func:`of_grant` returns.
+
+        Raises:
+            PatternError: implementations read an expression differently.
+        """
+        if not self._alike:
+            return of_grant(grant, domain, action, semantics, pairs=self._pairs)
+        rules = tuple(rule for rule in grant.rules if semantics.applies(rule, domain))
+        numbers = tuple(map(id, rules))
+        if (numbers, action) not in self._known:
+            self._known[numbers, action] = tuple(_endpoints(rules, action, semantics, pairs=False))
+        if not semantics.topic_check:
+            return (self._known[numbers, action],)
+        if (numbers, "") not in self._known:
+            self._known[numbers, ""] = tuple(_topics(rules, semantics, pairs=False))
+        return self._known[numbers, action], self._known[numbers, ""]
+
+
+def _is_read_alike(grant: DocumentGrant) -> bool:
+    """Tell whether all models read the topics of a grant as the same patterns, in the default partition.
+
+    They do if it denies by default, has no partitions and data tags, each rule has one list of topics for an action,
+    and no text has a blank, a set or an escape.
+    """
+    return not grant.allows and all(
+        len({criteria.action for criteria in rule.criteria}) == len(rule.criteria)
+        and all(
+            criteria.partitions is None and criteria.tags is None and not _DIFFERS.search("".join(criteria.topics))
+            for criteria in rule.criteria
+        )
+        for rule in grant.rules
+    )
 
 
 def _endpoints(rules: Iterable[DocumentRule], action: str, semantics: Semantics, *, pairs: bool) -> Iterator[Block]:

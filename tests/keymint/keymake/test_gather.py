@@ -3,12 +3,14 @@
 
 from __future__ import annotations
 
-from itertools import product
+from itertools import combinations, product
+from unittest import mock
 
 from hypothesis import given
 from hypothesis import strategies as st
 
-from keymint.keymake.gather import Pattern, gather
+from keymint.keymake import gather as module
+from keymint.keymake.gather import Pattern, gather, similar
 
 
 def expanded(patterns: tuple[Pattern, ...]) -> list[str]:
@@ -46,3 +48,12 @@ def test_namespaces_with_the_same_names_share_them() -> None:
 
 def test_names_that_have_nothing_in_common_stay() -> None:
     assert gather(["/scan", "/odom"]) == (tuple("/odom"), tuple("/scan"))
+
+
+@given(st.sets(st.text("ab1-_/]*", max_size=5), max_size=40))
+def test_names_that_are_similar_to_no_other_one_need_not_be_tried(names: set[str]) -> None:
+    pairs = [{a, b} for a, b in combinations(names, 2) if len(a) == len(b) and sum(map(str.__ne__, a, b)) == 1]
+    assert similar(names) == frozenset().union(*pairs)
+    found = gather(names)
+    with mock.patch.object(module, "similar", frozenset):
+        assert gather(names) == found

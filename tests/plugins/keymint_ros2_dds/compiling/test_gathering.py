@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import functools
+import itertools
 import re
 from collections.abc import Iterator
 from unittest import mock
@@ -13,8 +14,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from keymint_ros2_dds import build_type
 from keymint_ros2_dds.compiling import compile, gathering  # noqa: A004 - the module's name
+from keymint_ros2_dds.lowering.dds_topics import TopicAction
+from keymint_ros2_dds.lowering.grant_rules import DEFAULT, GrantRule
 
 from comarmor.errors import Severity
+from comarmor.rules import Effect
 from keymint.api import BuildOptions, Hint
 from keymint.graph import Edge, Object
 from tests.plugins.keymint_ros2_dds.compiling.test_compile import (
@@ -55,6 +59,21 @@ def test_gathering_changes_no_decision(drawn, hints):
 def test_gathering_keeps_partitions(drawn):
     with mock.patch.object(compile, "gathered", functools.partial(gathering.gathered, min_saved=-(10**6))):
         held_against_the_policy(drawn, BuildOptions(), FEW, ASKED)
+
+
+@settings(max_examples=200)
+@given(
+    st.lists(st.lists(st.text("ab", min_size=3, max_size=5), max_size=60), min_size=1, max_size=3), st.integers(0, 900)
+)
+def test_names_are_left_as_they_are_early_only_where_gathering_saves_too_little(drawn, saved):
+    form = tuple(
+        GrantRule(effect, DEFAULT, {TopicAction.PUBLISH: tuple(sorted(set(texts)))})
+        for effect, texts in zip(itertools.cycle([Effect.ALLOW, Effect.DENY]), drawn, strict=False)
+        if texts
+    )
+    early = gathering.gathered(form, min_saved=saved)
+    with mock.patch.object(gathering, "_most_shared", return_value=saved):
+        assert gathering.gathered(form, min_saved=saved) == early
 
 
 class TestGathering:

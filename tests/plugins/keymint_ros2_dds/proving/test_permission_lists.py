@@ -67,6 +67,46 @@ def test_lists_of_a_grant_say_what_the_decision_point_says(model, content):
                 assert all(permits(each, name) for each in plain) == expected, (action, name)
 
 
+@st.composite
+def almost_plain_grants(draw):
+    """Draw documents of which each has at most a few of the traits that models read differently."""
+    traits = draw(st.sets(st.sampled_from(["[a]", " a", "partitions", "tags", "twice", "ALLOW"]), max_size=2))
+    texts = st.sampled_from(["a", "b", "*", "a*", "?", "]", "é", *(traits & {"[a]", " a"})])
+
+    def criteria(action):
+        partitions = draw(st.sampled_from([("",), ("p",)])) if "partitions" in traits else None
+        tags = draw(st.sampled_from(["", "t"])) if "tags" in traits else ""
+        return xml.criteria(action, *draw(st.lists(texts, min_size=1, max_size=3)), partitions=partitions, tags=tags)
+
+    actions = ["publish", "publish", "subscribe", "relay"] if "twice" in traits else ["publish", "subscribe"]
+    drawn = [
+        xml.rule(
+            draw(st.sampled_from(["allow", "deny"])),
+            *map(criteria, actions),
+            domains=draw(st.sampled_from(["<id>0</id>", "<id>1</id>"])),
+        )
+        for _ in range(draw(st.integers(1, 3)))
+    ]
+    return xml.document(xml.grant(*drawn, default="ALLOW" if "ALLOW" in traits else "DENY"))
+
+
+@settings(max_examples=200, deadline=None)
+@given(st.one_of(almost_plain_grants(), grants()), st.booleans())
+def test_lists_that_models_share_are_those_of_each_model(content, pairs):
+    document = decision.read(content)
+    shared = permission_lists.GrantLists(document.grants, pairs=pairs)
+    for grant, model, action in itertools.product(document.grants, VARIATIONS.values(), ("publish", "subscribe")):
+        own = permission_lists.of_grant(grant, 0, action, model.semantics, pairs=pairs)
+        assert shared.of(grant, 0, action, model.semantics) == own
+
+
+def test_models_share_the_lists_of_a_plain_document():
+    document = decision.read(xml.document(xml.grant(xml.rule("allow", xml.criteria("publish", "a", "b*")))))
+    shared = permission_lists.GrantLists(document.grants, pairs=False)
+    lists = [shared.of(document.grants[0], 0, "publish", model.semantics)[0] for model in VARIATIONS.values()]
+    assert lists[0] is lists[1] is lists[2]
+
+
 @settings(max_examples=150, deadline=None)
 @given(grants())
 @example(xml.document(xml.grant(xml.rule("allow", xml.criteria("publish", "*")), default="ALLOW")))
