@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import hashlib
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import NamedTuple
 
 from cryptography import x509
@@ -119,8 +120,7 @@ def parse(signature: bytes) -> Signature:
 def verify(signature: Signature, text: bytes, certificate: x509.Certificate) -> bool:
     """Return whether a signature over a text was made with a certificate, which must be the embedded one."""
     return (
-        signature.certificate == certificate.public_bytes(serialization.Encoding.DER)
-        and signature.issuer_and_serial == _issuer_and_serial(certificate)
+        (signature.certificate, signature.issuer_and_serial) == _identification(certificate)
         and _attributes_match(signature, text)
         and _signed(signature, certificate)
     )
@@ -154,11 +154,13 @@ def _signed(signature: Signature, certificate: x509.Certificate) -> bool:
     return True
 
 
-def _issuer_and_serial(certificate: x509.Certificate) -> bytes:
-    """Return IssuerAndSerialNumber (RFC 5652, 10.2.4) with the exact bytes of the certificate."""
+@lru_cache(maxsize=16)
+def _identification(certificate: x509.Certificate) -> tuple[bytes, bytes]:
+    """Return the DER of a signer's certificate, and IssuerAndSerialNumber (RFC 5652, 10.2.4) with its exact bytes."""
     fields = der.elements(der.single(certificate.tbs_certificate_bytes, der.SEQUENCE))
     serial, _, issuer = fields[1:4] if fields[0][0] == der.CONTEXT_0 else fields[:3]
-    return der.tlv(der.SEQUENCE, der.tlv(*issuer), der.tlv(*serial))
+    identifier = der.tlv(der.SEQUENCE, der.tlv(*issuer), der.tlv(*serial))
+    return certificate.public_bytes(serialization.Encoding.DER), identifier
 
 
 def _inside(data: bytes, tag: int, what: str) -> bytes:

@@ -115,11 +115,14 @@ def unwrap(document: bytes, where: Origin | None = None) -> SignedDocument:
         KeymintError: the document does not match the grammar above (code ``smime-form``); with the line and what was
             expected.
     """
-    for pattern, name in ((rb"\x00", "a NUL byte"), (rb"\r(?!\n)", "a carriage return without a line feed")):
-        if match := re.search(pattern, document):
-            refuse(where, document.count(b"\n", 0, match.start()) + 1, f"it has {name}")
+    carriage_returns = b"\r" in document
+    if b"\0" in document:
+        refuse(where, document.count(b"\n", 0, document.index(b"\0")) + 1, "it has a NUL byte")
+    if carriage_returns and (match := re.search(rb"\r(?!\n)", document)):
+        line = document.count(b"\n", 0, match.start()) + 1
+        refuse(where, line, "it has a carriage return without a line feed")
     lines = document.split(b"\n")
-    texts = [line.removesuffix(b"\r") for line in lines]
+    texts = [line.removesuffix(b"\r") for line in lines] if carriage_returns else lines
     _require(texts, [(0, b"MIME-Version: 1.0")], where)
     multipart = _MULTIPART.fullmatch(texts[1]) if len(texts) > 1 else None
     if multipart is None:
@@ -144,7 +147,8 @@ def unwrap(document: bytes, where: Origin | None = None) -> SignedDocument:
     _require(texts, [(last - 1, b""), *((line, b"") for line in range(last + 1, len(texts)))], where)
     base64_start = second + 1 + len(headers)
     # The line end before a separator belongs to the separator, and so to the frame.
-    _require_line_ends(lines, range(_BEFORE_TEXT, second - 1), range(base64_start, last - 1), where)
+    if carriage_returns:
+        _require_line_ends(lines, range(_BEFORE_TEXT, second - 1), range(base64_start, last - 1), where)
     encoded = texts[base64_start : last - 1]
     try:
         signature = base64.b64decode(b"".join(encoded), validate=True)
@@ -187,8 +191,11 @@ def _refuse_line(texts: Sequence[bytes], line: int, expected: bytes, where: Orig
 
 def _separators(document: bytes, texts: Sequence[bytes], separator: bytes, where: Origin | None) -> tuple[int, int]:
     """Return the lines of the last two of the three separators, whose text must occur nowhere else."""
-    overlapping = re.compile(b"(?=" + re.escape(separator) + b")")
-    places = [document.count(b"\n", 0, match.start()) for match in overlapping.finditer(document)]
+    places: list[int] = []
+    position = document.find(separator)
+    while position >= 0:
+        places.append(document.count(b"\n", 0, position))
+        position = document.find(separator, position + 1)
     _require(texts, zip(places, (separator, separator, separator + b"--"), strict=False), where)
     if len(places) != _SEPARATORS:
         line = places[_SEPARATORS] if len(places) > _SEPARATORS else len(texts) - 1

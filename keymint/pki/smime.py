@@ -8,6 +8,7 @@ openssl and ``cryptography`` write, and only if every reader sees the same conte
 from __future__ import annotations
 
 import functools
+from dataclasses import replace
 from datetime import datetime
 
 from cryptography import x509
@@ -20,6 +21,7 @@ from keymint.pki import certificates, cms, keys, mime
 from keymint.pki.mime import SignedDocument
 
 _MICALG_LINE = 2
+_NAMELESS = Origin("document")
 
 
 @functools.lru_cache(maxsize=16)
@@ -85,35 +87,51 @@ def read(signed: bytes, ca_pem: bytes, *, at: datetime | None = None, where: Ori
             invalid. ``smime-signer``: another signer. ``authority-cannot-sign``,
             ``smime-authority-expired`` and ``certificate-invalid``: the authority may not sign, or cannot be read.
     """
-    document = mime.unwrap(signed, where)
-    signature = _parsed(document, where)
-    authority = certificates.load_first(ca_pem, where)
+    try:
+        return _read(signed, ca_pem, at)
+    except KeymintError as error:
+        file = where.file if where else ""
+        lines = [each.where.line if each.where else 0 for each in error.diagnostics]
+        places = [Origin(file, line) if file and line else where for line in lines]
+        found = [replace(each, where=place) for each, place in zip(error.diagnostics, places, strict=True)]
+        raise KeymintError.of(found) from None
+
+
+# Several claims rest on one file, and enclaves usually have the same governance.
+@functools.lru_cache(maxsize=16)
+def _read(signed: bytes, ca_pem: bytes, at: datetime | None) -> SignedDocument:
+    """Verify a signed document; places of errors have a line only."""
+    document = mime.unwrap(signed, _NAMELESS)
+    signature = _parsed(document, _NAMELESS)
+    authority = _authority(ca_pem)
     if signature.certificate != authority.public_bytes(serialization.Encoding.DER):
         raise KeymintError(
             "signed by another certificate than the authority's",
-            where=where,
             help="sign it again with keymint install",
             code="smime-signer",
         )
-    if problem := certificates.can_sign_documents(authority, where):
+    if problem := certificates.can_sign_documents(authority):
         raise KeymintError.of([problem])
     if at is not None and not authority.not_valid_before_utc <= at <= authority.not_valid_after_utc:
         raise KeymintError(
             "the authority's certificate is valid "
             f"from {authority.not_valid_before_utc:%Y-%m-%d} "
             f"to {authority.not_valid_after_utc:%Y-%m-%d}, not at {at:%Y-%m-%d}",
-            where=where,
             help="extend the validity of the authority in the profile, then install",
             code="smime-authority-expired",
         )
     if not cms.verify(signature, mime.canonical_text(document.content), authority):
         raise KeymintError(
             "the signature is invalid: the document or its signature was altered",
-            where=where,
             help="sign it again with keymint install",
             code="smime-altered",
         )
     return document
+
+
+@functools.lru_cache(maxsize=16)
+def _authority(ca_pem: bytes) -> x509.Certificate:
+    return certificates.load_first(ca_pem)
 
 
 def verify(signed: bytes, ca_pem: bytes, *, at: datetime | None = None, where: Origin | None = None) -> bytes:
