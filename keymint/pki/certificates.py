@@ -15,7 +15,7 @@ from comarmor.errors import Diagnostic, Origin, Severity
 from comarmor.text import quoted
 from keymint.api import CertificateSpec
 from keymint.errors import KeymintError
-from keymint.pki import der, extensions, forms, keys
+from keymint.pki import extensions, forms, keys
 from keymint.pki.distinguished_names import to_text
 
 _UNREADABLE = (
@@ -116,8 +116,7 @@ def _parsed(pem: bytes) -> tuple[x509.Certificate, ...]:
         # The library parses lazily: touch every part, so that damage is detected here.
         _ = certificate.extensions, certificate.subject, certificate.issuer, certificate.public_key()
         _ = certificate.not_valid_before_utc, certificate.not_valid_after_utc, certificate.signature_hash_algorithm
-        signature = der.elements(der.single(certificate.public_bytes(serialization.Encoding.DER), der.SEQUENCE))[-1][1]
-        if not signature.startswith(b"\0"):
+        if not certificate.public_bytes(serialization.Encoding.DER).endswith(b"\0" + certificate.signature):
             raise ValueError("unused bits of a signature, which no signature covers")
     return certificates
 
@@ -295,7 +294,7 @@ def _issue(
         builder = builder.add_extension(value, critical)
     certificate = builder.sign(signing_key, form.hash_algorithm)
     try:
-        _ = certificate.extensions
+        _ = certificate.extensions if spec.extensions else ()
     except ValueError:  # a dotted OID that the library knows, with a value in another syntax
         raise KeymintError(
             f"an extension of {quoted(spec.subject_name, 80)} does not have the syntax of its OID",

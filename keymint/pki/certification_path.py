@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from datetime import datetime
+from functools import lru_cache
 
 from cryptography import x509
 
@@ -67,10 +68,12 @@ def _path(
     path = [certificate]
     while len(path) <= _MAX_PATH:
         last = path[-1]
+        # A workspace has few authorities, whose signatures are verified once.
+        is_issued_by = certificates.is_issued_by if last is certificate else _is_issued_by
         if last.subject == last.issuer and (last in bundle or len(path) > 1):
-            return path, None if certificates.is_issued_by(last, last) else _signature(last)
+            return path, None if is_issued_by(last, last) else _signature(last)
         named = [each for each in bundle if each.subject == last.issuer and each not in path]
-        issuer = next((each for each in named if certificates.is_issued_by(last, each)), None)
+        issuer = next((each for each in named if is_issued_by(last, each)), None)
         if issuer is None:
             if named:
                 return path, _signature(last)
@@ -81,6 +84,9 @@ def _path(
         f"the issuer {_shown(path[-1].issuer)} of {_shown(path[-1].subject)} is not among the authorities",
         "install it again, or add the missing authority",
     )
+
+
+_is_issued_by = lru_cache(maxsize=64)(certificates.is_issued_by)
 
 
 def _signature(certificate: x509.Certificate) -> _Problem:

@@ -10,6 +10,7 @@ from __future__ import annotations
 import hashlib
 import re
 from collections.abc import Iterator
+from dataclasses import replace
 from functools import lru_cache
 
 from cryptography import x509
@@ -74,7 +75,6 @@ _ESCAPED_IN_TEXT = frozenset(',+"\\<>;')
 _EXAMPLE = "write e.g. CN=/robot/camera,OU=x1 or /C=US/O=Acme/CN=ca"
 
 
-@lru_cache(maxsize=4096)
 def parse(text: str, where: Origin | None = None) -> x509.Name:
     r"""Parse a name in certificate order.
 
@@ -89,9 +89,17 @@ def parse(text: str, where: Origin | None = None) -> x509.Name:
     Raises:
         KeymintError: the text is not a name; with what is allowed.
     """
+    try:
+        return _parsed(text)
+    except KeymintError as error:
+        raise KeymintError.of(replace(each, where=where) for each in error.diagnostics) from None
+
+
+@lru_cache(maxsize=4096)
+def _parsed(text: str) -> x509.Name:
     if not text.strip():
-        raise KeymintError("a subject name is empty", where=where, help=_EXAMPLE, code="name-invalid")
-    return x509.Name([_attribute(kind, value, text, where) for kind, value in _pairs(text, where)])
+        raise KeymintError("a subject name is empty", help=_EXAMPLE, code="name-invalid")
+    return x509.Name([_attribute(kind, value, text) for kind, value in _pairs(text)])
 
 
 def attributes(name: x509.Name) -> Iterator[tuple[str, str]]:
@@ -125,12 +133,12 @@ def unique_suffix(subject: str) -> str:
     return hashlib.sha256(subject.encode()).hexdigest()[:32]
 
 
-def _invalid(text: str, problem: str, where: Origin | None, help_: str = "") -> KeymintError:
+def _invalid(text: str, problem: str, help_: str = "") -> KeymintError:
     message = f"{quoted(text, 120)} is not a subject name: {problem}"
-    return KeymintError(message, where=where, help=help_, code="name-invalid")
+    return KeymintError(message, help=help_, code="name-invalid")
 
 
-def _pairs(text: str, where: Origin | None) -> Iterator[tuple[str, str]]:
+def _pairs(text: str) -> Iterator[tuple[str, str]]:
     """Yield attribute types, as written, and values, unescaped."""
     position = 1 if text.startswith("/") and _TYPE_THEN_EQUALS.match(text, 1) else 0
     while True:
@@ -138,15 +146,15 @@ def _pairs(text: str, where: Origin | None) -> Iterator[tuple[str, str]]:
         if match is None:
             rest = text[position:].strip()
             problem = f"no attribute type and '=' in {quoted(rest, 60)}" if rest else "it ends with a separator"
-            raise _invalid(text, problem, where, rf"{_EXAMPLE}; a comma inside a value is written \,")
-        value, position = _value(text, match.end(), where)
+            raise _invalid(text, problem, rf"{_EXAMPLE}; a comma inside a value is written \,")
+        value, position = _value(text, match.end())
         yield match.group(1), value
         if position >= len(text):
             return
         position += 1
 
 
-def _value(text: str, position: int, where: Origin | None) -> tuple[str, int]:
+def _value(text: str, position: int) -> tuple[str, int]:
     """Return the value that begins at a position, unescaped, and the position of the separator after it."""
     raw = bytearray()
     kept = 0  # bytes to keep when spaces are trimmed, because they were escaped
@@ -163,7 +171,7 @@ def _value(text: str, position: int, where: Origin | None) -> tuple[str, int]:
                 position += 2
             else:
                 expected = f"one of {''.join(sorted(_ESCAPABLE))!r} or two hexadecimal digits"
-                raise _invalid(text, f"expected after '\\' {expected}", where, "write \\\\ for a backslash")
+                raise _invalid(text, f"expected after '\\' {expected}", "write \\\\ for a backslash")
             kept = len(raw)
             continue
         if character == "," or (character == "/" and _begins_attribute(text, position + 1)):
@@ -171,7 +179,7 @@ def _value(text: str, position: int, where: Origin | None) -> tuple[str, int]:
         if character == '"' or (character == "+" and _begins_attribute(text, position + 1)):
             problem = "values are not quoted" if character == '"' else "RDNs with several attributes are not supported"
             help_ = f"separate attributes by ',', or write \\{character} for the character itself"
-            raise _invalid(text, problem, where, help_)
+            raise _invalid(text, problem, help_)
         raw += character.encode("utf-8", "surrogatepass")
         position += 1
     while len(raw) > kept and raw.endswith(b" "):
@@ -179,7 +187,7 @@ def _value(text: str, position: int, where: Origin | None) -> tuple[str, int]:
     try:
         return raw.decode(), position
     except UnicodeDecodeError:
-        raise _invalid(text, "an escaped value is not UTF-8", where) from None
+        raise _invalid(text, "an escaped value is not UTF-8") from None
 
 
 def _begins_attribute(text: str, position: int) -> bool:
@@ -187,9 +195,9 @@ def _begins_attribute(text: str, position: int) -> bool:
     return match is not None and match.group(1).lower() in _CANONICAL
 
 
-def _attribute(kind: str, value: str, name: str, where: Origin | None) -> x509.NameAttribute[str]:
+def _attribute(kind: str, value: str, name: str) -> x509.NameAttribute[str]:
     """Return the attribute of a type and a value, both checked."""
-    oid, most = _type(kind, where)
+    oid, most = _type(kind)
     short = _SHORT.get(oid, kind)
     size = len(value.encode())
     problem = ""
@@ -206,11 +214,11 @@ def _attribute(kind: str, value: str, name: str, where: Origin | None) -> x509.N
     if problem:
         too_long = short == "CN" and size > most
         help_ = "OU={unique},CN={common_name} shortens it and keeps it unique" if too_long else _EXAMPLE
-        raise _invalid(name, f"{short} {problem}", where, help_)
+        raise _invalid(name, f"{short} {problem}", help_)
     return x509.NameAttribute(oid, value)
 
 
-def _type(kind: str, where: Origin | None) -> tuple[x509.ObjectIdentifier, int]:
+def _type(kind: str) -> tuple[x509.ObjectIdentifier, int]:
     """Return the OID and the upper bound of an attribute type: a known name, or a dotted OID."""
     if short := _CANONICAL.get(kind.lower()):
         return _TYPES[short]
@@ -224,7 +232,6 @@ def _type(kind: str, where: Origin | None) -> tuple[x509.ObjectIdentifier, int]:
     known = [*_TYPES, *_ALIASES]
     raise KeymintError(
         f"{kind!r} is not an attribute type of a subject name",
-        where=where,
         help=did_you_mean(kind, known, f"known are {', '.join(known)} and dotted OIDs"),
         code="name-invalid",
     )
