@@ -98,17 +98,22 @@ def _signature(certificate: x509.Certificate) -> _Problem:
 
 
 def _time(certificate: x509.Certificate, at: datetime) -> Iterator[_Problem]:
-    shown = _shown(certificate.subject)
     if at > certificate.not_valid_after_utc:
         yield (
             "certificate-expired",
-            f"the certificate of {shown} expired on {certificate.not_valid_after_utc:%Y-%m-%dT%H:%M:%SZ}",
+            (
+                f"the certificate of {_shown(certificate.subject)} expired on "
+                f"{certificate.not_valid_after_utc:%Y-%m-%dT%H:%M:%SZ}"
+            ),
             "extend its validity in the sources, then build and install",
         )
     elif at < certificate.not_valid_before_utc:
         yield (
             "certificate-not-yet-valid",
-            f"the certificate of {shown} begins {certificate.not_valid_before_utc:%Y-%m-%dT%H:%M:%SZ}",
+            (
+                f"the certificate of {_shown(certificate.subject)} begins "
+                f"{certificate.not_valid_before_utc:%Y-%m-%dT%H:%M:%SZ}"
+            ),
             "compare the clock of this machine, or give it an earlier start",
         )
 
@@ -125,13 +130,12 @@ def _critical(certificate: x509.Certificate) -> Iterator[_Problem]:
 
 def _authority(certificate: x509.Certificate, below: Sequence[x509.Certificate]) -> Iterator[_Problem]:
     """Check an authority of a path; ``below`` are the authorities between it and the end (RFC 5280, 6.1.4)."""
-    shown = _shown(certificate.subject)
     constraints = extensions.value(certificate, x509.BasicConstraints)
     usage = extensions.value(certificate, x509.KeyUsage)
     if constraints is None or not constraints.ca:
         yield (
             "chain-not-authority",
-            f"{shown} issued a certificate, but is not an authority",
+            f"{_shown(certificate.subject)} issued a certificate, but is not an authority",
             "name another issuer",
         )
         return
@@ -139,13 +143,16 @@ def _authority(certificate: x509.Certificate, below: Sequence[x509.Certificate])
     if constraints.path_length is not None and intermediates > constraints.path_length:
         yield (
             "chain-path-length",
-            f"{shown} has pathlen:{constraints.path_length}, and {intermediates} authorities are below it",
+            (
+                f"{_shown(certificate.subject)} has pathlen:{constraints.path_length}, "
+                f"and {intermediates} authorities are below it"
+            ),
             "raise its pathlen, or name another issuer",
         )
     if usage is not None and not usage.key_cert_sign:
         yield (
             "chain-key-usage",
-            f"the keyUsage of {shown} lacks keyCertSign",
+            f"the keyUsage of {_shown(certificate.subject)} lacks keyCertSign",
             "add it, or name another issuer",
         )
 
