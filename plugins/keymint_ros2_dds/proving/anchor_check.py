@@ -8,9 +8,7 @@ other, so only a comparison with the workspace detects it.
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from dataclasses import replace
 from datetime import UTC, datetime
-from functools import lru_cache
 
 from comarmor.errors import Diagnostic, Origin, Severity
 from keymint.api import TrustAnchor, TrustAnchors
@@ -139,19 +137,6 @@ class _AnchorCheck(CredentialCheck):
     def _signed(self, name: str) -> Iterator[Diagnostic]:
         try:
             content = enclave_file(self._files, self._folder, name)
-            findings = _signature_findings(content, self._signer.chain)
+            smime.read(content, self._signer.chain, where=self._where(name))
         except KeymintError as error:
-            findings = error.diagnostics
-        for finding in findings:
-            line = finding.where.line if finding.where else 0
-            yield replace(finding, where=Origin(f"{self._folder}/{name}", line))
-
-
-# Enclaves usually have the same governance.
-@lru_cache(maxsize=64)
-def _signature_findings(document: bytes, authority: bytes) -> tuple[Diagnostic, ...]:
-    try:
-        smime.read(document, authority, where=Origin("a signed document"))
-    except KeymintError as error:
-        return error.diagnostics
-    return ()
+            yield from error.diagnostics

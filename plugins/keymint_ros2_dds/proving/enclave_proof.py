@@ -10,7 +10,6 @@ from keymint.api import Claim, ProofTask, TrustAnchors, ValidityTerm
 from keymint.errors import KeymintError
 from keymint.pki import smime
 from keymint_ros2_dds import authority_roles as roles
-from keymint_ros2_dds import decision
 from keymint_ros2_dds.enclave_layout import (
     CERTIFICATE,
     GOVERNANCE_P7S,
@@ -69,8 +68,7 @@ def terms(
     """
     del shared, shared_folder  # an enclave is complete
     content, place = _document(files, folder, anchors)
-    document = decision.read(content, *place)
-    of_grants = validity_terms.of_grants(document, _subject_name(files, folder))
+    of_grants = validity_terms.of_grants(content, place, _subject_name(files, folder))
     return (*of_grants, *validity_terms.of_certificates(files, folder))
 
 

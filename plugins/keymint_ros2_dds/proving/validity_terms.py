@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import replace
 from datetime import UTC, datetime, timedelta
@@ -12,11 +13,16 @@ from comarmor.errors import Origin
 from keymint.api import ValidityTerm
 from keymint.errors import KeymintError
 from keymint.pki import certificates, distinguished_names
+from keymint_ros2_dds import subject_name_text
 from keymint_ros2_dds.credentials import revocation_period
-from keymint_ros2_dds.decision import VARIATIONS, PermissionsDocument
+from keymint_ros2_dds.decision import VARIATIONS, read
 from keymint_ros2_dds.enclave_layout import CA, CERTIFICATE, CRL, IDENTITY_CA, PERMISSIONS_CA
 
 Period = tuple[datetime, datetime]
+_GRANT = re.compile(rb'<grant name="[A-Za-z0-9_/]+">\s*<subject_name>([A-Za-z0-9_/=,]+)</subject_name>')
+_TOPIC = re.compile(rb"<topic>[A-Za-z0-9_/]+</topic>")
+_ANYONE = "CN=/n"
+_ANY_GRANT = b'<grant name="/n"><subject_name>CN=/n</subject_name>'
 _SECOND = timedelta(seconds=1)
 _LAST = datetime.max.replace(tzinfo=UTC) - _SECOND
 
@@ -53,15 +59,53 @@ def _certificates(pem: bytes) -> tuple[tuple[str, Period], ...]:
     )
 
 
-def of_grants(document: PermissionsDocument, subject_name: str) -> Iterator[ValidityTerm]:
+def of_grants(content: bytes, place: tuple[str, int], subject_name: str) -> Iterator[ValidityTerm]:
     """Yield the periods in which a grant is in force, by model; models that agree share a term.
 
     A model that refuses the document, or has no matching grant in it, yields no term; a claim reports that.
 
     Args:
-        document: the permissions document.
+        content: the permissions document, unsigned.
+        place: its file, and the number of lines before it there.
         subject_name: the identity's, in the order of RFC 2253.
+
+    Raises:
+        KeymintError: the document cannot be read.
     """
+    file, offset = place
+    try:
+        grants = _grants(*_representative(content, subject_name))
+    except KeymintError:
+        read(content, file, offset)  # raises the error with its place
+        raise
+    for line, periods, models in grants:
+        yield ValidityTerm("grant", f"the grant of {subject_name!r}", Origin(file, line + offset), periods, models)
+
+
+def _representative(content: bytes, subject_name: str) -> tuple[bytes, str]:
+    """Return a document and a subject name whose grants are in force at the same times, for all alike documents.
+
+    Without comments and sections, ``<topic>`` with plain text is an element wherever it stands, and every model reads
+    it alike. It has no part in the times of a grant. Nor have the name and the subject of the only grant, if that is
+    the identity's by every comparison. Each is replaced by another plain text; the line of the grant stays.
+    """
+    grant = _GRANT.search(content)
+    if (
+        grant is None
+        or grant[1] != subject_name.encode()
+        or content.count(b"<grant") != 1
+        or b"<!" in content
+        or subject_name.count("/") + subject_name.count(",") >= subject_name_text.MAX_TOKENS
+    ):
+        return content, subject_name
+    head, tail = content[: grant.start()], content[grant.end() :]
+    return _TOPIC.sub(b"<topic>t</topic>", head + _ANY_GRANT + tail), _ANYONE
+
+
+@lru_cache(maxsize=16)
+def _grants(content: bytes, subject_name: str) -> tuple[tuple[int, tuple[Period, ...], tuple[str, ...]], ...]:
+    """Return the line of each grant that is in force for some models, its periods, and the models."""
+    document = read(content)
     together: dict[tuple[int, tuple[Period, ...]], list[str]] = {}
     for name, variation in VARIATIONS.items():
         semantics = variation.semantics
@@ -71,9 +115,7 @@ def of_grants(document: PermissionsDocument, subject_name: str) -> Iterator[Vali
         if grants:
             periods = joined(filter(None, map(semantics.period, grants)))
             together.setdefault((grants[0].line, periods), []).append(name)
-    for (line, periods), models in together.items():
-        where = Origin(document.file, line + document.offset)
-        yield ValidityTerm("grant", f"the grant of {subject_name!r}", where, periods, tuple(models))
+    return tuple((line, periods, tuple(models)) for (line, periods), models in together.items())
 
 
 def joined(periods: Iterable[Period]) -> tuple[Period, ...]:

@@ -12,6 +12,7 @@ from keymint_ros2_dds import decision, proving
 from keymint_ros2_dds.decision import VARIATIONS, DocumentEvaluator
 from keymint_ros2_dds.proving.validity_terms import joined, of_grants
 
+from keymint.api import ValidityTerm
 from keymint.errors import KeymintError
 from tests.plugins.keymint_ros2_dds.enclaves import anchors, installed
 from tests.plugins.keymint_ros2_dds.packages import package, rule
@@ -34,24 +35,28 @@ MOMENTS = st.sampled_from(
 OFFSETS = st.sampled_from([0, 1, -1, 3600 * 5, -3600 * 5, 3600 * 12])
 
 
-def grant(first: str, last: str, name: str = NAME) -> str:
+def grant(first: str, last: str, name: str = NAME, topic: str = "rt/a") -> str:
     return (
         f'<grant name="g"><subject_name>{name}</subject_name><validity><not_before>{first}</not_before>'
         f"<not_after>{last}</not_after></validity><allow_rule><domains><id>0</id></domains><publish><topics>"
-        "<topic>rt/a</topic></topics></publish></allow_rule><default>DENY</default></grant>"
+        f"<topic>{topic}</topic></topics></publish></allow_rule><default>DENY</default></grant>"
     )
 
 
-def document(*grants: str) -> decision.PermissionsDocument:
-    content = f"<dds>\n<permissions>{chr(10).join(grants)}\n</permissions></dds>"
-    return decision.read(content.encode(), "permissions.p7s", 7)
+def document(*grants: str) -> bytes:
+    return f"<dds>\n<permissions>{chr(10).join(grants)}\n</permissions></dds>".encode()
+
+
+def terms(content: bytes, name: str = NAME) -> list[ValidityTerm]:
+    return list(of_grants(content, ("permissions.p7s", 7), name))
 
 
 @settings(max_examples=400)
 @given(st.lists(st.tuples(DATES, DATES), min_size=1, max_size=3), st.lists(st.tuples(MOMENTS, OFFSETS), max_size=8))
 def test_a_document_is_in_force_exactly_when_the_decision_point_finds_a_grant(dates, moments):
-    read = document(*(grant(*each) for each in dates))
-    found = {model: term.periods for term in of_grants(read, NAME) for model in term.models}
+    content = document(*(grant(*each) for each in dates))
+    read = decision.read(content)
+    found = {model: term.periods for term in terms(content) for model in term.models}
     for model, variation in VARIATIONS.items():
         semantics = variation.semantics
         if semantics.refusal(read) or semantics.unmodelled(read):
@@ -72,15 +77,34 @@ def test_a_document_is_in_force_exactly_when_the_decision_point_finds_a_grant(da
 
 
 def test_models_that_agree_have_one_term_with_its_line():
-    read = document(grant("2026-01-01T00:00:00", "2400-01-01T00:00:00"))
-    found = {term.models: term for term in of_grants(read, NAME)}
+    found = {term.models: term for term in terms(document(grant("2026-01-01T00:00:00", "2400-01-01T00:00:00")))}
     assert found.keys() == {("omg", "fastdds-2.9"), ("cyclonedds-0.10",)}
     assert found["cyclonedds-0.10",].periods == (), "its time ends in 2262"
     assert {str(term.where) for term in found.values()} == {"permissions.p7s:9"}
 
 
 def test_a_grant_of_another_subject_has_no_term():
-    assert not list(of_grants(document(grant("2026-01-01T00:00:00", "2027-01-01T00:00:00", "CN=/x")), NAME))
+    assert not terms(document(grant("2026-01-01T00:00:00", "2027-01-01T00:00:00", "CN=/x")))
+
+
+@pytest.mark.parametrize(
+    "topic", ["rt/a", "rq/b/cRequest", "", "  ", "a\nb", "*", "&amp;", "&#97;", "<![CDATA[a]]>", "<b/>"]
+)
+@pytest.mark.parametrize(
+    "name", [NAME, "CN=/a/b", "CN=" + "/a" * 19, "CN=" + "/a" * 20, "CN=é", "OU=1,CN=/a", "CN=a b"]
+)
+@pytest.mark.parametrize("identity", [None, NAME, "CN=/a,OU=1"])
+def test_documents_that_are_taken_to_be_alike_have_the_terms_of_a_direct_reading(topic, name, identity):
+    content = document(grant("2026-01-01T00:00:00", "2027-01-01T00:00:00", name, topic))
+    identity = identity or name
+    terms(document(grant("2026-01-01T00:00:00", "2027-01-01T00:00:00")))  # what may be remembered
+    read_by_itself = b"<!---->" + content  # a comment before the root changes no reading, and no line
+    assert terms(content, identity) == terms(read_by_itself, identity)
+
+
+def test_terms_of_a_document_that_cannot_be_read_are_an_error_with_its_place():
+    with pytest.raises(KeymintError, match=r"permissions\.p7s:9"):
+        terms(document(grant("", "") + "&"))
 
 
 def test_an_enclave_has_a_term_for_its_grant_and_each_of_its_certificates():
