@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Iterable, Iterator
+from functools import lru_cache
 from itertools import pairwise
 
 from comarmor.patterns.tokens import PatternError
@@ -18,6 +19,7 @@ from keymint_ros2_dds.reading.signed_governance import (
     JOIN,
     UNAUTHENTICATED,
     DocumentDomainRule,
+    GovernanceDocument,
 )
 from keymint_ros2_dds.reading.signed_permissions import DocumentDomains
 from keymint_ros2_dds.settings import Governance
@@ -40,7 +42,6 @@ class EnclaveGovernance:
     Attributes:
         document: the document.
         sources: what the sources compile to; None if there are no sources.
-        key: digest of all that claims depend on.
         differs: the document differs from what the sources compile to, in any byte.
 
     Raises:
@@ -56,8 +57,13 @@ class EnclaveGovernance:
         self._accepted = governance is not None and governance.accepts_open
         self.document = signed_governance.read(content, *place)
         self.sources = signed_governance.read(built) if built else None
-        self.key = hashlib.sha256(repr((content, place, built, self._accepted)).encode()).digest()
         self.differs = content != built
+        self._contents = content, place, built, self._accepted
+
+    @property
+    def key(self) -> bytes:
+        """A digest of all that claims depend on."""
+        return hashlib.sha256(repr(self._contents).encode()).digest()
 
     def domains(self) -> Iterator[DocumentDomains]:
         """Yield the ranges of domains of both documents."""
@@ -81,32 +87,11 @@ class EnclaveGovernance:
         Args:
             domains: the domains of the policy.
         """
-        document = self.document
-        if document.quirks or self.differs or self.outlandish():
-            return False
-        try:
-            closed = all(
-                rule.join_controlled
-                and not rule.unauthenticated
-                and all(regions(rule, action, STANDARD, pairs=False).closed for action in ACTIONS)
-                for rule in document.domain_rules
-            )
-        except PatternError:
-            return False
-        exact = all(
-            item.last is not None and item.first is not None for rule in document.domain_rules for item in rule.domains
-        )
-        wanted = {domain for item in domains for domain in range(item.first, item.last + 1)}
-        return closed and exact and all(document.rule(domain) is not None for domain in wanted)
+        return not self.differs and _transparent(self._contents[0], domains)
 
     def outlandish(self) -> str:
         """Return why a match depends on the locale of a process, or an empty text."""
-        for rule in self.document.domain_rules:
-            for topic in rule.topic_rules:
-                if not topic.expression.isascii() or "[:" in topic.expression:
-                    what = f"the expression {topic.expression!r} has characters beyond ASCII, or a class"
-                    return f"{self.document.place(topic.line)}: {what}: what it matches depends on the locale"
-        return ""
+        return _outlandish(self.document)
 
     def opens(self) -> bool:
         """Tell whether any rule leaves a topic open."""
@@ -132,6 +117,37 @@ class EnclaveGovernance:
         if rule.unauthenticated and own.unauthenticated:
             place = self.document.place(rule.line_of(UNAUTHENTICATED))
             yield f"participants without identity{where or ' in domain 0'} ({place}: {UNAUTHENTICATED} is true)"
+
+
+# Enclaves usually have the same governance.
+@lru_cache(maxsize=64)
+def _transparent(content: bytes, domains: tuple[DomainRange, ...]) -> bool:
+    document = signed_governance.read(content)
+    if document.quirks or _outlandish(document):
+        return False
+    try:
+        closed = all(
+            rule.join_controlled
+            and not rule.unauthenticated
+            and all(regions(rule, action, STANDARD, pairs=False).closed for action in ACTIONS)
+            for rule in document.domain_rules
+        )
+    except PatternError:
+        return False
+    exact = all(
+        item.last is not None and item.first is not None for rule in document.domain_rules for item in rule.domains
+    )
+    wanted = {domain for item in domains for domain in range(item.first, item.last + 1)}
+    return closed and exact and all(document.rule(domain) is not None for domain in wanted)
+
+
+def _outlandish(document: GovernanceDocument) -> str:
+    for rule in document.domain_rules:
+        for topic in rule.topic_rules:
+            if not topic.expression.isascii() or "[:" in topic.expression:
+                what = f"the expression {topic.expression!r} has characters beyond ASCII, or a class"
+                return f"{document.place(topic.line)}: {what}: what it matches depends on the locale"
+    return ""
 
 
 def cuts(ranges: Iterable[DocumentDomains]) -> Iterator[DomainRange]:
