@@ -3,11 +3,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Hashable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from datetime import datetime
 from pathlib import Path
-from typing import Self
+from typing import Any, Self, TypeVar
 
 from comarmor.errors import Origin
 from comarmor.text import did_you_mean
@@ -19,6 +19,8 @@ from keymint.plugins import Plugins
 from keymint.state import State, digest, digest_files
 from keymint.tree import Tree
 from keymint.workspace import PACKAGE_MARKER, PROFILE_MARKER, Workspace, package_files, packages, profile_files
+
+_T = TypeVar("_T")
 
 
 @dataclass(frozen=True, slots=True)
@@ -100,7 +102,19 @@ class Session(Inputs):
     profile: WorkspaceProfile
     profile_digest: str
     _packages: dict[tuple[str, str], Package] = field(default_factory=dict, repr=False, compare=False)
-    _infrastructure: dict[Path, tuple[str, ...]] = field(default_factory=dict, init=False, repr=False, compare=False)
+    _made: dict[Hashable, Any] = field(default_factory=dict, init=False, repr=False, compare=False)
+
+    def once(self, key: Hashable, make: Callable[[], _T]) -> _T:
+        """Return a value that depends on this session only, made at the first call.
+
+        Args:
+            key: the same for the same value, and for no other one.
+            make: makes the value.
+        """
+        if key not in self._made:
+            self._made[key] = make()
+        made: _T = self._made[key]
+        return made
 
     @property
     def layouts(self) -> tuple[Layout, ...]:
@@ -124,7 +138,7 @@ class Session(Inputs):
     @property
     def enclaves(self) -> Path:
         """The folder that contains the enclaves; errors as :attr:`layouts`."""
-        return self.workspace.install / self.layouts[0].enclaves
+        return self.once("enclaves", lambda: self.workspace.install / self.layouts[0].enclaves)
 
     def package_files(self, name: str) -> dict[str, bytes]:
         """Return the XML files of a package; empty if there is no such package."""
@@ -139,7 +153,8 @@ class Session(Inputs):
         package = self._load(name)
         if package.role is Role.INFRASTRUCTURE:
             return package
-        needing = {each for each in package.build_types if isinstance(self.plugins.build_type(each), Infrastructure)}
+        of_package = package.build_types
+        needing = self.once(("needing", of_package), lambda: frozenset(filter(self._needs_infrastructure, of_package)))
         if not needing:
             return package
         infrastructure = (self._load(each) for each in self.infrastructure())
@@ -147,14 +162,16 @@ class Session(Inputs):
 
     def infrastructure(self) -> tuple[str, ...]:
         """Return the names of the existing packages of infrastructure, sorted; none if no build type needs any."""
-        src, marker = self.workspace.src, self.profile_marker()
-        if src not in self._infrastructure:
-            build_types = (self.plugins.build_type(each, marker) for each in self.profile.build_types)
-            needed = any(isinstance(each, Infrastructure) for each in build_types)
-            self._infrastructure[src] = tuple(
-                name for name in (packages(self.tree, src) if needed else ()) if self.role(name) is Role.INFRASTRUCTURE
-            )
-        return self._infrastructure[src]
+        return self.once("infrastructure", lambda: tuple(self._existing_infrastructure()))
+
+    def _existing_infrastructure(self) -> Iterator[str]:
+        marker = self.profile_marker()
+        if any(self._needs_infrastructure(each, marker) for each in self.profile.build_types):
+            names = packages(self.tree, self.workspace.src)
+            yield from (name for name in names if self.role(name) is Role.INFRASTRUCTURE)
+
+    def _needs_infrastructure(self, build_type: str, where: Origin | None = None) -> bool:
+        return isinstance(self.plugins.build_type(build_type, where), Infrastructure)
 
     def sources_digest(self, name: str) -> str:
         """Return the digest of all that a package is loaded from except the profile, its infrastructure included."""

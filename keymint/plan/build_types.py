@@ -21,6 +21,10 @@ def build_types_of(session: Session, package: Package) -> Mapping[str, BuildType
     Raises:
         KeymintError: one is not installed, fails to load, or does not support the layout of the workspace.
     """
+    return session.once(("build types", package.build_types), lambda: _build_types(session, package))
+
+
+def _build_types(session: Session, package: Package) -> Mapping[str, BuildType]:
     marker, layout = session.package_marker(package.name), session.profile.layout
     found = {name: session.plugins.build_type(name, marker) for name in package.build_types}
     for name, build_type in found.items():
@@ -104,7 +108,11 @@ def shared_builder(session: Session, name: str) -> SharedDocuments | None:
 
     The documents of such a build type name each other by absolute paths, so they depend on the install space.
     """
-    if not any(info.group == "keymint.build_types" and info.name == name for info in session.plugins.infos):
-        return None
-    build_type: object = session.plugins.build_type(name)
-    return build_type if isinstance(build_type, SharedDocuments) else None
+
+    def find() -> SharedDocuments | None:
+        if not any(info.group == "keymint.build_types" and info.name == name for info in session.plugins.infos):
+            return None
+        build_type: object = session.plugins.build_type(name)
+        return build_type if isinstance(build_type, SharedDocuments) else None
+
+    return session.once(("shared builder", name), find)
