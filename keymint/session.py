@@ -175,6 +175,9 @@ class Session(Inputs):
 
     def sources_digest(self, name: str) -> str:
         """Return the digest of all that a package is loaded from except the profile, its infrastructure included."""
+        return self.once(("sources", name), lambda: self._sources_digest(name))
+
+    def _sources_digest(self, name: str) -> str:
         infrastructure = self.infrastructure()
         placed = (str(self.workspace.install),) if infrastructure else ()
         return digest(*placed, *(digest_files(self.package_files(each)) for each in (name, *infrastructure)))

@@ -22,12 +22,11 @@ _SEAL, _END = b',"sha256":"', b'"}\n'
 
 def digest(*parts: bytes | str) -> str:
     """Return the SHA-256, in hex, of several parts, each prefixed with its length to keep them distinct."""
-    sha = hashlib.sha256()
+    framed: list[bytes] = []
     for part in parts:
         data = part.encode("utf-8", "surrogatepass") if isinstance(part, str) else part  # any name on disk
-        sha.update(len(data).to_bytes(8, "big"))
-        sha.update(data)
-    return sha.hexdigest()
+        framed += len(data).to_bytes(8, "big"), data
+    return hashlib.sha256(b"".join(framed)).hexdigest()
 
 
 def digest_files(files: Mapping[str, bytes]) -> str:

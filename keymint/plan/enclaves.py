@@ -89,14 +89,17 @@ def enclave_files(session: Session, name: str) -> tuple[dict[str, bytes], tuple[
     """Return the files of a package's enclave by name, and a finding for each that cannot be read."""
     files: dict[str, bytes] = {}
     unreadable: list[Diagnostic] = []
+    folder = session.enclaves / name
     try:
-        entries = session.tree.names(session.enclaves / name)
+        entries = session.tree.names(folder)
     except KeymintError as error:
         return {}, tuple(replace(each, subject=f"/{name}") for each in error.diagnostics)
     for file, is_folder in entries:
-        path = session.enclaves / name / file
+        if is_folder:
+            continue
+        path = folder / file
         try:
-            content = None if is_folder else session.tree.read(path)
+            content = session.tree.read(path)
         except KeymintError as error:
             where = Origin(session.workspace.shown(path))
             unreadable += (

@@ -96,8 +96,8 @@ class Keyring:
         self._session = session
         self._authorities = authorities
 
-    def require_own(self, name: str, path: Path, key: keys.PublicKey) -> None:
-        """Require that a stored key is its subject's, and nobody else's.
+    def require_own(self, name: str, path: Path, key: keys.PublicKey) -> str:
+        """Require that a stored key is its subject's, and nobody else's; returns its fingerprint.
 
         Args:
             name: the package.
@@ -108,29 +108,33 @@ class Keyring:
             KeymintError: it is an authority's key, was replaced, or belongs to another subject.
         """
         state = self._session.state
-        fingerprint, shown = keys.fingerprint(key), Origin(self._session.workspace.shown(path))
+        fingerprint = keys.fingerprint(key)
         if fingerprint in self._authorities:
             authority = self._authorities[fingerprint]
             raise KeymintError(
                 f"is the private key of the authority {authority!r}, which must never reach a robot",
-                where=shown,
+                where=self._place(path),
                 help=_remedy(name),
                 code="key-of-authority",
             )
         if key_record.was_under_way(state, fingerprint):
-            return
+            return fingerprint
         known = known_fingerprint(self._session, name)
         if known and known != fingerprint:
             raise KeymintError(
                 f"is not the private key that /{name} had: it was replaced",
-                where=shown,
+                where=self._place(path),
                 help=_remedy(name),
                 code="key-replaced",
             )
         if key_record.recorded(state, key_record.IDENTITIES, name) != fingerprint:  # so it may not be its own
             for other in self._owners.get(fingerprint, ()):
                 if other != name:
-                    raise _shared(name, other, shown)
+                    raise _shared(name, other, self._place(path))
+        return fingerprint
+
+    def _place(self, path: Path) -> Origin:
+        return Origin(self._session.workspace.shown(path))
 
     @functools.cached_property
     def _owners(self) -> Mapping[str, Sequence[str]]:

@@ -105,7 +105,7 @@ def _plan_enclave(
     documents = build.built_documents(session, name)
     key_path = workspace.identity_key(name)
     key_pem = session.tree.read(key_path)
-    if not build.is_built(session, name) or key_pem is None:
+    if key_pem is None or not (documents or build.is_built(session, name)):
         raise KeymintError(
             f"the package {name} is not built",
             help=f"run 'keymint build {name}'",
@@ -121,18 +121,18 @@ def _plan_enclave(
             help="remove the link",
             code="symlink-refused",
         )
-    chains = {authority: minted.chain for authority, minted in authorities.items()}
     stamp = session.state.stamp(STAGE, name)
-    if is_current(session, name, chains):
+    inputs = _inputs_digest(session, name, {authority: minted.chain for authority, minted in authorities.items()})
+    if stamp is not None and _has_outputs(session, name, stamp, inputs):
         own = lifetimes.recalled(session, name, stamp)
         return PackagePlan(name, Step(STAGE, name, Action.UNCHANGED), lifetimes=own)
     package = session.package(name)
     own = lifetimes.lifetimes(package)
     existing, unreadable = enclave_files(session, name)
     public = identity_keys.load(session, package, key_path, key_pem).public_key()
-    keyring.require_own(name, key_path, public)
+    fingerprint = keyring.require_own(name, key_path, public)
     artifacts, warnings = sign(session, package, documents, authorities, (key_pem, public), existing)
-    paths = {workspace.shown(folder / file) for file in artifacts}
+    paths = {workspace.shown(folder / file) for file in artifacts} if unreadable else set()
     if blocking := [each for each in unreadable if _is_blocking(each, paths)]:
         kept = Step(STAGE, name, Action.KEPT, detail="not updated")
         return PackagePlan(name, kept, diagnostics=tuple(blocking), lifetimes=own)
@@ -154,7 +154,7 @@ def _plan_enclave(
     is_recorded = session.state.stamp(build.STAGE, name) is not None
     edits = _edits(session, name, documents) if is_recorded else ()
     made = Stamp(
-        _inputs_digest(session, name, chains),
+        inputs,
         {file: digest(item.content) for file, item in files.items()},
         tuple(file for file, item in files.items() if item.secret),
         lifetimes=lifetimes.dump(own, workspace),
@@ -164,7 +164,7 @@ def _plan_enclave(
         Step(STAGE, name, action, changes),
         made,
         (*warnings, *(replace(each, severity=Severity.WARNING) for each in foreign), *edits),
-        fingerprint=keys.fingerprint(public),
+        fingerprint=fingerprint,
         lifetimes=own,
         build_types=tuple(build_types_of(session, package)),
         artifacts=artifacts,
@@ -221,16 +221,17 @@ def is_current(session: Session, name: str, chains: Mapping[str, bytes]) -> bool
         chains: certificates of the authorities by name.
     """
     stamp = session.state.stamp(STAGE, name)
+    return stamp is not None and _has_outputs(session, name, stamp, _inputs_digest(session, name, chains))
+
+
+def _has_outputs(session: Session, name: str, stamp: Stamp, inputs: str) -> bool:
+    """Tell whether an enclave was made from these inputs, and is as it was made."""
     folder = session.enclaves / name
-    return (
-        stamp is not None
-        and stamp.inputs == _inputs_digest(session, name, chains)
-        and all(
-            (content := session.tree.try_read(folder / file)) is not None
-            and digest(content) == value
-            and _has_mode(session, folder / file, secret=file in stamp.secret)
-            for file, value in stamp.outputs.items()
-        )
+    return stamp.inputs == inputs and all(
+        (content := session.tree.try_read(folder / file)) is not None
+        and digest(content) == value
+        and _has_mode(session, folder / file, secret=file in stamp.secret)
+        for file, value in stamp.outputs.items()
     )
 
 

@@ -12,6 +12,7 @@ import os.path
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from datetime import datetime
+from functools import lru_cache
 
 from comarmor.errors import Diagnostic, Origin, Severity
 from keymint.api import Authority, Package, Validity
@@ -113,7 +114,9 @@ def _of(each: Lifetime, authorities: Mapping[str, Authority], now: datetime, wha
         )
 
 
-def dump(lifetimes: Iterable[Lifetime], workspace: Workspace) -> str:
+# The lifetimes of most packages are those of the profile.
+@lru_cache(maxsize=64)
+def dump(lifetimes: tuple[Lifetime, ...], workspace: Workspace) -> str:
     """Return lifetimes as text, for the record: places are relative to the workspace."""
     rows = []
     for each in lifetimes:

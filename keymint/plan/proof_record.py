@@ -6,6 +6,7 @@ from __future__ import annotations
 import json
 from collections.abc import Iterable, Mapping, Sequence
 from datetime import datetime
+from functools import lru_cache
 
 from comarmor.errors import Origin
 from keymint.api import Claim, DomainRange, Proof, ValidityTerm
@@ -28,18 +29,32 @@ def dump(
         folder: the folder of the documents, as messages show it; recorded places are relative to it.
     """
     rows = [
-        (term.code, term.what, term.where.file.removeprefix(f"{folder}/"), term.where.line, term.periods, term.models)
+        (
+            term.code,
+            term.what,
+            term.where.file.removeprefix(f"{folder}/"),
+            term.where.line,
+            [(_date(first), _date(last)) for first, last in term.periods],
+            term.models,
+        )
         for term in terms
     ]
-    of_claims = [
-        (claim.model, claim.action, [(each.first, each.last) for each in claim.domains], claim.universe, claim.excepted)
-        for claim in claims
-    ]
-    return {
-        _CLAIMS: json.dumps(of_claims, separators=(",", ":")),
-        _RULES: _rules_digest(rules),
-        _TERMS: json.dumps(rows, separators=(",", ":"), default=datetime.isoformat),
-    }
+    return {_CLAIMS: _dump_claims(tuple(claims)), _RULES: _rules_digest(rules), _TERMS: _json(rows)}
+
+
+_json = json.JSONEncoder(separators=(",", ":")).encode
+_date = lru_cache(maxsize=64)(datetime.isoformat)
+
+
+# The claims about most enclaves are the same.
+@lru_cache(maxsize=64)
+def _dump_claims(claims: tuple[Claim, ...]) -> str:
+    return _json(
+        [
+            (each.model, each.action, [(of.first, of.last) for of in each.domains], each.universe, each.excepted)
+            for each in claims
+        ]
+    )
 
 
 def load(stamp: Stamp, folder: str) -> tuple[tuple[Claim, ...], tuple[ValidityTerm, ...]] | None:

@@ -176,6 +176,7 @@ class ProofStage:
         self._chains = trusted_chains(session)
         self._contradictions = authority_evidence.contradictions(session)
         self._policy_digest = digest(*(f"{path} {value.hex()}" for path, value in sorted(policy.seen.items())))
+        self._chains_digest = digest_files(self._chains)
         self._shared = SharedReader(session, unsigned=unsigned)
 
     def results(self, proven: Sequence[PackageProof]) -> ProofResults:
@@ -189,10 +190,9 @@ class ProofStage:
         assumptions: dict[str, Sequence[str]] = {}
         standards: set[str] = set()
         for name in dict.fromkeys(name for each in proven for name in each.build_types):
-            build_type: object = self._session.plugins.build_type(name)
-            if isinstance(build_type, Prover):
-                assumptions |= build_type.assumptions()
-                standards.update([*build_type.assumptions()][:1])
+            if prover := self._prover(name):
+                assumptions |= prover.assumptions()
+                standards.update([*prover.assumptions()][:1])
         proofs, shared = tuple(each.proof for each in proven), tuple(each.proof for each in across)
         return ProofResults(proofs, shared, state, assumptions, frozenset(standards), self._session.now)
 
@@ -220,7 +220,7 @@ class ProofStage:
         build_types = tuple(build_types_of(session, package)) if files else ()
         inputs = self._inputs_digest(name, files, build_types)
         rules = self._rules(package.subject)
-        proof = self._proof(package, rules, files)
+        proof = self._proof(package, rules, files, folder)
         return self._kept(name, proof, (rules,), Stamp(inputs, {}, build_types=build_types), folder)
 
     def _across(self, names: Collection[str]) -> Iterator[PackageProof]:
@@ -233,7 +233,7 @@ class ProofStage:
     def _prove_across(self, name: str, names: Sequence[str], prover: SharedProver) -> PackageProof:
         session, key, folder = self._session, record_key(name), self._shared.folder
         enclaves = self._shared.enclaves(name)
-        inputs = self._shared.inputs_digest(names, enclaves, name, digest_files(self._chains))
+        inputs = self._shared.inputs_digest(names, enclaves, name, self._chains_digest)
         stamp, subjects = session.state.stamp(STAGE, key), [f"/{each}" for each in names]
         cached = proof_record.load(stamp, folder) if stamp and stamp.inputs == inputs else None
         if stamp and cached and self._same_rules(stamp, subjects):
@@ -299,15 +299,17 @@ class ProofStage:
         folder = workspace.build if self._unsigned else self._session.enclaves
         return workspace.shown(folder / name)
 
-    def _proof(self, package: Package, rules: SubjectRules, files: Mapping[str, bytes]) -> EnclaveProof:
-        subject, folder = package.subject, self._shown(package.name)
+    def _proof(self, package: Package, rules: SubjectRules, files: Mapping[str, bytes], folder: str) -> EnclaveProof:
+        subject = package.subject
         if not files:
             return EnclaveProof(subject, (), diagnostics=(not_installed(package.name, folder),))
         claims: list[Claim] = []
         validity: list[ValidityTerm] = []
         diagnostics: list[Diagnostic] = []
-        for name, prover in build_types_of(self._session, package).items():
-            if not isinstance(prover, Prover):
+        build_types = build_types_of(self._session, package)
+        for name in build_types:
+            prover = self._prover(name)
+            if prover is None:
                 message, marker = f"the build type {name} proves nothing", self._session.package_marker(package.name)
                 diagnostics.append(Diagnostic(NO_PROVER, Severity.ERROR, message, marker))
                 continue
@@ -317,7 +319,7 @@ class ProofStage:
                     rules,
                     files,
                     folder,
-                    anchors_of(self._session, package, prover, self._chains),
+                    anchors_of(self._session, package, build_types[name], self._chains),
                     self._effort.states,
                     self._effort.deadline(),
                     self._standard_only,
@@ -348,11 +350,16 @@ class ProofStage:
             raise KeymintError.of(found)
         return ()
 
+    def _prover(self, name: str) -> Prover | None:
+        """Return a build type if it proves claims about enclaves."""
+        build_type: object = self._session.plugins.build_type(name)
+        return self._session.once(("prover", name), lambda: build_type if isinstance(build_type, Prover) else None)
+
     def _inputs_digest(self, name: str, files: Mapping[str, bytes], build_types: Iterable[str]) -> str:
         """Return the digest of everything that a proof depends on, except the policy."""
         shared = (self._shared.digest(each) for each in build_types)
         return digest(
-            inputs_digest(self._session, name), digest_files(files), *shared, digest_files(self._chains), __version__
+            inputs_digest(self._session, name), digest_files(files), *shared, self._chains_digest, __version__
         )
 
     def _rules(self, subject: str) -> SubjectRules:

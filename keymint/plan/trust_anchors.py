@@ -52,9 +52,14 @@ def shared_anchors(
 
 
 def _anchor(session: Session, names: Sequence[str], chains: Mapping[str, bytes]) -> TrustAnchor:
+    contents = tuple(chains.get(name, b"") for name in names)
+    return session.once(("anchor", *names, *contents), lambda: _make_anchor(session, names, contents))
+
+
+def _make_anchor(session: Session, names: Sequence[str], contents: Sequence[bytes]) -> TrustAnchor:
     workspace = session.workspace
     files = ", ".join(workspace.shown(workspace.authority_certificate(name)) for name in names)
-    return TrustAnchor(", ".join(names), files, b"".join(dict.fromkeys(chains.get(name, b"") for name in names)))
+    return TrustAnchor(", ".join(names), files, b"".join(dict.fromkeys(contents)))
 
 
 def differences(session: Session, names: Sequence[str]) -> tuple[Diagnostic, ...]:

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from functools import lru_cache
 
 from comarmor.errors import Origin
 from keymint.api import Claim, ProofTask, TrustAnchors, ValidityTerm
@@ -95,4 +96,9 @@ def _read_governance(task: ProofTask) -> EnclaveGovernance:
 
 
 def _subject_name(files: Mapping[str, bytes], folder: str) -> str:
-    return subject_name(enclave_file(files, folder, CERTIFICATE), Origin(f"{folder}/{CERTIFICATE}"))
+    return _name_in(enclave_file(files, folder, CERTIFICATE), f"{folder}/{CERTIFICATE}")
+
+
+@lru_cache(maxsize=16)
+def _name_in(certificate: bytes, file: str) -> str:
+    return subject_name(certificate, Origin(file))
