@@ -30,14 +30,14 @@ _MAX_PATH = 16
 
 
 def verify_chain(
-    certificate_pem: bytes, ca_pem_bundle: bytes, at: datetime, where: Origin | None = None
+    certificate_pem: bytes, ca_pem_bundle: bytes, at: datetime | None, where: Origin | None = None
 ) -> list[Diagnostic]:
     """Verify a certificate against the trusted authorities, and return the findings.
 
     Args:
         certificate_pem: the certificate.
         ca_pem_bundle: authorities in any order: the issuer, and the others up to its self-signed root.
-        at: the time at which every certificate of the path must be valid (aware).
+        at: the time at which every certificate of the path must be valid (aware); None: time does not matter.
         where: the certificate's file, for messages.
 
     Returns:
@@ -53,7 +53,8 @@ def verify_chain(
     path, problem = _path(certificate, bundle)
     problems = [problem] if problem else []
     for depth, link in enumerate(path):
-        problems += [*_time(link, at), *_critical(link), *(_authority(link, path[1:depth]) if depth else ())]
+        problems += [] if at is None else _time(link, at)
+        problems += [*_critical(link), *(_authority(link, path[1:depth]) if depth else ())]
     return [Diagnostic(code, Severity.ERROR, message, where, help_) for code, message, help_ in problems]
 
 

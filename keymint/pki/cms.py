@@ -173,7 +173,7 @@ def _inside(data: bytes, tag: int, what: str) -> bytes:
 
 def _parts(content: bytes, count: int, what: str = "certificate") -> list[bytes]:
     """Return the elements of a content, each with its header; there must be ``count`` of them."""
-    parsed = [der.tlv(tag, part) for tag, part in der.elements(content)]
+    parsed = der.encoded(content)
     if len(parsed) != count:
         raise ValueError(f"expected {what}")
     return parsed

@@ -8,6 +8,7 @@ strict: it refuses every encoding but the canonical one, so that an altered byte
 from __future__ import annotations
 
 import base64
+from collections.abc import Iterator
 
 INTEGER = 0x02
 OCTET_STRING = 0x04
@@ -66,13 +67,12 @@ def elements(data: bytes) -> list[tuple[int, bytes]]:
     Raises:
         ValueError: not DER: a truncated element, a length in more bytes than needed, a tag above 30.
     """
-    parsed = []
-    position = 0
-    while position < len(data):
-        tag, start, end = _header(data, position)
-        parsed.append((tag, data[start:end]))
-        position = end
-    return parsed
+    return [(tag, data[start:end]) for tag, _, start, end in _spans(data)]
+
+
+def encoded(data: bytes) -> list[bytes]:
+    """Return each element of the data with its header; errors as :func:`elements`."""
+    return [data[position:end] for _, position, _, end in _spans(data)]
 
 
 def single(data: bytes, tag: int) -> bytes:
@@ -81,10 +81,20 @@ def single(data: bytes, tag: int) -> bytes:
     Raises:
         ValueError: not DER, another tag, or more than one element.
     """
-    parsed = elements(data)
-    if len(parsed) != 1 or parsed[0][0] != tag:
+    found, start, end = _header(data, 0) if data else (None, 0, 0)
+    if found != tag or end != len(data):
+        elements(data)  # raises an error for data that is not DER
         raise ValueError("not one element of the expected tag")
-    return parsed[0][1]
+    return data[start:end]
+
+
+def _spans(data: bytes) -> Iterator[tuple[int, int, int, int]]:
+    """Yield the tag of each element, and where it, its content and what follows begin."""
+    position = 0
+    while position < len(data):
+        tag, start, end = _header(data, position)
+        yield tag, position, start, end
+        position = end
 
 
 def _header(data: bytes, position: int) -> tuple[int, int, int]:

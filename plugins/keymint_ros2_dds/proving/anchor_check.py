@@ -8,7 +8,6 @@ other, so only a comparison with the workspace detects it.
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from datetime import UTC, datetime
 
 from comarmor.errors import Diagnostic, Origin, Severity
 from keymint.api import TrustAnchor, TrustAnchors
@@ -32,9 +31,6 @@ IN_PLACE_OF = {f"{name.removesuffix('.pem')}.p11": name for name in (IDENTITY_CA
 
 Source: ``get_security_files`` in ``security.cpp`` of rmw_dds_common, from Jazzy on, as rmw_fastrtps calls it.
 """
-_ANY_TIME = datetime(2000, 1, 1, tzinfo=UTC)
-_TIMES = frozenset(("certificate-expired", "certificate-not-yet-valid"))
-"""Codes of the findings about time, which do not concern trust."""
 
 
 def differences(
@@ -128,8 +124,7 @@ class _AnchorCheck(CredentialCheck):
         except KeymintError as error:
             yield from error.diagnostics
             return
-        findings = certification_path.verify_chain(pem, self._issuer.chain, _ANY_TIME, where)
-        yield from (finding for finding in findings if finding.code not in _TIMES)
+        yield from certification_path.verify_chain(pem, self._issuer.chain, None, where)
         yield from self._subject_name(certificate, expected)
         # An encrypted key cannot be read without its password, so it is not compared with the certificate.
         yield from (finding for finding in self._key(certificate) if finding.code != "key-password")

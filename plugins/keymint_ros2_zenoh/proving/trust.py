@@ -9,7 +9,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from dataclasses import replace
-from datetime import UTC, datetime
 from functools import lru_cache
 
 from comarmor.errors import Diagnostic, Origin, Severity
@@ -20,9 +19,6 @@ from keymint_ros2_zenoh import signature
 from keymint_ros2_zenoh.authority_roles import ACCESS, IDENTITY
 from keymint_ros2_zenoh.enclave_layout import CERTIFICATE, IDENTITY_CA, KEY, ROUTER, SIGNATURE
 
-_ANY_TIME = datetime(2000, 1, 1, tzinfo=UTC)
-_TIMES = frozenset(("certificate-expired", "certificate-not-yet-valid"))
-"""Codes of the findings about time, which do not concern trust."""
 _INSTALL = "'keymint install' restores it"
 
 
@@ -127,8 +123,8 @@ def _identity(files: Mapping[str, bytes], folder: str, anchors: TrustAnchors) ->
     except KeymintError as error:
         yield from error.diagnostics
         return
-    chain = certification_path.verify_chain(files[CERTIFICATE], issuer.chain, _ANY_TIME, where)
-    yield from (replace(each, where=each.where or where) for each in chain if each.code not in _TIMES)
+    chain = certification_path.verify_chain(files[CERTIFICATE], issuer.chain, None, where)
+    yield from (replace(each, where=each.where or where) for each in chain)
     if certificate.subject != expected:
         shown = distinguished_names.to_text
         message = f"is for {shown(certificate.subject)!r}, not {shown(expected)!r}"
