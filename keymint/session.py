@@ -140,6 +140,10 @@ class Session(Inputs):
         """The folder that contains the enclaves; errors as :attr:`layouts`."""
         return self.once("enclaves", lambda: self.workspace.install / self.layouts[0].enclaves)
 
+    def packages(self) -> tuple[str, ...]:
+        """Return the names of the source packages, sorted; errors as :func:`keymint.workspace.packages`."""
+        return self.once("packages", lambda: packages(self.tree, self.workspace.src))
+
     def package_files(self, name: str) -> dict[str, bytes]:
         """Return the XML files of a package; empty if there is no such package."""
         return package_files(self.tree, self.workspace.src / name)
@@ -167,8 +171,7 @@ class Session(Inputs):
     def _existing_infrastructure(self) -> Iterator[str]:
         marker = self.profile_marker()
         if any(self._needs_infrastructure(each, marker) for each in self.profile.build_types):
-            names = packages(self.tree, self.workspace.src)
-            yield from (name for name in names if self.role(name) is Role.INFRASTRUCTURE)
+            yield from (name for name in self.packages() if self.role(name) is Role.INFRASTRUCTURE)
 
     def _needs_infrastructure(self, build_type: str, where: Origin | None = None) -> bool:
         return isinstance(self.plugins.build_type(build_type, where), Infrastructure)

@@ -13,7 +13,7 @@ from comarmor.errors import Diagnostic, Origin, Severity
 from keymint.errors import KeymintError
 from keymint.pki import certificates
 from keymint.session import Inputs, Session
-from keymint.workspace import hidden_by, packages
+from keymint.workspace import hidden_by
 
 CERTIFICATE, KEY = "cert.pem", "key.pem"
 INSTALLED = "install"
@@ -22,6 +22,10 @@ INSTALLED = "install"
 
 def installed(session: Session) -> tuple[str, ...]:
     """Return the names of the installed enclaves, sorted."""
+    return session.once("installed", lambda: _installed(session))
+
+
+def _installed(session: Session) -> tuple[str, ...]:
     names: list[str] = []
 
     def search(folder: Path, name: str) -> None:
@@ -62,8 +66,7 @@ def unaccounted(session: Session) -> Iterator[Diagnostic]:
 
 def _unknown(session: Session) -> Iterator[tuple[str, Path | None]]:
     """Yield the installed enclaves without a visible source package, each with the marker that hides the package."""
-    src = session.workspace.src
-    known = set(packages(session.tree, src))
+    src, known = session.workspace.src, set(session.packages())
     for name in installed(session):
         if name not in known:
             yield name, hidden_by(session.tree, src, name)

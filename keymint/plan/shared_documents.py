@@ -19,7 +19,6 @@ from keymint.errors import KeymintError
 from keymint.plan.build_types import BUILD, build_types_of, inputs_digest, shared_builder
 from keymint.session import Session
 from keymint.state import Stamp, digest
-from keymint.workspace import packages
 
 FOLDER = "shared.d"
 """Folder of the build space; a dot is illegal in names of packages."""
@@ -60,7 +59,7 @@ def users(session: Session) -> Users:
     Raises:
         KeymintError: which build types a package has is unknown, because its sources have defects.
     """
-    names = packages(session.tree, session.workspace.src)
+    names = session.packages()
     recorded: dict[str, tuple[str, ...]] = {}
     for name in names:
         stamp = session.state.stamp(STAGE, name)
