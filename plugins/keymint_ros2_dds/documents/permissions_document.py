@@ -1,9 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Writes the permissions document: a grant for one subject (DDS Security 1.1, 9.4.1.3)."""
+"""Writes the permissions document: a grant for one subject (DDS Security 1.1, 9.4.1.3).
+
+It is written as text, in three parts: what precedes the rules, what is around their lists of topics, and these lists.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Mapping, Sequence
 from functools import lru_cache
 
 from lxml import etree
@@ -26,13 +29,27 @@ _TEXT = str.maketrans(_ESCAPED)
 _ATTRIBUTE = str.maketrans({**_ESCAPED, '"': "&quot;", "\n": "&#10;", "\t": "&#9;"})
 
 
+Around = Mapping[str, Sequence[str]]
+"""The text around the lists of topics of some rules, to the end of the document, for each indentation."""
+
+
 def render(permissions: Grant, rules: Iterable[GrantRule[str]]) -> bytes:
     """Return the permissions document, indented unless it is large; a pure function of its arguments.
 
-    It is written as text, which is faster than to build a tree first.
-
     Raises:
         KeymintError: the subject's name, a date or a domain cannot be expressed portably across DDS vendors.
+    """
+    rules = tuple(rules)
+    begin, around = head(permissions), around_topics(rules, permissions.domains)
+    lists = [expressions for rule in rules for expressions in rule.topics.values()]
+    return dds_xml.indented_if_small(lambda indent: text(begin[indent], lists, around[indent], indent))
+
+
+def head(permissions: Grant) -> Mapping[str, str]:
+    """Return the text before the rules of a document, for each indentation.
+
+    Raises:
+        KeymintError: see :func:`render`.
     """
     subject = permissions.rules.subject
     period = validity_of(permissions)
@@ -43,46 +60,68 @@ def render(permissions: Grant, rules: Iterable[GrantRule[str]]) -> bytes:
         problems.append(Diagnostic("portability-date", Severity.ERROR, message, permissions.origin, help_, subject))
     if problems:
         raise KeymintError.of(problems)
-    name = subject_name_text.of(permissions)
-    rules = tuple(rules)
-    return dds_xml.indented_if_small(
-        lambda indent: "".join(
-            (
-                f"{dds_xml.start(PERMISSIONS)}\n",
-                f"{indent}<permissions>\n",
-                f'{indent * 2}<grant name="{permissions.name.translate(_ATTRIBUTE)}">\n',
-                f"{indent * 3}<subject_name>{name.translate(_TEXT)}</subject_name>\n",
-                f"{indent * 3}<validity>\n",
-                f"{indent * 4}<not_before>{dds_xml.date(period.not_before)}</not_before>\n",
-                f"{indent * 4}<not_after>{dds_xml.date(period.not_after)}</not_after>\n",
-                f"{indent * 3}</validity>\n",
-                *(part for rule in rules for part in _rule(rule, permissions.domains, indent)),
-                f"{indent * 3}<default>DENY</default>\n",
-                f"{indent * 2}</grant>\n",
-                f"{indent}</permissions>\n",
-                "</dds>",
-            )
+    name = subject_name_text.of(permissions).translate(_TEXT)
+    label = permissions.name.translate(_ATTRIBUTE)
+    begin, end = dds_xml.date(period.not_before), dds_xml.date(period.not_after)
+    return {
+        indent: (
+            f"{dds_xml.start(PERMISSIONS)}\n"
+            f"{indent}<permissions>\n"
+            f'{indent * 2}<grant name="{label}">\n'
+            f"{indent * 3}<subject_name>{name}</subject_name>\n"
+            f"{indent * 3}<validity>\n"
+            f"{indent * 4}<not_before>{begin}</not_before>\n"
+            f"{indent * 4}<not_after>{end}</not_after>\n"
+            f"{indent * 3}</validity>\n"
         )
-    )
+        for indent in dds_xml.INDENTATIONS
+    }
 
 
-def _rule(rule: GrantRule[str], domains: tuple[DomainRange, ...], indent: str) -> Iterator[str]:
-    """Yield the lines of a rule."""
-    tag = "allow_rule" if rule.effect is Effect.ALLOW else "deny_rule"
-    yield f"{indent * 3}<{tag}>\n"
-    yield _domains(domains, indent)
-    for action, expressions in rule.topics.items():
-        yield f"{indent * 4}<{action}>\n"
-        yield _listed("topic", expressions, indent)
-        if rule.partitions != DEFAULT:
-            yield _listed("partition", rule.partitions, indent)
-        yield f"{indent * 4}</{action}>\n"
-    yield f"{indent * 3}</{tag}>\n"
+def text(begin: str, lists: Iterable[Sequence[str]], around: Iterable[str], indent: str) -> str:
+    """Return a document as text.
+
+    Args:
+        begin: from :func:`head`.
+        lists: the lists of topics of its rules.
+        around: from :func:`around_topics`: the text before each list, and after the last one.
+        indent: what each level is indented by.
+    """
+    parts = [begin]
+    following = iter(around)
+    for topics in lists:
+        parts += next(following), _elements("topic", topics, indent)
+    return "".join((*parts, *following))
 
 
-def _listed(tag: str, texts: Iterable[str], indent: str) -> str:
-    items = "".join(f"{indent * 6}<{tag}>{text.translate(_TEXT)}</{tag}>\n" for text in texts)
-    return f"{indent * 5}<{tag}s>\n{items}{indent * 5}</{tag}s>\n"
+def around_topics(rules: Sequence[GrantRule[str]], domains: tuple[DomainRange, ...]) -> Around:
+    """Return the text around the lists of topics of some rules."""
+    return {indent: _around_topics(rules, domains, indent) for indent in dds_xml.INDENTATIONS}
+
+
+def _around_topics(rules: Sequence[GrantRule[str]], domains: tuple[DomainRange, ...], indent: str) -> list[str]:
+    texts = [""]
+    for rule in rules:
+        tag = "allow_rule" if rule.effect is Effect.ALLOW else "deny_rule"
+        texts[-1] += f"{indent * 3}<{tag}>\n{_domains(domains, indent)}"
+        for action in rule.topics:
+            texts[-1] += f"{indent * 4}<{action}>\n{indent * 5}<topics>\n"
+            texts.append(f"{indent * 5}</topics>\n")
+            if rule.partitions != DEFAULT:
+                partitions = _elements("partition", rule.partitions, indent)
+                texts[-1] += f"{indent * 5}<partitions>\n{partitions}{indent * 5}</partitions>\n"
+            texts[-1] += f"{indent * 4}</{action}>\n"
+        texts[-1] += f"{indent * 3}</{tag}>\n"
+    texts[-1] += f"{indent * 3}<default>DENY</default>\n{indent * 2}</grant>\n{indent}</permissions>\n</dds>"
+    return texts
+
+
+def _elements(tag: str, texts: Sequence[str], indent: str) -> str:
+    joined = "".join(texts)
+    if any(char in joined for char in _ESCAPED):
+        texts = [text.translate(_TEXT) for text in texts]
+    begin, end = f"{indent * 6}<{tag}>", f"</{tag}>\n"
+    return f"{begin}{(end + begin).join(texts)}{end}"
 
 
 @lru_cache(maxsize=64)

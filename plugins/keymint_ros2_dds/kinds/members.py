@@ -14,7 +14,7 @@ from keymint.api import BuildOptions, Claim, DomainRange, Grant, Package, Proof,
 from keymint.errors import KeymintError
 from keymint.keymake.kinds import Arguments, Kind, kind_of
 from keymint_ros2_dds import subject_name_text
-from keymint_ros2_dds.compiling.compile import vendor_notes
+from keymint_ros2_dds.compiling.compile import Compiled, vendor_notes
 from keymint_ros2_dds.compiling.gathering import gathered
 from keymint_ros2_dds.decision import VARIATIONS
 from keymint_ros2_dds.documents import dds_xml, permissions_document
@@ -22,6 +22,7 @@ from keymint_ros2_dds.emission import Emitted, emit, proof_spec
 from keymint_ros2_dds.enclave_layout import PERMISSIONS
 from keymint_ros2_dds.kinds.structure import PLAIN_TEXT, Signature, Structure
 from keymint_ros2_dds.kinds.template import Template
+from keymint_ros2_dds.lowering.grant_rules import GrantRule
 from keymint_ros2_dds.proving import proof_cache
 from keymint_ros2_dds.reading.signed_permissions import DocumentGrant
 from keymint_ros2_dds.settings import validity_of
@@ -29,23 +30,33 @@ from keymint_ros2_dds.vendor_limits import TIGHT, signed_size
 
 MOST = 1_000
 """Kinds that are remembered."""
+MOST_EXEMPLARS = 100
+"""Members of a kind that are remembered."""
 FEW_STEPS = 5_000
 """Steps of the engine for a member that is renamed: a tenth of any limit, so that none decides about a document."""
 
+Domains = tuple[DomainRange, ...]
+
+_SEMANTICS = tuple(variation.semantics for variation in VARIATIONS.values())
+
 
 @dataclass(frozen=True, slots=True)
-class _Exemplar:
-    """A member that the engine did.
+class _Made:
+    """What the engine made for a member.
 
     Attributes:
-        minimal: template of the rules in its document.
-        plain: template of the rules in plain form.
+        arguments: the names in its rules.
+        rules: the rules in its document.
+        plain: these in plain form.
         claims: what is proven about its document, and about every renamed one.
+        notes: there are notes on its document.
     """
 
-    minimal: Template
-    plain: Template
+    arguments: Arguments
+    rules: tuple[GrantRule[str], ...]
+    plain: tuple[GrantRule[str], ...]
     claims: tuple[Claim, ...]
+    notes: bool
 
 
 @dataclass(slots=True)
@@ -53,35 +64,32 @@ class _Members:
     """The members of a kind.
 
     Attributes:
-        structure: None if no member can be renamed; made for the second member, since many kinds have one only.
         first: the first member; None once it is among the exemplars.
-        exemplars: a member for each signature.
+        structure: None if no member can be renamed; made for the second member, since many kinds have one only.
+        exemplars: a member for each signature, with the templates of its rules.
     """
 
-    first: tuple[Arguments, Emitted] | None
+    first: _Made | None
     structure: Structure | None = None
-    exemplars: dict[Signature, _Exemplar] = field(default_factory=dict)
+    exemplars: dict[Signature, tuple[_Made, Template, Template]] = field(default_factory=dict)
 
-    def settle(self, kind: Kind, distro: str) -> None:
+    def settle(self, kind: Kind, distro: str, domains: Domains) -> None:
         """Make the structure, and an exemplar of the first member."""
         if self.first is not None:
-            arguments, emitted = self.first
-            self.first, self.structure = None, Structure.of(kind, distro)
-            self.keep(arguments, emitted)
+            first, self.first, self.structure = self.first, None, Structure.of(kind, distro)
+            self.keep(first, domains)
 
-    def keep(self, arguments: Arguments, emitted: Emitted) -> None:
+    def keep(self, made: _Made, domains: Domains) -> None:
         """Keep a member that the engine did as an exemplar, unless its document cannot be a template."""
-        if self.structure is None or emitted.compiled is None:
+        names = None if self.structure is None else self.structure.names(made.arguments)
+        if self.structure is None or names is None or len(self.exemplars) >= MOST_EXEMPLARS:
             return
-        names = self.structure.names(arguments)
-        if names is None:
-            return
-        minimal, plain = Template.of(emitted.rules, names), Template.of(emitted.compiled.plain, names)
-        if minimal.renamed(names) == emitted.rules and minimal.has_no_names():
-            self.exemplars[self.structure.signature(names)] = _Exemplar(minimal, plain, emitted.claims)
+        minimal, plain = (Template.of(rules, domains, names) for rules in (made.rules, made.plain))
+        if minimal.renamed(names) == made.rules and minimal.has_no_names():
+            self.exemplars[self.structure.signature(names)] = made, minimal, plain
 
 
-_known: dict[tuple[Kind, str, tuple[DomainRange, ...]], _Members] = {}
+_known: dict[tuple[Kind, str, Domains], _Members] = {}
 
 
 def emit_by_kind(package: Package, options: BuildOptions) -> Emitted:
@@ -93,57 +101,59 @@ def emit_by_kind(package: Package, options: BuildOptions) -> Emitted:
     if options != BuildOptions():
         return emit(package, options)
     kind, arguments = kind_of(package.grant.rules.rules)
-    key = kind, package.distro, package.grant.domains
+    domains = package.grant.domains
+    key = kind, package.distro, domains
     members = _known.get(key)
     if members is not None:
-        members.settle(kind, package.distro)
-        renamed = _renamed(package, arguments, members)
+        members.settle(kind, package.distro, domains)
+        renamed = _renamed(package, kind, arguments, members)
         if renamed is not None:
             return renamed
     with step_limit(None) as counter:
         emitted = emit(package, options)
-    if counter.spent <= FEW_STEPS and _is_usual(package, emitted):
+    compiled = emitted.compiled
+    if compiled is not None and counter.spent <= FEW_STEPS and _is_usual(package, emitted, compiled):
+        made = _Made(arguments, emitted.rules, compiled.plain, emitted.claims, bool(emitted.diagnostics))
         if members is not None:
-            members.keep(arguments, emitted)
+            members.keep(made, domains)
         else:
             if len(_known) >= MOST:
                 _known.pop(next(iter(_known)))
-            _known[key] = _Members((arguments, emitted))
+            _known[key] = _Members(made)
     return emitted
 
 
-def _is_usual(package: Package, emitted: Emitted) -> bool:
+def _is_usual(package: Package, emitted: Emitted, compiled: Compiled) -> bool:
     """Tell whether a document of the engine is minimal, not gathered, proven, and nothing is reported but notes."""
-    compiled = emitted.compiled
     return (
-        compiled is not None
-        and compiled.portable
-        and len(compiled.forms) == 1
-        and emitted.rules == compiled.forms[0]
+        compiled.portable
+        and (emitted.rules,) == compiled.forms
         and all(claim.proof is Proof.PROVEN for claim in emitted.claims)
         and emitted.diagnostics == tuple(vendor_notes(emitted.rules, package.grant))
     )
 
 
-def _renamed(package: Package, arguments: Arguments, members: _Members) -> Emitted | None:
+def _renamed(package: Package, kind: Kind, arguments: Arguments, members: _Members) -> Emitted | None:
     """Return the document of a package by renaming; None if a condition of the lemma does not hold."""
     grant, structure = package.grant, members.structure
     names = None if structure is None else structure.names(arguments)
     if structure is None or names is None or not _is_plain(grant):
         return None
-    exemplar = members.exemplars.get(structure.signature(names))
-    if exemplar is None:
+    found = members.exemplars.get(structure.signature(names))
+    if found is None:
         return None
-    rules = exemplar.minimal.renamed(names)
+    made, minimal, plain = found
+    rules = minimal.renamed(names)
     if gathered(rules) != rules:
         return None
-    document = permissions_document.render(grant, rules)
+    head = permissions_document.head(grant)
+    document = minimal.document(head, rules)
     if signed_size(document) > TIGHT:
         return None
     dds_xml.know_valid(document, PERMISSIONS)
-    proof_cache.remember(document, proof_spec(package), exemplar.claims)
-    plain_size = len(permissions_document.render(grant, exemplar.plain.renamed(names)))
-    return Emitted(document, rules, plain_size, None, exemplar.claims, tuple(vendor_notes(rules, grant)))
+    proof_cache.remember(document, proof_spec(package), (kind, arguments), made.claims)
+    notes = tuple(vendor_notes(rules, grant)) if made.notes else ()
+    return Emitted(document, rules, plain.size(head, names), None, made.claims, notes)
 
 
 def _is_plain(grant: Grant) -> bool:
@@ -155,7 +165,7 @@ def _is_plain(grant: Grant) -> bool:
     return bool(
         PLAIN_TEXT.fullmatch(grant.name)
         and PLAIN_TEXT.fullmatch(text)
-        and all(each.semantics.selects(each.semantics.reads_text(text), text) for each in VARIATIONS.values())
+        and all(semantics.selects(semantics.reads_text(text), text) for semantics in _SEMANTICS)
         and _is_ever_in_force(validity_of(grant))
     )
 
@@ -164,4 +174,4 @@ def _is_plain(grant: Grant) -> bool:
 def _is_ever_in_force(validity: Validity) -> bool:
     dates = dds_xml.date(validity.not_before), dds_xml.date(validity.not_after)
     grant = DocumentGrant("", *dates, rules=(), allows=False, line=0)
-    return all(each.semantics.period(grant) is not None for each in VARIATIONS.values())
+    return all(semantics.period(grant) is not None for semantics in _SEMANTICS)

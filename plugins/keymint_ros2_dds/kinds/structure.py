@@ -44,7 +44,7 @@ class Structure:
     """
 
     slots: tuple[Slot, ...]
-    ros: tuple[int, ...]
+    ros: frozenset[int]
     wildcards: tuple[Glob, ...]
     _any: re.Pattern[str] | None
 
@@ -52,7 +52,7 @@ class Structure:
     def of(cls, kind: Kind, distro: str) -> Structure | None:
         """Return the structure of a kind; None if its documents depend on more than :meth:`signature` tells."""
         slots: dict[Slot, None] = {}
-        ros: dict[int, None] = {}
+        ros: set[int] = set()
         own: dict[Glob, None] = {}
         for effect, rule_kind, permissions, expressions, partitions, _ in kind:
             if partitions or distro == ARDENT:
@@ -64,7 +64,7 @@ class Structure:
                             if isinstance(each, int):
                                 slots[topic.prefix, each, tail + topic.suffix] = None
                                 if topic.prefix:
-                                    ros[each] = None
+                                    ros.add(each)
                             else:
                                 patterns = dds_patterns(distro, parse(each), topic, tail, effect)
                                 own.update((pattern, None) for pattern, _ in patterns)
@@ -72,14 +72,13 @@ class Structure:
         if wildcards is None:
             return None
         match = re.compile("|".join(f"(?:{regex(each)})" for each in wildcards), re.DOTALL) if wildcards else None
-        return cls(tuple(slots), tuple(ros), wildcards, match)
+        return cls(tuple(slots), frozenset(ros), wildcards, match)
 
     def names(self, arguments: Arguments) -> list[str] | None:
         """Return the DDS names of a subject; None if one may be read in several ways, or is no ROS name."""
-        if not all(map(PLAIN_TEXT.fullmatch, arguments)):
-            return None
-        if not all(is_fully_qualified(arguments[number]) for number in self.ros):
-            return None
+        for number, argument in enumerate(arguments):
+            if not (is_fully_qualified(argument) if number in self.ros else PLAIN_TEXT.fullmatch(argument)):
+                return None
         return [head + arguments[number] + tail for head, number, tail in self.slots]
 
     def signature(self, names: Sequence[str]) -> Signature:

@@ -48,7 +48,7 @@ def prove_content(
         claims = prove_content(content, place, spec, models=models, lowered=lowered)
         if all(claim.proof is Proof.PROVEN for claim in claims):
             return claims
-    key = _key(content, spec, names, governance)
+    key = _key(content, spec, kind_of(spec.rules.rules), names, b"" if governance is None else governance.key)
     known = _proven.get(key)
     if known is not None:
         return known
@@ -61,15 +61,16 @@ def prove_content(
     return claims
 
 
-def remember(content: bytes, spec: ProofSpec, claims: tuple[Claim, ...]) -> None:
+def remember(content: bytes, spec: ProofSpec, rules: tuple[Kind, Arguments], claims: tuple[Claim, ...]) -> None:
     """Remember what is proven about a document, by all models and without its governance.
 
     Args:
         content: the document, unsigned.
         spec: what it must permit.
+        rules: the kind of its rules, and the names in these.
         claims: what is proven.
     """
-    _keep(_key(content, spec, tuple(ASSUMPTIONS), None), claims)
+    _keep(_key(content, spec, rules, tuple(ASSUMPTIONS)), claims)
 
 
 def _keep(key: _Key, claims: tuple[Claim, ...]) -> None:
@@ -77,8 +78,9 @@ def _keep(key: _Key, claims: tuple[Claim, ...]) -> None:
         _proven[key] = claims
 
 
-def _key(content: bytes, spec: ProofSpec, models: tuple[str, ...], governance: EnclaveGovernance | None) -> _Key:
+def _key(
+    content: bytes, spec: ProofSpec, rules: tuple[Kind, Arguments], models: tuple[str, ...], governance: bytes = b""
+) -> _Key:
     """Return everything that proven claims depend on."""
-    kind, arguments = kind_of(spec.rules.rules)
-    about = hashlib.sha256(content).digest(), b"" if governance is None else governance.key
-    return *about, kind, arguments, spec.subject_name, spec.rules.subject, spec.distro, spec.domains, models
+    digest = hashlib.sha256(content).digest()
+    return digest, governance, *rules, spec.subject_name, spec.rules.subject, spec.distro, spec.domains, models

@@ -2,6 +2,7 @@
 from __future__ import annotations
 
 import shutil
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
@@ -13,6 +14,7 @@ from comarmor.errors import Origin
 from keymint.errors import KeymintError
 from keymint.pki import certificates, distinguished_names, keys
 from tests.keymint.pki.conftest import P256, Openssl, make_spec
+from tests.plugins.keymint_ros2_dds.packages import package
 
 HERE = Origin("identities.xml", 3)
 
@@ -95,3 +97,21 @@ SUBJECTS = st.lists(st.from_regex(r"[A-Za-z_][A-Za-z0-9_]{0,79}", fullmatch=True
 def test_the_common_name_and_the_unique_suffix_of_a_subject_fit_together(subject: str) -> None:
     common, unit = distinguished_names.common_name(subject), distinguished_names.unique_suffix(subject)
     assert subject_name_text.render(distinguished_names.parse(f"OU={unit},CN={common}")) == f"CN={common},OU={unit}"
+
+
+PIECES = ["OU=", "CN=", "C=", "/", ",", "a", "a" * 30, "_.-", " ", "=", "+", "\\", "\n"]
+
+
+@given(st.lists(st.sampled_from(PIECES), max_size=6).map("".join).map("/{}".format) | SUBJECTS)
+def test_the_name_of_a_grant_is_that_of_the_parsed_name(common: str) -> None:
+    """The usual name is not parsed; the text is the same, and so is what is wrong."""
+
+    def outcome(render: Callable[[], str]) -> object:
+        try:
+            return render()
+        except KeymintError as error:
+            return [each.message for each in error.diagnostics]
+
+    text = f"OU=x1,CN={common}"
+    expected = outcome(lambda: subject_name_text.render(distinguished_names.parse(text)))
+    assert outcome(lambda: subject_name_text.of(package(name=text).grant)) == expected

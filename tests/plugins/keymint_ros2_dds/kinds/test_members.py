@@ -76,7 +76,7 @@ def names_of_a_subject() -> st.SearchStrategy[dict[str, str]]:
     return st.builds(lambda *to: dict(zip([*NAMES, *RAW], [*to[0], *to[1]], strict=True)), others, raw)
 
 
-@settings(max_examples=300, deadline=None)
+@settings(max_examples=150, deadline=None)
 @given(st.lists(rules(), min_size=1, max_size=5), st.lists(names_of_a_subject(), min_size=2, max_size=5))
 def test_every_member_has_the_bytes_of_the_engine_whoever_is_first(drawn, renamings) -> None:
     loaded = [
@@ -144,7 +144,7 @@ class TestConditions:
         structure = Structure.of(kind, first.distro)
         assert structure is not None
         own = [head + kind_of(first.grant.rules.rules)[1][number] + tail for head, number, tail in structure.slots]
-        template = Template.of(emission.emit(first, USUAL).rules, own)
+        template = Template.of(emission.emit(first, USUAL).rules, first.grant.domains, own)
         put_in = names or [head + arguments[number] + tail for head, number, tail in structure.slots]
         document = permissions_document.render(second.grant, template.renamed(put_in))
         return list(proving.prove_content(document, ("permissions.xml", 0), emission.proof_spec(second)))
