@@ -55,7 +55,7 @@ class FolderChange:
 
 def changed(tree: Tree, folder: Path, files: Mapping[str, File]) -> tuple[FolderChange, ...]:
     """Return the change that gives a folder these files, without files that already have this content."""
-    different = {name: file for name, file in files.items() if tree.read(folder / name) != file.content}
+    different = {name: file for name, file in files.items() if tree.read(f"{folder}/{name}") != file.content}
     return (FolderChange(folder, different),) if different else ()
 
 
@@ -109,13 +109,13 @@ class Plan:
         """Return the packages that are left as they are, although they should be something else."""
         return frozenset(step.package for step in self.steps if step.action is Action.KEPT)
 
-    def overlay(self) -> list[tuple[Path, bytes | None]]:
+    def overlay(self) -> list[tuple[str, bytes | None]]:
         """Return the planned content by path, for the stages that plan on top of this one."""
-        changed: list[tuple[Path, bytes | None]] = []
+        changed: list[tuple[str, bytes | None]] = []
         for step in self.steps:
             for change in step.changes:
-                changed += [(change.folder / name, file.content) for name, file in change.files.items()]
-                changed += [(change.folder / name, None) for name in change.removed]
+                changed += [(f"{change.folder}/{name}", file.content) for name, file in change.files.items()]
+                changed += [(f"{change.folder}/{name}", None) for name in change.removed]
         return changed
 
     def writes(self) -> bool:

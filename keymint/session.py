@@ -146,7 +146,7 @@ class Session(Inputs):
 
     def package_files(self, name: str) -> dict[str, bytes]:
         """Return the XML files of a package; empty if there is no such package."""
-        return package_files(self.tree, self.workspace.src / name)
+        return package_files(self.tree, f"{self.workspace.src}/{name}")
 
     def package(self, name: str) -> Package:
         """Load a package, once per run and content; errors as :meth:`keymint.api.PackageType.load`.
@@ -188,7 +188,7 @@ class Session(Inputs):
     def role(self, name: str) -> Role:
         """Return why a package exists; the role of a subject if there is none or its manifest has defects."""
         package_type = self.plugins.package_type(self.profile.package_type, self.profile_marker())
-        manifest = self.tree.read(self.workspace.src / name / package_type.MARKER)
+        manifest = self.tree.read(f"{self.workspace.src}/{name}/{package_type.MARKER}")
         return Role.SUBJECT if manifest is None else package_type.role(manifest)
 
     def needed_infrastructure(self) -> Mapping[str, tuple[InfrastructurePackage, str]]:

@@ -21,7 +21,7 @@ MAX_FILE = 16 * 1024 * 1024
 """Largest file that is read, in bytes; far more than any document, certificate or key."""
 
 
-def read_file(path: Path, most: int | None = None) -> bytes | None:
+def read_file(path: Path | str, most: int | None = None) -> bytes | None:
     """Return the bytes of a regular file, or None if there is none.
 
     Args:
@@ -65,7 +65,7 @@ def read_file(path: Path, most: int | None = None) -> bytes | None:
         os.close(descriptor)
 
 
-def unreadable(path: Path, error: OSError) -> KeymintError:
+def unreadable(path: Path | str, error: OSError) -> KeymintError:
     """Return the error for a file that cannot be read."""
     return KeymintError(
         f"cannot be read: {os.strerror(error.errno or 0)}",
@@ -79,7 +79,7 @@ _Read = TypeVar("_Read", bytes | None, dict[str, bool])
 
 
 class _Disk:
-    """The files on the disk; every file and folder is read at most once.
+    """The files on the disk by absolute path, as text; every file and folder is read at most once.
 
     Args:
         known: digests of files that need not be read for them, by folder and name.
@@ -89,19 +89,19 @@ class _Disk:
         self.digests: dict[str, dict[str, str]] = {}
         """Digests that were asked for, by folder and name."""
         self.known = known
-        self._contents: dict[Path, bytes | KeymintError | None] = {}
-        self._entries: dict[Path, dict[str, bool] | KeymintError] = {}
-        self._statuses: dict[Path, os.stat_result | None] = {}
-        self._held: set[Path] = set()
+        self._contents: dict[str, bytes | KeymintError | None] = {}
+        self._entries: dict[str, dict[str, bool] | KeymintError] = {}
+        self._statuses: dict[str, os.stat_result | None] = {}
+        self._held: set[str] = set()
         """Folders that were read completely."""
 
-    def read(self, path: Path) -> bytes | None:
+    def read(self, path: str) -> bytes | None:
         if path not in self._contents:
             self._contents[path] = None if self._is_absent(path) else read_file(path)
         return _or_raise(self._contents[path])
 
-    def digest(self, path: Path) -> str | None:
-        folder, _, name = str(path).rpartition("/")
+    def digest(self, path: str) -> str | None:
+        folder, _, name = path.rpartition("/")
         digests = self.digests.setdefault(folder, {})
         if name not in digests:
             value = self.known.get(folder, {}).get(name)
@@ -113,17 +113,17 @@ class _Disk:
             digests[name] = value
         return digests[name]
 
-    def entries(self, folder: Path) -> Mapping[str, bool]:
+    def entries(self, folder: str) -> Mapping[str, bool]:
         if folder not in self._entries:
             self._entries[folder] = {} if self._is_absent(folder) else self._scan(folder)
         return _or_raise(self._entries[folder])
 
-    def status(self, path: Path) -> os.stat_result | None:
+    def status(self, path: str) -> os.stat_result | None:
         if path not in self._statuses:
             self._statuses[path] = None if self._is_absent(path) else _lstat(path)
         return self._statuses[path]
 
-    def hold(self, folder: Path, suffix: str) -> None:
+    def hold(self, folder: str, suffix: str) -> None:
         """Read everything below a folder, so that the disk is not accessed again."""
         self._statuses[folder] = _lstat(folder)
         waiting = [folder]
@@ -135,7 +135,7 @@ class _Disk:
                 self._entries[inner] = error
                 continue
             for name, is_folder in self.entries(inner).items():
-                path = inner / name
+                path = f"{inner}/{name}"
                 self._statuses[path] = _lstat(path)
                 if is_folder:
                     waiting += [path] if name != ".git" else []
@@ -146,17 +146,18 @@ class _Disk:
                         self._contents[path] = error
         self._held.add(folder)
 
-    def _is_absent(self, path: Path) -> bool:
+    def _is_absent(self, path: str) -> bool:
         """Tell whether a path is known not to exist, because its folder was read completely."""
-        if not self._held or not any(folder in self._held for folder in path.parents):
+        if not any(path.startswith(f"{folder}/") for folder in self._held):
             return False
-        around = self._entries.get(path.parent)
+        parent, _, name = path.rpartition("/")
+        around = self._entries.get(parent)
         if around is None:
-            return ".git" not in path.parts
-        return not isinstance(around, KeymintError) and path.name not in around
+            return ".git" not in path.split("/")
+        return not isinstance(around, KeymintError) and name not in around
 
     @staticmethod
-    def _scan(folder: Path) -> dict[str, bool]:
+    def _scan(folder: str) -> dict[str, bool]:
         try:
             with os.scandir(folder) as entries:
                 return dict(sorted((entry.name, entry.is_dir(follow_symlinks=False)) for entry in entries))
@@ -166,9 +167,9 @@ class _Disk:
             raise unreadable(folder, error) from error
 
 
-def _lstat(path: Path) -> os.stat_result | None:
+def _lstat(path: str) -> os.stat_result | None:
     try:
-        return path.lstat()
+        return os.lstat(path)
     except (OSError, ValueError):
         return None
 
@@ -191,41 +192,57 @@ class Tree:
 
     def __init__(
         self,
-        overlay: Mapping[Path, bytes | None] | None = None,
+        overlay: Mapping[Path | str, bytes | None] | None = None,
         disk: _Disk | None = None,
         known: Mapping[str, Mapping[str, str]] | None = None,
     ) -> None:
         self._disk = disk or _Disk(known or {})
-        self._overlay = overlay or {}
-        self._planned: dict[Path, dict[str, bool]] = {}
-        """Entries of folders that the overlay adds, each with whether it is a folder."""
-        self._gone: dict[Path, set[str]] = {}
-        for path, content in self._overlay.items():
-            if content is None:
-                self._gone.setdefault(path.parent, set()).add(path.name)
-            else:
-                self._plan(path)
+        self._files: dict[str, dict[str, bytes | None]] = {}
+        """Planned content by folder and name."""
+        self._folders: dict[str, set[str]] = {}
+        """Names of planned folders, by the folder around them."""
+        self._add((overlay or {}).items())
 
-    def _plan(self, path: Path) -> None:
-        entries = self._planned.setdefault(path.parent, {})
-        entries[path.name] = False
-        for folder in path.parents:
-            entries = self._planned.setdefault(folder.parent, {})
-            if entries.get(folder.name):
-                return
-            entries[folder.name] = True
-
-    def overlaid(self, changes: Iterable[tuple[Path, bytes | None]]) -> Tree:
+    def overlaid(self, changes: Iterable[tuple[Path | str, bytes | None]]) -> Tree:
         """Return this view with more planned changes."""
-        return Tree({**self._overlay, **dict(changes)}, self._disk)
+        tree = Tree(disk=self._disk)
+        tree._files, tree._folders = dict(self._files), dict(self._folders)
+        tree._add(changes)
+        return tree
 
-    def read(self, path: Path) -> bytes | None:
+    def _add(self, changes: Iterable[tuple[Path | str, bytes | None]]) -> None:
+        """Add planned changes; what is shared with other views is copied before it changes."""
+        own: set[str] = set()
+        own_folders: set[str] = set()
+        for path, content in changes:
+            folder, _, name = str(path).rpartition("/")
+            if folder not in own:
+                own.add(folder)
+                self._files[folder] = dict(self._files.get(folder, ()))
+            self._files[folder][name] = content
+            while folder and content is not None:
+                around, _, name = folder.rpartition("/")
+                if name in self._folders.get(around, ()):
+                    break
+                if around not in own_folders:
+                    own_folders.add(around)
+                    self._folders[around] = set(self._folders.get(around, ()))
+                self._folders[around].add(name)
+                folder = around
+
+    def _planned(self, path: str) -> tuple[bool, bytes | None]:
+        """Return whether a file is planned, and its content: None if it will be removed."""
+        folder, _, name = path.rpartition("/")
+        files = self._files.get(folder)
+        return (False, None) if files is None or name not in files else (True, files[name])
+
+    def read(self, path: Path | str) -> bytes | None:
         """Return a file's bytes, or None if there is none; errors as :func:`read_file`."""
-        if path in self._overlay:
-            return self._overlay[path]
-        return self._disk.read(path)
+        path = str(path)
+        planned, content = self._planned(path)
+        return content if planned else self._disk.read(path)
 
-    def digest(self, path: Path) -> str | None:
+    def digest(self, path: Path | str) -> str | None:
         """Return the digest of a file (see :func:`keymint.state.digest`), or None if there is none.
 
         A file is not read if its status tells that it did not change since its digest was recorded.
@@ -233,8 +250,9 @@ class Tree:
         Raises:
             KeymintError: as :func:`read_file`.
         """
-        if path in self._overlay:
-            content = self._overlay[path]
+        path = str(path)
+        planned, content = self._planned(path)
+        if planned:
             return None if content is None else digest(content)
         return self._disk.digest(path)
 
@@ -248,16 +266,16 @@ class Tree:
         """The digests of files on the disk that were asked for, by folder and name."""
         return self._disk.digests
 
-    def try_read(self, path: Path) -> bytes | None:
+    def try_read(self, path: Path | str) -> bytes | None:
         """Return a file's bytes, or None if there is none or it cannot be read."""
         try:
             return self.read(path)
         except KeymintError:
             return None
 
-    def status(self, path: Path) -> os.stat_result | None:
+    def status(self, path: Path | str) -> os.stat_result | None:
         """Return the status of a path on the disk (without following a link), or None if it does not exist."""
-        return self._disk.status(path)
+        return self._disk.status(str(path))
 
     def hold(self, folder: Path, *, suffix: str = "") -> None:
         """Read everything below a folder into memory, so that the disk is not accessed again.
@@ -268,26 +286,30 @@ class Tree:
             folder: absolute path; need not exist.
             suffix: only files with this suffix are read; of the others only their existence is known.
         """
-        self._disk.hold(folder, suffix)
+        self._disk.hold(str(folder), suffix)
 
-    def has_file(self, path: Path) -> bool:
+    def has_file(self, path: Path | str) -> bool:
         """Tell whether there is a regular file (no link, no folder), on the disk or planned."""
-        if path in self._overlay:
-            return self._overlay[path] is not None
+        planned, content = self._planned(str(path))
+        if planned:
+            return content is not None
         status = self.status(path)
         return status is not None and stat.S_ISREG(status.st_mode)
 
-    def names(self, folder: Path) -> Sequence[tuple[str, bool]]:
+    def names(self, folder: Path | str) -> Sequence[tuple[str, bool]]:
         """Return the entries of a folder, sorted, each with whether it is a folder (links are not).
 
         Raises:
             KeymintError: the folder cannot be read.
         """
+        folder = str(folder)
         entries = self._disk.entries(folder)
-        if folder in self._planned:
-            entries = dict(sorted({**entries, **self._planned[folder]}.items()))
-        gone = self._gone.get(folder, ())
-        return [(name, is_folder) for name, is_folder in entries.items() if name not in gone]
+        files, folders = self._files.get(folder, {}), self._folders.get(folder, ())
+        if not files and not folders:
+            return list(entries.items())
+        there = {**entries, **{name: False for name, content in files.items() if content is not None}}
+        there |= dict.fromkeys(folders, True)
+        return sorted(item for item in there.items() if files.get(item[0], b"") is not None)
 
     def walk(self, folder: Path, skipped: str = ".git") -> Iterator[tuple[Path, bool]]:
         """Yield everything below a folder, each with whether it is a folder; links are not followed.
@@ -309,16 +331,16 @@ class Tree:
                 yield folder / name, True
                 yield from self.walk(folder / name, skipped)
 
-    def files(self, folder: Path, *, suffix: str = "", depth: int = 1) -> dict[str, bytes]:
+    def files(self, folder: Path | str, *, suffix: str = "", depth: int = 1) -> dict[str, bytes]:
         """Return the files whose names end with ``suffix`` by relative path, from ``depth`` levels of folders."""
         contents: dict[str, bytes] = {}
         for name, is_folder in self.names(folder):
             if is_folder:
                 if depth > 1 and not name.startswith("."):
-                    below = self.files(folder / name, suffix=suffix, depth=depth - 1)
+                    below = self.files(f"{folder}/{name}", suffix=suffix, depth=depth - 1)
                     contents |= {f"{name}/{inner}": content for inner, content in below.items()}
             elif name.endswith(suffix):
-                content = self.read(folder / name)
+                content = self.read(f"{folder}/{name}")
                 if content is not None:
                     contents[name] = content
         return contents

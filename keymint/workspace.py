@@ -82,7 +82,7 @@ class Workspace:
         """Tell whether there is a profile."""
         return (self.profile / PROFILE_MARKER).is_file()
 
-    def shown(self, path: Path) -> str:
+    def shown(self, path: Path | str) -> str:
         """Return a path as the user would type it."""
         return shown(path, self.shown_from)
 
@@ -99,13 +99,13 @@ class Workspace:
         return self.private / "identities" / package / "key.pem"
 
 
-def shown(path: Path, start: Path) -> str:
+def shown(path: Path | str, start: Path) -> str:
     """Return a path relative to a folder if it is below or near it, else unchanged."""
     text, root = str(path), str(start)
     below = root if root.endswith("/") else f"{root}/"
     if text.startswith(below):
         return text.removeprefix(below)
-    if root.startswith(text) or not path.is_absolute():
+    if root.startswith(text) or not text.startswith("/"):
         relative = os.path.relpath(text, root)
     else:
         folder, _, name = text.rpartition("/")
@@ -152,22 +152,22 @@ def packages(tree: Tree, src: Path) -> tuple[str, ...]:
     Raises:
         KeymintError: the folder of a package is not a legal name.
     """
-    return tuple(sorted(_packages(tree, src, "")))
+    return tuple(sorted(_packages(tree, str(src), "")))
 
 
-def _packages(tree: Tree, folder: Path, name: str) -> Iterator[str]:
+def _packages(tree: Tree, folder: str, name: str) -> Iterator[str]:
     entries = dict(tree.names(folder))
-    if entries.get(IGNORE_MARKER) is False and tree.has_file(folder / IGNORE_MARKER):
+    if entries.get(IGNORE_MARKER) is False and tree.has_file(f"{folder}/{IGNORE_MARKER}"):
         return
     if name and entries.get(PACKAGE_MARKER) is False:
         try:
             yield package_name(name)
         except KeymintError as error:
-            where = Origin(str(folder))
+            where = Origin(folder)
             raise KeymintError.of([replace(found, where=where) for found in error.diagnostics]) from None
     for entry, is_folder in entries.items():
         if is_folder and not entry.startswith(".") and not entry.endswith(".defaults"):
-            yield from _packages(tree, folder / entry, f"{name}/{entry}" if name else entry)
+            yield from _packages(tree, f"{folder}/{entry}", f"{name}/{entry}" if name else entry)
 
 
 def hidden_by(tree: Tree, src: Path, name: str) -> Path | None:
@@ -176,10 +176,10 @@ def hidden_by(tree: Tree, src: Path, name: str) -> Path | None:
     return next((folder / IGNORE_MARKER for folder in folders if tree.has_file(folder / IGNORE_MARKER)), None)
 
 
-def package_files(tree: Tree, folder: Path) -> dict[str, bytes]:
+def package_files(tree: Tree, folder: Path | str) -> dict[str, bytes]:
     """Return the XML files of a package's folder, those of its ``package.defaults`` included."""
     files = tree.files(folder, suffix=".xml")
-    defaults = tree.files(folder / "package.defaults", suffix=".xml")
+    defaults = tree.files(f"{folder}/package.defaults", suffix=".xml")
     return files | {f"package.defaults/{name}": content for name, content in defaults.items()}
 
 

@@ -100,7 +100,7 @@ def built_documents(inputs: Inputs, name: str) -> dict[str, bytes]:
     stamp = inputs.state.stamp(STAGE, name)
     if stamp is None:
         return inputs.tree.files(folder)
-    contents = {file: inputs.tree.read(folder / file) for file in sorted(stamp.outputs)}
+    contents = {file: inputs.tree.read(f"{folder}/{file}") for file in sorted(stamp.outputs)}
     return {file: content for file, content in contents.items() if content is not None}
 
 
@@ -126,7 +126,7 @@ def _plan_package(
     key_content = session.tree.read(key_path)
     same = stamp is not None and (stamp.inputs, stamp.context) == (sources_digest, options_digest)
     if stamp and same and key_content is not None and not force and not renew:
-        existing = {file: session.tree.read(folder / file) for file in stamp.outputs}
+        existing = {file: session.tree.read(f"{folder}/{file}") for file in stamp.outputs}
         if None not in existing.values():
             edited = [file for file, content in existing.items() if digest(content or b"") != stamp.outputs[file]]
             detail = f"{', '.join(edited)} edited by hand; -f rebuilds" if edited else ""
@@ -138,7 +138,9 @@ def _plan_package(
         _refuse_edits(session, name, folder, built.documents)
     changes = changed(session.tree, folder, {file: File(content) for file, content in built.documents.items()})
     obsolete = [file for file in stamp.outputs if file not in built.documents] if stamp else []
-    changes += tuple(FolderChange(folder, removed=(file,)) for file in obsolete if session.tree.has_file(folder / file))
+    changes += tuple(
+        FolderChange(folder, removed=(file,)) for file in obsolete if session.tree.has_file(f"{folder}/{file}")
+    )
     minted: tuple[FolderChange, ...] = ()
     fingerprint = ""
     if key_content is None or renew:
@@ -147,7 +149,7 @@ def _plan_package(
         minted = (change,)
     else:
         identity_keys.load(session, package, key_path, key_content)
-    before = stamp is not None or any(session.tree.read(folder / file) is not None for file in built.documents)
+    before = stamp is not None or any(session.tree.read(f"{folder}/{file}") is not None for file in built.documents)
     action = (Action.UPDATED if before else Action.CREATED) if changes or minted else Action.UNCHANGED
     outputs = {file: digest(content) for file, content in built.documents.items()}
     sizes = _sizes(built)
@@ -204,7 +206,7 @@ def _smaller(size: DocumentSize) -> str:
 def _refuse_edits(inputs: Inputs, name: str, folder: Path, documents: Mapping[str, bytes]) -> None:
     """Raise an error for an existing document that is neither the recorded build nor the new one."""
     for file, content in documents.items():
-        existing = inputs.tree.read(folder / file)
+        existing = inputs.tree.read(f"{folder}/{file}")
         if existing is not None and existing != content and not inputs.state.wrote(STAGE, name, file, existing):
             raise KeymintError(
                 "was edited by hand, and its sources changed too",

@@ -28,15 +28,15 @@ def installed(session: Session) -> tuple[str, ...]:
 def _installed(session: Session) -> tuple[str, ...]:
     names: list[str] = []
 
-    def search(folder: Path, name: str) -> None:
+    def search(folder: str, name: str) -> None:
         entries = session.tree.names(folder)
         if name and any(entry in {KEY, CERTIFICATE} for entry, is_folder in entries if not is_folder):
             names.append(name)
         for entry, is_folder in entries:
             if is_folder and not entry.startswith("."):
-                search(folder / entry, f"{name}/{entry}" if name else entry)
+                search(f"{folder}/{entry}", f"{name}/{entry}" if name else entry)
 
-    search(session.enclaves, "")
+    search(str(session.enclaves), "")
     return tuple(sorted(names))
 
 
@@ -92,7 +92,7 @@ def enclave_files(session: Session, name: str) -> tuple[dict[str, bytes], tuple[
     """Return the files of a package's enclave by name, and a finding for each that cannot be read."""
     files: dict[str, bytes] = {}
     unreadable: list[Diagnostic] = []
-    folder = session.enclaves / name
+    folder = f"{session.enclaves}/{name}"
     try:
         entries = session.tree.names(folder)
     except KeymintError as error:
@@ -100,7 +100,7 @@ def enclave_files(session: Session, name: str) -> tuple[dict[str, bytes], tuple[
     for file, is_folder in entries:
         if is_folder:
             continue
-        path = folder / file
+        path = f"{folder}/{file}"
         try:
             content = session.tree.read(path)
         except KeymintError as error:
@@ -136,8 +136,8 @@ def deployed_authorities(session: Session) -> tuple[x509.Certificate, ...]:
 
 def installed_certificate(session: Session, name: str) -> x509.Certificate | None:
     """Return the identity certificate of an installed enclave, or None if there is no readable one."""
-    path = session.enclaves / name / CERTIFICATE
-    return next(_certificates(session.tree.try_read(path) or b""), None)
+    pem = session.tree.try_read(f"{session.enclaves}/{name}/{CERTIFICATE}")
+    return next(_certificates(pem or b""), None)
 
 
 def _certificates(pem: bytes) -> Iterator[x509.Certificate]:

@@ -6,7 +6,6 @@ from __future__ import annotations
 import stat
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from pathlib import Path
 
 from comarmor.errors import Diagnostic, Origin, Severity
 from keymint.changes import Action, File, FolderChange, Plan, Step, file_mode
@@ -140,7 +139,7 @@ def _plan_enclave(
     different = {
         file: item
         for file, item in files.items()
-        if existing.get(file) != item.content or not _has_mode(session, folder / file, secret=item.secret)
+        if existing.get(file) != item.content or not _has_mode(session, f"{folder}/{file}", secret=item.secret)
     }
     # The certificate comes last: a node that starts in between fails, and admits nobody.
     ordered = dict(sorted(different.items(), key=lambda item: item[0] == CERTIFICATE))
@@ -226,11 +225,11 @@ def is_current(session: Session, name: str, chains: Mapping[str, bytes]) -> bool
 
 def _has_outputs(session: Session, name: str, stamp: Stamp, inputs: str) -> bool:
     """Tell whether an enclave was made from these inputs, and is as it was made."""
-    folder = session.enclaves / name
+    folder = f"{session.enclaves}/{name}"
     return stamp.inputs == inputs and all(
-        (content := session.tree.try_read(folder / file)) is not None
+        (content := session.tree.try_read(f"{folder}/{file}")) is not None
         and digest(content) == value
-        and _has_mode(session, folder / file, secret=file in stamp.secret)
+        and _has_mode(session, f"{folder}/{file}", secret=file in stamp.secret)
         for file, value in stamp.outputs.items()
     )
 
@@ -245,7 +244,7 @@ def _inputs_digest(session: Session, name: str, chains: Mapping[str, bytes]) -> 
     )
 
 
-def _has_mode(inputs: Inputs, path: Path, *, secret: bool) -> bool:
+def _has_mode(inputs: Inputs, path: str, *, secret: bool) -> bool:
     """Tell whether a file on the disk has the mode that it should have; planned files will have it."""
     status = inputs.tree.status(path)
     return status is None or stat.S_IMODE(status.st_mode) & 0o777 == file_mode(secret=secret)
