@@ -103,6 +103,20 @@ def test_the_overlay_alone_is_read_as_a_disk_with_its_files_would_be(planned: di
     assert tree.files(root, depth=8) == files
 
 
+@given(st.lists(st.tuples(PATHS, st.one_of(st.none(), st.binary(max_size=4))), max_size=8), st.integers(0, 8))
+def test_views_on_top_of_each_other_are_read_as_one_and_leave_each_other_alone(changes, split):
+    root = "/nonexistent/overlay"
+    paths = [path for path, _ in changes]
+    if any(other.startswith(f"{path}/") for path in paths for other in paths):
+        return  # a path cannot be a file and a folder
+    below = Tree().overlaid((f"{root}/{path}", content) for path, content in changes[:split])
+    before = below.files(root, depth=8)
+    above = below.overlaid((f"{root}/{path}", content) for path, content in changes[split:])
+    planned = {path: content for path, content in dict(changes).items() if content is not None}
+    assert above.files(root, depth=8) == planned
+    assert below.files(root, depth=8) == before
+
+
 # -- snapshots ---------------------------------------------------------------------------------------------------
 
 
