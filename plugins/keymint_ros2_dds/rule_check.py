@@ -16,6 +16,9 @@ from keymint_ros2_dds.settings import BUILD_TYPE, DdsSettings, DomainRule, Gover
 _RELAYS = ("relay", "ros_relay")
 _VALIDITY = Validity(datetime(2000, 1, 1, tzinfo=UTC), datetime(2001, 1, 1, tzinfo=UTC))
 """Any period that documents can express: the findings on rules do not depend on it."""
+_EVERYWHERE = (DomainRange(0, 0),)
+_ANYWHERE = Origin(BUILD_TYPE)
+_PROTECTION = DomainRule(_EVERYWHERE, False, True, "ENCRYPT", "ENCRYPT", "ENCRYPT", (), _ANYWHERE)
 
 
 def check_rules(rules: SubjectRules, distro: str) -> tuple[Diagnostic, ...]:
@@ -42,8 +45,6 @@ def package_of(rules: SubjectRules, distro: str) -> Package:
     subject = rules.subject
     origin = Origin(subject)
     common_name = f"CN={subject}"
-    everywhere = (DomainRange(0, 0),)
-    protection = DomainRule(everywhere, False, True, "ENCRYPT", "ENCRYPT", "ENCRYPT", (), origin)
     return Package(
         name=subject.removeprefix("/"),
         subject=subject,
@@ -51,7 +52,7 @@ def package_of(rules: SubjectRules, distro: str) -> Package:
         identity=CertificateSpec(
             common_name, _VALIDITY, None, "identity", "SHA256", KeySpec("ec", "SECP256R1"), (), origin
         ),
-        grant=Grant("permissions", subject, common_name, _VALIDITY, everywhere, rules, origin),
+        grant=Grant("permissions", subject, common_name, _VALIDITY, _EVERYWHERE, rules, origin),
         build_types=(BUILD_TYPE,),
-        settings={BUILD_TYPE: DdsSettings(Governance("permissions", (protection,)))},
+        settings={BUILD_TYPE: DdsSettings(Governance("permissions", (_PROTECTION,)))},
     )

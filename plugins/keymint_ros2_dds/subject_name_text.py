@@ -19,7 +19,7 @@ MAX_TOKENS = 20
 """Maximum tokens, split at ``,`` ``/`` and ``|``, of a subject name that Cyclone DDS compares; it refuses more."""
 _AMBIGUOUS = frozenset('"\\<>;|')
 """Characters that some vendor escapes or treats as a separator when it compares names."""
-_USUAL = re.compile(r"(OU=[\w.-]{1,64}),(CN=(?=.{1,64}\Z)/?[\w.-]+(?:/[\w.-]+){0,15})", re.ASCII)
+_USUAL = re.compile(r"(?:(OU=[\w.-]{1,64}),)?(CN=(?=.{1,64}\Z)/?[\w.-]+(?:/[\w.-]+){0,15})", re.ASCII)
 """A name whose text is known without parsing it."""
 _ESCAPED = re.compile(r"^#|[,+]")
 
@@ -31,7 +31,7 @@ def of(grant: Grant) -> str:
         KeymintError: the name is invalid, or contains something that vendors read differently.
     """
     if usual := _USUAL.fullmatch(grant.subject_name):
-        return f"{usual[2]},{usual[1]}"
+        return f"{usual[2]},{usual[1]}" if usual[1] else usual[2]
     return render(distinguished_names.parse(grant.subject_name, grant.origin))
 
 

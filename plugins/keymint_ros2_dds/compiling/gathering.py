@@ -36,10 +36,13 @@ def gathered(rules: Sequence[GrantRule[str]], *, min_saved: int | None = None) -
         rules: rules of a grant.
         min_saved: bytes that must be saved; by default :data:`MIN_SAVED` and a part of :data:`MIN_SAVED_PART`.
     """
+    most = _most_saved(rules)
+    if min_saved is None and most < MIN_SAVED:
+        return tuple(rules)
     size = _size(rules)
     if min_saved is None:
         min_saved = max(MIN_SAVED, size // MIN_SAVED_PART)
-    if _most_saved(rules) < min_saved or _most_shared(rules) < min_saved:
+    if most < min_saved or _most_shared(rules) < min_saved:
         return tuple(rules)
     relay = next((n for n, rule in enumerate(rules) if rule.topics and not _has_endpoints(rule)), len(rules))
     endpoints, relays = rules[:relay], rules[relay:]

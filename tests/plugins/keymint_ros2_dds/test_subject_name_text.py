@@ -102,8 +102,11 @@ def test_the_common_name_and_the_unique_suffix_of_a_subject_fit_together(subject
 PIECES = ["OU=", "CN=", "C=", "/", ",", "a", "a" * 30, "_.-", " ", "=", "+", "\\", "\n"]
 
 
-@given(st.lists(st.sampled_from(PIECES), max_size=6).map("".join).map("/{}".format) | SUBJECTS)
-def test_the_name_of_a_grant_is_that_of_the_parsed_name(common: str) -> None:
+@given(
+    st.lists(st.sampled_from(PIECES), max_size=6).map("".join).map("/{}".format) | SUBJECTS,
+    st.sampled_from(["OU=x1,", ""]),
+)
+def test_the_name_of_a_grant_is_that_of_the_parsed_name(common: str, unit: str) -> None:
     """The usual name is not parsed; the text is the same, and so is what is wrong."""
 
     def outcome(render: Callable[[], str]) -> object:
@@ -112,6 +115,6 @@ def test_the_name_of_a_grant_is_that_of_the_parsed_name(common: str) -> None:
         except KeymintError as error:
             return [each.message for each in error.diagnostics]
 
-    text = f"OU=x1,CN={common}"
+    text = f"{unit}CN={common}"
     expected = outcome(lambda: subject_name_text.render(distinguished_names.parse(text)))
     assert outcome(lambda: subject_name_text.of(package(name=text).grant)) == expected
