@@ -5,11 +5,12 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from datetime import datetime
+from datetime import UTC, datetime
 
 from keymint.api import LoadedPolicy, Role
 from keymint.errors import KeymintError
-from keymint.plan import build, create, install
+from keymint.pki import certificates
+from keymint.plan import build, create, install, lifetimes
 from keymint.plan.authority_files import trusted_chains
 from keymint.plan.enclaves import hidden, installed, installed_certificate, orphans
 from keymint.plan.shared_documents import built_shared, is_current, users
@@ -110,6 +111,18 @@ def _certificate_end(session: Session, name: str) -> datetime | None:
     return certificate.not_valid_after_utc if certificate else None
 
 
+def _recorded_end(session: Session, name: str, chains: Mapping[str, bytes]) -> datetime | None:
+    """Return the end of the certificate of an enclave that is as it was installed, without reading the certificate.
+
+    It ends with its issuer's at the latest, and in whole seconds; see :mod:`keymint.pki.forms`.
+    """
+    for each in lifetimes.recalled(session, name, session.state.stamp(install.STAGE, name)):
+        if each.what == "certificate":
+            issuer = certificates.load_bundle(chains[each.issuer])[0]
+            return min(each.last.astimezone(UTC).replace(microsecond=0), issuer.not_valid_after_utc)
+    return _certificate_end(session, name)
+
+
 def _row(
     session: Session,
     differing: Mapping[str, str],
@@ -118,27 +131,29 @@ def _row(
     *,
     installed: bool,
 ) -> PackageRow:
-    end = _certificate_end(session, name)
-    stale, problem, permissions_end = "", "", None
+    stale, problem, permissions_end, current = "", "", None, False
     try:
         built = build.is_built(session, name)
         session.package_files(name)
     except KeymintError as error:  # a file that is no file, or too large
-        return PackageRow(name, "installed" if installed else "source", "", end, None, str(error.diagnostics[0]))
+        problem, end = str(error.diagnostics[0]), _certificate_end(session, name)
+        return PackageRow(name, "installed" if installed else "source", "", end, None, problem)
     stage = "installed" if installed else "built" if built else "source"
     try:
-        package = session.package(name)
-        if package.role is Role.SUBJECT and package.grant.validity:
-            permissions_end = package.grant.validity.not_after
+        current = built and build.is_current(session, name)
+        own = lifetimes.recalled(session, name, session.state.stamp(build.STAGE, name) if current else None)
+        if session.role(name) is Role.SUBJECT:
+            permissions_end = next((each.last for each in own if each.what == "grant"), None)
         if name in differing:
             stale, problem = "create", differing[name]
     except KeymintError as error:
         stale, problem = "create", str(error.diagnostics[0])
-    if not stale:
-        if not built or not build.is_current(session, name):
-            stale = "build"
-        elif not installed or not install.is_current(session, name, chains):
-            stale = "install"
+    if not stale and not current:
+        stale = "build"
+    if not stale and installed and install.is_current(session, name, chains):
+        end = _recorded_end(session, name, chains)
+    else:
+        stale, end = stale or "install", _certificate_end(session, name)
     return PackageRow(name, stage, stale, end, permissions_end, problem)
 
 

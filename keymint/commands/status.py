@@ -13,7 +13,7 @@ from keymint.commands.verb import verb
 from keymint.errors import KeymintError
 from keymint.output.report import Report
 from keymint.plan.create import packages_to_create
-from keymint.plan.policy import load_policy
+from keymint.plan.policy import lazy_policy
 from keymint.status import PackageRow, SharedRow, package_rows, shared_rows
 
 
@@ -26,7 +26,7 @@ def status(run: Run) -> Report:
     diagnostics: list[Diagnostic] = []
     missing: list[str] = []
     try:
-        policy = load_policy(session)
+        policy = lazy_policy(session)
     except KeymintError as error:
         policy, diagnostics = None, list(error.diagnostics)
     rows = [replace(row, problem=_as_typed(run, row.problem)) for row in package_rows(session, policy)]

@@ -3,9 +3,13 @@
 
 from __future__ import annotations
 
+import re
 import shutil
 from functools import partial
 from pathlib import Path
+
+import pytest
+from cryptography import x509
 
 from tests.conftest import snapshot
 from tests.effort import calls_of
@@ -60,6 +64,22 @@ def test_a_package_that_is_gone_is_orphaned(keymint, provisioned: Path) -> None:
 def test_expiry(keymint, provisioned: Path) -> None:
     outcome = keymint("status", cwd=provisioned, env={"SOURCE_DATE_EPOCH": "1900000000"})
     assert "expired" in outcome.out
+
+
+@pytest.mark.parametrize("end", ["2030-01-01T01:00:00+02:00", "2199-01-01T00:00:00"])
+def test_the_record_has_the_dates_of_the_files(keymint, provisioned: Path, end: str) -> None:
+    """A certificate ends with its authority's at the latest; without a record the dates come from the files."""
+    path = provisioned / "profile/package.defaults/identities.xml"
+    path.write_text(re.sub("<not_after>.*</not_after>", f"<not_after>{end}</not_after>", path.read_text()))
+    for verb in ("build", "install"):
+        assert keymint(verb, cwd=provisioned).code == 0
+    recorded = rows(keymint("status", cwd=provisioned))
+    assert {row[1] for row in recorded.values()} == {"-"}
+    (provisioned / ".keymint/state.json").unlink()
+    read = rows(keymint("status", cwd=provisioned))
+    assert {name: row[2:] for name, row in recorded.items()} == {name: row[2:] for name, row in read.items()}
+    certificate_end = x509.load_pem_x509_certificate((provisioned / "install/enclaves/talker/cert.pem").read_bytes())
+    assert recorded["talker"][2] == f"{certificate_end.not_valid_after_utc:%Y-%m-%d}"
 
 
 def test_a_policy_with_a_defect_is_said(keymint, provisioned: Path, policy: Path) -> None:
