@@ -76,6 +76,17 @@ class Graph:
         return tuple(sorted({edge.domain_object for edge in self.edges}))
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class Column:
+    """Requests to ask of several subjects; what follows from a column can be kept for it.
+
+    Attributes:
+        requests: the requests as edges, whose subjects do not matter.
+    """
+
+    requests: tuple[Edge, ...]
+
+
 LABELLED: dict[str, tuple[str, ...]] = {
     kind: tuple(permission for permission in permissions if not permission.endswith("relay"))
     for kind, permissions in PERMISSIONS.items()
@@ -85,11 +96,21 @@ LABELLED: dict[str, tuple[str, ...]] = {
 
 def complete(graph: Graph) -> Iterator[Edge]:
     """Yield the edges of the completion of a graph, sorted and one at a time, as there may be very many."""
-    objects = graph.objects
+    requests = column(graph).requests
     for subject in graph.subjects:
-        for domain, object_ in objects:
-            for permission in LABELLED[object_.kind]:
-                yield Edge(subject, permission, object_, domain)
+        for each in requests:
+            yield Edge(subject, each.permission, each.object, each.domain)
+
+
+def column(graph: Graph) -> Column:
+    """Return the requests of each subject in the completion of a graph."""
+    return Column(
+        tuple(
+            Edge("", permission, object_, domain)
+            for domain, object_ in graph.objects
+            for permission in LABELLED[object_.kind]
+        )
+    )
 
 
 class EdgeOutcome(StrEnum):

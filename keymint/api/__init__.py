@@ -85,6 +85,7 @@ from keymint.api.transports import ActionMapping as ActionMapping
 from keymint.api.transports import Availability as Availability
 from keymint.api.transports import Enclave as Enclave
 from keymint.api.transports import Endpoint as Endpoint
+from keymint.api.transports import EndpointTransport as EndpointTransport
 from keymint.api.transports import Environment as Environment
 from keymint.api.transports import Tier as Tier
 from keymint.api.transports import Transport as Transport

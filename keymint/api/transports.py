@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Protocol, runtime_checkable
 
 from comarmor.errors import Origin
-from keymint.graph import Edge
+from keymint.graph import Column, Edge
 
 
 class Tier(StrEnum):
@@ -138,6 +138,26 @@ class Transport(Protocol):
 
         Raises:
             KeymintError: an enclave is refused completely (code ``enclave-refused``), or the transport fails.
+        """
+
+
+@runtime_checkable
+class EndpointTransport(Transport, Protocol):
+    """Optional capability of a transport whose build type maps names: decides about many endpoints at once.
+
+    It allows an edge if it admits all endpoints of the edge, and gives the reasons by :meth:`Transport.label`.
+    """
+
+    def admitted(self, enclave: Enclave, endpoints: Column, tier: Tier) -> bytes:
+        """Return which endpoints it admits, one byte each: 1 admitted, 0 refused.
+
+        Args:
+            enclave: the enclave of the subject.
+            endpoints: requests of kind ``topic``.
+            tier: one of those that :meth:`Transport.usable` returns, except *exchange*, which needs peers.
+
+        Raises:
+            KeymintError: as of :meth:`Transport.label`.
         """
 
 

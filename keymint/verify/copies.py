@@ -12,11 +12,12 @@ import tempfile
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import cast
 
 from comarmor.errors import Diagnostic
-from keymint.api import Availability, Enclave, Tier, Transport, Verdict
+from keymint.api import Availability, Enclave, EndpointTransport, Tier, Transport, Verdict
 from keymint.errors import KeymintError
-from keymint.graph import Edge
+from keymint.graph import Column, Edge
 from keymint.tree import Tree
 from keymint.verify.usable_transports import names_rules
 
@@ -44,7 +45,10 @@ class Copies:
 
     def read_by(self, transports: Mapping[str, Transport]) -> dict[str, Transport]:
         """Return transports that read the copies instead of the originals."""
-        return {name: _OnCopies(each, self) for name, each in transports.items()}
+        return {
+            name: (_EndpointsOnCopies if isinstance(each, EndpointTransport) else _OnCopies)(each, self)
+            for name, each in transports.items()
+        }
 
     def about(self, subjects: Collection[str]) -> Copies:
         """Return the copies of some subjects; the files that are no enclave's, and of infrastructure, are kept."""
@@ -182,5 +186,18 @@ class _OnCopies:
             for edge, verdict in self._transport.label(own, edges, tier):
                 where = verdict.where and verdict.where.with_files(self._copies.back)
                 yield edge, replace(verdict, reason=self._copies.back(verdict.reason), where=where)
+        except KeymintError as error:
+            raise self._copies.named(error) from error
+
+
+class _EndpointsOnCopies(_OnCopies):
+    """Implements :class:`keymint.api.EndpointTransport`: such a transport that reads copies."""
+
+    def admitted(self, enclave: Enclave, endpoints: Column, tier: Tier) -> bytes:
+        """See :meth:`keymint.api.EndpointTransport.admitted`."""
+        try:
+            return cast("EndpointTransport", self._transport).admitted(
+                self._copies.enclaves[enclave.subject], endpoints, tier
+            )
         except KeymintError as error:
             raise self._copies.named(error) from error

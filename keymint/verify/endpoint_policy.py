@@ -7,33 +7,15 @@ raw topic and a DENY rule on the ROS topic that it carries match the same endpoi
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
-from itertools import groupby
-from operator import attrgetter
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import replace
+from functools import lru_cache
 
 from comarmor.patterns import glob
 from comarmor.patterns.matching import matcher
-from keymint.api import LoadedPolicy, NameMapping, PolicyDecision
-from keymint.graph import Edge
-
-RAW = "topic"
-
-
-@dataclass(frozen=True, slots=True)
-class Naming:
-    """The mapping of a subject's ROS names to names of its transport, for one distribution."""
-
-    mapping: NameMapping
-    distro: str
-
-    def endpoints(self, edge: Edge) -> Sequence[Edge]:
-        """Return the endpoints of an edge; see :meth:`keymint.api.NameMapping.endpoints`."""
-        return self.mapping.endpoints(self.distro, edge)
-
-    def meanings(self, endpoint: Edge) -> Sequence[Edge]:
-        """Return the ROS edges of an endpoint; see :meth:`keymint.api.NameMapping.meanings`."""
-        return self.mapping.meanings(self.distro, endpoint)
+from keymint.api import LoadedPolicy, PolicyDecision, RowPolicy
+from keymint.graph import Column, Edge
+from keymint.verify.rows import RAW, EdgeRow, Naming, mapped
 
 
 class EndpointPolicy:
@@ -48,6 +30,7 @@ class EndpointPolicy:
         self._policy = policy
         self._namings = namings
         self._subject = ""
+        self._has_raw = False
         self._is_raw: Callable[[str], bool] = lambda _name: False
 
     def decide(self, edge: Edge) -> PolicyDecision:
@@ -92,7 +75,55 @@ class EndpointPolicy:
         exact = {text for each in raw if (text := glob.literal(each)) is not None}
         patterns = [matcher(each) for each in raw if glob.literal(each) is None]
         self._is_raw = lambda name: name in exact or any(matches(name) for matches in patterns)
+        self._has_raw = bool(raw)
         self._subject = subject
+
+    def labels(self, row: EdgeRow) -> bytes:
+        """Return the policy's labels of a row of edges, one byte each: 1 allowed, 0 denied.
+
+        Raises:
+            KeymintError: the kind or the permission of an edge is not known.
+        """
+        labels = bytearray(len(row))
+        requests = row.column.requests
+        single: Sequence[int] = range(len(row))
+        if isinstance(self._policy, RowPolicy):
+            plain, single = _by_permission(row.column)
+            for (kind, permission), (positions, names) in plain.items():
+                decided = self._policy.allowed(row.subject, kind, permission, names)
+                for at, allowed in zip(positions, decided, strict=True):
+                    labels[at] = allowed
+            single = [*single, *self._meeting_raw_rules(row)]
+        for at in single:
+            labels[at] = self.decide(row.edge(requests[at])).allowed
+        return bytes(labels)
+
+    def _meeting_raw_rules(self, row: EdgeRow) -> Iterator[int]:
+        """Yield the requests on ROS names of which a rule on raw topics matches an endpoint."""
+        naming = self._namings.get(row.subject)
+        self._turn_to(row.subject)
+        if naming is None or not self._has_raw:
+            return
+        column = mapped(row.column, naming)
+        raw = [self._is_raw(each.object.name) for each in column.endpoints.requests]
+        yield from (at for at, needed in enumerate(column.needed) if any(raw[each] for each in needed))
+
+
+@lru_cache(maxsize=4)
+def _by_permission(
+    column: Column,
+) -> tuple[Mapping[tuple[str, str], tuple[Sequence[int], Sequence[str]]], Sequence[int]]:
+    """Return positions and names of the requests on ROS names by kind and permission, and the other positions."""
+    plain: dict[tuple[str, str], tuple[list[int], list[str]]] = {}
+    others: list[int] = []
+    for at, request in enumerate(column.requests):
+        if request.object.kind == RAW or request.object.partitions:
+            others.append(at)
+        else:
+            positions, names = plain.setdefault((request.object.kind, request.permission), ([], []))
+            positions.append(at)
+            names.append(request.object.name)
+    return plain, others
 
 
 def _apart(endpoint: Edge) -> Sequence[Edge]:
@@ -104,20 +135,20 @@ def _apart(endpoint: Edge) -> Sequence[Edge]:
 
 
 def label(
-    policy: EndpointPolicy, edges: Iterable[Edge], on_subject: Callable[[str], None] = lambda _subject: None
+    policy: EndpointPolicy, rows: Iterable[EdgeRow], on_subject: Callable[[str], None] = lambda _subject: None
 ) -> bytearray:
     """Return the policy's labels of edges, one byte each: 1 allowed, 0 denied.
 
     Args:
         policy: the policy on endpoints.
-        edges: grouped by subject.
+        rows: the edges.
         on_subject: called after all edges of a subject.
 
     Raises:
         KeymintError: the kind or the permission of an edge is not known.
     """
     labels = bytearray()
-    for subject, group in groupby(edges, key=attrgetter("subject")):
-        labels.extend(policy.decide(edge).allowed for edge in group)
-        on_subject(subject)
+    for row in rows:
+        labels += policy.labels(row)
+        on_subject(row.subject)
     return labels

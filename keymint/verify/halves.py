@@ -14,8 +14,9 @@ from itertools import groupby
 from keymint.api import Enclave, Transport, Verdict
 from keymint.graph import Edge
 from keymint.verify.compare import Explain, label_by_subject
-from keymint.verify.endpoint_policy import RAW, EndpointPolicy, Naming
+from keymint.verify.endpoint_policy import EndpointPolicy
 from keymint.verify.mismatch import Comparison
+from keymint.verify.rows import RAW, Naming
 
 
 @dataclass(frozen=True, slots=True)

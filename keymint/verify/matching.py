@@ -13,7 +13,7 @@ from comarmor.rules import Effect, parts
 from comarmor.text import nearest_word
 from keymint.graph import Edge
 from keymint.ir import Rule
-from keymint.verify.endpoint_policy import RAW
+from keymint.verify.rows import RAW
 
 
 def matching_rules(rules: Sequence[Rule], edges: Iterable[Edge]) -> list[int]:

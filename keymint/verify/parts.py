@@ -3,21 +3,22 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import astuple, dataclass, replace
 
 from keymint.api import DivisiblePolicy, LoadedPolicy, Transport
 from keymint.executors import Pool
-from keymint.graph import ConfusionMatrix, Edge, Graph, Object
+from keymint.graph import ConfusionMatrix, Graph, Object
 from keymint.plugins import Plugins
 from keymint.verify.copies import Copies, placed
 from keymint.verify.endpoint_policy import EndpointPolicy
 from keymint.verify.mismatch import Comparison
+from keymint.verify.rows import EdgeRows
 from keymint.verify.scope import VerificationScope, common_objects, edges_of_graph, edges_of_policy
 from keymint.verify.usable_transports import models, names_rules
 from keymint.verify.verification import Asking, Verification, verification
 
-LEAST = 20_000
+LEAST = 150_000
 """Edges, times models, for which a process of its own is worth its start."""
 
 
@@ -45,7 +46,7 @@ class VerificationPart:
     copies: Copies
     files: Mapping[str, bytes] | None = None
 
-    def edges(self) -> tuple[tuple[str, ...], Callable[[], Iterator[Edge]]]:
+    def rows(self) -> tuple[tuple[str, ...], EdgeRows]:
         """Return the subjects, and a function that yields all edges to ask about."""
         if self.graph is not None:
             return edges_of_graph(self.graph, self.scope)
@@ -59,9 +60,7 @@ class VerificationPart:
         def find_models() -> Mapping[str, Transport]:
             return copies.read_by(models(plugins, self.scope.build_type))
 
-        return verification(
-            self.scope, self.policy, *self.edges(), copies.read_by(transports), find_models, self.asking
-        )
+        return verification(self.scope, self.policy, *self.rows(), copies.read_by(transports), find_models, self.asking)
 
     def about(self, subjects: Sequence[str], *, elsewhere: bool) -> VerificationPart:
         """Return the part about some of the subjects, for this machine or for another one."""
@@ -119,7 +118,7 @@ def verified_in_parts(
     modelled = tuple(name for name, each in transports.items() if names_rules(each.usable()))
     common = () if graph else common_objects(policy, scope)
     whole = VerificationPart(scope, policy, graph, common, modelled, asking, copies)
-    subjects, edges = whole.edges()
+    subjects, rows = whole.rows()
     objects = len(graph.objects) if graph else len(common)
     divided = pool.parts(subjects, -(-LEAST // max(1, objects * len(modelled))))
     if len(divided) < 2 if pool.shares_memory else not (modelled and isinstance(policy, DivisiblePolicy)):  # noqa: PLR2004
@@ -137,7 +136,7 @@ def verified_in_parts(
         compared[name] = _together([result.comparisons[at] for result in results], asking.limit)
     labels = bytearray().join(result.labels for result in results)
     decide = EndpointPolicy(policy, scope.namings).decide
-    return Verification(scope.build_type, subjects, edges, labels, decide, tuple(compared[name] for name in transports))
+    return Verification(scope.build_type, subjects, rows, labels, decide, tuple(compared[name] for name in transports))
 
 
 def _unseen(_name: str, _subject: str) -> None:

@@ -3,21 +3,23 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cache
+from itertools import groupby
+from operator import attrgetter
 from pathlib import Path
 from typing import TypeVar
 
 from comarmor.text import did_you_mean
 from keymint.api import ActionMapping, BuildType, Enclave, LoadedPolicy, NameMapping, Package, Role
 from keymint.errors import KeymintError
-from keymint.graph import LABELLED, Edge, Graph, Object, complete
+from keymint.graph import LABELLED, Column, Edge, Graph, Object, column
 from keymint.ir import SubjectRules
 from keymint.plan.enclaves import installed
 from keymint.session import Inputs, Session
 from keymint.verify import probes
-from keymint.verify.endpoint_policy import Naming
+from keymint.verify.rows import EdgeRow, EdgeRows, Naming
 
 _Value = TypeVar("_Value")
 
@@ -191,11 +193,11 @@ def subjects_of_graph(graph: Graph, known: Collection[str], *, only: bool) -> Gr
     return replace(graph, subjects=tuple(subject for subject in graph.subjects if subject in known))
 
 
-def edges_of_graph(graph: Graph, scope: VerificationScope) -> tuple[tuple[str, ...], Callable[[], Iterator[Edge]]]:
+def edges_of_graph(graph: Graph, scope: VerificationScope) -> tuple[tuple[str, ...], EdgeRows]:
     """Return the subjects of a graph in a scope, and a function that yields all possible edges of them."""
     kept = tuple(subject for subject in graph.subjects if subject in scope.enclaves)
-    edges = tuple(edge for edge in graph.edges if scope.names.has(edge.object))
-    return kept, lambda: complete(replace(graph, subjects=kept, edges=edges))
+    requests = column(replace(graph, edges=tuple(edge for edge in graph.edges if scope.names.has(edge.object))))
+    return kept, lambda: (EdgeRow(subject, requests) for subject in kept)
 
 
 def common_objects(policy: LoadedPolicy, scope: VerificationScope) -> tuple[Object, ...]:
@@ -207,9 +209,7 @@ def _rules(policy: LoadedPolicy, scope: VerificationScope) -> list[SubjectRules]
     return [policy.rules(subject) or SubjectRules(subject, ()) for subject in scope.enclaves]
 
 
-def edges_of_policy(
-    policy: LoadedPolicy, scope: VerificationScope, common: Sequence[Object]
-) -> Callable[[], Iterator[Edge]]:
+def edges_of_policy(policy: LoadedPolicy, scope: VerificationScope, common: Sequence[Object]) -> EdgeRows:
     """Return a function that yields edges on the objects of the policy and the documents, and on probing names.
 
     Args:
@@ -234,4 +234,9 @@ def edges_of_policy(
         naming = scope.namings.get(edge.subject)
         return naming.endpoints(edge) if naming else ()
 
-    return lambda: probes.edges(rules, common, scope.domains, scope.names.has, mentioned, needed)
+    def rows() -> Iterator[EdgeRow]:
+        edges = probes.edges(rules, common, scope.domains, scope.names.has, mentioned, needed)
+        for subject, group in groupby(edges, key=attrgetter("subject")):
+            yield EdgeRow(subject, Column(tuple(group)))
+
+    return rows

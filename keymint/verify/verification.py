@@ -5,14 +5,17 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
+from itertools import chain
 
-from keymint.api import LoadedPolicy, PolicyDecision, Tier, Transport
+from keymint.api import EndpointTransport, LoadedPolicy, PolicyDecision, Tier, Transport
 from keymint.graph import Edge
 from keymint.verify.compare import compare
+from keymint.verify.compare_endpoints import compare_endpoints
 from keymint.verify.endpoint_policy import EndpointPolicy, label
 from keymint.verify.explain import Explainer
 from keymint.verify.halves import with_halves
 from keymint.verify.mismatch import Comparison
+from keymint.verify.rows import EdgeRows
 from keymint.verify.scope import VerificationScope
 
 
@@ -23,7 +26,7 @@ class Verification:
     Attributes:
         build_type: its name.
         subjects: the subjects of the edges.
-        edges: returns the edges, grouped by subject.
+        rows: returns the edges of each subject.
         labels: the policy's label of each edge: 1 allowed, 0 denied.
         decide: returns the decision of the policy on an edge, as this build type applies it.
         comparisons: the comparison of each transport.
@@ -31,10 +34,14 @@ class Verification:
 
     build_type: str
     subjects: tuple[str, ...]
-    edges: Callable[[], Iterator[Edge]] = field(repr=False)
+    rows: EdgeRows = field(repr=False)
     labels: bytearray = field(repr=False)
     decide: Callable[[Edge], PolicyDecision] = field(repr=False)
     comparisons: tuple[Comparison, ...]
+
+    def edges(self) -> Iterator[Edge]:
+        """Yield the edges, grouped by subject."""
+        return chain.from_iterable(self.rows())
 
 
 @dataclass(frozen=True, slots=True)
@@ -56,7 +63,7 @@ def verification(
     scope: VerificationScope,
     policy: LoadedPolicy,
     subjects: tuple[str, ...],
-    edges: Callable[[], Iterator[Edge]],
+    rows: EdgeRows,
     transports: Mapping[str, Transport],
     find_models: Callable[[], Mapping[str, Transport]],
     asking: Asking,
@@ -67,7 +74,7 @@ def verification(
         scope: the enclaves.
         policy: the policy.
         subjects: the subjects of the edges.
-        edges: returns the edges, grouped by subject; called once for each transport and for the policy.
+        rows: returns the edges of each subject; called for each transport and for the policy.
         transports: the transports, by name.
         find_models: returns simulated transports of the build type, to explain mismatches.
         asking: how to ask.
@@ -77,16 +84,24 @@ def verification(
     """
     endpoint_policy = EndpointPolicy(policy, scope.namings)
     explain = Explainer(endpoint_policy, transports, find_models)
-    labels = label(endpoint_policy, edges(), lambda subject: asking.on_subject("policy", subject))
+    labels = label(endpoint_policy, rows(), lambda subject: asking.on_subject("policy", subject))
 
     def compared(name: str, transport: Transport) -> Comparison:
-        outcome = compare(
-            name, transport, scope.enclaves, edges(), labels, asking.tier, explain, asking.limit,
-            lambda subject: asking.on_subject(name, subject),
-        )  # fmt: skip
+        def on_subject(subject: str) -> None:
+            asking.on_subject(name, subject)
+
+        alone = asking.tier is not Tier.EXCHANGE and scope.namings.keys() >= set(subjects)
+        if alone and isinstance(transport, EndpointTransport):
+            return compare_endpoints(
+                name, transport, scope.enclaves, rows(), labels, endpoint_policy, scope.namings, asking.tier, explain,
+                asking.limit, on_subject,
+            )  # fmt: skip
+        limit, edges = asking.limit, chain.from_iterable(rows())
+        outcome = compare(name, transport, scope.enclaves, edges, labels, asking.tier, explain, limit, on_subject)
+        edges = chain.from_iterable(rows())
         return with_halves(
-            outcome, transport, scope.enclaves, edges(), labels, endpoint_policy, scope.namings, explain, asking.limit
+            outcome, transport, scope.enclaves, edges, labels, endpoint_policy, scope.namings, explain, limit
         )
 
     comparisons = tuple(compared(name, transport) for name, transport in transports.items())
-    return Verification(scope.build_type, subjects, edges, labels, endpoint_policy.decide, comparisons)
+    return Verification(scope.build_type, subjects, rows, labels, endpoint_policy.decide, comparisons)

@@ -31,10 +31,11 @@ from keymint.plan.enclaves import installed
 from keymint.session import Session
 from keymint.verify.compare import label_enclave
 from keymint.verify.copies import Copies, copied
-from keymint.verify.endpoint_policy import RAW, EndpointPolicy, Naming
+from keymint.verify.endpoint_policy import EndpointPolicy
 from keymint.verify.explain import Explainer
 from keymint.verify.matching import matching_rules, nearest
 from keymint.verify.mismatch import Mismatch
+from keymint.verify.rows import RAW, Naming
 from keymint.verify.scope import Names, naming_of
 from keymint.workspace import packages
 

@@ -6,6 +6,7 @@ from __future__ import annotations
 import ctypes
 import os
 import runpy
+from dataclasses import replace
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -13,9 +14,9 @@ from typing import TYPE_CHECKING
 import pytest
 from keymint_ros2_dds.transports import cyclonedds_0_10, fastdds_2_9, real_cyclonedds, real_fastdds
 
-from keymint.api import Enclave, Environment, Tier, Transport, Verdict
+from keymint.api import Enclave, EndpointTransport, Environment, Tier, Transport, Verdict
 from keymint.errors import KeymintError
-from keymint.graph import Edge, Object
+from keymint.graph import Column, Edge, Object
 from keymint.pki import smime
 
 from .conftest import missing_transport
@@ -105,6 +106,22 @@ def test_all_tiers_make_the_same_decisions(transport: Transport, pair: list[Encl
     assert [verdict.allowed for verdict in found] == [True, False, False, True, True]
     assert all(verdict.reason for verdict in found)
     assert found[0].where.line
+
+
+@pytest.mark.parametrize("tier", [Tier.DECISION, Tier.ADMISSION])
+def test_many_endpoints_are_decided_as_one_by_one(transport: Transport, pair: list[Enclave], tier: Tier) -> None:
+    assert isinstance(transport, EndpointTransport)
+    unsayable = talker("publish", Object("topic", "a\tb"))
+    asked = [*EDGES, unsayable, *(talker("publish", Object("topic", f"rt/{n}")) for n in range(70)), *EDGES]
+    asked += [replace(each, domain=1) for each in EDGES]
+    expected = [verdict.allowed for verdict in labelled(transport, pair, tier, *sorted(asked, key=by_domain))]
+    admitted = transport.admitted(pair[0], Column(tuple(sorted(asked, key=by_domain))), tier)
+    assert admitted == bytes(expected)
+    assert sum(admitted) >= 4
+
+
+def by_domain(edge: Edge) -> int:
+    return edge.domain
 
 
 def test_allowed_samples_are_delivered_and_an_intruder_is_refused(transport: Transport, pair: list[Enclave]) -> None:

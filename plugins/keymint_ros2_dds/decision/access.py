@@ -59,6 +59,22 @@ class DomainAccess:
             topic: DDS topic name.
             partitions: partitions of the endpoint.
         """
+        absent = self.absent(evaluator)
+        if absent is not None or self.rule is None:
+            return absent or EndpointDecision(DecisionOutcome.ERROR, 0, self.refusal)
+        rule = topic_rule(self.rule, topic, self._semantics)
+        if rule is None:
+            where = self._document.place(self.rule.line)
+            return EndpointDecision(DecisionOutcome.DENIED, 0, f"no topic rule matches {topic!r}", where)
+        if not rule.controls(action):
+            where = self._document.place(rule.line)
+            reason = f"{ACCESS[action]} is false for {rule.expression!r}"
+            return EndpointDecision(DecisionOutcome.ALLOWED, 0, reason, where)
+        checked = rule.read_controlled and rule.write_controlled
+        return evaluator.decide(action, topic, partitions, topic_checked=checked)
+
+    def absent(self, evaluator: DocumentEvaluator) -> EndpointDecision | None:
+        """Return why there is no participant with any endpoint, or None."""
         if self.refusal:
             return EndpointDecision(DecisionOutcome.ERROR, 0, self.refusal)
         if evaluator.refusal is not None:
@@ -69,37 +85,16 @@ class DomainAccess:
         if not self.admits(joins=evaluator.joins):
             reason = f"the permissions allow nothing in domain {self._domain}, so that there is no participant"
             return EndpointDecision(DecisionOutcome.DENIED, 0, reason)
-        return self._by_topic(self.rule, evaluator, action, topic, partitions)
-
-    def _by_topic(
-        self,
-        domain_rule: DocumentDomainRule,
-        evaluator: DocumentEvaluator,
-        action: str,
-        topic: str,
-        partitions: Sequence[str],
-    ) -> EndpointDecision:
-        """Decide by the topic rule, and by the permissions if it controls access."""
-        rule = self._topic_rule(domain_rule, topic)
-        if rule is None:
-            where = self._document.place(domain_rule.line)
-            return EndpointDecision(DecisionOutcome.DENIED, 0, f"no topic rule matches {topic!r}", where)
-        if not rule.controls(action):
-            where = self._document.place(rule.line)
-            reason = f"{ACCESS[action]} is false for {rule.expression!r}"
-            return EndpointDecision(DecisionOutcome.ALLOWED, 0, reason, where)
-        checked = rule.read_controlled and rule.write_controlled
-        return evaluator.decide(action, topic, partitions, topic_checked=checked)
-
-    def _topic_rule(self, domain_rule: DocumentDomainRule, topic: str) -> DocumentTopicRule | None:
-        """Return the first rule that matches a topic; see :attr:`Semantics.topic_rules_both_ways`."""
-        name, dialect = fnmatch.in_bytes(topic), self._semantics.fnmatch
-        for rule in domain_rule.topic_rules:
-            expression = fnmatch.in_bytes(rule.expression)
-            if expression == "*" or re.fullmatch(fnmatch.translate(expression, dialect), name, re.DOTALL):
-                return rule
-            if self._semantics.topic_rules_both_ways and re.fullmatch(
-                fnmatch.translate(name, dialect), expression, re.DOTALL
-            ):
-                return rule
         return None
+
+
+def topic_rule(domain_rule: DocumentDomainRule, topic: str, semantics: Semantics) -> DocumentTopicRule | None:
+    """Return the first rule that matches a topic, or None; see :attr:`Semantics.topic_rules_both_ways`."""
+    name, dialect = fnmatch.in_bytes(topic), semantics.fnmatch
+    for rule in domain_rule.topic_rules:
+        expression = fnmatch.in_bytes(rule.expression)
+        if expression == "*" or re.fullmatch(fnmatch.translate(expression, dialect), name, re.DOTALL):
+            return rule
+        if semantics.topic_rules_both_ways and re.fullmatch(fnmatch.translate(name, dialect), expression, re.DOTALL):
+            return rule
+    return None

@@ -12,9 +12,10 @@ from collections.abc import Collection, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from datetime import datetime
 from enum import StrEnum
-from functools import lru_cache
+from functools import cached_property, lru_cache
 
 from comarmor.errors import Origin
+from comarmor.patterns.expression import beginning
 from comarmor.patterns.tokens import Dialect
 from keymint_ros2_dds.decision import fnmatch
 from keymint_ros2_dds.decision.semantics import OMG, Semantics, Variation
@@ -60,13 +61,50 @@ class EndpointDecision:
 
 @dataclass(frozen=True, slots=True)
 class _Expressions:
-    """Expressions of one list, compiled."""
+    """Expressions of one list, compiled, and the texts that names begin with which those with wildcards match."""
 
     plain: frozenset[str]
     wild: re.Pattern[str] | None
+    beginnings: frozenset[str]
 
     def match(self, name: str) -> bool:
         return name in self.plain or (self.wild is not None and self.wild.fullmatch(name) is not None)
+
+
+class TopicDecisions:
+    """Which topics are allowed by the first step that matches each: names in a dictionary, and the other expressions.
+
+    Args:
+        steps: expressions with what they decide, in the order of the document.
+        default: what no expression matches.
+    """
+
+    def __init__(self, steps: Iterable[tuple[_Expressions, bool]], default: bool) -> None:
+        self._allows: list[bool] = []
+        self._plain: dict[str, int] = {}
+        self._wild: list[tuple[int, re.Pattern[str]]] = []
+        beginnings: set[str] = set()
+        for at, (expressions, allows) in enumerate(steps):
+            self._allows.append(allows)
+            for name in expressions.plain:
+                self._plain.setdefault(name, at)
+            if expressions.wild is not None:
+                self._wild.append((at, expressions.wild))
+                beginnings.update(expressions.beginnings)
+        self._beginnings = tuple(beginnings)
+        self._allows.append(default)
+
+    def allows(self, name: str) -> bool:
+        """Tell whether a topic is allowed; its name is in bytes."""
+        at = self._plain.get(name, -1)
+        if name.startswith(self._beginnings):
+            for place, expressions in self._wild:
+                if 0 <= at < place:
+                    break
+                if expressions.fullmatch(name) is not None:
+                    at = place
+                    break
+        return self._allows[at]
 
 
 @dataclass(frozen=True, slots=True)
@@ -108,6 +146,7 @@ class DocumentEvaluator:
         self._place = document.place
         self._steps: dict[str, list[_CriteriaStep]] = {}
         self._named: list[_CriteriaStep] = []
+        self._by_action: dict[str, TopicDecisions] = {}
         self.joins = False
         self._default = False
         self._default_line = 0
@@ -168,6 +207,32 @@ class DocumentEvaluator:
             if self.semantics.first_topic_decides:
                 return self._by(step, f"names {topic!r}, but not in these partitions", allowed=False)
         return self._by_default(topic)
+
+    def allows(self, action: str, name: str, *, topic_checked: bool) -> bool:
+        """Tell whether an endpoint in the default partition, without data tags, is allowed; see :meth:`decide`.
+
+        Args:
+            action: as of :meth:`decide`.
+            name: DDS topic name in bytes.
+            topic_checked: as of :meth:`decide`.
+        """
+        if self.refusal is not None:
+            return False
+        if topic_checked and self.semantics.topic_check and not self._topic_check.allows(name):
+            return False
+        if action not in self._by_action:
+            steps = [
+                (step.topics, step.allows and matches)
+                for step in self._steps.get(action, ())
+                if (matches := self._matches(step, DEFAULT_PARTITION, ())) or self.semantics.first_topic_decides
+            ]
+            self._by_action[action] = TopicDecisions(steps, self._default)
+        return self._by_action[action].allows(name)
+
+    @cached_property
+    def _topic_check(self) -> TopicDecisions:
+        """Which topics may be created."""
+        return TopicDecisions([(step.topics, step.allows) for step in self._named], self._default)
 
     def _matches(self, step: _CriteriaStep, partitions: Sequence[str], tags: Collection[tuple[str, str]]) -> bool:
         """Tell whether partitions and tags match: an allow rule needs all of the endpoint's, a deny rule one."""
@@ -241,7 +306,8 @@ def _step(rule: DocumentRule, group: Sequence[DocumentCriteria], semantics: Sema
 def _patterns(expressions: Iterable[str], semantics: Semantics) -> _Expressions:
     texts = frozenset(fnmatch.in_bytes(semantics.reads_text(expression)) for expression in expressions)
     plain = frozenset(text for text in texts if fnmatch.is_plain(text))
-    return _Expressions(plain, _compiled(tuple(sorted(texts - plain)), semantics.fnmatch) if texts - plain else None)
+    wild = _compiled(tuple(sorted(texts - plain)), semantics.fnmatch) if texts - plain else None
+    return _Expressions(plain, wild, frozenset(map(beginning, texts - plain)))
 
 
 @lru_cache(maxsize=4096)

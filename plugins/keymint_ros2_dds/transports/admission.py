@@ -6,7 +6,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator, Sequence
 from itertools import groupby
 
-from keymint.api import Verdict
+from keymint.api import Enclave, Verdict
 from keymint.errors import KeymintError
 from keymint.graph import Edge
 from keymint_ros2_dds.decision import Variation
@@ -85,6 +85,30 @@ def admission(
                     yield edge, verdict(enclave_model, model, needed, _asked(participant, needed))
         except ProbeError as error:
             raise KeymintError(f"{subject}: {error}", code="transport-failed") from None
+
+
+def admitted(vendor: Vendor, enclave: Enclave, domain: int, endpoints: Sequence[Edge]) -> Sequence[bool]:
+    """Return which endpoints a real participant may have; nothing if the participant is refused.
+
+    Args:
+        vendor: the vendor, with its built probe.
+        enclave: the enclave.
+        domain: DDS domain id.
+        endpoints: edges of kind ``topic`` whose names can be said.
+
+    Raises:
+        KeymintError: the vendor's process fails.
+    """
+    enclave_files.refuse_encrypted_key(enclave)
+    topics = [(each.permission, each.object.name, *each.object.partitions) for each in endpoints]
+    try:
+        with System(vendor) as system:
+            try:
+                return system.open(enclave.folder, domain).allow(topics)
+            except RefusedError:
+                return ()
+    except ProbeError as error:
+        raise KeymintError(f"{enclave.subject}: {error}", code="transport-failed") from None
 
 
 def _asked(participant: ProbeParticipant, needed: Iterable[Edge]) -> Iterator[tuple[bool, str]]:

@@ -3,12 +3,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import ExitStack
 from dataclasses import replace
 from pathlib import Path
 
-from keymint.api import Availability, Tier, Verdict
+from keymint.api import Availability, Enclave, Tier, Verdict
 from keymint.errors import KeymintError
 from keymint.graph import Edge
 from keymint_ros2_dds.decision import CYCLONEDDS_0_10
@@ -60,6 +60,14 @@ class CycloneDDSTransport(RealTransport):
                     continue
                 needed = endpoints(enclave.distro, edge)
                 yield edge, admission.verdict(enclave_model, self.MODEL, needed, _answers(access, needed))
+
+    def _decide(self, enclave: Enclave, domain: int, endpoints: Sequence[Edge]) -> Iterable[bool]:
+        enclave_model = EnclaveModel(enclave, self._environment, domain)
+        with ExitStack() as stack:
+            access = _open(enclave_model, enclave.folder, domain, stack)
+            if isinstance(access, str):
+                return ()
+            return [access.allows(each.permission, each.object.name, each.object.partitions) for each in endpoints]
 
 
 def _open(enclave_model: EnclaveModel, folder: Path, domain: int, stack: ExitStack) -> AccessControl | str:

@@ -3,15 +3,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
+from functools import lru_cache
 
 from comarmor.errors import Origin
 from keymint.api import Enclave, Environment
 from keymint.errors import KeymintError
-from keymint.graph import Edge
+from keymint.graph import Column, Edge
 from keymint_ros2_dds import decision
-from keymint_ros2_dds.decision import OMG, DecisionOutcome, DocumentEvaluator, EndpointDecision, Variation
-from keymint_ros2_dds.decision.access import DomainAccess
+from keymint_ros2_dds.decision import OMG, DecisionOutcome, DocumentEvaluator, EndpointDecision, Variation, fnmatch
+from keymint_ros2_dds.decision.access import DomainAccess, topic_rule
+from keymint_ros2_dds.reading.signed_governance import DocumentDomainRule, DocumentTopicRule
 from keymint_ros2_dds.transports import enclave_files
 
 
@@ -48,15 +50,39 @@ class EnclaveModel:
         """Decide whether a participant may have an endpoint, an edge of kind ``topic``."""
         if self.documents is None:
             return EndpointDecision(DecisionOutcome.ERROR, 0, self.refusal)
-        evaluators = self._evaluators.get(variation.name)
-        if evaluators is None:
-            permissions, governance, subject_name = self.documents
-            evaluator = DocumentEvaluator(permissions, subject_name, self._now, self._domain, variation)
-            access = DomainAccess(governance, self._domain, evaluator.semantics)
-            evaluators = self._evaluators[variation.name] = evaluator, access
-        evaluator, access = evaluators
+        evaluator, access = self._evaluators.get(variation.name) or self._opened(variation, self.documents)
         topic = endpoint.object
         return access.decide(evaluator, endpoint.permission, topic.name, topic.partitions)
+
+    def _opened(
+        self, variation: Variation, documents: enclave_files.SignedDocuments
+    ) -> tuple[DocumentEvaluator, DomainAccess]:
+        permissions, governance, subject_name = documents
+        evaluator = DocumentEvaluator(permissions, subject_name, self._now, self._domain, variation)
+        access = DomainAccess(governance, self._domain, evaluator.semantics)
+        self._evaluators[variation.name] = evaluator, access
+        return evaluator, access
+
+    def admitted(self, variation: Variation, endpoints: Column) -> bytes:
+        """Decide about many endpoints at once, one byte each: 1 admitted, 0 refused; see :meth:`decide`."""
+        refused = bytes(len(endpoints.requests))
+        if self.documents is None:
+            return refused
+        evaluator, access = self._evaluators.get(variation.name) or self._opened(variation, self.documents)
+        if access.rule is None or access.absent(evaluator) is not None:
+            return refused
+        rules = _topic_rules(endpoints, access.rule, variation)
+
+        def admits(endpoint: Edge, name: str, rule: DocumentTopicRule | None) -> bool:
+            if rule is None or not rule.controls(endpoint.permission):
+                return rule is not None
+            if endpoint.object.partitions:
+                return self.decide(variation, endpoint).allowed
+            checked = rule.read_controlled and rule.write_controlled
+            return evaluator.allows(endpoint.permission, name, topic_checked=checked)
+
+        rules = _topic_rules(endpoints, access.rule, variation)
+        return bytes(admits(each, *found) for each, found in zip(endpoints.requests, rules, strict=True))
 
     def place(self, line: int = 0) -> Origin:
         """Return a place in the permissions document, for verdicts."""
@@ -76,6 +102,16 @@ class EnclaveModel:
             return ""
         deviations = decision.explain(lambda other: self.decide(other, endpoint).allowed, variation)
         return "; ".join(map(str, deviations))
+
+
+@lru_cache(maxsize=8)
+def _topic_rules(
+    endpoints: Column, domain_rule: DocumentDomainRule, variation: Variation
+) -> Sequence[tuple[str, DocumentTopicRule | None]]:
+    """Return the name of each endpoint's topic, in bytes, and the rule of the governance that matches it."""
+    names = [each.object.name for each in endpoints.requests]
+    rules = {name: topic_rule(domain_rule, name, variation.semantics) for name in names}
+    return [(fnmatch.in_bytes(name), rules[name]) for name in names]
 
 
 class EnclaveModels:
@@ -122,3 +158,14 @@ class EnclaveModels:
                 self._models.clear()
             self._models[key] = EnclaveModel(enclave, self._environment, domain)
         return self._models[key]
+
+    def admitted(self, subject: str, variation: Variation, endpoints: Column) -> bytes:
+        """Decide about many endpoints of a subject at once, one byte each: 1 admitted, 0 refused.
+
+        Raises:
+            KeymintError: the subject has no enclave.
+        """
+        domains = {each.domain for each in endpoints.requests}
+        if len(domains) == 1:
+            return self.of(subject, *domains).admitted(variation, endpoints)
+        return bytes(self.of(subject, each.domain).decide(variation, each).allowed for each in endpoints.requests)

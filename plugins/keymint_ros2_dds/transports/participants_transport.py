@@ -9,7 +9,7 @@ from typing import ClassVar
 
 from keymint.api import Availability, Enclave, Environment, Tier, Verdict
 from keymint.errors import KeymintError
-from keymint.graph import Edge
+from keymint.graph import Column, Edge
 from keymint_ros2_dds.decision import FASTDDS_2_9, Variation
 from keymint_ros2_dds.transports import admission, enclave_files
 from keymint_ros2_dds.transports.delivery import exchange
@@ -39,6 +39,7 @@ class RealTransport:
 
     def __init__(self, environment: Environment) -> None:
         self._environment = environment
+        self._vendors: dict[bool, Vendor] = {}
 
     def usable(self) -> Availability:
         """Return which tiers are usable here; determined once."""
@@ -74,20 +75,45 @@ class RealTransport:
             enclave_files.refuse_encrypted_key(enclave)
         return exchange(vendor, self.MODEL, models, edges)
 
+    def admitted(self, enclave: Enclave, endpoints: Column, tier: Tier) -> bytes:
+        """See :meth:`keymint.api.EndpointTransport.admitted`."""
+        decide = self._decide if tier is Tier.DECISION else self._ask
+        admitted = bytearray(len(endpoints.requests))
+        for domain in {each.domain for each in endpoints.requests}:
+            sayable = [
+                at
+                for at, each in enumerate(endpoints.requests)
+                if each.domain == domain and not admission.unsayable(each)
+            ]
+            answers = decide(enclave, domain, [endpoints.requests[at] for at in sayable])
+            for at, allowed in zip(sayable, answers, strict=False):
+                admitted[at] = allowed
+        return bytes(admitted)
+
+    def _decide(self, enclave: Enclave, domain: int, endpoints: Sequence[Edge]) -> Iterable[bool]:
+        """Decide without data exchange which endpoints an enclave may have; nothing if it is refused."""
+        return self._ask(enclave, domain, endpoints)
+
+    def _ask(self, enclave: Enclave, domain: int, endpoints: Sequence[Edge]) -> Iterable[bool]:
+        return admission.admitted(self._vendor(nonconforming=False), enclave, domain, endpoints)
+
     def _decision(self, models: EnclaveModels, edges: Iterable[Edge]) -> Iterator[tuple[Edge, Verdict]]:
         """Decide without data exchange; a vendor that needs a participant for that does so by admission."""
         return admission.admission(self._vendor(nonconforming=False), self.MODEL, models, edges)
 
     def _vendor(self, *, nonconforming: bool) -> Vendor:
-        cache, environment = self._environment.cache / "probes", probe_builds.inherited(self._environment.variables)
-        try:
-            return self.VENDOR(
-                self.PROBE.build(cache, environment),
-                environment,
-                self.NONCONFORMING.build(cache, environment) if nonconforming else None,
-            )
-        except (probe_builds.MissingVendorError, OSError) as error:
-            raise KeymintError(str(error), code="transport-unusable") from None
+        """Return the vendor with its built programs; the compiler is asked once whether they are up to date."""
+        if nonconforming not in self._vendors:
+            cache, environment = self._environment.cache / "probes", probe_builds.inherited(self._environment.variables)
+            try:
+                self._vendors[nonconforming] = self.VENDOR(
+                    self.PROBE.build(cache, environment),
+                    environment,
+                    self.NONCONFORMING.build(cache, environment) if nonconforming else None,
+                )
+            except (probe_builds.MissingVendorError, OSError) as error:
+                raise KeymintError(str(error), code="transport-unusable") from None
+        return self._vendors[nonconforming]
 
 
 class FastDDSTransport(RealTransport):

@@ -7,7 +7,7 @@ from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 
 from keymint.api import Availability, Enclave, Environment, Tier, Verdict
-from keymint.graph import Edge
+from keymint.graph import Column, Edge
 from keymint_ros2_dds.decision import OMG, VARIATIONS, EndpointDecision, Variation
 from keymint_ros2_dds.lowering.endpoints import endpoints
 from keymint_ros2_dds.transports.enclave_model import EnclaveModel, EnclaveModels
@@ -32,6 +32,11 @@ class Simulated:
         for edge in edges:
             enclave_model = models.of(edge.subject, edge.domain)
             yield edge, self._verdict(enclave_model, endpoints(models.enclave(edge.subject).distro, edge))
+
+    def admitted(self, enclave: Enclave, endpoints: Column, tier: Tier) -> bytes:
+        """See :meth:`keymint.api.EndpointTransport.admitted`."""
+        del tier
+        return EnclaveModels([enclave], self.environment).admitted(enclave.subject, self.variation, endpoints)
 
     def _verdict(self, enclave_model: EnclaveModel, needed: Sequence[Edge]) -> Verdict:
         deviation = ""

@@ -13,6 +13,7 @@
 #include <thread>
 #include <vector>
 
+#include <malloc.h>
 #include <unistd.h>
 
 #include <fastcdr/Cdr.h>
@@ -41,6 +42,7 @@ namespace {
 constexpr char TYPE_NAME[] = "std_msgs::msg::dds_::String_";
 constexpr uint32_t MAX_SERIALIZED = 4096;
 constexpr int PARTICIPANTS = 4;  // peers that each participant looks for
+constexpr int KEPT_MEMORY = 64 << 20;  // bytes that are not returned to the system after each endpoint
 constexpr auto STEP = std::chrono::milliseconds(2);
 
 // Messages of Fast DDS since they were last read.
@@ -279,6 +281,7 @@ private:
             qos.reliability().kind = fast::RELIABLE_RELIABILITY_QOS;
             qos.durability().kind = fast::TRANSIENT_LOCAL_DURABILITY_QOS;
             qos.history().kind = fast::KEEP_ALL_HISTORY_QOS;
+            qos.endpoint().history_memory_policy = rtps::DYNAMIC_RESERVE_MEMORY_MODE;
             edge.publisher = participant_->create_publisher(group);
             edge.writer = edge.publisher->create_datawriter(edge.topic, qos);
         }
@@ -290,6 +293,7 @@ private:
             qos.reliability().kind = fast::RELIABLE_RELIABILITY_QOS;
             qos.durability().kind = fast::TRANSIENT_LOCAL_DURABILITY_QOS;
             qos.history().kind = fast::KEEP_ALL_HISTORY_QOS;
+            qos.endpoint().history_memory_policy = rtps::DYNAMIC_RESERVE_MEMORY_MODE;
             edge.subscriber = participant_->create_subscriber(group);
             edge.reader = edge.subscriber->create_datareader(edge.topic, qos);
         }
@@ -393,11 +397,19 @@ int main()
     fast::Log::ClearConsumers();
     fast::Log::RegisterConsumer(std::unique_ptr<fast::LogConsumer>(new Consumer()));
     fast::Log::SetVerbosity(fast::Log::Kind::Error);
+    mallopt(M_TRIM_THRESHOLD, KEPT_MEMORY);
+    mallopt(M_MMAP_THRESHOLD, KEPT_MEMORY);
+    std::ios::sync_with_stdio(false);
+    std::cin.tie(nullptr);
     {
         Probe probe;
         std::string line;
         while (std::getline(std::cin, line) && line != "CLOSE")
-            std::cout << probe.obey(split(line)) << std::endl;
+        {
+            std::cout << probe.obey(split(line)) << '\n';
+            if (std::cin.rdbuf()->in_avail() <= 0)  // else commands wait, and their answers can go together
+                std::cout.flush();
+        }
     }
     std::cout << "CLOSED" << std::endl;
     return 0;

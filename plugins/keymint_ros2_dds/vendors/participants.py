@@ -23,7 +23,7 @@ import subprocess
 import tempfile
 import time
 from abc import ABC, abstractmethod
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -34,6 +34,10 @@ from keymint_ros2_dds.vendors.ports import FIRST_PARTICIPANT, Ports
 
 GRACE_SECONDS = 30.0
 """How long an answer may take beyond the time of its command before the probe counts as hung."""
+
+
+_AT_ONCE = 32
+"""Commands that are sent before their answers are read; they fit into a pipe."""
 
 
 class RefusedError(Exception):
@@ -183,6 +187,11 @@ class ProbeParticipant:
         answer, reason = self._process.ask("TRY", direction, topic, *partitions)
         return answer == "ALLOWED", reason.strip()
 
+    def allow(self, endpoints: Sequence[Sequence[str]]) -> list[bool]:
+        """Tell which endpoints the vendor allows: direction, topic and partitions of each; all are deleted at once."""
+        commands = [("TRY", *words) for words in endpoints]
+        return [answer == "ALLOWED" for answer, _ in self._process.ask_all(commands)]
+
     def close(self) -> None:
         """Delete the participant and end its process."""
         self._process.close()
@@ -236,18 +245,23 @@ class _ProbeProcess:
 
     def ask(self, *words: str, seconds: float = 0.0) -> tuple[str, str]:
         """Send a command; return the first word of its answer, and the rest."""
-        line = "\t".join(words)
-        if "\n" in line or line.count("\t") != len(words) - 1:
-            raise ProbeError(f"words with a tab or a newline cannot be sent: {words}")
-        try:
-            self._input.write(line.encode() + b"\n")
-            self._input.flush()
-        except BrokenPipeError:
-            raise self._died(line) from None
-        answer, _, rest = self._line(line, time.monotonic() + seconds + GRACE_SECONDS).partition(" ")
-        if answer == "ERROR":
-            raise ProbeError(f"{line!r} was answered with {rest!r}")
-        return answer, rest
+        (answer,) = self.ask_all([words], seconds)
+        return answer
+
+    def ask_all(self, commands: Sequence[Sequence[str]], seconds: float = 0.0) -> Iterator[tuple[str, str]]:
+        """Send commands, several at a time; yield the first word of each answer, and the rest."""
+        for begin in range(0, len(commands), _AT_ONCE):
+            lines = list(map(_line_of, commands[begin : begin + _AT_ONCE]))
+            try:
+                self._input.write("".join(f"{line}\n" for line in lines).encode())
+                self._input.flush()
+            except BrokenPipeError:
+                raise self._died(lines[0]) from None
+            for line in lines:
+                answer, _, rest = self._line(line, time.monotonic() + seconds + GRACE_SECONDS).partition(" ")
+                if answer == "ERROR":
+                    raise ProbeError(f"{line!r} was answered with {rest!r}")
+                yield answer, rest
 
     def _line(self, command: str, deadline: float) -> str:
         while b"\n" not in self._pending:
@@ -285,3 +299,10 @@ class _ProbeProcess:
                 stream.close()
             except BrokenPipeError:
                 continue
+
+
+def _line_of(words: Sequence[str]) -> str:
+    line = "\t".join(words)
+    if "\n" in line or line.count("\t") != len(words) - 1:
+        raise ProbeError(f"words with a tab or a newline cannot be sent: {words}")
+    return line

@@ -11,8 +11,9 @@ from keymint_ros2_dds import build_type
 
 from comarmor.errors import Origin
 from keymint.api import LoadedPolicy, PolicySource
-from keymint.graph import LABELLED, Edge, Object
-from keymint.verify.endpoint_policy import EndpointPolicy, Naming, label
+from keymint.graph import LABELLED, Column, Edge, Object
+from keymint.verify.endpoint_policy import EndpointPolicy, label
+from keymint.verify.rows import EdgeRow, Naming
 
 RULES = """
 <ros_topic qualifier="ALLOW"><attachment>/a</attachment><attachment>/b*</attachment>
@@ -82,6 +83,6 @@ def test_without_a_naming_names_are_taken_as_they_are(policy: LoadedPolicy) -> N
 
 def test_labels_are_a_byte_for_each_edge(judge: EndpointPolicy) -> None:
     done: list[str] = []
-    edges = [edge("ros_publish", "/a"), edge("ros_publish", "/z"), edge("ros_call", "/s")]
-    assert label(judge, edges, done.append) == bytes([1, 0, 1])
+    row = EdgeRow("/s", Column((edge("ros_publish", "/a"), edge("ros_publish", "/z"), edge("ros_call", "/s"))))
+    assert label(judge, [row], done.append) == bytes([1, 0, 1])
     assert done == ["/s"]

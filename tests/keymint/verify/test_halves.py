@@ -15,9 +15,10 @@ from comarmor.errors import Origin
 from keymint.api import Availability, Enclave, PolicySource, Tier, Verdict
 from keymint.graph import ConfusionMatrix, Edge, EdgeOutcome, Object
 from keymint.verify.compare import error_of
-from keymint.verify.endpoint_policy import EndpointPolicy, Naming
+from keymint.verify.endpoint_policy import EndpointPolicy
 from keymint.verify.halves import with_halves
 from keymint.verify.mismatch import Comparison, Mismatch
+from keymint.verify.rows import Naming
 
 HERE = Origin("permissions.p7s", 1)
 RULES = """<ros_service qualifier="ALLOW"><attachment>/allowed</attachment>

@@ -3,6 +3,8 @@
 
 from __future__ import annotations
 
+from itertools import product
+
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -129,3 +131,16 @@ def test_models_decide_as_the_oracles_do(rules: list[str]) -> None:
                 for partitions in ASKED:
                     found = evaluator.decide(action, topic, partitions).allowed
                     assert found == oracle(content, action, topic, partitions), (variation.name, action, topic)
+
+
+@settings(max_examples=150, deadline=None)
+@given(st.lists(RULES, min_size=1, max_size=5), st.sampled_from(["ALLOW", "DENY"]))
+def test_many_topics_are_decided_as_one_by_one(rules: list[str], default: str) -> None:
+    loaded = read(document(grant(*rules, default=default)))
+    for variation in (OMG, CYCLONEDDS_0_10, FASTDDS_2_9):
+        evaluator = DocumentEvaluator(loaded, SUBJECT, NOW, 0, variation)
+        for topic, action, checked in product(
+            ("rt/a", "rt/b", "rt/ab", "rt/]", "x"), ("publish", "subscribe"), (True, False)
+        ):
+            expected = evaluator.decide(action, topic, topic_checked=checked).allowed
+            assert evaluator.allows(action, topic, topic_checked=checked) == expected

@@ -12,7 +12,7 @@ from keymint_ros2_dds.transports import cyclonedds_0_10, fastdds_2_9, omg
 
 from keymint.api import Enclave, Environment, Tier, Verdict
 from keymint.errors import KeymintError
-from keymint.graph import Edge, Graph, Object, complete
+from keymint.graph import Column, Edge, Graph, Object, complete
 from keymint.pki import smime
 
 from ..enclaves import NOW, authority, installed  # noqa: TID252 - helpers of the folder above
@@ -191,3 +191,25 @@ def test_transports_of_a_run_read_the_documents_of_an_enclave_once(tmp_path: Pat
         [Enclave(SUBJECT, tmp_path / "one", "humble", tmp_path)], [edge("ros_publish")], Tier.DECISION
     )
     assert not verdict.allowed, "other files are read again"
+
+
+@pytest.mark.parametrize("days", [0, 9999])
+@pytest.mark.parametrize("broken", ["", "cert.pem"])
+def test_many_endpoints_are_decided_as_one_by_one(
+    name: str, tmp_path: Path, files: Mapping[str, bytes], days: int, broken: str
+) -> None:
+    topics = [("rt/chatter", ()), ("raw", ()), ("raw", ("p",)), ("raw", ("p", "q")), ("rq/addRequest", ()), ("x", ())]
+    asked = [
+        Edge(SUBJECT, action, Object("topic", topic, partitions), domain)
+        for topic, partitions in topics
+        for action in ("publish", "subscribe")
+        for domain in (0, 1)
+    ]
+    now = NOW + timedelta(days=days)
+    written = {file: content for file, content in files.items() if file != broken}
+    for edges in (asked, [each for each in asked if each.domain == 0]):
+        one_by_one = [verdict.allowed for verdict in verdicts(name, tmp_path / "talker", written, *edges, now=now)]
+        transport = OPENERS[name].open(Environment(now, tmp_path / "no-cache"))
+        enclave = Enclave(SUBJECT, tmp_path / "talker", "humble", tmp_path)
+        assert transport.admitted(enclave, Column(tuple(edges)), Tier.DECISION) == bytes(one_by_one)
+        assert any(one_by_one) == (not days and not broken)

@@ -1,0 +1,110 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Compare the labels of a transport that decides about all endpoints of a subject at once with those of the policy.
+
+The transport is asked about edges only for the reasons of mismatches. The result is that of :mod:`.compare` followed by
+:mod:`.halves`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import replace
+from operator import and_
+
+from keymint.api import Enclave, EndpointTransport, Tier, Verdict
+from keymint.errors import KeymintError
+from keymint.graph import ConfusionMatrix, Edge
+from keymint.verify.compare import ENCLAVE_REFUSED, Explain, label_enclave
+from keymint.verify.endpoint_policy import EndpointPolicy
+from keymint.verify.mismatch import Comparison, Mismatch
+from keymint.verify.rows import EdgeRow, MappedColumn, Naming, mapped
+
+
+def compare_endpoints(
+    name: str,
+    transport: EndpointTransport,
+    enclaves: Mapping[str, Enclave],
+    rows: Iterable[EdgeRow],
+    labels: bytes | bytearray,
+    policy: EndpointPolicy,
+    namings: Mapping[str, Naming],
+    tier: Tier,
+    explain: Explain,
+    limit: int,
+    on_subject: Callable[[str], None] = lambda _subject: None,
+) -> Comparison:
+    """Compare one transport with the policy.
+
+    Args:
+        name: the transport's name.
+        transport: a usable transport.
+        enclaves: the enclave of each subject of the edges.
+        rows: the edges.
+        labels: the policy's label of each edge: 1 allowed, 0 denied.
+        policy: the policy on endpoints.
+        namings: the naming of each subject.
+        tier: the tier of the test.
+        explain: returns mismatches with their reasons.
+        limit: mismatches to keep; all are counted.
+        on_subject: called after all edges of a subject.
+
+    Raises:
+        KeymintError: the transport does not work.
+    """
+
+    def kept(subject: str, decided: Sequence[tuple[Edge, bool]]) -> list[Mismatch]:
+        """Return the first of some mismatches."""
+        first = dict(decided[: max(0, limit - len(findings))])
+        if not first:
+            return []
+        again = label_enclave(transport, enclaves[subject], first, tier)
+        return explain(name, enclaves[subject], [(edge, _as_decided(verdict, first[edge])) for edge, verdict in again])
+
+    findings: list[Mismatch] = []
+    halves: dict[str, list[tuple[Edge, bool]]] = {}
+    wrong: dict[str, int] = {}
+    begin = both = by_policy = by_transport = 0
+    for row in rows:
+        expected = bytes(labels[begin : begin + len(row)])
+        begin += len(row)
+        column = mapped(row.column, namings[row.subject])
+        admitted = _admitted(transport, enclaves[row.subject], column, tier)
+        decided = column.allowed(admitted)
+        half_edges = sorted(map(row.edge, column.halves(expected, admitted)))
+        if found := [(edge, True) for edge in half_edges if not policy.decide(edge).allowed]:
+            halves[row.subject] = found
+        if decided != expected:
+            differing = [
+                (row.edge(request), bool(allowed))
+                for request, allowed, label in zip(row.column.requests, decided, expected, strict=True)
+                if allowed != label
+            ]
+            wrong[row.subject] = len(differing)
+            findings += kept(row.subject, differing)
+        both += sum(map(and_, expected, decided))
+        by_policy += expected.count(1)
+        by_transport += decided.count(1)
+        on_subject(row.subject)
+    of_edges = len(findings)
+    for subject, found in halves.items():
+        wrong[subject] = wrong.get(subject, 0) + len(found)
+        findings += kept(subject, found)
+    false_positive = by_transport - both + sum(map(len, halves.values()))
+    confusion = ConfusionMatrix(both, by_policy - both, false_positive, begin - by_policy - by_transport + both)
+    version, of_endpoints = transport.usable().version, len(findings) - of_edges
+    return Comparison(name, version, tier, confusion, tuple(findings), wrong, of_endpoints)
+
+
+def _admitted(transport: EndpointTransport, enclave: Enclave, column: MappedColumn, tier: Tier) -> bytes:
+    """Return which endpoints a transport admits; none of a refused enclave."""
+    try:
+        return transport.admitted(enclave, column.endpoints, tier)
+    except KeymintError as error:
+        if error.diagnostics[0].code != ENCLAVE_REFUSED:
+            raise
+        return bytes(len(column.endpoints.requests))
+
+
+def _as_decided(verdict: Verdict, allowed: bool) -> Verdict:
+    """Return a verdict with the decision that was counted."""
+    return verdict if verdict.allowed == allowed else replace(verdict, allowed=allowed)
