@@ -9,8 +9,9 @@ from comarmor.errors import Origin, Reason
 from keymint.api import PolicyDecision, Tier, Verdict
 from keymint.commands.verify_report import labelled_edges
 from keymint.drawing.labelled_graph import Label
-from keymint.graph import ConfusionMatrix, Edge, EdgeOutcome, Object
+from keymint.graph import Column, ConfusionMatrix, Edge, EdgeOutcome, Object
 from keymint.verify.mismatch import Comparison, Mismatch
+from keymint.verify.rows import EdgeRow
 from keymint.verify.verification import Verification
 
 EDGES = [Edge("/a", "ros_publish", Object("ros_topic", f"/t{at}")) for at in range(4)]
@@ -29,7 +30,8 @@ def outcome(name: str, counts: ConfusionMatrix, *findings: Mismatch) -> Comparis
 
 
 def labels(*outcomes: Comparison):
-    verified = Verification("b", ("/a",), lambda: iter(EDGES), bytearray(4), lambda _edge: DENIED, outcomes)
+    row = EdgeRow("/a", Column(tuple(EDGES)))
+    verified = Verification("b", ("/a",), lambda: iter([row]), bytearray(4), lambda _edge: DENIED, outcomes)
     return labelled_edges("t", verified, lambda file: file.removeprefix("/ws/"))
 
 
