@@ -44,15 +44,18 @@ def findings(package: Package, lowered: Lowered | None = None) -> tuple[Diagnost
     Raises:
         KeymintError: a rule of the policy, or an expression of the governance, is invalid.
     """
-    accepted = settings_of(package).governance.accepts_open
+    governance = settings_of(package).governance
+    if all(map(_is_closed, governance.domain_rules)):
+        return ()
+    accepted = governance.accepts_open
     severity = Severity.NOTE if accepted else Severity.WARNING
     help_ = "the profile accepts it" if accepted else f"put it under access control, {ACCEPT}"
     diagnostics: list[Diagnostic] = []
     earlier: list[DomainRange] = []
-    for rule in settings_of(package).governance.domain_rules:
+    for rule in governance.domain_rules:
         domains = tuple(_without(rule.domains, earlier))
         earlier += rule.domains
-        if domains and not _is_closed(rule):
+        if domains:
             results = (*_open_domain(rule, domains), *_open_topics(package, rule, domains, lowered))
             diagnostics += (Diagnostic(code, severity, text, where, help_) for code, text, where in results)
     return tuple(dict.fromkeys(diagnostics))
