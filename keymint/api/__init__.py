@@ -30,6 +30,7 @@ from keymint.api.building import Hint as Hint
 from keymint.api.building import Inspection as Inspection
 from keymint.api.building import Layout as Layout
 from keymint.api.building import NameMapping as NameMapping
+from keymint.api.building import RemoteCompiler as RemoteCompiler
 from keymint.api.building import RuleCheck as RuleCheck
 from keymint.api.building import SharedCredentials as SharedCredentials
 from keymint.api.building import SharedDocuments as SharedDocuments

@@ -3,10 +3,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from datetime import datetime
-from typing import Protocol, runtime_checkable
+from typing import Any, Protocol, runtime_checkable
 
 from comarmor.errors import Diagnostic, Origin
 from keymint.api.packages import Package, PackageSettings, PackageSources
@@ -269,6 +269,23 @@ class BuildType(Protocol):
 
     def check_all(self, inspections: Sequence[Inspection]) -> Sequence[Diagnostic]:
         """Return findings that involve several enclaves, e.g. names that a vendor confuses."""
+
+
+@runtime_checkable
+class RemoteCompiler(Protocol):
+    """Optional capability of a build type: other machines, which nobody vouches for, may compile for it."""
+
+    def is_remote(self, package: Package) -> bool:
+        """Tell whether another machine may compile a package: what it answers can be proven."""
+
+    def compiling(self) -> Callable[[Any, Sequence[tuple[Package, BuildOptions]]], Sequence[object]]:
+        """Return the function of a module that a worker calls with packages; its annotation has the exact type.
+
+        Its result has an item for each package; None if there is more to say about the package than its documents.
+        """
+
+    def receive(self, package: Package, options: BuildOptions, compilation: object, *, trusted: bool) -> None:
+        """Keep such an item for :meth:`BuildType.build`, which proves it before it uses it, unless it is trusted."""
 
 
 @runtime_checkable

@@ -31,7 +31,7 @@ from keymint.plan.policy_drift import policy_changed
 from keymint.session import Inputs, Session
 
 
-@verb(jobs=True, dry_run=True)
+@verb(jobs=True, dry_run=True, executor=True)
 @click.argument("names", nargs=-1, metavar="[NAME]...", shell_complete=complete_package)
 @click.option("-f", "--force", is_flag=True, help="Rebuild everything; discard manual edits.")
 @renew_option
@@ -55,6 +55,7 @@ def build(
     def make_plan(inputs: Inputs) -> Plan:
         session = inputs.session()
         chosen = run.names(inputs, names)
+        run.compile_elsewhere(session, chosen, hinted.options)
         plan = plan_build(session, chosen, hinted.options, force=force, renew=renew)
         warnings = policy_changed(session) if chosen else (no_packages(inputs),)
         warnings = (*warnings, *policy_slips(session, plan.steps))

@@ -151,6 +151,14 @@ def common_options(*, workspace: bool, jobs: bool, dry_run: bool, executor: bool
                 "(docs/scale.md).",
             )
         )
+        if dry_run:  # the verbs that sign, or record what is proven
+            options.append(
+                click.option(
+                    "--trust-executor",
+                    is_flag=True,
+                    help="Accept what the cluster proves; else documents are proven again here before they are signed.",
+                )
+            )
     if dry_run:
         options.append(click.option("--dry-run", is_flag=True, help="Show what would change; write nothing."))
     return options

@@ -39,7 +39,7 @@ from keymint.plan.policy import lazy_policy
 from keymint.session import Inputs
 
 
-@verb(jobs=True, dry_run=True)
+@verb(jobs=True, dry_run=True, executor=True)
 @click.argument("policy", type=PATH)
 @profile_options
 @click.option("-f", "--force", is_flag=True, help="Discard manual edits of packages' rules and of built documents.")
@@ -88,6 +88,7 @@ def provision(
         created = plan_create(session, acquired, names, force=force)
         session = session.after(created)
         names = (*names, *session.infrastructure())
+        run.compile_elsewhere(session, names, hinted.options, prove=prove)
         built = plan_build(session, names, hinted.options, force=force, renew=renew)
         session = session.after(built)
         minted, authorities = plan_authorities(session, new_authority)

@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from datetime import datetime
@@ -13,9 +13,9 @@ from typing import Any
 from comarmor.errors import Diagnostic, Origin, Severity, cited
 from comarmor.text import did_you_mean
 from keymint import file_index
-from keymint.api import Environment
+from keymint.api import BuildOptions, Environment
 from keymint.changes import File, Plan
-from keymint.commands.options import PROCESSES
+from keymint.commands.options import PROCESSES, usage_error
 from keymint.errors import ExitCode, KeymintError
 from keymint.execute import RECORD, execute, open_store
 from keymint.executors import Pool, Processes
@@ -25,7 +25,7 @@ from keymint.output.console import Console, Streams
 from keymint.output.report import Report
 from keymint.plan import gitignore
 from keymint.plugins import Plugins
-from keymint.session import Inputs
+from keymint.session import Inputs, Session
 from keymint.state import MAX_RECORD, State
 from keymint.state import load as load_state
 from keymint.tree import Tree, read_file
@@ -76,6 +76,7 @@ class Run:
             as_json=options["as_json"],
         )
         self.plugins = Plugins(environment=Environment(setting.now, setting.cache, setting.environment))
+        self._trusted: bool = options.get("trust_executor", False)
         self._executor: str = options.get("executor", PROCESSES)
         self._named: Path | None = options.get("workspace")
         self._spaces: dict[str, Path] = {
@@ -179,6 +180,32 @@ class Run:
 
     # -- computing elsewhere -------------------------------------------------------------------------------------
 
+    def compile_elsewhere(
+        self, session: Session, names: Sequence[str], options: BuildOptions, *, prove: bool = True
+    ) -> None:
+        """Let the cluster compile what the build of some packages needs, if the user named one.
+
+        Args:
+            session: the workspace and its profile.
+            names: the packages.
+            options: options of the build.
+            prove: nothing will be signed that is not proven.
+
+        Raises:
+            KeymintError: the cluster cannot be used, or is not trusted although its documents would not be proven.
+        """
+        if self._executor == PROCESSES:
+            return
+        if not prove and not self._trusted:
+            raise usage_error(
+                "--no-prove would sign what a cluster compiled and nobody proved",
+                "prove it, or say --trust-executor",
+            )
+        from keymint.plan.elsewhere import compile_elsewhere  # noqa: PLC0415 - few runs need it
+
+        with self.pool() as pool:
+            compile_elsewhere(pool, session, names, options)
+
     @contextmanager
     def pool(self) -> Iterator[Pool]:
         """Yield where to carry out work that can be divided.
@@ -192,7 +219,7 @@ class Run:
         from keymint.executors.cluster import cluster  # noqa: PLC0415 - few runs need it
 
         setting = self.setting
-        with cluster(self._executor, self.plugins, setting.now, setting.environment, trusted=False) as pool:
+        with cluster(self._executor, self.plugins, setting.now, setting.environment, trusted=self._trusted) as pool:
             yield pool
 
     # -- doing it ------------------------------------------------------------------------------------------------

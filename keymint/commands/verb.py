@@ -16,7 +16,7 @@ from keymint.errors import ExitCode, KeymintError
 from keymint.output.report import Report, folded
 
 Verb = Callable[..., Report]
-_COMMON = {"workspace", "as_json", "verbose", "quiet", "jobs", "dry_run", "executor"}
+_COMMON = {"workspace", "as_json", "verbose", "quiet", "jobs", "dry_run", "executor", "trust_executor"}
 
 
 def verb(

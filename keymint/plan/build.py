@@ -104,7 +104,7 @@ def built_documents(inputs: Inputs, name: str) -> dict[str, bytes]:
     return {file: content for file, content in contents.items() if content is not None}
 
 
-def _options_of(options: BuildOptions, subject: str) -> BuildOptions:
+def options_of(options: BuildOptions, subject: str) -> BuildOptions:
     """Drop other subjects' hints, so that changing them does not rebuild this package."""
     return replace(options, hints=tuple(each for each in options.hints if each.edge.subject == subject))
 
@@ -119,7 +119,7 @@ def _plan_package(
 ) -> PackagePlan:
     folder = session.workspace.build / name
     sources_digest = inputs_digest(session, name)
-    options = _options_of(options, f"/{name}")
+    options = options_of(options, f"/{name}")
     options_digest = digest(repr(options))
     stamp = session.state.stamp(STAGE, name)
     key_path = session.workspace.identity_key(name)

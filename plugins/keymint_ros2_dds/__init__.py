@@ -3,10 +3,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 
 from comarmor.rules import PERMISSIONS
-from keymint.api import API_VERSION, Claim, ProofTask
+from keymint.api import API_VERSION, BuildOptions, Claim, Package, ProofTask
 from keymint.api.lazy import lazy
 from keymint_ros2_dds.enclave_layout import LAYOUTS, READS, files
 
@@ -17,8 +17,7 @@ class DdsSecurity:
     """The build type for DDS Security 1.1 as Cyclone DDS and Fast DDS implement it.
 
     Implements :class:`keymint.api.BuildType`, :class:`keymint.api.NameMapping`, :class:`keymint.api.ActionMapping`,
-    :class:`keymint.api.RuleCheck` and
-    :class:`keymint.api.Prover`.
+    :class:`keymint.api.RuleCheck`, :class:`keymint.api.RemoteCompiler` and :class:`keymint.api.Prover`.
     """
 
     API = API_VERSION
@@ -48,6 +47,15 @@ class DdsSecurity:
 
     differences = lazy("keymint_ros2_dds.proving.anchor_check:differences")
     terms = lazy("keymint_ros2_dds.proving:terms")
+
+    is_remote = lazy("keymint_ros2_dds.kinds.elsewhere:is_remote")
+    receive = lazy("keymint_ros2_dds.kinds.elsewhere:receive")
+
+    def compiling(self) -> Callable[[object, Sequence[tuple[Package, BuildOptions]]], Sequence[object]]:
+        """See :func:`keymint_ros2_dds.kinds.elsewhere.compile_part`."""
+        from keymint_ros2_dds.kinds.elsewhere import compile_part  # noqa: PLC0415
+
+        return compile_part
 
     def assumptions(self) -> Mapping[str, Sequence[str]]:
         """See :data:`keymint_ros2_dds.proving.ASSUMPTIONS`."""

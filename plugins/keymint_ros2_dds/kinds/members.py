@@ -20,6 +20,7 @@ from keymint_ros2_dds.decision import VARIATIONS
 from keymint_ros2_dds.documents import dds_xml, permissions_document
 from keymint_ros2_dds.emission import Emitted, emit, proof_spec
 from keymint_ros2_dds.enclave_layout import PERMISSIONS
+from keymint_ros2_dds.kinds.elsewhere import emit_received
 from keymint_ros2_dds.kinds.structure import PLAIN_TEXT, Signature, Structure
 from keymint_ros2_dds.kinds.template import Template
 from keymint_ros2_dds.lowering.grant_rules import GrantRule
@@ -98,6 +99,8 @@ def emit_by_kind(package: Package, options: BuildOptions) -> Emitted:
     Raises:
         KeymintError: see :func:`keymint_ros2_dds.emission.emit`.
     """
+    if (received := emit_received(package, options)) is not None:
+        return received
     if options != BuildOptions():
         return emit(package, options)
     kind, arguments = kind_of(package.grant.rules.rules)

@@ -35,12 +35,8 @@ def carry_out(content: bytes) -> object:
         raise ValueError
     if order == "event":
         get_worker().log_event("warn", {"message": pickle.dumps(Evil())})
-    if order == "text":
-        return b"+" + b'{"labels": 7}'
-    if order == "nested":
-        return b"+" + b"[" * 100_000
-    if order == "versions":
-        worker.__version__ = "0.1"
+    if order == "widen":
+        return honest(content).replace(b"rt/chatter", b"rt/other")
     if order == "die once":
         ORDER.write_text("")
         os._exit(1)

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import subprocess
 import sys
-from concurrent.futures import Executor, Future
+from concurrent.futures import Future
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
@@ -16,6 +16,7 @@ from hypothesis import strategies as st
 
 from keymint.errors import ExitCode, KeymintError
 from keymint.executors import worker
+from keymint.executors.cluster import cluster
 from keymint.executors.pool import Processes, divided, in_order
 from keymint.plugins import Plugins
 from tests.conftest import CHECKOUT
@@ -114,15 +115,6 @@ except KeymintError as error:
 NOW = datetime(2027, 1, 15, tzinfo=UTC)
 
 
-class Here(Executor):
-    """Carries out requests at once."""
-
-    def submit(self, fn: Any, /, *args: Any, **_: Any) -> Future[Any]:
-        future: Future[Any] = Future()
-        future.set_result(fn(*args))
-        return future
-
-
 def halves(_plugins: Plugins, task: int) -> tuple[int, Path]:
     """Return half of an even number."""
     if task % 2:
@@ -163,8 +155,27 @@ def test_other_versions_are_named() -> None:
 
 
 @pytest.mark.parametrize(
-    "answer", [None, 7, "text", b"", b"+", b"+{", b"+[1]", b'+["1","/"]', b"-[]", b'-{"exit_code":99}']
+    "answer",
+    [None, 7, "text", b"", b"+", b"+{", b"+[1]", b'+["1","/"]', b"-[]", b'-{"exit_code":99}', b"+" + b"[" * 100_000],
 )
 def test_an_answer_of_another_form_is_refused(answer: object) -> None:
     with pytest.raises(KeymintError, match="answered something else"):
         worker.result_of(halves, answer, "")
+
+
+@pytest.mark.parametrize(
+    ("address", "code"),
+    [
+        ("dask://192.0.2.1:8786", "executor-tls"),
+        ("dask://[2001:db8::1]:8786", "executor-tls"),
+        ("dask://localhost", "executor-address"),
+        ("tcp://localhost:8786", "executor-address"),
+        ("dask://localhost:port", "executor-address"),
+        ("", "executor-address"),
+        ("dask://no-such-host.invalid:8786", "executor-lost"),
+    ],
+)
+def test_a_cluster_over_the_network_needs_tls(address: str, code: str) -> None:
+    with pytest.raises(KeymintError) as raised, cluster(address, Plugins(()), NOW, {}, trusted=False):
+        pass
+    assert raised.value.diagnostics[0].code == code
