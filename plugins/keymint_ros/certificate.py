@@ -93,7 +93,7 @@ def complete(own: CertificateElement, defaults: CertificateElement, values: Mapp
     Args:
         own: the element; the defaults themselves if there is none.
         defaults: values for everything that the element leaves out.
-        values: values of the placeholders.
+        values: values of the placeholders; if empty, they are left as they are.
 
     Raises:
         KeymintError: neither of them has a subject name or a validity.
@@ -104,7 +104,7 @@ def complete(own: CertificateElement, defaults: CertificateElement, values: Mapp
         raise incomplete("certificate", "subject_name" if subject_name is None else "validity", defaults.origin)
     with_extensions = defaults if own.extensions is None else own
     return CertificateSpec(
-        subject_name=placeholders.expand(subject_name, values),
+        subject_name=placeholders.expand(subject_name, values) if values else subject_name,
         validity=period,
         serial=(defaults.serial if own.serial is None else own.serial) or None,
         issuer=issuer(own, defaults)[0],

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
-from functools import partial
+from functools import lru_cache, partial
 from typing import TYPE_CHECKING, TypeVar
 
 from comarmor.errors import Diagnostic, Origin
@@ -35,7 +35,7 @@ from keymint.source_documents import (
     signer,
     text,
 )
-from keymint_ros import certificate, manifest, permissions, placeholders, validity
+from keymint_ros import certificate, manifest, permissions, permissions_writer, placeholders, validity
 from keymint_ros.manifest import MARKER, PackageManifest, PackagePart
 from keymint_ros.profile import base_of
 
@@ -78,6 +78,24 @@ _read_identity_defaults = Reader(
 _read_grant_defaults = Reader("keymint_ros", "defaults_permissions", _grant_defaults)
 
 
+@lru_cache(maxsize=64)
+def _default_identity(content: bytes, file: str) -> tuple[certificate.CertificateElement, CertificateSpec | None]:
+    """Return the defaults of identities, and the certificate that they describe alone, with placeholders in its name.
+
+    There is none if they do not describe one.
+    """
+    defaults = replace(_read_identity_defaults(content, file), file=file)
+    alone = defaults.subject_name is not None and defaults.validity is not None
+    return defaults, certificate.complete(defaults, defaults, {}) if alone else None
+
+
+@lru_cache(maxsize=64)
+def _default_grant(content: bytes, file: str) -> _GrantDefaults:
+    """Return the defaults of grants, whose validity has its place in this file."""
+    defaults = _read_grant_defaults(content, file)
+    return replace(defaults, validity=validity.effective(None, "", defaults.validity, file))
+
+
 @dataclass(frozen=True, slots=True)
 class _PackageLoader:
     """Loads one package; each method loads one part.
@@ -88,6 +106,7 @@ class _PackageLoader:
         base: path of the profile space as the user would type it, ending in a slash; or empty.
         files: the package's files.
         values: values of the placeholders.
+        authorities: names of the profile's authorities.
     """
 
     profile: WorkspaceProfile
@@ -97,6 +116,7 @@ class _PackageLoader:
     files: Mapping[str, bytes]
     manifest: PackageManifest
     values: Mapping[str, str]
+    authorities: tuple[str, ...]
 
     def own(self, part: PackagePart, create: str = "") -> tuple[str, bytes | None]:
         """Return the path of a part's document, for messages, and its content, or None if there is no document.
@@ -140,58 +160,72 @@ class _PackageLoader:
         """Return the certificate of the subject."""
         file, content = self.own(self.manifest.identities)
         defaults_file, defaults_content = self.defaults(self.manifest.identities)
-        own = defaults = replace(_read_identity_defaults(defaults_content, defaults_file), file=defaults_file)
+        defaults, alone = _default_identity(defaults_content, defaults_file)
+        own, where = defaults, defaults.origin
         if content is not None:
             name, element = _read_identity(content, file)
-            own = replace(element, file=file)
+            where = Origin(file, element.line)
             if not manifest.is_name_of(name, self.name):
                 raise KeymintError(
                     f"the identity is named {name!r}, but the package {self.name!r}",
-                    where=own.origin,
+                    where=where,
                     help="give it the name of the package, or none",
                     code="name-mismatch",
                 )
-        spec = certificate.complete(own, defaults, self.values)
-        known_authority(spec.issuer, self.authorities, certificate.issuer(own, defaults)[1], "issues the certificate")
+            own = defaults if element.is_empty else replace(element, file=file)
+        if own is defaults and alone is not None:
+            spec = replace(alone, subject_name=placeholders.expand(alone.subject_name, self.values))
+        else:
+            spec = certificate.complete(own, defaults, self.values)
+        named_at = certificate.issuer(own, defaults)[1] if own.issuer or defaults.issuer else where
+        known_authority(spec.issuer, self.authorities, named_at, "issues the certificate")
         return spec
 
     def grant(self) -> Grant:
         """Return the grant of the subject; infrastructure needs no document for it, since its grant has no rules."""
+        subject = f"/{self.name}"
         if self.manifest.role is Role.INFRASTRUCTURE and self.files.get(self.manifest.permissions.path) is None:
-            return self._empty_grant()
-        part, subject = self.manifest.permissions, f"/{self.name}"
-        file, content = self.own(part, create=f"'keymint create {self.name}' creates it from the policy")
+            return self._grant_of(SubjectRules(subject, ()))
+        file, content = self.own(
+            self.manifest.permissions, create=f"'keymint create {self.name}' creates it from the policy"
+        )
+        rendered = permissions_writer.rendered(content or b"", self.base)
+        if rendered is not None:
+            return self._grant_of(rendered, Origin(file, permissions_writer.GRANT_LINE))
         grant = permissions.read(content or b"", file, subject)
-        base = self._empty_grant()
-        period = validity.effective(grant.validity, file, base.validity, base.origin.file)
+        base = self._grant_of(permissions.to_ir(grant, subject, file, self.base), Origin(file, grant.line))
         return replace(
             base,
             name=grant.name,
             subject_name=placeholders.expand(grant.subject_name, self.values)
             if grant.subject_name
             else base.subject_name,
-            validity=period,
+            validity=validity.effective(grant.validity, file, None, "") or base.validity,
             domains=grant.domains or base.domains,
-            rules=permissions.to_ir(grant, subject, file, self.base),
-            origin=Origin(file, grant.line),
-            domains_origin=None if grant.domains else base.origin,
+            domains_origin=None if grant.domains else base.domains_origin,
             edited=grant.edited,
         )
 
-    def _empty_grant(self) -> Grant:
-        """Return a grant without rules, from the defaults alone."""
-        part, subject = self.manifest.permissions, f"/{self.name}"
+    def _grant_of(self, rules: SubjectRules, written: Origin | None = None) -> Grant:
+        """Return the grant that the defaults give for some rules.
+
+        Args:
+            rules: the rules.
+            written: the place of the grant in its document, if there is one.
+        """
+        part = self.manifest.permissions
         file, content = self.defaults(part)
-        defaults = _read_grant_defaults(content, file)
+        defaults = _default_grant(content, file)
         origin = Origin(file, defaults.line)
         return Grant(
             issuer=signer(part.issuer, Origin(self.file(MARKER), part.line), defaults.issuer, origin, self.authorities),
-            name=subject,
+            name=rules.subject,
             subject_name=placeholders.expand(defaults.subject_name or "", self.values),
-            validity=validity.effective(None, "", defaults.validity, file),
+            validity=defaults.validity,
             domains=defaults.domains or DEFAULT_DOMAINS,
-            rules=SubjectRules(subject, ()),
-            origin=origin,
+            rules=rules,
+            origin=written or origin,
+            domains_origin=origin if written else None,
             defaults_origin=origin,
         )
 
@@ -202,11 +236,6 @@ class _PackageLoader:
         defaults_file, defaults = self.optional_defaults(part)
         where = Origin(self.file(MARKER), part.line)
         return SourcePart(name, file, content, defaults_file, defaults, part.issuer, where)
-
-    @property
-    def authorities(self) -> tuple[str, ...]:
-        """The names of the profile's authorities."""
-        return tuple(authority.name for authority in self.profile.authorities)
 
 
 def load(
@@ -230,7 +259,8 @@ def load(
         )
     subject = f"/{name}"
     values = placeholders.of_subject(subject)
-    loader = _PackageLoader(profile, name, folder, base_of(profile), files, package_manifest, values)
+    authorities = tuple(authority.name for authority in profile.authorities)
+    loader = _PackageLoader(profile, name, folder, base_of(profile), files, package_manifest, values, authorities)
     diagnostics: list[Diagnostic] = []
     identity = _attempt(loader.identity, diagnostics)
     grant = _attempt(loader.grant, diagnostics)
@@ -282,7 +312,8 @@ def _with_extensions(identity: CertificateSpec, settings: Iterable[PackageSettin
     for of_build_type in settings:
         for each in of_build_type.extensions:
             extensions.setdefault(each.name, each)
-    return replace(identity, extensions=tuple(extensions.values()))
+    added = len(extensions) > len(identity.extensions)
+    return replace(identity, extensions=tuple(extensions.values())) if added else identity
 
 
 def _issuers(profile: WorkspaceProfile, name: str) -> Iterator[Authority]:

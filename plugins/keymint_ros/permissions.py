@@ -77,19 +77,17 @@ class Grant:
 def digest(rules: Iterable[Rule]) -> str:
     """Return the digest ``sha256:…`` of rules, independent of their order and their origins."""
     lines = sorted(
-        "\x1f".join(
-            (
-                rule.effect,
-                rule.kind,
-                "AUDIT" if rule.audit else "",
-                "\x1e".join(sorted(rule.permissions)),
-                "\x1e".join(sorted(rule.expressions)),
-                "\x1e".join(["", *sorted(rule.partitions)]),
-            )
-        )
-        for rule in rules
+        [
+            f"{rule.effect}\x1f{rule.kind}\x1f{'AUDIT' if rule.audit else ''}\x1f{_joined(rule.permissions)}"
+            f"\x1f{_joined(rule.expressions)}\x1f{_joined(('', *rule.partitions))}"
+            for rule in rules
+        ]
     )
     return "sha256:" + hashlib.sha256("\n".join(dict.fromkeys(lines)).encode()).hexdigest()
+
+
+def _joined(texts: tuple[str, ...]) -> str:
+    return "\x1e".join(sorted(texts)) if len(texts) > 1 else texts[0] if texts else ""
 
 
 def _old(content: bytes, name: str) -> Origin | None:
@@ -171,7 +169,7 @@ def _rule(element: etree._Element) -> Rule:
         expressions=tuple(expressions),
         partitions=tuple(partitions),
         audit=element.get("modifier") is not None,
-        origin=_origin(element.get("origin", "")) or place(element),
+        origin=stated(element.get("origin", "")) or place(element),
     )
 
 
@@ -233,12 +231,12 @@ def to_ir(grant: Grant, subject: str, file: str, base: str) -> SubjectRules:
     rules = []
     for rule, place_ in zip(grant.rules, grant.places, strict=True):
         in_document = grant.edited or rule.origin == place_
-        rules.append(replace(rule, origin=Origin(file, place_.line) if in_document else _in(base, rule.origin)))
+        rules.append(replace(rule, origin=Origin(file, place_.line) if in_document else placed(base, rule.origin)))
     return SubjectRules(subject, tuple(rules))
 
 
 @lru_cache(maxsize=4096)
-def _origin(text: str) -> Origin | None:
+def stated(text: str) -> Origin | None:
     """Return the origin in a text ``file:line; file:line``, or None if it has another form."""
     places = []
     for item in text.split("; "):
@@ -250,7 +248,7 @@ def _origin(text: str) -> Origin | None:
 
 
 @lru_cache(maxsize=4096)
-def _in(base: str, origin: Origin) -> Origin:
+def placed(base: str, origin: Origin) -> Origin:
     """Return an origin with its relative paths in a folder."""
     first, *chain = (
         Origin(each.file if each.file.startswith("/") else posixpath.normpath(base + each.file), each.line)

@@ -6,6 +6,7 @@ from __future__ import annotations
 import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import lru_cache
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -149,7 +150,12 @@ _read_policies = Reader("keymint_ros", "policies", _policies)
 
 def base_of(profile: WorkspaceProfile) -> str:
     """Return the path of the profile space as the user would type it, ending in a slash; or empty."""
-    folder = "." if profile.library is None else str(profile.library.parent)
+    return _folder_of(profile.library)
+
+
+@lru_cache(maxsize=64)
+def _folder_of(library: Path | None) -> str:
+    folder = "." if library is None else str(library.parent)
     return "" if folder == "." else f"{folder.rstrip('/')}/"
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
+from functools import lru_cache
 from typing import TYPE_CHECKING, Any
 
 from comarmor.errors import Diagnostic, Origin
@@ -78,11 +79,9 @@ def _governance(sources: PackageSources, part: SourcePart) -> Governance:
         )
     defaults = _read_defaults(part.defaults, part.defaults_file)
     defaults_at = Origin(part.defaults_file, defaults.line)
-    return Governance(
-        issuer=signer(part.issuer, part.where, defaults.issuer, defaults_at, sources.authorities),
-        domain_rules=_complete(own, part.file, defaults, part.defaults_file),
-        accepts_open=OPEN_GOVERNANCE in sources.accepts,
-    )
+    issuer = signer(part.issuer, part.where, defaults.issuer, defaults_at, sources.authorities)
+    rules = _complete(own, part.file, *_base(part.defaults, part.defaults_file))
+    return Governance(issuer, rules, accepts_open=OPEN_GOVERNANCE in sources.accepts)
 
 
 def _grant_defects(grant: Grant) -> Iterator[Diagnostic]:
@@ -158,8 +157,29 @@ _read_defaults = Reader("keymint_ros2_dds", "source_governance_defaults", _domai
 """Reads the defaults of a domain rule."""
 
 
+@lru_cache(maxsize=64)
+def _base(content: bytes, file: str) -> tuple[DomainRule, Mapping[str, Any]]:
+    """Return the domain rule that the defaults describe, and their settings for every topic.
+
+    Args:
+        content: the defaults.
+        file: their document, for origins.
+    """
+    defaults = _read_defaults(content, file)
+    general: Mapping[str, Any] = next(
+        (rule.settings for rule in defaults.topic_rules if (rule.kind, rule.expression) == ("topic", "*")), {}
+    )
+    rule = DomainRule(
+        domains=defaults.domains or DEFAULT_DOMAINS,
+        topic_rules=tuple(_topic_protection(rule, general, file) for rule in defaults.topic_rules),
+        origin=Origin(file, defaults.line),
+        **{**_STRICT_DOMAIN, **defaults.settings},
+    )
+    return rule, general
+
+
 def _complete(
-    own: Iterable[_DomainRuleElement], file: str, defaults: _DomainRuleElement, defaults_file: str
+    own: Iterable[_DomainRuleElement], file: str, base: DomainRule, general: Mapping[str, Any]
 ) -> tuple[DomainRule, ...]:
     """Return the domain rules that a package and its defaults describe together.
 
@@ -169,23 +189,16 @@ def _complete(
     Args:
         own: the domain rules of the package. If it has none, the defaults become the only rule.
         file: the package's document, for origins.
-        defaults: values for everything that these rules leave out.
-        defaults_file: the document of the defaults, for origins.
+        base: the domain rule of the defaults.
+        general: settings of the defaults for every topic.
     """
-    general: Mapping[str, Any] = next(
-        (rule.settings for rule in defaults.topic_rules if (rule.kind, rule.expression) == ("topic", "*")), {}
-    )
-    base = DomainRule(
-        domains=defaults.domains or DEFAULT_DOMAINS,
-        topic_rules=tuple(_topic_protection(rule, general, defaults_file) for rule in defaults.topic_rules),
-        origin=Origin(defaults_file, defaults.line),
-        **{**_STRICT_DOMAIN, **defaults.settings},
-    )
     rules = tuple(
         replace(
             base,
             domains=rule.domains or base.domains,
-            topic_rules=tuple(_topic_protection(topic, general, file) for topic in rule.topic_rules) + base.topic_rules,
+            topic_rules=(*(_topic_protection(topic, general, file) for topic in rule.topic_rules), *base.topic_rules)
+            if rule.topic_rules
+            else base.topic_rules,
             origin=Origin(file, rule.line),
             domains_origin=None if rule.domains else base.origin,
             **rule.settings,

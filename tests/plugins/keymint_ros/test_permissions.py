@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Mapping
 
 import pytest
 from hypothesis import given
@@ -54,7 +55,59 @@ def test_created_rules_are_loaded_unchanged(rules_: SubjectRules) -> None:
     profile = _WORKSPACE.load_profile()
     files = package_type.create(profile, rules_, {}, force=False)
     assert load_package(profile, "robot1/talker", "src", files).grant.rules == rules_
+    assert load_package(profile, "robot1/talker", "src", _read_again(files)).grant.rules == rules_
     assert package_type.create(profile, rules_, files, force=False) == {}
+
+
+_NEAR_PLAIN = st.text(st.sampled_from("/a*\\ ]>&{-\x7f\n"), min_size=0, max_size=5)
+_ANY_PLACES = st.builds(
+    lambda folder, file, line, column: Origin(folder + file, line, (), column),
+    st.sampled_from(["/ws/profile/", "/ws/profile/../x/", "/ws/profile", "", "/"]),
+    st.text(st.sampled_from("a.;:%<> /\n"), min_size=1, max_size=4),
+    st.integers(0, 99),
+    st.integers(0, 9),
+)
+
+
+@given(
+    st.lists(st.lists(_NEAR_PLAIN, min_size=1, max_size=2), max_size=3),
+    st.lists(_NEAR_PLAIN, max_size=1),
+    _ANY_PLACES,
+    st.lists(_ANY_PLACES, max_size=2),
+)
+def test_a_package_from_rules_of_this_run_is_the_one_that_is_read(
+    expressions: list[list[str]], partitions: list[str], place: Origin, around: list[Origin]
+) -> None:
+    origin = Origin(place.file, place.line, tuple(around), place.column)
+    rules_ = SubjectRules(
+        "/robot1/talker",
+        tuple(
+            Rule(
+                Effect.DENY,
+                "topic",
+                ("relay", "publish"),
+                tuple(own),
+                tuple(partitions),
+                audit=bool(number),
+                origin=origin,
+            )
+            for number, own in enumerate(expressions)
+        ),
+    )
+    profile = _WORKSPACE.load_profile()
+    files = package_type.create(profile, rules_, {}, force=False)
+    outcomes = []
+    for each in (files, _read_again(files)):
+        try:
+            outcomes.append(load_package(profile, "robot1/talker", "src/robot1/talker", each))
+        except KeymintError as error:
+            outcomes.append(error.diagnostics)
+    assert outcomes[0] == outcomes[1]
+
+
+def _read_again(files: Mapping[str, bytes]) -> dict[str, bytes]:
+    """Return the files with a document of the same meaning that is not the one which was written."""
+    return {**files, "permissions.xml": files["permissions.xml"] + b"\n"}
 
 
 @given(_SUBJECTS, _SUBJECTS)
