@@ -141,7 +141,7 @@ class PolicyStructure:
     """
 
     profiles: tuple[WrittenProfile, ...]
-    clauses: tuple[WrittenRule, ...]
+    clauses: Sequence[WrittenRule]
     unused: tuple[tuple[str, Origin], ...] = ()
 
 

@@ -11,7 +11,7 @@ import click
 from comarmor.errors import Diagnostic, Severity
 from keymint.analysis.attachment_mistakes import attachment_mistakes
 from keymint.analysis.subject_patterns import structure
-from keymint.api import BuildOptions
+from keymint.api import BuildOptions, LoadedPolicy
 from keymint.changes import Action, Plan, Step
 from keymint.commands.options import (
     DocumentOptions,
@@ -100,17 +100,18 @@ def build_options(run: Run, given: DocumentOptions) -> Hinted:
     return Hinted(BuildOptions(given.allow_vendor_specific, given.optimise, build_hints), str(given.hints or ""))
 
 
-def policy_slips(session: Session, steps: Iterable[Step]) -> tuple[Diagnostic, ...]:
+def policy_slips(session: Session, steps: Iterable[Step], policy: LoadedPolicy | None = None) -> tuple[Diagnostic, ...]:
     """Return likely slips in the policy of a workspace, if any step does something.
 
     Args:
         session: the workspace and its profile.
         steps: what is planned.
+        policy: the policy; loaded if it is not given.
     """
     if all(step.action is Action.UNCHANGED for step in steps):
         return ()
     try:
-        written = structure(load_policy(session))
+        written = structure(policy or load_policy(session))
     except KeymintError:
         return ()  # 'create' reads the policy, and says what is wrong with it; a build takes what was created
     return tuple(attachment_mistakes(written)) if written else ()

@@ -96,7 +96,7 @@ def provision(
         installed = plan_install(session, names, authorities, prune=prune)
         for stage in (created, built, minted, installed):
             plan = plan.then(stage)
-        slips = policy_slips(session, (*created.steps, *built.steps))
+        slips = policy_slips(session, (*created.steps, *built.steps), acquired)
         plan = replace(plan, diagnostics=(*plan.diagnostics, *slips, *hinted.unknown(names)))
         if not prove:
             return plan

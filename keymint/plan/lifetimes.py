@@ -125,6 +125,7 @@ def dump(lifetimes: tuple[Lifetime, ...], workspace: Workspace) -> str:
     return json.dumps(rows, separators=(",", ":"), default=datetime.isoformat)
 
 
+@lru_cache(maxsize=256)
 def _load(text: str, workspace: Workspace) -> tuple[Lifetime, ...] | None:
     """Return the lifetimes of :func:`dump`, or None if the text was not written by it."""
     try:

@@ -8,7 +8,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 
-from keymint.api import AppliedProfile, LoadedPolicy, PolicyDecision
+from keymint.api import AppliedProfile, LoadedPolicy, PolicyDecision, PolicyStructure, StructuredPolicy
 from keymint.errors import KeymintError
 from keymint.graph import Edge
 from keymint.ir import SubjectRules
@@ -111,6 +111,11 @@ class _LazyPolicy:
     def profiles(self, subject: str) -> Sequence[AppliedProfile]:
         """Return the profiles that apply to a subject."""
         return self._load().profiles(subject)
+
+    def structure(self) -> PolicyStructure | None:
+        """Return the structure of the policy, if its type provides one."""
+        policy = self._load()
+        return policy.structure() if isinstance(policy, StructuredPolicy) else None
 
     def decide(self, edge: Edge) -> PolicyDecision:
         """Return the policy's decision about an edge."""

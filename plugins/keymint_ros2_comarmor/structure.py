@@ -3,8 +3,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from functools import partial
+from collections.abc import Iterable, Iterator, Sequence
+from functools import cached_property, partial
+from typing import overload
 
 import comarmor
 from keymint.api import PolicyStructure, WrittenProfile, WrittenRule
@@ -24,19 +25,39 @@ def structure(policy: comarmor.Policy) -> PolicyStructure:
         )
         for profile, around in nested
     )
-    clauses = (
-        WrittenRule(
-            (*around, _texts(profile)),
-            rule.with_expressions(attachment.text for attachment in rule.attachments),
-            partial(_expand, rule),
-            tuple(attachment.where for attachment in rule.attachments),
-            len(rule.where.chain) > len(profile.where.chain),
-        )
-        for profile, around in nested
-        for rule in profile.rules
-    )
     unused = ((tunable.name, tunable.where) for tunable in policy.unused_tunables)
-    return PolicyStructure(tuple(profiles), tuple(clauses), tuple(unused))
+    return PolicyStructure(tuple(profiles), _Clauses(nested), tuple(unused))
+
+
+class _Clauses(Sequence[WrittenRule]):
+    """The rules of nested profiles, made when they are first asked for: some analyses need the profiles alone."""
+
+    def __init__(self, nested: Iterable[tuple[comarmor.Profile, _Around]]) -> None:
+        self._nested = nested
+
+    @cached_property
+    def _made(self) -> tuple[WrittenRule, ...]:
+        return tuple(
+            WrittenRule(
+                (*around, _texts(profile)),
+                rule.with_expressions(attachment.text for attachment in rule.attachments),
+                partial(_expand, rule),
+                tuple(attachment.where for attachment in rule.attachments),
+                len(rule.where.chain) > len(profile.where.chain),
+            )
+            for profile, around in self._nested
+            for rule in profile.rules
+        )
+
+    @overload
+    def __getitem__(self, index: int) -> WrittenRule: ...
+    @overload
+    def __getitem__(self, index: slice) -> Sequence[WrittenRule]: ...
+    def __getitem__(self, index: int | slice) -> WrittenRule | Sequence[WrittenRule]:
+        return self._made[index]
+
+    def __len__(self) -> int:
+        return len(self._made)
 
 
 def _nested(profiles: tuple[comarmor.Profile, ...], around: _Around) -> Iterator[tuple[comarmor.Profile, _Around]]:
