@@ -18,7 +18,15 @@ from keymint.errors import KeymintError
 from keymint.plugins import Plugins
 from keymint.state import State, digest, digest_files
 from keymint.tree import Tree
-from keymint.workspace import PACKAGE_MARKER, PROFILE_MARKER, Workspace, package_files, packages, profile_files
+from keymint.workspace import (
+    PACKAGE_MARKER,
+    PROFILE_MARKER,
+    Workspace,
+    package_files,
+    package_paths,
+    packages,
+    profile_files,
+)
 
 _T = TypeVar("_T")
 
@@ -102,19 +110,22 @@ class Session(Inputs):
     profile: WorkspaceProfile
     profile_digest: str
     _packages: dict[tuple[str, str], Package] = field(default_factory=dict, repr=False, compare=False)
+    _made_of_sources: dict[Hashable, Any] = field(default_factory=dict, repr=False, compare=False)
     _made: dict[Hashable, Any] = field(default_factory=dict, init=False, repr=False, compare=False)
 
-    def once(self, key: Hashable, make: Callable[[], _T]) -> _T:
+    def once(self, key: Hashable, make: Callable[[], _T], *, of_sources: bool = False) -> _T:
         """Return a value that depends on this session only, made at the first call.
 
         Args:
             key: the same for the same value, and for no other one.
             make: makes the value.
+            of_sources: it depends on the profile and the source space only, so it is kept until a plan changes these.
         """
-        if key not in self._made:
-            self._made[key] = make()
-        made: _T = self._made[key]
-        return made
+        made = self._made_of_sources if of_sources else self._made
+        if key not in made:
+            made[key] = make()
+        value: _T = made[key]
+        return value
 
     @property
     def layouts(self) -> tuple[Layout, ...]:
@@ -142,11 +153,31 @@ class Session(Inputs):
 
     def packages(self) -> tuple[str, ...]:
         """Return the names of the source packages, sorted; errors as :func:`keymint.workspace.packages`."""
-        return self.once("packages", lambda: packages(self.tree, self.workspace.src))
+        return self.once("packages", lambda: packages(self.tree, self.workspace.src), of_sources=True)
+
+    def after(self, plan: Plan) -> Self:
+        """Return the session as it is once a plan is carried out."""
+        src = f"{self.workspace.src}/"
+        same = not any(f"{change.folder}/".startswith(src) for step in plan.steps for change in step.changes)
+        tree = self.tree.overlaid(plan.overlay())
+        return replace(self, tree=tree, state=plan.state, _made_of_sources=self._made_of_sources if same else {})
 
     def package_files(self, name: str) -> dict[str, bytes]:
         """Return the XML files of a package; empty if there is no such package."""
         return package_files(self.tree, f"{self.workspace.src}/{name}")
+
+    def file_digests(self, name: str) -> Mapping[str, str]:
+        """Return the digest of each file of :meth:`package_files`."""
+        return self._sources(name)[0]
+
+    def _sources(self, name: str) -> tuple[Mapping[str, str], str]:
+        """Return the digests of the files of a package, and one over all of them."""
+        return self.once(("files", name), lambda: self._read_sources(name), of_sources=True)
+
+    def _read_sources(self, name: str) -> tuple[Mapping[str, str], str]:
+        paths = package_paths(self.tree, f"{self.workspace.src}/{name}")
+        found = {file: value for file, path in paths.items() if (value := self.tree.digest(path)) is not None}
+        return found, digest(*(part for item in sorted(found.items()) for part in item))
 
     def package(self, name: str) -> Package:
         """Load a package, once per run and content; errors as :meth:`keymint.api.PackageType.load`.
@@ -166,7 +197,7 @@ class Session(Inputs):
 
     def infrastructure(self) -> tuple[str, ...]:
         """Return the names of the existing packages of infrastructure, sorted; none if no build type needs any."""
-        return self.once("infrastructure", lambda: tuple(self._existing_infrastructure()))
+        return self.once("infrastructure", lambda: tuple(self._existing_infrastructure()), of_sources=True)
 
     def _existing_infrastructure(self) -> Iterator[str]:
         marker = self.profile_marker()
@@ -178,12 +209,12 @@ class Session(Inputs):
 
     def sources_digest(self, name: str) -> str:
         """Return the digest of all that a package is loaded from except the profile, its infrastructure included."""
-        return self.once(("sources", name), lambda: self._sources_digest(name))
+        return self.once(("sources", name), lambda: self._sources_digest(name), of_sources=True)
 
     def _sources_digest(self, name: str) -> str:
         infrastructure = self.infrastructure()
         placed = (str(self.workspace.install),) if infrastructure else ()
-        return digest(*placed, *(digest_files(self.package_files(each)) for each in (name, *infrastructure)))
+        return digest(*placed, *(self._sources(each)[1] for each in (name, *infrastructure)))
 
     def role(self, name: str) -> Role:
         """Return why a package exists; the role of a subject if there is none or its manifest has defects."""
@@ -212,9 +243,9 @@ class Session(Inputs):
         return needed
 
     def _load(self, name: str) -> Package:
-        files = self.package_files(name)
-        key = (name, digest(self.profile_digest, digest_files(files)))
+        key = (name, self._sources(name)[1])
         if key not in self._packages:
+            files = self.package_files(name)
             package_type = self.plugins.package_type(self.profile.package_type, self.profile_marker())
             folder = self.workspace.shown(self.workspace.src / name)
             install_space = str(self.workspace.install)

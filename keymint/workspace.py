@@ -17,6 +17,8 @@ from keymint.tree import Tree
 PROFILE_MARKER = "keymint_profile.xml"
 PACKAGE_MARKER = "keymint_package.xml"
 IGNORE_MARKER = RESERVED
+DEFAULTS = "package.defaults"
+"""Folder of a package that has defaults of its own."""
 SPACES = ("profile", "private", "public", "src", "build", "install")
 
 
@@ -178,9 +180,19 @@ def hidden_by(tree: Tree, src: Path, name: str) -> Path | None:
 
 def package_files(tree: Tree, folder: Path | str) -> dict[str, bytes]:
     """Return the XML files of a package's folder, those of its ``package.defaults`` included."""
-    files = tree.files(folder, suffix=".xml")
-    defaults = tree.files(f"{folder}/package.defaults", suffix=".xml")
-    return files | {f"package.defaults/{name}": content for name, content in defaults.items()}
+    paths = package_paths(tree, folder)
+    contents = {name: tree.read(path) for name, path in paths.items()}
+    return {name: content for name, content in contents.items() if content is not None}
+
+
+def package_paths(tree: Tree, folder: Path | str) -> dict[str, str]:
+    """Return the paths of the XML files of a package's folder, by their name in the package."""
+    entries = tree.names(folder)
+    names = [name for name, is_folder in entries if name.endswith(".xml") and not is_folder]
+    if any(name == DEFAULTS for name, _ in entries):
+        inner = tree.names(f"{folder}/{DEFAULTS}")
+        names += [f"{DEFAULTS}/{name}" for name, is_folder in inner if name.endswith(".xml") and not is_folder]
+    return {name: f"{folder}/{name}" for name in names}
 
 
 def profile_files(tree: Tree, profile: Path) -> dict[str, bytes]:

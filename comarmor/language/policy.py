@@ -3,13 +3,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+import hashlib
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
 from comarmor.language.attachments import parts
 from comarmor.language.decide import Row, RuleIndex
-from comarmor.language.syntax import Decision, Inclusion, Profile, ProfileRule, Tunable
+from comarmor.language.syntax import Decision, Inclusion, Profile, ProfileRule, Tunable, places
 from comarmor.patterns.expression import beginning, literal, matches
 from comarmor.rules import Rule
 
@@ -86,6 +87,9 @@ class Policy:
     _shared_rules: dict[int, Rule] = field(init=False, repr=False, default_factory=dict)
     """By identity of the profile's rule: the rules that are the same for all subjects."""
 
+    _digests: dict[int, str] = field(init=False, repr=False, default_factory=dict)
+    """By identity of a profile, or of the rules of an included file."""
+
     def __post_init__(self) -> None:
         object.__setattr__(self, "_level", _ProfileLookup.of(self.profiles))
 
@@ -117,6 +121,25 @@ class Policy:
             self._cached_rules.clear()
         self._cached_rules[subject] = rules
         return rules
+
+    def rules_digest(self, subject: str) -> str | None:
+        """Return a digest that differs if the rules of a subject or their lines do; None if no profile applies to it.
+
+        It costs less than the rules, because profiles and included files have theirs once for all subjects.
+        """
+        profiles = self.applicable(subject)
+        return _digest([subject, *[self._digest_of(each, each.parts) for each in profiles]]) if profiles else None
+
+    def _digest_of(self, owner: object, rules: tuple[ProfileRule | Inclusion, ...]) -> str:
+        """Return the digest of the rules of a profile or an included file, which live as long as the policy."""
+        if id(owner) not in self._digests:
+            self._digests[id(owner)] = _digest(
+                f"{self._digest_of(each.rules, each.rules)}{places(each.chain)}"
+                if isinstance(each, Inclusion)
+                else each.written()
+                for each in rules
+            )
+        return self._digests[id(owner)]
 
     def _expanded(self, rule: ProfileRule, namespace: str, name: str) -> Rule:
         if rule.depends_on_subject:
@@ -159,6 +182,10 @@ class Policy:
     def subjects(self) -> tuple[str, ...]:
         """Return, sorted, the subjects that an attachment names exactly and that its profile applies to."""
         return tuple(sorted(set(_subjects(self.profiles, ()))))
+
+
+def _digest(texts: Iterable[str]) -> str:
+    return hashlib.sha256("\x1e".join(texts).encode(errors="surrogatepass")).hexdigest()
 
 
 def _subjects(profiles: tuple[Profile, ...], around: tuple[Profile, ...]) -> Iterator[str]:

@@ -83,6 +83,12 @@ class ProfileRule:
         """Return the rule for a subject, whose parts are given as :meth:`Attachment.for_parts` needs them."""
         return self.with_expressions([each.for_parts(namespace, name) for each in self.attachments], where)
 
+    def written(self) -> str:
+        """Return the rule and its place as text that differs for every other rule, columns apart."""
+        texts = (self.effect, self.kind, *self.permissions, *[each.text for each in self.attachments])
+        partitions = (str(len(self.partitions)), *self.partitions, str(self.audit))
+        return "\x1f".join((*texts, *partitions, places((self.where, *self.where.chain))))  # XML has no such character
+
     def with_expressions(self, expressions: Iterable[str], where: Origin | None = None) -> Rule:
         """Return the rule with expressions in place of its attachments, and another place if one is given."""
         unique = tuple(dict.fromkeys(expressions))
@@ -114,6 +120,11 @@ class Inclusion:
         for rule in self.rules:
             attachments = tuple(attachment.included(self.chain) for attachment in rule.attachments)
             yield replace(rule, attachments=attachments, where=rule.where.included(self.chain))
+
+
+def places(origins: Iterable[Origin]) -> str:
+    """Return files and lines as text."""
+    return "".join([f"{origin.file!r}{origin.line}" for origin in origins])
 
 
 @dataclass(frozen=True, slots=True)

@@ -53,6 +53,7 @@ from keymint.api.packages import PackageSources as PackageSources
 from keymint.api.packages import Role as Role
 from keymint.api.packages import SourcePart as SourcePart
 from keymint.api.policies import AppliedProfile as AppliedProfile
+from keymint.api.policies import DigestedPolicy as DigestedPolicy
 from keymint.api.policies import DivisiblePolicy as DivisiblePolicy
 from keymint.api.policies import LoadedPolicy as LoadedPolicy
 from keymint.api.policies import PolicyDecision as PolicyDecision

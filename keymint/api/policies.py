@@ -94,6 +94,14 @@ class RowPolicy(Protocol):
         """
 
 
+@runtime_checkable
+class DigestedPolicy(Protocol):
+    """Optional capability of a loaded policy: it knows which subjects have the rules that they had before."""
+
+    def rules_digest(self, subject: str) -> str | None:
+        """Return a digest that differs if the rules of a subject or their places do; None if no profile applies."""
+
+
 @dataclass(frozen=True, slots=True)
 class WrittenProfile:
     """A profile as the policy writes it.

@@ -9,7 +9,7 @@ from pathlib import Path
 
 from comarmor.errors import Diagnostic, Origin
 from keymint.api import BuildOptions, BuildResult, Package
-from keymint.changes import Action, DocumentSize, File, FolderChange, Plan, Step, changed
+from keymint.changes import Action, DocumentSize, File, FolderChange, Plan, Step
 from keymint.errors import KeymintError
 from keymint.plan import identity_keys, lifetimes, shared_documents
 from keymint.plan.build_types import BUILD, build_types_of, inputs_digest, two_writers
@@ -106,6 +106,8 @@ def built_documents(inputs: Inputs, name: str) -> dict[str, bytes]:
 
 def options_of(options: BuildOptions, subject: str) -> BuildOptions:
     """Drop other subjects' hints, so that changing them does not rebuild this package."""
+    if not options.hints:
+        return options
     return replace(options, hints=tuple(each for each in options.hints if each.edge.subject == subject))
 
 
@@ -123,33 +125,36 @@ def _plan_package(
     options_digest = digest(repr(options))
     stamp = session.state.stamp(STAGE, name)
     key_path = session.workspace.identity_key(name)
-    key_content = session.tree.read(key_path)
     same = stamp is not None and (stamp.inputs, stamp.context) == (sources_digest, options_digest)
-    if stamp and same and key_content is not None and not force and not renew:
-        existing = {file: session.tree.read(f"{folder}/{file}") for file in stamp.outputs}
-        if None not in existing.values():
-            edited = [file for file, content in existing.items() if digest(content or b"") != stamp.outputs[file]]
+    if stamp and same and not force and not renew and session.tree.has_file(key_path):
+        digests = {file: session.tree.digest(f"{folder}/{file}") for file in stamp.outputs}
+        if None not in digests.values():
+            edited = [file for file, value in digests.items() if value != stamp.outputs[file]]
             detail = f"{', '.join(edited)} edited by hand; -f rebuilds" if edited else ""
             step = Step(STAGE, name, Action.KEPT if edited else Action.UNCHANGED, detail=detail)
             return PackagePlan(name, step, lifetimes=lifetimes.recalled(session, name, stamp))
     package = session.package(name)
     built = _built(session, package, options)
+    existing = {file: session.tree.read(f"{folder}/{file}") for file in built.documents}
+    different = {file: content for file, content in built.documents.items() if existing[file] != content}
     if not force:
-        _refuse_edits(session, name, folder, built.documents)
-    changes = changed(session.tree, folder, {file: File(content) for file, content in built.documents.items()})
+        _refuse_edits(session, name, folder, {file: existing[file] for file in different})
+    new_files = {file: File(content) for file, content in different.items()}
+    changes: tuple[FolderChange, ...] = (FolderChange(folder, new_files),) if new_files else ()
     obsolete = [file for file in stamp.outputs if file not in built.documents] if stamp else []
     changes += tuple(
         FolderChange(folder, removed=(file,)) for file in obsolete if session.tree.has_file(f"{folder}/{file}")
     )
     minted: tuple[FolderChange, ...] = ()
     fingerprint = ""
+    key_content = session.tree.read(key_path)
     if key_content is None or renew:
         new_key = identity_keys.mint if renew else identity_keys.restore_or_mint
         change, fingerprint = new_key(session, package, key_path)
         minted = (change,)
     else:
         identity_keys.load(session, package, key_path, key_content)
-    before = stamp is not None or any(session.tree.read(f"{folder}/{file}") is not None for file in built.documents)
+    before = stamp is not None or any(content is not None for content in existing.values())
     action = (Action.UPDATED if before else Action.CREATED) if changes or minted else Action.UNCHANGED
     outputs = {file: digest(content) for file, content in built.documents.items()}
     sizes = _sizes(built)
@@ -203,11 +208,10 @@ def _smaller(size: DocumentSize) -> str:
     return f"{size.file} {size.bytes:,} bytes, plain {size.plain_bytes:,}"
 
 
-def _refuse_edits(inputs: Inputs, name: str, folder: Path, documents: Mapping[str, bytes]) -> None:
-    """Raise an error for an existing document that is neither the recorded build nor the new one."""
-    for file, content in documents.items():
-        existing = inputs.tree.read(f"{folder}/{file}")
-        if existing is not None and existing != content and not inputs.state.wrote(STAGE, name, file, existing):
+def _refuse_edits(inputs: Inputs, name: str, folder: Path, existing: Mapping[str, bytes | None]) -> None:
+    """Raise an error for a document that differs from the new one, and is not the recorded build either."""
+    for file, content in existing.items():
+        if content is not None and not inputs.state.wrote(STAGE, name, file, content):
             raise KeymintError(
                 "was edited by hand, and its sources changed too",
                 where=Origin(inputs.workspace.shown(folder / file)),

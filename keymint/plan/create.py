@@ -4,10 +4,11 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 
 from comarmor.errors import Diagnostic, Severity
 from comarmor.text import did_you_mean
-from keymint.api import InfrastructurePackage, LoadedPolicy, Role
+from keymint.api import DigestedPolicy, InfrastructurePackage, LoadedPolicy, Role
 from keymint.changes import Action, File, Plan, Step, changed
 from keymint.errors import KeymintError
 from keymint.ir import SubjectRules
@@ -114,9 +115,8 @@ class CreateStage:
         self._policy = policy
         self._force = force
         self.existing = frozenset(packages(session.tree, session.workspace.src))
-        self._policy_digest = digest(
-            *(part for path, value in sorted(policy.seen.items()) for part in (str(path), value))
-        )
+        seen = (part for path, value in sorted(policy.seen.items()) for part in (str(path), value))
+        self._inputs = digest(digest(*seen), session.profile_digest)
         self._package_type = session.plugins.package_type(session.profile.package_type, session.profile_marker())
 
     def subjects(self, names: Sequence[str]) -> tuple[str, ...]:
@@ -127,7 +127,7 @@ class CreateStage:
         """
         session, infrastructure = self._session, self._session.needed_infrastructure()
         refuse_named(self._policy, infrastructure)
-        subjects = [name for name in names if name not in infrastructure and session.role(name) is Role.SUBJECT]
+        subjects = [name for name in names if name not in infrastructure and self._is_subject(name)]
         refuse_case_collisions([*self.existing, *subjects, *infrastructure])
         reserved = [each for layout in session.layouts for each in layout.reserved]
         for name in (*subjects, *infrastructure):
@@ -143,15 +143,23 @@ class CreateStage:
         diagnostics = tuple(diagnostic for each in planned for diagnostic in each.diagnostics)
         return Plan(steps, recorded(record_policy(session, self._policy), STAGE, planned), diagnostics)
 
+    def _is_subject(self, name: str) -> bool:
+        return name not in self.existing or self._session.role(name) is Role.SUBJECT
+
     def package(self, name: str) -> PackagePlan:
         """Return the plan for a package."""
         session, force = self._session, self._force
         folder = session.workspace.src / name
-        files = session.package_files(name)
         stamp = session.state.stamp(STAGE, name)
-        inputs = digest(self._policy_digest, session.profile_digest)
-        if stamp and stamp.inputs == inputs and _outputs(files) == stamp.outputs and not force:
+        digests = session.file_digests(name)
+        outputs = _outputs(digests)
+        is_kept = stamp is not None and stamp.outputs == outputs and not force
+        if stamp and is_kept and stamp.inputs == self._inputs:
             return PackagePlan(name, Step(STAGE, name, Action.UNCHANGED))
+        context = self._rules_digest(f"/{name}")
+        if stamp and is_kept and context and stamp.context == context:  # other subjects have other rules now
+            return PackagePlan(name, Step(STAGE, name, Action.UNCHANGED), replace(stamp, inputs=self._inputs))
+        files = session.package_files(name) if digests else {}
         known = name in self.existing
         rules = self._policy.rules(f"/{name}")
         unnamed: tuple[Diagnostic, ...] = ()
@@ -169,8 +177,13 @@ class CreateStage:
         changes = changed(session.tree, folder, {file: File(content) for file, content in ordered})
         action = (Action.UPDATED if known else Action.CREATED) if changes else Action.UNCHANGED
         step = Step(STAGE, name, action, changes)
-        stamp = Stamp(inputs, _outputs(files | dict(new)))
-        return PackagePlan(name, step, stamp, unnamed if known else (), errors)
+        written = outputs | _outputs({file: digest(content) for file, content in new.items()})
+        return PackagePlan(name, step, Stamp(self._inputs, written, context=context), unnamed if known else (), errors)
+
+    def _rules_digest(self, subject: str) -> str:
+        """Return the digest of everything that the sources of a subject are made of; empty if it is not known."""
+        rules = self._policy.rules_digest(subject) if isinstance(self._policy, DigestedPolicy) else None
+        return digest(rules, self._session.profile_digest) if rules else ""
 
     def _infrastructure(self, name: str, build_type: str) -> PackagePlan:
         """Return the plan for a package that a transport needs, which does not follow the policy."""
@@ -189,12 +202,13 @@ class CreateStage:
         new = self._package_type.create_infrastructure(session.profile, name, build_type, files)
         ordered = sorted(new.items(), key=lambda item: item[0] == self._package_type.MARKER)
         changes = changed(session.tree, folder, {file: File(content) for file, content in ordered})
-        stamp = Stamp(digest(self._policy_digest, session.profile_digest), _outputs(files | dict(new)))
+        outputs = {**session.file_digests(name), **{file: digest(content) for file, content in new.items()}}
+        stamp = Stamp(self._inputs, _outputs(outputs))
         return PackagePlan(name, Step(STAGE, name, Action.CREATED, changes), stamp)
 
 
-def _outputs(files: dict[str, bytes]) -> dict[str, str]:
-    return {name: digest(content) for name, content in files.items() if "/" not in name}
+def _outputs(digests: Mapping[str, str]) -> dict[str, str]:
+    return {name: value for name, value in digests.items() if "/" not in name}
 
 
 def _nothing_applies(name: str, policy: LoadedPolicy, *, known: bool) -> Diagnostic:

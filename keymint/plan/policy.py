@@ -8,7 +8,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 
-from keymint.api import AppliedProfile, LoadedPolicy, PolicyDecision, PolicyStructure, StructuredPolicy
+from keymint.api import AppliedProfile, DigestedPolicy, LoadedPolicy, PolicyDecision, PolicyStructure, StructuredPolicy
 from keymint.errors import KeymintError
 from keymint.graph import Edge
 from keymint.ir import SubjectRules
@@ -107,6 +107,11 @@ class _LazyPolicy:
     def rules(self, subject: str) -> SubjectRules | None:
         """Return the rules of a subject."""
         return self._load().rules(subject)
+
+    def rules_digest(self, subject: str) -> str | None:
+        """Return the digest of the rules of a subject, if the type of the policy knows it."""
+        policy = self._load()
+        return policy.rules_digest(subject) if isinstance(policy, DigestedPolicy) else None
 
     def profiles(self, subject: str) -> Sequence[AppliedProfile]:
         """Return the profiles that apply to a subject."""

@@ -49,6 +49,10 @@ class ComArmorPolicy:
             return None
         return SubjectRules(subject, self.policy.rules(subject))
 
+    def rules_digest(self, subject: str) -> str | None:
+        """See :meth:`keymint.api.DigestedPolicy.rules_digest`."""
+        return self.policy.rules_digest(subject)
+
     def profiles(self, subject: str) -> tuple[AppliedProfile, ...]:
         """Return the profiles that apply to a subject, outer ones first."""
         return tuple(
