@@ -77,6 +77,8 @@ def _permissions(
         return {**former, path: new}  # the backup first, so that a killed run loses nothing
     if permissions.has_rules(grant, rules) or (not force and _keeps_edit(grant, permissions.digest(rules.rules), file)):
         return {}
+    if grant.name == rules.subject and not grant.overrides:
+        return {path: new}
     return {path: permissions_writer.render(rules, base, name=grant.name, overrides=grant.overrides)}
 
 

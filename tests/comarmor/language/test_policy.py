@@ -11,7 +11,7 @@ from comarmor.patterns.glob import parse
 from comarmor.patterns.matching import matches
 from tests.effort import calls_of
 
-from .policies import allow, profile, profiles, rule
+from .policies import allow, include, profile, profiles, rule
 
 
 def test_a_thousand_profiles_load_and_are_looked_up_quickly(load) -> None:
@@ -84,3 +84,35 @@ def test_a_profile_applies_to_the_subjects_that_one_of_its_attachments_matches(t
     )
     expected = [str(number) for number, each in enumerate(texts) if any(matches(parse(t), subject) for t in each)]
     assert [profile_.name for profile_ in Policy(profiles_).applicable(subject)] == expected
+
+
+def test_the_digest_of_a_subjects_rules_differs_with_them_and_their_lines_only(load) -> None:
+    def digest_of(*own: str, after: str = "", before: str = "", included: str = "/common", audit: str = "") -> str:
+        text = profiles(before, profile(*own, include("own/more.xml"), attributes=audit), after)
+        part = {"own__more": profiles(include("part.xml")), "own__part": allow(included, "{name}")}
+        return load(policy=text, **part).rules_digest("/s")
+
+    other = profile(allow("/other"), attachment="/t")
+    same = digest_of(allow("/x", "/y"))
+    assert same
+    assert digest_of(allow("/x", "/y"), after=other) == digest_of(allow("/x", "/y"), before=other) == same
+    different = {
+        digest_of(allow("/x")),
+        digest_of(allow("/x"), allow("/y")),
+        digest_of(allow("/x", "/y"), included="/changed"),
+        digest_of(allow("/x", "/y"), before="\n"),
+        digest_of(allow("/x", "/y"), audit=' modifier="AUDIT"'),
+        digest_of(allow("/x", "/y"), after=profile(allow("/z"), attachment="*")),
+        digest_of(rule("ros_topic", "DENY", "/x", "ros_publish")),
+        digest_of(rule("ros_topic", "ALLOW", "/x", "ros_subscribe")),
+        digest_of(rule("topic", "ALLOW", "/x", "publish", partitions=[])),
+        digest_of(rule("topic", "ALLOW", "/x", "publish", partitions=[""])),
+        same,
+    }
+    assert len(different) == 11
+    assert load(profile(attachment="/t")).rules_digest("/s") is None
+
+
+def test_alike_subjects_have_digests_of_their_own(load) -> None:
+    policy = load(profile(allow("{name}"), attachment="/r/*"))
+    assert policy.rules_digest("/r/a") != policy.rules_digest("/r/b")

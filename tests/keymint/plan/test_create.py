@@ -4,8 +4,12 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import pytest
+from keymint_ros import permissions_writer
+
+from keymint.ir import SubjectRules
 
 PROFILE = """<profiles>
   <profile name="any">
@@ -37,6 +41,25 @@ def test_a_changed_policy_reaches_existing_packages(keymint, ws: Path, tmp_path:
     assert keymint("create", "--all", cwd=ws).code == 0
     for robot in ("robot1", "robot2"):
         assert f"/{robot}/command" in (ws / f"src/{robot}/driver/permissions.xml").read_text()
+
+
+def test_only_a_subject_whose_rules_changed_is_rendered_again(keymint, ws: Path, tmp_path: Path, monkeypatch) -> None:
+    keymint("create", "--all", "robot2/driver", cwd=ws)
+    rendered: list[str] = []
+    render = permissions_writer.render
+
+    def spy(rules: SubjectRules, *arguments: Any, **options: Any) -> bytes:
+        rendered.append(rules.subject)
+        return render(rules, *arguments, **options)
+
+    monkeypatch.setattr(permissions_writer, "render", spy)
+    own = '<ros_topic qualifier="DENY"><attachment>/x</attachment><permissions><ros_publish/></permissions></ros_topic>'
+    named = "/robot1/driver</attachment>"
+    (tmp_path / "p.xml").write_text(PROFILE.replace(named, named + own))
+    outcome = keymint("create", "--all", cwd=ws)
+    assert rendered == ["/robot1/driver"]
+    assert "1 updated, 1 unchanged" in outcome.out
+    assert "nothing to do: 2 packages up to date" in keymint("create", "--all", cwd=ws).out
 
 
 def test_permissions_that_are_withdrawn_do_not_live_on(keymint, ws: Path, tmp_path: Path) -> None:
