@@ -1,7 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """The floor: the least work that provisions N enclaves, with bare ``cryptography`` calls.
 
-A key, a certificate, two S/MIME signatures and seven files per enclave; no policy, no validation, no safe writing.
+A key, a certificate, one S/MIME signature and six files per enclave (with a governance document: two signatures and
+seven files); no policy, no validation, no safe writing.
 """
 
 from __future__ import annotations
@@ -42,14 +43,14 @@ def authority(name: str) -> tuple[x509.Certificate, ec.EllipticCurvePrivateKey]:
     return builder.sign(key, hashes.SHA256()), key
 
 
-def provision(folder: Path, names: list[str], permissions: bytes, governance: bytes) -> None:
+def provision(folder: Path, names: list[str], permissions: bytes, governance: bytes | None = None) -> None:
     """Write one enclave for each name into a folder.
 
     Args:
         folder: an empty folder.
         names: names of the enclaves.
         permissions: the unsigned permissions document, here the same for all.
-        governance: the unsigned governance document.
+        governance: the unsigned governance document; None for an enclave without one.
     """
     ca, ca_key = authority("identity_ca")
     notary, notary_key = authority("permissions_ca")
@@ -71,6 +72,7 @@ def provision(folder: Path, names: list[str], permissions: bytes, governance: by
             .add_signer(notary, notary_key, hashes.SHA256())
             .sign(serialization.Encoding.SMIME, options)
             for kind, content in (("permissions", permissions), ("governance", governance))
+            if content is not None
         }
         files = signed | {
             "permissions.xml": permissions,

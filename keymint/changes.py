@@ -9,8 +9,8 @@ from enum import StrEnum
 from pathlib import Path
 
 from comarmor.errors import Diagnostic
-from keymint.state import State
-from keymint.tree import Tree
+from keymint.state import State, digest
+from keymint.tree import Content, HeldFile, Tree
 
 
 class Action(StrEnum):
@@ -45,12 +45,24 @@ class FolderChange:
         files: files by name; written in this order, so that a reader meets the least harm in between.
         removed: names of files to remove.
         private: the folder and the ones created on the way to it are 0700 even when no file is secret.
+        held: files by name whose content another process holds and will write.
     """
 
     folder: Path
     files: Mapping[str, File] = field(default_factory=dict)
     removed: tuple[str, ...] = ()
     private: bool = False
+    held: Mapping[str, HeldFile] = field(default_factory=dict)
+
+    @property
+    def written(self) -> tuple[str, ...]:
+        """The names of the files that are written."""
+        return (*self.files, *self.held)
+
+    def held_elsewhere(self) -> FolderChange:
+        """Return this change without the content of its files, for a process that does not write them."""
+        held = {name: HeldFile(digest(file.content), file.secret) for name, file in self.files.items()}
+        return FolderChange(self.folder, {}, self.removed, self.private, held)
 
 
 def changed(tree: Tree, folder: Path, files: Mapping[str, File]) -> tuple[FolderChange, ...]:
@@ -90,7 +102,7 @@ class Step:
 
     def writes(self) -> bool:
         """Tell whether anything is written."""
-        return any(change.files or change.removed for change in self.changes)
+        return any(change.written or change.removed for change in self.changes)
 
 
 @dataclass(frozen=True, slots=True)
@@ -109,12 +121,13 @@ class Plan:
         """Return the packages that are left as they are, although they should be something else."""
         return frozenset(step.package for step in self.steps if step.action is Action.KEPT)
 
-    def overlay(self) -> list[tuple[str, bytes | None]]:
+    def overlay(self) -> list[tuple[str, Content]]:
         """Return the planned content by path, for the stages that plan on top of this one."""
-        changed: list[tuple[str, bytes | None]] = []
+        changed: list[tuple[str, Content]] = []
         for step in self.steps:
             for change in step.changes:
                 changed += [(f"{change.folder}/{name}", file.content) for name, file in change.files.items()]
+                changed += [(f"{change.folder}/{name}", file) for name, file in change.held.items()]
                 changed += [(f"{change.folder}/{name}", None) for name in change.removed]
         return changed
 

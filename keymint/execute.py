@@ -3,12 +3,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 
-from keymint.changes import File, Plan, Step
+from keymint.changes import Action, File, Plan, Step
 from keymint.plan import gitignore, key_record
-from keymint.state import State, dump_mark
+from keymint.staged import Staged
+from keymint.state import State, digest, dump_mark
 from keymint.store import Store
+from keymint.workers import Workers
 from keymint.workspace import Workspace
 
 RECORD = "state.json"
@@ -20,7 +22,9 @@ def open_store(workspace: Workspace) -> Store:
     return Store(roots | {workspace.private: True}, workspace.state)
 
 
-def execute(plan: Plan, workspace: Workspace, store: Store, before: State, on_step: Callable[[Step], None]) -> None:
+def execute(
+    plan: Plan, workspace: Workspace, store: Store, before: State, workers: Workers, on_step: Callable[[Step], None]
+) -> None:
     """Carry out a plan.
 
     Args:
@@ -28,6 +32,7 @@ def execute(plan: Plan, workspace: Workspace, store: Store, before: State, on_st
         workspace: the workspace.
         store: the writer.
         before: the previous record; written only if it changes.
+        workers: the processes that hold a part of what is written.
         on_step: called for every step, after all of them.
 
     Raises:
@@ -39,17 +44,38 @@ def execute(plan: Plan, workspace: Workspace, store: Store, before: State, on_st
         for step in plan.steps:
             on_step(step)
         return
-    public = [
-        file.content
-        for step in plan.steps
-        for change in step.changes
-        for file in change.files.values()
-        if not file.secret
-    ]
-    with store.marked(dump_mark(before, public, key_record.new_fingerprints(before, plan.state))):
+    with store.marked(dump_mark(before, _public(plan), key_record.new_fingerprints(before, plan.state))):
         for guard in guards:  # before the first secret is written
             store.write(guard.folder, guard.files, private=guard.private)
-        store.change(change for step in plan.steps for change in step.changes)
+        store.commit(_staged(plan, store, workers))
         for step in plan.steps:
             on_step(step)
         store.write(workspace.state, {RECORD: File(record)})
+
+
+def _staged(plan: Plan, store: Store, workers: Workers) -> list[Staged]:
+    """Stage a plan. What other processes hold comes before what is removed."""
+    changes = [change for step in plan.steps for change in step.changes]
+    if not any(change.held for change in changes):
+        return [store.stage(changes)]
+    removals = [change for step in plan.steps if step.action is Action.REMOVED for change in step.changes]
+    staged: list[Staged] = []
+    try:
+        staged.append(
+            store.stage(change for step in plan.steps if step.action is not Action.REMOVED for change in step.changes)
+        )
+        staged += workers.stage(store)
+        staged.append(store.stage(removals))
+    except BaseException:
+        for each in staged:
+            store.discard(each)
+        raise
+    return staged
+
+
+def _public(plan: Plan) -> Iterator[str]:
+    """Yield the digests of the public files that a plan writes."""
+    for step in plan.steps:
+        for change in step.changes:
+            yield from (digest(file.content) for file in change.files.values() if not file.secret)
+            yield from (file.digest for file in change.held.values() if not file.secret)

@@ -134,8 +134,10 @@ def _written_by(changes: Iterable[FolderChange]) -> tuple[dict[str, dict[str, st
     removed: dict[str, set[str]] = {}
     for change in changes:
         folder = str(change.folder)
-        if change.files:
-            written.setdefault(folder, {}).update((name, digest(file.content)) for name, file in change.files.items())
+        if change.written:
+            digests = written.setdefault(folder, {})
+            digests.update((name, digest(file.content)) for name, file in change.files.items())
+            digests.update((name, file.digest) for name, file in change.held.items())
         if change.removed:
             removed.setdefault(folder, set()).update(change.removed)
     return written, removed

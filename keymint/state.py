@@ -124,9 +124,9 @@ def unsealed(content: bytes | None, version: int) -> Mapping[str, Any] | None:
         return None
 
 
-def dump_mark(state: State, contents: Iterable[bytes], fingerprints: Iterable[str] = ()) -> bytes:
-    """Return the mark of a run that will write these public files, and keys with these fingerprints."""
-    return "\n".join(sorted(state.interrupted.union(map(digest, contents), fingerprints))).encode()
+def dump_mark(state: State, digests: Iterable[str], fingerprints: Iterable[str] = ()) -> bytes:
+    """Return the mark of a run that will write public files with these digests, and keys with these fingerprints."""
+    return "\n".join(sorted(state.interrupted.union(digests, fingerprints))).encode()
 
 
 def load(content: bytes | None, mark: bytes | None = None) -> State:

@@ -10,6 +10,7 @@ import errno
 import os
 import stat
 from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TypeVar
 
@@ -181,6 +182,22 @@ def _or_raise(result: _Read | KeymintError) -> _Read:
     return result
 
 
+@dataclass(frozen=True, slots=True)
+class HeldFile:
+    """A planned file whose content another process holds: its digest, and whether it is secret."""
+
+    digest: str
+    secret: bool
+
+
+class HeldError(Exception):
+    """A plan needs content that another process holds: it must be made by one process."""
+
+
+Content = bytes | HeldFile | None
+"""Planned content of a file; None for a file that will be removed."""
+
+
 class Tree:
     """Files by absolute path, as they are at the first access.
 
@@ -192,25 +209,25 @@ class Tree:
 
     def __init__(
         self,
-        overlay: Mapping[Path | str, bytes | None] | None = None,
+        overlay: Mapping[Path | str, Content] | None = None,
         disk: _Disk | None = None,
         known: Mapping[str, Mapping[str, str]] | None = None,
     ) -> None:
         self._disk = disk or _Disk(known or {})
-        self._files: dict[str, dict[str, bytes | None]] = {}
+        self._files: dict[str, dict[str, Content]] = {}
         """Planned content by folder and name."""
         self._folders: dict[str, set[str]] = {}
         """Names of planned folders, by the folder around them."""
         self._add((overlay or {}).items())
 
-    def overlaid(self, changes: Iterable[tuple[Path | str, bytes | None]]) -> Tree:
+    def overlaid(self, changes: Iterable[tuple[Path | str, Content]]) -> Tree:
         """Return this view with more planned changes."""
         tree = Tree(disk=self._disk)
         tree._files, tree._folders = dict(self._files), dict(self._folders)
         tree._add(changes)
         return tree
 
-    def _add(self, changes: Iterable[tuple[Path | str, bytes | None]]) -> None:
+    def _add(self, changes: Iterable[tuple[Path | str, Content]]) -> None:
         """Add planned changes; what is shared with other views is copied before it changes."""
         own: set[str] = set()
         own_folders: set[str] = set()
@@ -230,7 +247,7 @@ class Tree:
                 self._folders[around].add(name)
                 folder = around
 
-    def _planned(self, path: str) -> tuple[bool, bytes | None]:
+    def _planned(self, path: str) -> tuple[bool, Content]:
         """Return whether a file is planned, and its content: None if it will be removed."""
         folder, _, name = path.rpartition("/")
         files = self._files.get(folder)
@@ -240,6 +257,8 @@ class Tree:
         """Return a file's bytes, or None if there is none; errors as :func:`read_file`."""
         path = str(path)
         planned, content = self._planned(path)
+        if isinstance(content, HeldFile):
+            raise HeldError(path)
         return content if planned else self._disk.read(path)
 
     def digest(self, path: Path | str) -> str | None:
@@ -252,6 +271,8 @@ class Tree:
         """
         path = str(path)
         planned, content = self._planned(path)
+        if isinstance(content, HeldFile):
+            return content.digest
         if planned:
             return None if content is None else digest(content)
         return self._disk.digest(path)

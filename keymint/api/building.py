@@ -209,6 +209,9 @@ class BuildType(Protocol):
     """Names of the parts of a package that it reads beside identity and grant. The document of a part is usually
     ``<name>.xml`` in the package, and its defaults are ``package.defaults/<name>.xml``."""
 
+    COPIED: tuple[str, ...]
+    """Names of the files of an enclave that :meth:`shared` looks at."""
+
     def settings(self, sources: PackageSources) -> PackageSettings:
         """Read the parts of a package.
 
@@ -260,7 +263,7 @@ class BuildType(Protocol):
         """Return copies of enclaves' files that a layout has outside of them, by path relative to the install space.
 
         Args:
-            artifacts: artifacts by subject, then file name.
+            artifacts: artifacts by subject, then file name; those that :attr:`COPIED` names.
             layout: name of the layout.
         """
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+from functools import partial
 
 import click
 
@@ -25,7 +26,7 @@ from keymint.commands.verb import verb
 from keymint.errors import KeymintError
 from keymint.hints import load_hints, unknown_subjects
 from keymint.output.report import Report
-from keymint.plan.build import plan_build
+from keymint.plan.build import BuildStage
 from keymint.plan.policy import load_policy
 from keymint.plan.policy_drift import policy_changed
 from keymint.session import Inputs, Session
@@ -56,7 +57,9 @@ def build(
         session = inputs.session()
         chosen = run.names(inputs, names)
         run.compile_elsewhere(session, chosen, hinted.options)
-        plan = plan_build(session, chosen, hinted.options, force=force, renew=renew)
+        build = partial(BuildStage, options=hinted.options, force=force, renew=renew)
+        run.workers.start(session, chosen, (build,))
+        plan = run.planned(build(session), chosen)
         warnings = policy_changed(session) if chosen else (no_packages(inputs),)
         warnings = (*warnings, *policy_slips(session, plan.steps))
         return Plan(plan.steps, plan.state, (*plan.diagnostics, *warnings, *hinted.unknown(run.names(inputs, ()))))

@@ -3,6 +3,8 @@
 
 from __future__ import annotations
 
+from functools import partial
+
 import click
 
 from keymint.changes import Plan
@@ -12,7 +14,7 @@ from keymint.commands.verb import verb
 from keymint.errors import KeymintError
 from keymint.names import package_name
 from keymint.output.report import Report
-from keymint.plan.create import packages_to_create, plan_create
+from keymint.plan.create import CreateStage, packages_to_create
 from keymint.plan.policy import lazy_policy
 from keymint.session import Inputs
 
@@ -32,18 +34,21 @@ def create(run: Run, names: tuple[str, ...], all_subjects: bool, force: bool) ->
     if not names and not all_subjects:
         raise usage_error("no subject is named", "name some, or use --all")
     workspace = run.workspace()
-    wanted = [package_name(name) for name in names]
+    named = [package_name(name) for name in names]
 
     def make_plan(inputs: Inputs) -> Plan:
         session = inputs.session()
         policy = lazy_policy(session)
-        subjects = dict.fromkeys([*wanted, *(packages_to_create(session, policy) if all_subjects else ())])
+        subjects = dict.fromkeys([*named, *(packages_to_create(session, policy) if all_subjects else ())])
         if not subjects:
             raise KeymintError(
                 "the policy names no subject exactly",
                 help="name the subjects: keymint create /robot1/talker",
                 code="subjects-none",
             )
-        return plan_create(session, policy, tuple(subjects), force=force)
+        create = partial(CreateStage, policy=policy, force=force)
+        wanted = create(session).subjects(tuple(subjects))
+        run.workers.start(session, wanted, (create,))
+        return run.planned(create(session), wanted)
 
     return run.carry_out(workspace, make_plan)

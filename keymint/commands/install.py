@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import partial
 
 import click
 
@@ -17,12 +18,12 @@ from keymint.commands.options import (
     standard_only_option,
     strict_option,
 )
-from keymint.commands.proof_gate import proven
+from keymint.commands.proof_gate import proof_stage, proven
 from keymint.commands.run import Run
 from keymint.commands.verb import verb
 from keymint.output.report import Report, findings_exit
 from keymint.plan.authorities import plan_authorities
-from keymint.plan.install import plan_install
+from keymint.plan.install import InstallStage
 from keymint.plan.policy import lazy_policy
 from keymint.plan.policy_drift import UNCREATED, policy_changed, uncreated
 from keymint.session import Inputs
@@ -59,17 +60,15 @@ def install(
         plan, authorities = plan_authorities(session, new_authority)
         after = session.after(plan)
         chosen = run.names(inputs, names)
-        installed = plan_install(after, chosen, authorities, prune=prune)
+        install = partial(InstallStage, authorities=authorities, prune=prune)
+        proof = proof_stage(run, lazy_policy(session), standard_only=allow_vendor_specific) if prove else None
+        run.workers.start(after, chosen, (install, *((proof,) if proof else ())))
+        installed = run.planned(install(after), chosen)
         warnings = policy_changed(session) if chosen else (no_packages(inputs),)
         missing = () if names or (chosen and not prove) else uncreated(inputs, lazy_policy(session), chosen)
         done = plan.then(installed)
         done = replace(done, diagnostics=(*done.diagnostics, *warnings, *missing))
-        if not prove:
-            return done
-        return proven(
-            run, after, installed, chosen, lazy_policy(session), done,
-            standard_only=allow_vendor_specific, strict=strict,
-        )  # fmt: skip
+        return proven(run, after, installed, chosen, proof, done, strict=strict) if proof else done
 
     report = run.carry_out(workspace, make_plan)
     nothing = findings_exit([finding for finding in report.diagnostics if finding.code == UNCREATED])

@@ -3,8 +3,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Sequence
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import replace
+from functools import partial
 
 from comarmor.errors import Diagnostic, Origin, Severity
 from keymint.api import LoadedPolicy, Proof
@@ -12,11 +13,22 @@ from keymint.changes import Plan
 from keymint.commands.proof_diagnostics import dated_of, diagnostics_of, effort_of, merged_packages
 from keymint.commands.run import Run
 from keymint.errors import ExitCode, KeymintError
-from keymint.plan.prove import NO_PROVER, EnclaveProof, prove
+from keymint.plan.prove import NO_PROVER, EnclaveProof, ProofStage
 from keymint.plan.shared_install import HAND_EDITED
 from keymint.plan.shared_proof import affected
 from keymint.plan.terms import merged
 from keymint.session import Session
+
+
+def proof_stage(run: Run, policy: LoadedPolicy, *, standard_only: bool) -> Callable[[Session], ProofStage]:
+    """Return what makes the stage that proves documents which are about to be signed.
+
+    Args:
+        run: the run.
+        policy: the policy to prove.
+        standard_only: prove by the standard only; vendors may differ.
+    """
+    return partial(ProofStage, policy=policy, effort=effort_of(run), standard_only=standard_only, unsigned=True)
 
 
 def proven(
@@ -24,10 +36,9 @@ def proven(
     session: Session,
     installed: Plan,
     names: Sequence[str],
-    policy: LoadedPolicy,
+    proof: Callable[[Session], ProofStage],
     plan: Plan,
     *,
-    standard_only: bool,
     strict: bool = False,
 ) -> Plan:
     """Prove the enclaves of a plan, and return the plan with the cached proofs.
@@ -37,9 +48,8 @@ def proven(
         session: the workspace before the installation, and its profile.
         installed: the plan of the installation.
         names: the packages to install.
-        policy: the policy to prove.
+        proof: makes the stage that proves.
         plan: what will be done.
-        standard_only: prove by the standard only; vendors may differ.
         strict: exceptions of claims count as not proven.
 
     Raises:
@@ -48,7 +58,8 @@ def proven(
     before, session, kept = session, session.after(installed), installed.kept()
     # New shared documents decide about enclaves that stay as they are, too.
     names = [name for name in sorted({*names, *affected(before, session)}) if name not in kept]
-    results = prove(session, names, policy, effort_of(run), standard_only=standard_only, unsigned=True)
+    stage = proof(session)
+    results = stage.results(run.workers.planned(stage, names))
     diagnostics = list(
         dict.fromkeys(diagnostic for enclave in results.all for diagnostic in diagnostics_of(enclave, strict=strict))
     )

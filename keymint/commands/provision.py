@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 import click
@@ -25,16 +26,16 @@ from keymint.commands.options import (
     renew_option,
     strict_option,
 )
-from keymint.commands.proof_gate import proven
+from keymint.commands.proof_gate import proof_stage, proven
 from keymint.commands.run import Run
 from keymint.commands.verb import verb
 from keymint.errors import KeymintError
 from keymint.output.report import Report
 from keymint.plan.authorities import plan_authorities
 from keymint.plan.bootstrap import plan_init, plan_policy, policy_path, refuse_unsupported
-from keymint.plan.build import plan_build
-from keymint.plan.create import packages_to_create, plan_create
-from keymint.plan.install import plan_install
+from keymint.plan.build import BuildStage
+from keymint.plan.create import CreateStage, packages_to_create
+from keymint.plan.install import InstallStage
 from keymint.plan.policy import lazy_policy
 from keymint.session import Inputs
 
@@ -85,23 +86,27 @@ def provision(
                 help="attach a profile to a name without wildcards, or use 'keymint create NAME'",
                 code="subjects-none",
             )
-        created = plan_create(session, acquired, names, force=force)
+        # Processes begin with the authorities, which then sign the last.
+        minted, authorities = plan_authorities(session, new_authority)
+        session = session.after(minted)
+        create = partial(CreateStage, policy=acquired, force=force)
+        build = partial(BuildStage, options=hinted.options, force=force, renew=renew)
+        install = partial(InstallStage, authorities=authorities, prune=prune)
+        proof = proof_stage(run, acquired, standard_only=document_options.allow_vendor_specific)
+        subjects = create(session).subjects(names)
+        run.workers.start(session, subjects, (create, build, install, *((proof,) if prove else ())))
+        created = run.planned(create(session), subjects)
         session = session.after(created)
         names = (*names, *session.infrastructure())
         run.compile_elsewhere(session, names, hinted.options, prove=prove)
-        built = plan_build(session, names, hinted.options, force=force, renew=renew)
+        built = run.planned(build(session), names)
         session = session.after(built)
-        minted, authorities = plan_authorities(session, new_authority)
-        session = session.after(minted)
-        installed = plan_install(session, names, authorities, prune=prune)
+        installed = run.planned(install(session), names)
         for stage in (created, built, minted, installed):
             plan = plan.then(stage)
         slips = policy_slips(session, (*created.steps, *built.steps), acquired)
         plan = replace(plan, diagnostics=(*plan.diagnostics, *slips, *hinted.unknown(names)))
-        if not prove:
-            return plan
-        standard_only = document_options.allow_vendor_specific
-        return proven(run, session, installed, names, acquired, plan, standard_only=standard_only, strict=strict)
+        return proven(run, session, installed, names, proof, plan, strict=strict) if prove else plan
 
     def _profile_plan(inputs: Inputs) -> Plan:
         if not inputs.workspace.exists():

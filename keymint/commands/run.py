@@ -3,6 +3,8 @@
 
 from __future__ import annotations
 
+import contextlib
+import functools
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
@@ -24,11 +26,13 @@ from keymint.names import package_name
 from keymint.output.console import Console, Streams
 from keymint.output.report import Report
 from keymint.plan import gitignore
+from keymint.plan.stage import PlanStage
 from keymint.plugins import Plugins
 from keymint.session import Inputs, Session
 from keymint.state import MAX_RECORD, State
 from keymint.state import load as load_state
-from keymint.tree import Tree, read_file
+from keymint.tree import HeldError, Tree, read_file
+from keymint.workers import Workers
 from keymint.workspace import SPACES, Workspace, find, packages, shown
 from keymint.workspace_lock import LOCK, clock, read_lock
 
@@ -78,6 +82,8 @@ class Run:
         self.plugins = Plugins(environment=Environment(setting.now, setting.cache, setting.environment))
         self._trusted: bool = options.get("trust_executor", False)
         self._executor: str = options.get("executor", PROCESSES)
+        # What a cluster compiled is here only, not in other processes.
+        self.workers = Workers(self.jobs if self._executor == PROCESSES else 1, open_store)
         self._named: Path | None = options.get("workspace")
         self._spaces: dict[str, Path] = {
             space: folder for space in SPACES if (folder := options.get(f"{space}_space")) is not None
@@ -229,6 +235,18 @@ class Run:
 
         A new workspace is planned before anything is written, including the lock.
         """
+        with contextlib.closing(self.workers):
+            return self._carry_out(workspace, functools.partial(self._plan, make_plan))
+
+    def _plan(self, make_plan: Callable[[Inputs], Plan], inputs: Inputs) -> Plan:
+        self.workers.close()  # those of an earlier plan
+        try:
+            return make_plan(inputs)
+        except HeldError:
+            self.workers.give_up()
+            return make_plan(inputs)
+
+    def _carry_out(self, workspace: Workspace, make_plan: Callable[[Inputs], Plan]) -> Report:
         if self.dry_run:
             plan = make_plan(self.snapshot(workspace))
             return Report(self.verb, workspace, plan.steps, plan.diagnostics, {}, _exit_code(plan), dry_run=True)
@@ -252,10 +270,18 @@ class Run:
             inputs, plan = planned
             guards = gitignore.missing_files(workspace, plan)
             with self.console.progress(len(plan.steps), self.setting.monotonic) as advance:
-                execute(plan, workspace, store, inputs.state, advance)
+                execute(plan, workspace, store, inputs.state, self.workers, advance)
             changes = (*guards, *(change for step in plan.steps for change in step.changes))
             file_index.save(store, workspace, inputs.tree, sight, changes)
         return Report(self.verb, workspace, plan.steps, plan.diagnostics, {}, _exit_code(plan))
+
+    def planned(self, stage: PlanStage, names: Sequence[str]) -> Plan:
+        """Return the plan of a stage for some packages; processes that were started make their parts of it.
+
+        Raises:
+            KeymintError: the errors of all packages.
+        """
+        return stage.plan(self.workers.planned(stage, names))
 
     def keep(self, inputs: Inputs, state: State) -> tuple[Diagnostic, ...]:
         """Save the results of a verb that does not write, unless the workspace changed meanwhile.

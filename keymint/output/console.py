@@ -155,7 +155,7 @@ class Console:
             self._line(f"{label} {printable(f'{step.stage:11} {name}{detail}')}")
             if self._verbosity > 0 and report.workspace:
                 for change in step.changes:
-                    for file in change.files:
+                    for file in change.written:
                         self.line(f"            {report.workspace.shown(change.folder / file)}")
                     for file in change.removed:
                         self.line(f"            {report.workspace.shown(change.folder / file)} (removed)")

@@ -50,7 +50,7 @@ def _step(step: Step, workspace: Workspace | None) -> dict[str, Any]:
         "stage": step.stage,
         "package": step.package,
         "action": str(step.action),
-        "written": [typed(change.folder, name) for change in step.changes for name in change.files],
+        "written": [typed(change.folder, name) for change in step.changes for name in change.written],
         "removed": [typed(change.folder, name) for change in step.changes for name in change.removed],
         "detail": step.detail,
         "sizes": [asdict(size) for size in step.sizes],

@@ -20,30 +20,6 @@ from keymint.state import Stamp, digest
 STAGE = BUILD
 
 
-def plan_build(
-    session: Session,
-    names: Sequence[str],
-    options: BuildOptions,
-    *,
-    force: bool = False,
-    renew: bool = False,
-) -> Plan:
-    """Plan the unsigned documents of some packages.
-
-    Args:
-        session: the workspace and its profile.
-        names: names of packages that exist.
-        options: options of the build types.
-        force: rebuild, and overwrite documents that were edited by hand.
-        renew: replace the private keys of the subjects.
-
-    Raises:
-        KeymintError: the defects of all packages together.
-    """
-    stage = BuildStage(session, options, force=force, renew=renew)
-    return stage.plan([stage.package(name) for name in names])
-
-
 class BuildStage:
     """The stage ``build``.
 

@@ -116,3 +116,14 @@ def shared_builder(session: Session, name: str) -> SharedDocuments | None:
         return build_type if isinstance(build_type, SharedDocuments) else None
 
     return session.once(("shared builder", name), find)
+
+
+def may_share(session: Session, names: Iterable[str]) -> bool:
+    """Tell whether packages may have documents that depend on other packages: cautious, and reads manifests only."""
+    sharing = {each.name for each in session.plugins.infos if shared_builder(session, each.name)}
+    if not sharing.isdisjoint(session.profile.build_types) or session.infrastructure():
+        return True
+    texts = [name.encode() for name in sharing]
+    marker = session.plugins.package_type(session.profile.package_type, session.profile_marker()).MARKER
+    manifests = {session.tree.try_read(session.workspace.src / name / marker) or b"" for name in names}
+    return any(text in manifest for manifest in manifests for text in texts)

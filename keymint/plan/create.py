@@ -33,29 +33,6 @@ def packages_to_create(session: Session, policy: LoadedPolicy) -> tuple[str, ...
     return tuple(sorted({*exact, *existing}.difference(session.infrastructure())))
 
 
-def plan_create(
-    session: Session,
-    policy: LoadedPolicy,
-    names: Sequence[str],
-    *,
-    force: bool,
-) -> Plan:
-    """Plan the source packages of some subjects, and those that their transports need beside them.
-
-    Args:
-        session: the workspace and its profile.
-        policy: its policy.
-        names: package names, legal.
-        force: replace documents of rules that were edited by hand.
-
-    Raises:
-        KeymintError: no profile of the policy applies to a name, names collide, the policy names a package of
-            infrastructure, or a manual edit is in the way; all of them together.
-    """
-    stage = CreateStage(session, policy, force=force)
-    return stage.plan([stage.package(name) for name in stage.subjects(names)])
-
-
 def stale(session: Session, policy: LoadedPolicy, names: Sequence[str]) -> Mapping[str, tuple[Diagnostic, ...]]:
     """Return the packages of subjects that differ from the policy, each with the errors that prevent its update.
 

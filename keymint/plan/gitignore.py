@@ -24,15 +24,15 @@ def missing_files(workspace: Workspace, plan: Plan) -> Sequence[FolderChange]:
     An existing file belongs to the user and is kept. A space that is a link or read-only is skipped, unless the plan
     writes to it anyway.
     """
-    written = {change.folder for step in plan.steps for change in step.changes if change.files}
+    written = {str(change.folder) for step in plan.steps for change in step.changes if change.written}
     if written:
-        written.add(workspace.state)  # has the record of what is written
+        written.add(str(workspace.state))  # has the record of what is written
     spaces = (workspace.private, workspace.build, workspace.install, workspace.state)
     return [
         FolderChange(space, {NAME: File(_EVERYTHING)}, private=space == workspace.private)
         for space in spaces
         if not os.path.lexists(space / NAME)
-        and (any(folder.is_relative_to(space) for folder in written) or _can_be_written(space))
+        and (any(f"{folder}/".startswith(f"{space}/") for folder in written) or _can_be_written(space))
     ]
 
 

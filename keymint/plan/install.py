@@ -26,24 +26,6 @@ from keymint.state import Stamp, digest, digest_files
 STAGE = INSTALLED
 
 
-def plan_install(
-    session: Session, names: Sequence[str], authorities: Mapping[str, MintedAuthority], *, prune: bool
-) -> Plan:
-    """Plan the enclaves of some packages.
-
-    Args:
-        session: the workspace and its profile.
-        names: names of existing packages.
-        authorities: the authorities that issue and sign, by name.
-        prune: remove installed enclaves that have no source package.
-
-    Raises:
-        KeymintError: the defects of all packages together, e.g. one that was not built.
-    """
-    stage = InstallStage(session, authorities, prune=prune)
-    return stage.plan([stage.package(name) for name in names])
-
-
 class InstallStage:
     """The stage ``install``.
 
@@ -79,7 +61,7 @@ class InstallStage:
             raise KeymintError.of(errors)
         # Shared documents come first: rights end before an enclave is removed, and begin before one is there. So do
         # copies, so that the folder around the enclaves exists before any enclave.
-        changed = {each.name: (each.build_types, each.artifacts) for each in planned if each.artifacts}
+        changed = {each.name: (each.build_types, each.artifacts) for each in planned if each.build_types}
         removed = orphans(session) if prune else ()
         shared = plan_shared_install(session, [each.name for each in planned], self._authorities, removed)
         steps = [*shared.steps, *shared_steps(session, changed), *steps_of(planned)]
@@ -151,6 +133,8 @@ def _plan_enclave(
     foreign = [each for each in unreadable if not each.where or each.where.file not in paths]
     # Without a record of the build nothing is known about edits or staleness.
     is_recorded = session.state.stamp(build.STAGE, name) is not None
+    build_types = build_types_of(session, package)
+    copied = {file for each in build_types.values() for file in each.COPIED}
     edits = _edits(session, name, documents) if is_recorded else ()
     made = Stamp(
         inputs,
@@ -165,8 +149,8 @@ def _plan_enclave(
         (*warnings, *(replace(each, severity=Severity.WARNING) for each in foreign), *edits),
         fingerprint=fingerprint,
         lifetimes=own,
-        build_types=tuple(build_types_of(session, package)),
-        artifacts=artifacts,
+        build_types=tuple(build_types),
+        artifacts={file: artifacts[file] for file in copied if file in artifacts},
         outdated=is_recorded and not build.is_current(session, name),
     )
 

@@ -8,7 +8,7 @@ from pathlib import Path
 
 from keymint.api import Artifact, BuildType
 from keymint.changes import Action, File, Step, changed
-from keymint.plan.enclaves import INSTALLED, KEY, enclave_files, installed
+from keymint.plan.enclaves import INSTALLED, installed
 from keymint.session import Session
 
 
@@ -23,15 +23,17 @@ def shared_steps(
     """
     if not changed_enclaves:
         return []
+    build_types = sorted({build_type for of_package, _ in changed_enclaves.values() for build_type in of_package})
+    copied = {file for name in build_types for file in session.plugins.build_type(name).COPIED}
     enclaves: dict[str, Mapping[str, Artifact]] = {}
     for name in sorted({*changed_enclaves, *installed(session)}):
         if name in changed_enclaves:
             enclaves[f"/{name}"] = changed_enclaves[name][1]
         else:
-            existing, _ = enclave_files(session, name)
-            enclaves[f"/{name}"] = {file: Artifact(content, secret=file == KEY) for file, content in existing.items()}
+            existing = {file: session.tree.try_read(session.enclaves / name / file) for file in copied}
+            enclaves[f"/{name}"] = {file: Artifact(content) for file, content in existing.items() if content}
     steps = []
-    for name in sorted({build_type for of_package, _ in changed_enclaves.values() for build_type in of_package}):
+    for name in build_types:
         folders: dict[Path, dict[str, File]] = {}
         for relative, artifact in copies_of(session, session.plugins.build_type(name), enclaves).items():
             path = session.workspace.install / relative
@@ -54,9 +56,8 @@ def copies_of(
         build_type: the build type.
         enclaves: files of all enclaves, by subject and name.
     """
-    names = build_type.files(session.profile.layout)
     own = {
-        subject: {file: artifact for file, artifact in files.items() if file in names}
+        subject: {file: files[file] for file in build_type.COPIED if file in files}
         for subject, files in enclaves.items()
     }
     return build_type.shared(own, session.profile.layout)

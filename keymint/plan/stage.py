@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Protocol
+from typing import Protocol, TypeVar
 
 from comarmor.errors import Diagnostic
 from keymint.api import Artifact
@@ -18,6 +18,8 @@ from keymint.plan import key_record
 from keymint.plan.lifetimes import Lifetime
 from keymint.session import Session
 from keymint.state import Stamp, State
+
+_T_co = TypeVar("_T_co", covariant=True)
 
 
 @dataclass(frozen=True, slots=True)
@@ -49,13 +51,17 @@ class PackagePlan:
     outdated: bool = False
 
 
-class Stage(Protocol):
-    """A stage of a run."""
+class PackageStage(Protocol[_T_co]):
+    """A stage, as far as it looks at one package at a time."""
 
     NAME: str
 
-    def package(self, name: str) -> PackagePlan:
-        """Return the plan for a package; it depends on no other package."""
+    def package(self, name: str) -> _T_co:
+        """Return the result for a package; it depends on no other package."""
+
+
+class PlanStage(PackageStage[PackagePlan], Protocol):
+    """A stage whose result is a plan."""
 
     def plan(self, planned: Sequence[PackagePlan]) -> Plan:
         """Put the plans for some packages together.

@@ -8,7 +8,7 @@ from collections.abc import Callable, Mapping, Sequence
 from comarmor.rules import PERMISSIONS
 from keymint.api import API_VERSION, BuildOptions, Claim, Package, ProofTask
 from keymint.api.lazy import lazy
-from keymint_ros2_dds.enclave_layout import LAYOUTS, READS, files
+from keymint_ros2_dds.enclave_layout import COPIED, LAYOUTS, READS, files
 
 __all__ = ["DdsSecurity", "build_type"]
 
@@ -27,6 +27,7 @@ class DdsSecurity:
     LAYOUTS = LAYOUTS
     READS = READS
     PARTS = ("governance",)
+    COPIED = COPIED
     KINDS = tuple(PERMISSIONS)
 
     files = staticmethod(files)

@@ -30,6 +30,8 @@ FILES: Mapping[str, tuple[str, ...]] = {
     "flat": (CA, CERTIFICATE, KEY, GOVERNANCE_P7S, PERMISSIONS_P7S),
 }
 """The files of an enclave: sros2's keystore of Foxy and later, and that of Ardent and Bouncy (rmw, ``security.c``)."""
+COPIED = (IDENTITY_CA, PERMISSIONS_CA, GOVERNANCE_P7S)
+"""The files that ``sros2`` has once more outside of the enclaves, for people and for sros2's tools."""
 
 
 def files(layout: str) -> frozenset[str]:

@@ -107,7 +107,7 @@ def shared(artifacts: Mapping[str, Mapping[str, Artifact]], layout: str) -> Mapp
         artifacts: artifacts by subject, then file name; enclaves of other build types are ignored.
         layout: ``sros2`` or ``flat``; the latter keeps nothing.
     """
-    enclaves = [files for _, files in sorted(artifacts.items()) if PERMISSIONS_P7S in files]
+    enclaves = [files for _, files in sorted(artifacts.items()) if GOVERNANCE_P7S in files]
     if layout != "sros2" or not enclaves:
         return {}
     result: dict[str, Artifact] = {}
@@ -117,7 +117,7 @@ def shared(artifacts: Mapping[str, Mapping[str, Artifact]], layout: str) -> Mapp
             result[f"public/{name}"] = Artifact(contents.pop())
     if len(result) == 2 and len({artifact.content for artifact in result.values()}) == 1:  # noqa: PLR2004 - both
         result[f"public/{CA}"] = result[f"public/{IDENTITY_CA}"]
-    signed = [files[GOVERNANCE_P7S].content for files in enclaves if GOVERNANCE_P7S in files]
+    signed = [files[GOVERNANCE_P7S].content for files in enclaves]
     documents = {_content(one) for one in dict.fromkeys(signed)}
     if len(documents) == 1 and (content := documents.pop()) is not None:
         result[f"enclaves/{GOVERNANCE_XML}"] = Artifact(content)

@@ -24,6 +24,7 @@ class Zenoh:
 
     TRANSPORT = "zenoh"
     PARTS = ("zenoh",)
+    COPIED = ()
     LAYOUTS = LAYOUTS
     READS = READS
     KINDS = tuple(kind for kind in PERMISSIONS if kind != "topic")  # no key expression stands for a raw topic

@@ -50,6 +50,7 @@ class BoardBuildType:
     API = API_VERSION
     TRANSPORT = "board"
     PARTS: tuple[str, ...] = ()
+    COPIED: tuple[str, ...] = ("rights.txt",)
     LAYOUTS: Mapping[str, Layout] = {"sros2": Layout("enclaves"), "flat": Layout("")}
     READS = (".pem",)
     KINDS = ("ros_topic", "ros_service", "ros_action", "ros_parameter")

@@ -38,6 +38,7 @@ class LighthouseBuildType:
     API = API_VERSION
     TRANSPORT = "light"
     PARTS = ("lighthouse",)
+    COPIED = ()
     LAYOUTS: Mapping[str, Layout] = {"sros2": Layout("enclaves")}
     READS = (".pem",)
     KINDS = ("ros_topic",)

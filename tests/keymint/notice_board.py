@@ -39,6 +39,7 @@ class NoticeBoard:
     API = api.API_VERSION
     TRANSPORT = "board"
     PARTS = ()
+    COPIED = ()
     KINDS = ("ros_topic", "ros_service", "ros_action", "ros_parameter")
     LAYOUTS: Mapping[str, api.Layout] = {"sros2": api.Layout("enclaves", reserved=("board",))}
     READS = (".pem",)

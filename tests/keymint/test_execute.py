@@ -14,6 +14,7 @@ from keymint.errors import KeymintError
 from keymint.execute import RECORD, execute, open_store
 from keymint.state import Stamp, State, digest, load
 from keymint.store import Store
+from keymint.workers import Workers
 from keymint.workspace import Workspace
 
 
@@ -38,6 +39,7 @@ def run(plan: Plan, workspace: Workspace, *, before: State | None = None) -> lis
         workspace,
         open_store(workspace),
         before or State(),
+        Workers(1, open_store),
         lambda finished: done.append(f"{finished.stage} {finished.package}"),
     )
     return done

@@ -11,7 +11,7 @@ import signal
 import tempfile
 import time
 from collections import Counter
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from datetime import UTC, datetime
 from pathlib import Path
 from types import FrameType
@@ -22,12 +22,14 @@ import pytest
 import comarmor
 from comarmor.errors import Diagnostic
 from keymint.api import BuildOptions
+from keymint.changes import Plan
 from keymint.errors import KeymintError
 from keymint.plan.authorities import plan_authorities
-from keymint.plan.build import plan_build
-from keymint.plan.create import packages_to_create, plan_create
-from keymint.plan.install import plan_install
+from keymint.plan.build import BuildStage
+from keymint.plan.create import CreateStage, packages_to_create
+from keymint.plan.install import InstallStage
 from keymint.plan.policy import load_policy
+from keymint.plan.stage import PlanStage
 from keymint.plugins import Plugins
 from keymint.session import Inputs
 from keymint.state import State
@@ -217,18 +219,22 @@ def test_all_stages_plan_with_a_mutated_document_or_reject_it(workspace: Path) -
     assert outcomes["refused"] > DOCUMENTS // 4, outcomes
 
 
+def _plan(stage: PlanStage, names: Iterable[str]) -> Plan:
+    return stage.plan([stage.package(name) for name in names])
+
+
 def _planned(inputs: Inputs, *, in_build: bool) -> str:
     try:
         session = inputs.session()
         policy = load_policy(session)
         names = packages_to_create(session, policy)
-        plan = plan_create(session, policy, names, force=False)
-        after = session.after(plan)
+        create = CreateStage(session, policy, force=False)
+        after = session.after(_plan(create, create.subjects(names)))
         options = BuildOptions(allow_vendor_specific=True)
         if not in_build:  # a document in build/ is signed as it is
-            after = after.after(plan_build(after, names, options, force=True))
+            after = after.after(_plan(BuildStage(after, options, force=True, renew=False), names))
         minted, authorities = plan_authorities(after)
-        plan_install(after.after(minted), names, authorities, prune=True)
+        _plan(InstallStage(after.after(minted), authorities, prune=True), names)
     except KeymintError as error:
         require_one_line(error.diagnostics)
         return "refused"

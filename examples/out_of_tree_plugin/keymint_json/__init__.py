@@ -53,6 +53,7 @@ class JsonBuildType:
     READS: tuple[str, ...] = (".pem", ".p7s")
     KINDS: tuple[str, ...] = tuple(PERMISSIONS)
     PARTS: tuple[str, ...] = ()
+    COPIED: tuple[str, ...] = ()
 
     def settings(self, sources: PackageSources) -> PackageSettings:
         """Read nothing: identity and grant have all that it needs."""

@@ -1,0 +1,245 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Measure what a user waits for, as ratios to the least work possible: the table of ``docs/scale.md``.
+
+usage: python benchmarks/fleet.py [--rows alike,own,...] [--large 10000] [--disk FOLDER] [--repeat 3]
+
+A row compares whole processes with the *floor* of 1,000 enclaves (:mod:`floor`: a key, a certificate, one S/MIME
+signature by the library and six files), measured before and after it. Everything is on tmpfs, except ``disk``. The best
+repeat counts; folders are removed at the end only, since a file system is slow after a large removal.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import shutil
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import floor
+
+KEYMINT = (sys.executable, "-m", "keymint")
+IMPORTS = (sys.executable, "-c", "import click, lxml.etree, cryptography.x509")
+FLEET = 1000
+PROFILE = """  <profile name="robot{robot}_{role}">
+    <attachment>/robot{robot}/{role}</attachment>
+    <xi:include href="common/node.xml" parse="xml"/>
+    <ros_topic qualifier="ALLOW">
+      <attachment>/robot{robot}/chatter</attachment>
+      <attachment>/fleet/map</attachment>
+      <permissions><{permission}/></permissions>
+    </ros_topic>
+    <ros_service qualifier="ALLOW">
+      <attachment>/fleet/report</attachment>
+      <permissions><ros_call/></permissions>
+    </ros_service>
+{more}  </profile>
+"""
+OWN = """    <ros_topic qualifier="ALLOW">
+      <attachment>/data/{number}_*</attachment>
+      <permissions><ros_publish/></permissions>
+    </ros_topic>
+    <ros_topic qualifier="DENY">
+      <attachment>/data/{number}_secret</attachment>
+      <permissions><ros_publish/><ros_subscribe/></permissions>
+    </ros_topic>
+"""
+
+
+@dataclass(frozen=True)
+class Spent:
+    """What a process took: wall clock and processor time in seconds, peak memory of the largest process in MB."""
+
+    wall: float
+    cpu: float
+    memory: float
+
+
+def policy(size: int, *, own: bool = False, extra: str = "") -> str:
+    """Return a policy of talkers and listeners.
+
+    Args:
+        size: number of subjects.
+        own: each subject has a wildcard of its own, so that no two are alike.
+        extra: a rule for the first subject only.
+    """
+    profiles = "".join(
+        PROFILE.format(
+            robot=number // 2,
+            role=("talker", "listener")[number % 2],
+            permission=("ros_publish", "ros_subscribe")[number % 2],
+            more=(OWN.format(number=number) if own else "") + (extra if number == 0 else ""),
+        )
+        for number in range(size)
+    )
+    return f'<profiles xmlns:xi="http://www.w3.org/2001/XInclude">\n{profiles}</profiles>\n'
+
+
+def spent(*command: str, cwd: Path | None = None, codes: Sequence[int] = (0,)) -> Spent:
+    """Run a command and return what it took; another exit code than those given ends the benchmark."""
+    with tempfile.TemporaryFile() as errors:
+        start = time.perf_counter()
+        process = subprocess.Popen(command, cwd=cwd, stdout=subprocess.DEVNULL, stderr=errors)
+        _, status, usage = os.wait4(process.pid, 0)
+        wall = time.perf_counter() - start
+        process.returncode = os.waitstatus_to_exitcode(status)
+        if process.returncode not in codes:
+            errors.seek(0)
+            sys.exit(f"{' '.join(command)} ended with {process.returncode}: {errors.read().decode()[-2000:]}")
+    return Spent(wall, usage.ru_utime + usage.ru_stime, usage.ru_maxrss / 1024)
+
+
+def best(repeat: int, measure: Callable[[int], Spent]) -> Spent:
+    """Return the shortest of several repeats."""
+    return min((measure(attempt) for attempt in range(repeat)), key=lambda each: each.wall)
+
+
+class Benchmark:
+    """Measures the rows of the table.
+
+    Args:
+        scratch: a folder on tmpfs.
+        disk: a folder on a disk.
+        repeat: repeats of each measurement.
+        large: enclaves of the large fleet.
+    """
+
+    def __init__(self, scratch: Path, disk: Path, repeat: int, large: int) -> None:
+        self._scratch = scratch
+        self._disk = disk
+        self._repeat = repeat
+        self._large = large
+        self._count = 0
+        self._sample = self._permissions()
+
+    def _permissions(self) -> bytes:
+        folder = self._new(self._scratch)
+        self._provision(folder, policy(1))
+        return (folder / "ws/install/enclaves/robot0/talker/permissions.xml").read_bytes()
+
+    def _new(self, parent: Path) -> Path:
+        self._count += 1
+        folder = parent / str(self._count)
+        folder.mkdir()
+        return folder
+
+    def _provision(self, folder: Path, text: str | None = None) -> Spent:
+        if text is not None:
+            (folder / "policy.xml").write_text(text)
+        return spent(*KEYMINT, "provision", "policy.xml", "-w", "ws", "-q", cwd=folder)
+
+    def floor(self) -> Spent:
+        """Return what the floor of 1,000 enclaves takes."""
+        folder = self._new(self._scratch)
+        wall, cpu = time.perf_counter(), time.process_time()
+        floor.provision(folder, [f"robot{number}/talker" for number in range(FLEET)], self._sample)
+        return Spent(time.perf_counter() - wall, time.process_time() - cpu, 0)
+
+    def _against_floor(self, name: str, must: str, measure: Callable[[int], Spent], repeat: int = 0) -> None:
+        before = self.floor()
+        took = best(repeat or self._repeat, measure)
+        after = self.floor()
+        wall, cpu = min(before.wall, after.wall), min(before.cpu, after.cpu)
+        print(
+            f"{name:42} {took.wall:8.2f} s  {took.wall / wall:6.2f} x wall  {took.cpu / cpu:6.2f} x CPU  "
+            f"{took.memory:6.0f} MB   must: {must}",
+            flush=True,
+        )
+
+    def alike(self) -> None:
+        """1,000 alike subjects, from nothing to a proven keystore."""
+        text = policy(FLEET)
+        measure = lambda _: self._provision(self._new(self._scratch), text)  # noqa: E731
+        self._against_floor("1,000 alike, cold", "1.0 wall, 1.6 CPU", measure)
+
+    def own(self) -> None:
+        """1,000 subjects, each a kind of its own."""
+        text = policy(FLEET, own=True)
+        measure = lambda _: self._provision(self._new(self._scratch), text)  # noqa: E731
+        self._against_floor("1,000 kinds, cold", "3", measure)
+
+    def small(self) -> None:
+        """Two enclaves against the imports that they need."""
+        text = policy(2)
+        repeat = 5 * self._repeat
+        imports = best(repeat, lambda _: spent(*IMPORTS))
+        took = best(repeat, lambda _: self._provision(self._new(self._scratch), text))
+        ratio = took.wall / imports.wall
+        print(f"{'2 enclaves, cold':42} {took.wall:8.2f} s  {ratio:6.2f} x imports            must: 2.5", flush=True)
+
+    def disk(self) -> None:
+        """300 enclaves on a disk against tmpfs."""
+        text = policy(300)
+        memory = best(self._repeat, lambda _: self._provision(self._new(self._scratch), text))
+        took = best(self._repeat, lambda _: self._provision(self._new(self._disk), text))
+        must = 1.1 * memory.wall + 0.3
+        print(
+            f"{'300 enclaves on a disk':42} {took.wall:8.2f} s  tmpfs {memory.wall:.2f} s   must: {must:.2f} s",
+            flush=True,
+        )
+
+    def unchanged(self) -> None:
+        """The same again."""
+        for size, must in ((FLEET, "0.2"), (self._large, "1.1 for 10,000")):
+            folder = self._new(self._scratch)
+            self._provision(folder, policy(size))
+            self._against_floor(f"{size:,}, nothing changed", must, lambda _, at=folder: self._provision(at))
+
+    def one_rule(self) -> None:
+        """One rule more for one subject of a large fleet."""
+        folder = self._new(self._scratch)
+        first = self._provision(folder, policy(self._large))
+        print(f"{f'{self._large:,} alike, cold':42} {first.wall:8.2f} s  {first.memory:.0f} MB", flush=True)
+        rule = OWN.format(number=7)
+        change = lambda attempt: self._provision(folder, policy(self._large, extra=rule * (attempt % 2 + 1)))  # noqa: E731
+        self._against_floor(f"one rule of {self._large:,}", "1.5", change)
+
+    def verbs(self) -> None:
+        """Questions about 1,000 enclaves."""
+        folder = self._new(self._scratch)
+        self._provision(folder, policy(FLEET))
+        for verb, must, arguments, codes in (
+            ("status", "0.35", ("-w", "ws"), (0,)),
+            ("check", "1.1", ("-w", "ws"), (0,)),
+            ("lint", "1.1", ("policy.xml",), (0, 3)),
+        ):
+            command = (*KEYMINT, verb, *arguments)
+            measure = lambda _, line=command, ok=codes: spent(*line, cwd=folder, codes=ok)  # noqa: E731
+            self._against_floor(f"{verb}, 1,000", must, measure)
+
+    def memory(self) -> None:
+        """Peak memory of the largest process for very many enclaves."""
+        for size, must in ((10_000, 400), (100_000, 1000)):
+            took = self._provision(self._new(self._scratch), policy(size))
+            print(f"{f'{size:,} enclaves':42} {took.wall:8.2f} s  {took.memory:6.0f} MB   must: {must} MB", flush=True)
+
+
+ROWS = ("alike", "own", "small", "disk", "unchanged", "one_rule", "verbs", "memory")
+
+
+def main() -> None:
+    """Measure and print."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--rows", default=",".join(ROWS[:-1]), help=f"of {', '.join(ROWS)}")
+    parser.add_argument("--repeat", type=int, default=3)
+    parser.add_argument("--large", type=int, default=10_000, help="enclaves of the large fleet")
+    parser.add_argument("--disk", type=Path, default=Path.cwd(), help="a folder on a disk, e.g. ext4")
+    options = parser.parse_args()
+    tmpfs = Path("/dev/shm")
+    with (
+        tempfile.TemporaryDirectory(dir=tmpfs if tmpfs.is_dir() else None) as scratch,
+        tempfile.TemporaryDirectory(dir=options.disk) as disk,
+    ):
+        benchmark = Benchmark(Path(scratch), Path(disk), options.repeat, options.large)
+        for row in options.rows.split(","):
+            getattr(benchmark, row)()
+        shutil.rmtree(scratch, ignore_errors=True)
+
+
+if __name__ == "__main__":
+    main()

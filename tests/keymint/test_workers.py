@@ -1,0 +1,185 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Several processes plan what one would plan, and write nothing unless all of it is right.
+
+The commands run in processes of their own, since a process with threads starts no others.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+from keymint.workers import MIN_PACKAGES
+from tests.conftest import snapshot
+
+SIZE = MIN_PACKAGES + 10
+PROFILE = """<profile name="p{n}">
+<attachment>/{folder}robot{n}/talker</attachment>
+<ros_topic qualifier="ALLOW">
+<attachment>{{namespace}}chatter{n}{wild}</attachment><permissions><ros_publish/></permissions>
+</ros_topic>
+<ros_topic qualifier="DENY"><attachment>/secret</attachment><permissions><ros_publish/></permissions></ros_topic>
+</profile>
+"""
+SPY = """
+import multiprocessing.connection, os, sys
+from keymint.cli import main
+whole = multiprocessing.connection.Connection._send_bytes
+def copied(self, content):
+    with open(f"{os.environ['SPY']}/{os.getpid()}", "ab") as file:
+        file.write(content)
+    whole(self, content)
+multiprocessing.connection.Connection._send_bytes = copied
+sys.exit(main(sys.argv[1:]))
+"""
+ENDED = """
+import os, signal, sys
+from keymint.cli import main
+from keymint.plan.{module} import {stage}
+package = {stage}.package
+def ended(self, name):
+    if name == {name!r}:
+        os.kill(os.getpid(), signal.SIGKILL)
+    return package(self, name)
+{stage}.package = ended
+sys.exit(main(sys.argv[1:]))
+"""
+
+
+def policy(path: Path, size: int = SIZE, *, folder: str = "", extra: str = "") -> Path:
+    """Write a policy; every seventh subject has a wildcard."""
+    profiles = (PROFILE.format(n=n, folder=folder, wild="" if n % 7 else "*") for n in range(size))
+    path.write_text(f"<profiles>\n{''.join(profiles)}{extra}</profiles>\n")
+    return path
+
+
+def run(cwd: Path, *arguments: object, program: str = "", **environment: str) -> subprocess.CompletedProcess[str]:
+    """Run keymint in a process of its own."""
+    start = ("-c", program) if program else ("-m", "keymint")
+    command = [sys.executable, *start, *map(str, arguments)]
+    return subprocess.run(
+        command, cwd=cwd, env={**os.environ, **environment}, capture_output=True, text=True, check=False
+    )
+
+
+def unsigned(workspace: Path) -> dict[str, bytes]:
+    """Return what does not depend on keys: sources and unsigned documents."""
+    files = [path for path in workspace.rglob("*") if path.is_file()]
+    kept = [path for path in files if path.suffix == ".xml" and path.name != "keymint_profile.xml"]  # has its name
+    return {str(path.relative_to(workspace)): path.read_bytes() for path in kept}
+
+
+def modes(workspace: Path) -> dict[str, int]:
+    """Return the mode of each file and folder."""
+    return {str(path.relative_to(workspace)): path.lstat().st_mode for path in workspace.rglob("*")}
+
+
+@pytest.mark.parametrize("folder", ["", "fleet/"])
+def test_any_number_of_processes_gives_the_same(tmp_path: Path, folder: str) -> None:
+    source = policy(tmp_path / "policy.xml", folder=folder)
+    reports = {}
+    for jobs in (1, 2, 3):
+        done = run(tmp_path, "provision", source, "-w", f"ws{jobs}", "-j", jobs, "--json")
+        assert done.returncode == 0, done.stderr
+        reports[jobs] = json.loads(done.stdout.replace(f"ws{jobs}", "ws"))
+        assert run(tmp_path, "check", "-w", f"ws{jobs}").returncode == 0
+    assert reports[1]["steps"] == reports[2]["steps"] == reports[3]["steps"]
+    assert reports[1] == reports[2] == reports[3]
+    assert unsigned(tmp_path / "ws1") == unsigned(tmp_path / "ws2") == unsigned(tmp_path / "ws3")
+    assert modes(tmp_path / "ws1") == modes(tmp_path / "ws2") == modes(tmp_path / "ws3")
+    before = snapshot(tmp_path / "ws2")
+    assert "nothing to do" in run(tmp_path, "provision", source, "-w", "ws2", "-j", 2).stdout
+    assert snapshot(tmp_path / "ws2") == before
+
+
+def test_each_stage_by_itself(tmp_path: Path) -> None:
+    source = policy(tmp_path / "policy.xml")
+    for jobs in (1, 2):
+        assert run(tmp_path, "init", f"ws{jobs}", "--policy", source).returncode == 0
+        for verb in (("create", "--all"), ("build",), ("install",), ("build", "--renew"), ("install",)):
+            done = run(tmp_path, *verb, "-w", f"ws{jobs}", "-j", jobs)
+            assert done.returncode == 0, done.stderr
+        assert run(tmp_path, "check", "-w", f"ws{jobs}").returncode == 0
+    assert unsigned(tmp_path / "ws1") == unsigned(tmp_path / "ws2")
+
+
+def test_the_errors_of_all_parts_together(tmp_path: Path) -> None:
+    bad = """<profile name="bad{n}"><attachment>/{n}</attachment><topic qualifier="ALLOW"><attachment>a</attachment>
+        <partitions><partition>a[bc]</partition></partitions><permissions><publish/></permissions></topic></profile>"""
+    source = policy(tmp_path / "policy.xml", extra=bad.format(n="a") + bad.format(n="z"))
+    one, two = (run(tmp_path, "provision", source, "-w", "ws", "-j", jobs) for jobs in (1, 2))
+    assert one.returncode == two.returncode == 1
+    assert one.stderr == two.stderr
+    assert one.stderr.count("portably") == 2
+    assert not (tmp_path / "ws").exists()
+
+
+def test_a_refused_proof_is_explained_as_by_one_process(tmp_path: Path) -> None:
+    source = policy(tmp_path / "policy.xml")
+    assert run(tmp_path, "provision", source, "-w", "ws").returncode == 0
+    for name in ("robot3", "robot70"):
+        document = tmp_path / f"ws/build/{name}/talker/permissions.xml"
+        document.write_text(document.read_text().replace("chatter", "secret_chatter"))
+    before = snapshot(tmp_path / "ws")
+    one, two = (run(tmp_path, "install", "-w", "ws", "-j", jobs) for jobs in (1, 2))
+    assert one.returncode == two.returncode == 3
+    assert one.stderr == two.stderr
+    assert snapshot(tmp_path / "ws") == before
+
+
+@pytest.mark.parametrize(
+    ("module", "stage", "name"),
+    [
+        ("create", "CreateStage", "robot70/talker"),
+        ("install", "InstallStage", "robot3/talker"),
+        ("prove", "ProofStage", "robot9/talker"),
+    ],
+)
+def test_a_process_that_is_ended(tmp_path: Path, module: str, stage: str, name: str) -> None:
+    source = policy(tmp_path / "policy.xml")
+    program = ENDED.format(module=module, stage=stage, name=name)
+    ended = run(tmp_path, "provision", source, "-w", "ws", "-j", 2, program=program)
+    assert ended.returncode == 1
+    assert ended.stderr.count("\n") == 1
+    assert "a process that planned a part of the packages was ended" in ended.stderr
+    assert not (tmp_path / "ws").exists()
+    assert run(tmp_path, "provision", source, "-w", "ws").returncode == 0
+    assert run(tmp_path, "check", "-w", "ws").returncode == 0
+
+
+def test_no_private_key_leaves_its_process(tmp_path: Path) -> None:
+    source, seen = policy(tmp_path / "policy.xml"), tmp_path / "seen"
+    seen.mkdir()
+    done = run(tmp_path, "provision", source, "-w", "ws", "-j", 2, program=SPY, SPY=str(seen))
+    assert done.returncode == 0, done.stderr
+    sent = b"".join(path.read_bytes() for path in seen.iterdir())
+    assert b"robot70/talker" in sent
+    keys = list((tmp_path / "ws/private").rglob("*.pem"))
+    assert len(keys) == SIZE + 2
+    for path in keys:
+        lines = re.findall(rb"^[A-Za-z0-9+/=]{20,}$", path.read_bytes(), re.MULTILINE)
+        assert lines
+        assert not any(line in sent for line in lines)
+
+
+def test_an_interrupted_run_leaves_no_process_and_no_workspace(tmp_path: Path) -> None:
+    source = policy(tmp_path / "policy.xml", 400)
+    command = [sys.executable, "-m", "keymint", "provision", str(source), "-w", "ws", "-j", "2"]
+    process = subprocess.Popen(command, cwd=tmp_path, start_new_session=True, stderr=subprocess.PIPE, text=True)
+    children = Path(f"/proc/{process.pid}/task/{process.pid}/children")
+    while process.poll() is None and not (pids := children.read_text().split()):
+        time.sleep(0.01)
+    os.killpg(process.pid, signal.SIGINT)
+    _, errors = process.communicate(timeout=60)
+    assert process.returncode != 0
+    assert "Traceback" not in errors
+    assert not any(Path(f"/proc/{pid}").exists() for pid in pids)
+    assert not (tmp_path / "ws").exists()
