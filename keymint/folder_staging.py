@@ -33,6 +33,8 @@ from keymint.file_writing import (
 
 _NO_LINK = {errno.EPERM, errno.EMLINK, errno.EOPNOTSUPP, errno.ENOSYS}
 """Errors where no hard link can be made: the file system has none, or the file belongs to another user."""
+NOT_EMPTY = {errno.EEXIST, errno.ENOTEMPTY}
+"""Errors of renaming onto a folder that is not empty, or of removing it (POSIX allows either)."""
 
 
 @dataclass(slots=True)
@@ -240,10 +242,11 @@ def refuse_mount(shown: str) -> NoReturn:
     )
 
 
-def clear(parent: int, name: str, new: int, carried: Carried) -> None:
+def clear(parent: int, name: str, new: int | None, carried: Carried) -> None:
     """Remove the old folder after the swap.
 
-    Entries that another process added in the meantime are moved to the new folder.
+    Entries that another process added in the meantime are moved to the new folder. If there is none, they stay, and so
+    does the folder.
 
     Args:
         parent: the open parent folder.
@@ -258,14 +261,19 @@ def clear(parent: int, name: str, new: int, carried: Carried) -> None:
         for entry in sorted(os.scandir(old), key=lambda entry: entry.name):
             below = carried.folders.get(entry.name)
             if below is not None:
-                with opened_folder(entry.name, new) as inner:
+                with contextlib.ExitStack() as opened:
+                    inner = None if new is None else opened.enter_context(opened_folder(entry.name, new))
                     clear(old, entry.name, inner, below)
             elif entry.name in carried.left and entry.is_dir(follow_symlinks=False):
                 shutil.rmtree(entry.name, dir_fd=old)
             elif entry.name in carried.left or carried.files.get(entry.name) == entry.inode():
                 os.unlink(entry.name, dir_fd=old)
-            else:
+            elif new is not None:
                 os.rename(entry.name, entry.name, src_dir_fd=old, dst_dir_fd=new)
                 with contextlib.suppress(FileNotFoundError):  # two names of one file: then nothing was renamed
                     os.unlink(entry.name, dir_fd=old)
-    os.rmdir(name, dir_fd=parent)
+    try:
+        os.rmdir(name, dir_fd=parent)
+    except OSError as error:
+        if new is not None or error.errno not in NOT_EMPTY:
+            raise

@@ -11,19 +11,15 @@ from __future__ import annotations
 import contextlib
 import errno
 import os
-import shutil
 import stat
 from collections.abc import Iterable, Sequence
 
 from keymint.file_writing import opened_folder, reported, require_regular, temporary
-from keymint.folder_staging import Carried, clear
+from keymint.folder_staging import NOT_EMPTY, Carried, clear
 from keymint.folder_swap import swap_in
 from keymint.open_folders import OpenFolders, Roots, close_to_others
 from keymint.staged import Exchange, Staged, remove_staged
 from keymint.syncing import FEW, sync_file_system, sync_tree
-
-_EXISTS = {errno.EEXIST, errno.ENOTEMPTY}
-"""Errors of a rename onto a folder that is not empty (POSIX allows either)."""
 
 
 def commit(roots: Roots, staged: Sequence[Staged]) -> None:
@@ -40,31 +36,53 @@ def commit(roots: Roots, staged: Sequence[Staged]) -> None:
     exchanges = [exchange for each in staged for exchange in each.exchanges]
     if not exchanges:
         return
-    few = sum(each.size for each in staged) <= FEW
+    groups = _in_order(exchanges, roots)
+    waiting = [exchange for group in reversed(groups) for exchange in reversed(group)]
     inner = _inside_replaced(exchanges) if len(staged) > 1 else {}
     old: list[tuple[Exchange, str]] = []
-    made = 0
     with OpenFolders(roots, create=False) as folders:
         try:
-            _sync(exchanges, folders, few=few, staged=True)
-            for exchange in exchanges:
-                for moved in inner.get(f"{exchange.folder}/{exchange.name}", ()):
-                    _move_along(exchange, moved, folders)
-                with reported(f"{exchange.folder}/{exchange.name}"):
-                    left = _make_visible(folders.open(exchange.folder), exchange)
-                made += 1
-                if left is not None:
-                    old.append((exchange, left))
-            _sync(exchanges, folders, few=few, staged=False)
+            _sync(exchanges, folders, sum(each.size for each in staged), staged=True)
+            for group in groups:
+                for exchange in group:
+                    for moved in inner.get(f"{exchange.folder}/{exchange.name}", ()):
+                        _move_along(exchange, moved, folders)
+                    with reported(f"{exchange.folder}/{exchange.name}"):
+                        left = _make_visible(folders.open(exchange.folder), exchange)
+                    waiting.pop()
+                    if left is not None:
+                        old.append((exchange, left))
+                _sync(group, folders, len({each.folder for each in group}), staged=False)
+            cleared = [exchange for exchange, _ in old]
             while old:
                 _clear(*old[-1], folders)
                 old.pop()
+            # A run takes its mark back after this, and the next run removes what is left only if there is a mark.
+            _sync(cleared, folders, len({each.folder for each in cleared}), staged=False)
         except BaseException:
-            remove_staged(exchanges[made:], folders)
+            remove_staged(waiting, folders)
             for exchange, left in old:
                 with contextlib.suppress(Exception):
                     _clear(exchange, left, folders)
             raise
+
+
+def _in_order(exchanges: Iterable[Exchange], roots: Roots) -> list[list[Exchange]]:
+    """Return groups of exchanges; each group must be durable before the next one begins.
+
+    Within a group, a loss of power may leave any of the exchanges. But what was signed must not outlive its keys, so
+    they come first; and a file directly in a root, such as that of a profile, tells that what comes before it is there.
+    """
+    keys: list[Exchange] = []
+    groups: list[list[Exchange]] = [[]]
+    for exchange in exchanges:
+        if exchange.staged is not None and roots.private[roots.of(exchange.folder)]:
+            keys.append(exchange)
+            continue
+        if exchange.file and exchange.folder in roots.kept and groups[-1]:
+            groups.append([])
+        groups[-1].append(exchange)
+    return [group for group in (keys, *groups) if group]
 
 
 def _make_visible(folder: int, exchange: Exchange) -> str | None:
@@ -80,7 +98,7 @@ def _make_visible(folder: int, exchange: Exchange) -> str | None:
         try:
             os.rename(staged, name, src_dir_fd=folder, dst_dir_fd=folder)
         except OSError as error:
-            if error.errno not in _EXISTS:
+            if error.errno not in NOT_EMPTY:
                 raise
             _merge(folder, staged, folder, name, f"{exchange.folder}/{name}")
     elif exchange.old is not None:
@@ -92,41 +110,18 @@ def _make_visible(folder: int, exchange: Exchange) -> str | None:
 
 
 def _remove_folder(parent: int, name: str, expected: Carried) -> str | None:
-    """Rename a folder away if it contains only what is to be removed, or else remove that from it.
-
-    Returns:
-        The temporary name of the folder, if it was renamed.
-    """
-    if _contains_only(parent, name, expected):
-        away = temporary()
-        try:
-            os.rename(name, away, src_dir_fd=parent, dst_dir_fd=parent)
-        except OSError as error:
-            if error.errno != errno.EXDEV:
-                raise
-            shutil.rmtree(name, dir_fd=parent)  # overlayfs cannot rename a folder of a lower layer, but can remove it
-            return None
-        return away
-    with contextlib.suppress(FileNotFoundError), opened_folder(name, parent) as opened:
-        for file in expected.left:
-            with contextlib.suppress(FileNotFoundError):
-                os.unlink(file, dir_fd=opened)
-        for folder, below in expected.folders.items():
-            if renamed := _remove_folder(opened, folder, below):
-                shutil.rmtree(renamed, dir_fd=opened)
-    return None
-
-
-def _contains_only(parent: int, name: str, expected: Carried) -> bool:
+    """Rename a folder away; return its temporary name."""
+    away = temporary()
     try:
-        with opened_folder(name, parent) as opened:
-            return all(
-                entry in expected.left
-                or (entry in expected.folders and _contains_only(opened, entry, expected.folders[entry]))
-                for entry in os.listdir(opened)
-            )
+        os.rename(name, away, src_dir_fd=parent, dst_dir_fd=parent)
     except FileNotFoundError:
-        return False
+        return None
+    except OSError as error:
+        if error.errno != errno.EXDEV:
+            raise
+        clear(parent, name, None, expected)  # overlayfs cannot rename a folder of a lower layer: remove file by file
+        return None
+    return away
 
 
 def _merge(parent: int, staged: str, target_parent: int, name: str, shown: str) -> None:
@@ -140,7 +135,7 @@ def _merge(parent: int, staged: str, target_parent: int, name: str, shown: str) 
             try:
                 os.rename(entry.name, entry.name, src_dir_fd=new, dst_dir_fd=target)
             except OSError as error:
-                if error.errno not in _EXISTS:
+                if error.errno not in NOT_EMPTY:
                     raise
                 _merge(new, entry.name, target, entry.name, f"{shown}/{entry.name}")
         os.fsync(target)
@@ -149,13 +144,13 @@ def _merge(parent: int, staged: str, target_parent: int, name: str, shown: str) 
 
 def _clear(exchange: Exchange, left: str, folders: OpenFolders) -> None:
     """Remove the old folder of an exchange."""
-    with reported(f"{exchange.folder}/{exchange.name}"):
-        parent = folders.open(exchange.folder)
-        if exchange.staged is None or exchange.old is None:
-            shutil.rmtree(left, dir_fd=parent)
-            return
-        with opened_folder(exchange.name, parent) as new:
-            clear(parent, left, new, exchange.old)
+    with reported(f"{exchange.folder}/{exchange.name}"), contextlib.ExitStack() as opened:
+        parent, old = folders.open(exchange.folder), exchange.old or Carried()
+        new = opened.enter_context(opened_folder(exchange.name, parent)) if exchange.staged else None
+        clear(parent, left, new, old)
+        if new is None:
+            with contextlib.suppress(FileNotFoundError):  # what another process added meanwhile keeps its place
+                os.rename(left, exchange.name, src_dir_fd=parent, dst_dir_fd=parent)
 
 
 # -- what was staged inside of a folder that is replaced ---------------------------------------------------------
@@ -189,8 +184,8 @@ def _move_along(exchange: Exchange, moved: Exchange, folders: OpenFolders) -> No
 # -- durability --------------------------------------------------------------------------------------------------
 
 
-def _sync(exchanges: Iterable[Exchange], folders: OpenFolders, *, few: bool, staged: bool) -> None:
-    """Synchronise what was staged, or the names that were exchanged."""
+def _sync(exchanges: Iterable[Exchange], folders: OpenFolders, size: int, *, staged: bool) -> None:
+    """Synchronise what was staged, or the names that were exchanged; the size is how much there is to synchronise."""
     of_folder: dict[str, list[Exchange]] = {}
     for exchange in exchanges:
         of_folder.setdefault(exchange.folder, []).append(exchange)
@@ -202,7 +197,7 @@ def _sync(exchanges: Iterable[Exchange], folders: OpenFolders, *, few: bool, sta
             opened = folders.open(folder)
             device = os.fstat(opened).st_dev
             if device not in done:
-                done[device] = not few and sync_file_system(opened)
+                done[device] = size > FEW and sync_file_system(opened)
             if done[device]:
                 continue
             singly.append(folder)

@@ -18,7 +18,6 @@ from keymint.file_writing import (
     FOLDER,
     check_component,
     create,
-    is_temporary,
     opened_folder,
     refuse,
     reported,
@@ -38,6 +37,7 @@ class Exchange:
         folder: the folder with the name.
         name: the name of a file or folder.
         staged: the name, in the same folder, of what was staged for it; None if the name is removed.
+        file: it is the name of a file.
         old: the entries of the folder that is replaced or removed; None if a file changes, or a folder is new.
     """
 
@@ -45,6 +45,7 @@ class Exchange:
     folder: str
     name: str
     staged: str | None
+    file: bool = False
     old: Carried | None = None
 
 
@@ -169,7 +170,7 @@ class Staging:
         with reported(shown):
             if content.removes():
                 if not content.writes() and (emptied := _emptied(old, content)) is not None:
-                    self._exchanges.append(Exchange(content.order, around, name, None, emptied))
+                    self._exchanges.append(Exchange(content.order, around, name, None, old=emptied))
                     return
                 content.removed.intersection_update(os.listdir(old))
         changing = {*content.files, *content.removed}
@@ -179,7 +180,7 @@ class Staging:
                     refuse_mount(shown)
                 with self._temporary(content.order, parent, around, name) as staged:
                     carried = stage(old, parent, staged, shown, content)
-            self._exchanges[-1] = Exchange(content.order, around, name, staged, carried)
+            self._exchanges[-1] = Exchange(content.order, around, name, staged, old=carried)
             return
         if content.private:
             with reported(shown):
@@ -196,14 +197,14 @@ class Staging:
     def _file(self, order: int, folder: int, shown: str, name: str, file: File | None) -> None:
         """Stage one file of an existing folder."""
         if file is None:
-            self._exchanges.append(Exchange(order, shown, name, None))
+            self._exchanges.append(Exchange(order, shown, name, None, file=True))
             return
         replaced = require_regular(folder, shown, name) or os.fstat(folder)
-        with self._temporary(order, folder, shown, name) as staged:
+        with self._temporary(order, folder, shown, name, file=True) as staged:
             create(folder, shown, staged, file, (replaced.st_uid, replaced.st_gid))
 
     @contextlib.contextmanager
-    def _temporary(self, order: int, folder: int, shown: str, name: str) -> Iterator[str]:
+    def _temporary(self, order: int, folder: int, shown: str, name: str, *, file: bool = False) -> Iterator[str]:
         """Yield the temporary name of what is staged for a name; it is removed again after an error."""
         staged = temporary()
         try:
@@ -211,7 +212,7 @@ class Staging:
         except BaseException:
             remove(folder, staged)
             raise
-        self._exchanges.append(Exchange(order, shown, name, staged))
+        self._exchanges.append(Exchange(order, shown, name, staged, file))
 
 
 def _emptied(old: int, content: FolderContent) -> Carried | None:
@@ -219,18 +220,18 @@ def _emptied(old: int, content: FolderContent) -> Carried | None:
     gone = Carried()
     for entry in list(os.scandir(old)):
         inner = content.folders.get(entry.name)
-        if entry.is_dir(follow_symlinks=False) and not is_temporary(entry.name):
-            if inner is None:
+        if not entry.is_dir(follow_symlinks=False):
+            if entry.name not in content.removed:
                 return None
-            with opened_folder(entry.name, old) as opened:
-                below = _emptied(opened, inner)
-            if below is None:
-                return None
-            gone.folders[entry.name] = below
-        elif entry.name in content.removed or is_temporary(entry.name):
             gone.left.add(entry.name)
-        else:
+            continue
+        if inner is None:
             return None
+        with opened_folder(entry.name, old) as opened:
+            below = _emptied(opened, inner)
+        if below is None:
+            return None
+        gone.folders[entry.name] = below
     return gone
 
 
