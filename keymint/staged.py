@@ -62,17 +62,6 @@ class Staged:
     size: int = 0
 
 
-@dataclass(frozen=True, slots=True)
-class _Loose:
-    """A file to write or remove (None) in a folder that is never replaced."""
-
-    order: int
-    folder: str
-    name: str
-    file: File | None
-    private: bool
-
-
 class Staging:
     """Stages changes below roots.
 
@@ -83,7 +72,8 @@ class Staging:
     def __init__(self, roots: Roots) -> None:
         self._roots = roots
         self._trees: dict[str, FolderContent] = {}
-        self._loose: list[_Loose] = []
+        self._kept: list[tuple[int, str, FolderChange, bool]] = []
+        """Changes in folders that are never replaced, each with its number, folder, and whether that is private."""
         self._checked: set[str] = set()
         self._exchanges: list[Exchange] = []
 
@@ -104,8 +94,8 @@ class Staging:
                     # What is only removed creates no root.
                     if tree.writes() or os.path.lexists(root):
                         self._inside(folders.open(root), root, tree)
-                for loose in self._loose:
-                    self._file_of_kept(loose, folders)
+                for order, folder, change, private in self._kept:
+                    self._inside_kept(order, folder, change, folders, private=private)
             except BaseException:
                 remove_staged(self._exchanges, folders)
                 raise
@@ -123,8 +113,7 @@ class Staging:
         closed = self._roots.private[root]
         private = closed or change.private or any(file.secret for file in change.files.values())
         if folder in self._roots.kept:
-            files = (*change.files.items(), *((name, None) for name in change.removed))
-            self._loose += (_Loose(order, folder, name, file, private) for name, file in files)
+            self._kept.append((order, folder, change, private))
             return
         content = self._trees.setdefault(root, FolderContent())
         for part in folder[len(root) + 1 :].split("/"):
@@ -189,10 +178,14 @@ class Staging:
             self._file(content.own, old, shown, file, content.files.get(file))
         self._inside(old, shown, content)
 
-    def _file_of_kept(self, loose: _Loose, folders: OpenFolders) -> None:
-        if loose.file is not None or os.path.lexists(loose.folder):
-            opened = folders.open(loose.folder, private=loose.private and loose.file is not None)
-            self._file(loose.order, opened, loose.folder, loose.name, loose.file)
+    def _inside_kept(
+        self, order: int, folder: str, change: FolderChange, folders: OpenFolders, *, private: bool
+    ) -> None:
+        """Stage changes in a folder that is never replaced, file by file."""
+        if change.files or os.path.lexists(folder):
+            opened = folders.open(folder, private=private and bool(change.files))
+            for name in (*change.files, *change.removed):
+                self._file(order, opened, folder, name, change.files.get(name))
 
     def _file(self, order: int, folder: int, shown: str, name: str, file: File | None) -> None:
         """Stage one file of an existing folder."""
