@@ -7,7 +7,7 @@ from collections.abc import Iterable, Iterator, Mapping
 from datetime import timedelta
 
 from comarmor.errors import Diagnostic, Origin, Severity
-from keymint.api import BuildOptions, BuildType, Inspection, Package
+from keymint.api import BuildOptions, BuildResult, BuildType, Inspection, Package
 from keymint.changes import file_mode
 from keymint.check.file_status import linked_twice, modes
 from keymint.errors import KeymintError
@@ -32,8 +32,7 @@ def inspections(session: Session, package: Package, files: Mapping[str, bytes], 
     chains = trusted_chains(session)
     found: dict[str, tuple[BuildType, Inspection]] = {}
     for name, build_type in build_types_of(session, package).items():
-        # Differences between vendors were reported and accepted when the package was built.
-        built = build_type.build(package, BuildOptions(allow_vendor_specific=True))
+        built = _built(build_type, package)
         own = build_type.files(session.profile.layout)
         found[name] = (
             build_type,
@@ -49,6 +48,18 @@ def inspections(session: Session, package: Package, files: Mapping[str, bytes], 
             ),
         )
     return found
+
+
+def _built(build_type: BuildType, package: Package) -> BuildResult:
+    """Return what the sources build; differences between vendors were accepted when the package was built.
+
+    Raises:
+        KeymintError: the package has defects.
+    """
+    try:
+        return build_type.build(package, BuildOptions())
+    except KeymintError:
+        return build_type.build(package, BuildOptions(allow_vendor_specific=True))
 
 
 def unexpected(session: Session, package: Package, files: Iterable[str]) -> Iterator[Diagnostic]:

@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
-from functools import cached_property, partial
+from functools import cached_property, lru_cache, partial
 from typing import overload
 
 import comarmor
@@ -13,6 +13,7 @@ from keymint.api import PolicyStructure, WrittenProfile, WrittenRule
 _Around = tuple[tuple[str, ...], ...]
 
 
+@lru_cache(maxsize=4)
 def structure(policy: comarmor.Policy) -> PolicyStructure:
     """Return the profiles and rules of a policy as they are written."""
     nested = tuple(_nested(policy.profiles, ()))
