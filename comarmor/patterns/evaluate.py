@@ -8,7 +8,7 @@ from functools import cached_property
 
 from comarmor.patterns.decision_lists import DecisionList
 from comarmor.patterns.glob import Glob, literal
-from comarmor.patterns.matching import matches
+from comarmor.patterns.matching import Matcher, matcher, matches
 from comarmor.patterns.pattern_index import PatternIndex
 
 INDEX_FROM = 8
@@ -66,12 +66,17 @@ class Evaluator:
         """Return the first block before another one with a wildcard pattern that matches a word, or that other one."""
         if len(self.wild) > INDEX_FROM:
             return min((number for _, number in self._index.matching(word) if number < before), default=before)
-        for pattern, number in self.wild.items():  # in the order of the blocks
+        for test, number in self._tests:
             if number >= before:
                 break
-            if matches(pattern, word):
+            if test(word):
                 return number
         return before
+
+    @cached_property
+    def _tests(self) -> list[tuple[Matcher, int]]:
+        """The patterns with wildcards as functions, in the order of the blocks."""
+        return [(matcher(pattern), number) for pattern, number in self.wild.items()]
 
     @cached_property
     def _index(self) -> PatternIndex[int]:

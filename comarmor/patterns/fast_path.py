@@ -67,7 +67,9 @@ class _SplitList:
     __slots__ = ("_permits", "_permitted", "allowed", "denied", "literals")
 
     def __init__(self, decisions: DecisionList) -> None:
-        evaluator = Evaluator(_expanded(decisions))
+        evaluator = Evaluator(decisions)
+        if any(isinstance(token, Charset) for pattern in evaluator.wild for token in pattern):
+            evaluator = Evaluator(_expanded(decisions))
         effects = evaluator.effects
         self.literals: AbstractSet[str] = evaluator.literals.keys()
         self.allowed = {pattern: block for pattern, block in evaluator.wild.items() if effects[block]}
@@ -88,8 +90,6 @@ class _SplitList:
 
 def _expanded(decisions: DecisionList) -> DecisionList:
     """Replace patterns that match few words by these words, which can be decided one by one."""
-    if not any(isinstance(token, Charset) for block in decisions for pattern in block.patterns for token in pattern):
-        return decisions
     remaining = MAX_WORDS
     blocks: list[Block] = []
     for block in decisions:

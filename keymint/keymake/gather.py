@@ -7,13 +7,18 @@ Names that differ in one position share a pattern with a set of characters there
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Sequence
+from itertools import combinations
+from operator import ne
 from string import ascii_letters, digits
 
 MEMBERS = frozenset(ascii_letters + digits + "_")
 """Characters that are allowed in a set: none of them is special there."""
 RANGE_MARK = "-"
 """No set is put before it: some readers take it for a range."""
+
+FEW = 6
+"""Names of a length up to which it is faster to compare each with each."""
 
 Pattern = tuple[str, ...]
 """For each position one character, or the sorted members of a set."""
@@ -28,7 +33,8 @@ def gather(names: Iterable[str]) -> tuple[Pattern, ...]:
     distinct = set(names)
     close = similar(distinct)
     patterns: list[Pattern] = [tuple(name) for name in distinct - close]
-    for words, positions in _by_length(close):
+    for words in _by_length(close):
+        positions = _differing(words)
         # The order matters: numbers fold best from the right, namespaces from the left.
         left, right = (_fold(map(tuple, words), order) for order in (positions, positions[::-1]))
         patterns += left if len(left) < len(right) else right
@@ -38,8 +44,13 @@ def gather(names: Iterable[str]) -> tuple[Pattern, ...]:
 def similar(names: Iterable[str]) -> frozenset[str]:
     """Return the names that differ from another one in one position only: no other name can share a pattern."""
     found: set[str] = set()
-    for words, positions in _by_length(names):
-        for index in positions:
+    for words in _by_length(names):
+        if len(words) <= FEW:
+            for word, other in combinations(words, 2):
+                if sum(map(ne, word, other)) == 1:
+                    found.update((word, other))
+            continue
+        for index in _differing(words):
             seen: dict[str, str] = {}
             for word in words:
                 other = seen.setdefault(word[:index] + word[index + 1 :], word)
@@ -48,14 +59,17 @@ def similar(names: Iterable[str]) -> frozenset[str]:
     return frozenset(found)
 
 
-def _by_length(names: Iterable[str]) -> Iterator[tuple[list[str], list[int]]]:
-    """Yield the distinct names of each length, and the positions in which they differ."""
+def _by_length(names: Iterable[str]) -> Iterable[list[str]]:
+    """Return the distinct names of each length."""
     lengths: dict[int, list[str]] = {}
     for name in dict.fromkeys(names):
         lengths.setdefault(len(name), []).append(name)
-    for words in lengths.values():
-        columns = enumerate(zip(*words, strict=True)) if len(words) > 1 else ()
-        yield words, [index for index, chars in columns if len(set(chars)) > 1]
+    return lengths.values()
+
+
+def _differing(words: Iterable[str]) -> list[int]:
+    """Return the positions in which words of the same length differ."""
+    return [index for index, chars in enumerate(zip(*words, strict=True)) if len(set(chars)) > 1]
 
 
 def _fold(words: Iterable[Pattern], positions: Sequence[int]) -> list[Pattern]:

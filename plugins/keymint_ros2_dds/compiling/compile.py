@@ -28,6 +28,7 @@ from keymint_ros2_dds.lowering.lower import Lowered, lower
 from keymint_ros2_dds.lowering.mapping import check_distro, has_kind
 from keymint_ros2_dds.lowering.portable import NotPortableError, portable_expressions
 
+_ACTIONS = tuple(TopicAction)
 STEPS = 4_000_000
 """Steps that ordering the rules of a subject may take (:mod:`comarmor.patterns.steps`)."""
 
@@ -163,9 +164,11 @@ class _PortabilityReport:
 
     def _expressions(self, rule: GrantRule[Glob]) -> Iterator[tuple[TopicAction, tuple[str, ...]]]:
         """Yield the sorted expressions of a rule by action."""
-        for action in TopicAction:
+        for action in _ACTIONS:
+            if action not in rule.topics:
+                continue
             texts: set[str] = set()
-            for pattern in rule.topics.get(action, ()):
+            for pattern in rule.topics[action]:
                 try:
                     texts.update(portable_expressions(pattern))
                 except NotPortableError as error:

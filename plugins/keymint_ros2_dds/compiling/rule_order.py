@@ -23,6 +23,7 @@ from collections.abc import Iterable, Mapping, Sequence
 
 from comarmor.patterns.glob import Glob
 from comarmor.patterns.relations import TooComplexError, intersection, union_covers
+from comarmor.patterns.steps import spend, step_limit
 from comarmor.rules import Effect
 from keymint.ir import Rule
 from keymint.keymake.order import EarlyRules, early_rules
@@ -72,9 +73,10 @@ def _both_directions(groups: _Groups) -> list[GrantRule[Glob]]:
         orders.insert(0, ((), (publish, subscribe)))
     candidates: list[list[GrantRule[Glob]]] = []
     refused: UnportableError | None = None
+    known: dict[TopicAction, tuple[list[_Early], int]] = {}
     for order, early_actions in orders:
         try:
-            early = [item for action in early_actions for item in _early(action, groups)]
+            early = [item for action in early_actions for item in _once(known, action, groups)]
         except UnportableError as error:
             refused = error
             continue
@@ -91,6 +93,18 @@ def _both_directions(groups: _Groups) -> list[GrantRule[Glob]]:
 def _cost(rules: Iterable[GrantRule[Glob]]) -> int:
     """Return the approximate size of rules: a rule counts as two patterns."""
     return sum(2 + sum(map(len, rule.topics.values())) for rule in rules)
+
+
+def _once(known: dict[TopicAction, tuple[list[_Early], int]], action: TopicAction, groups: _Groups) -> list[_Early]:
+    """Return what :func:`_early` returns, which takes the same steps each time."""
+    if action in known:
+        early, steps = known[action]
+        spend(steps)
+        return early
+    with step_limit(None) as counter:
+        early = _early(action, groups)
+    known[action] = early, counter.spent
+    return early
 
 
 def _early(action: TopicAction, groups: _Groups) -> list[_Early]:
@@ -165,11 +179,11 @@ def rule_per_policy_rule(rules: Iterable[GrantRule[Glob]], lowered: Lowered) -> 
         owners.setdefault((effect, action, pattern), policy_rule)
     result: list[GrantRule[Glob]] = []
     for rule in rules:
-        parts: dict[Rule | None, dict[TopicAction, list[Glob]]] = {}
+        parts: dict[int, dict[TopicAction, list[Glob]]] = {}
         for action, patterns in rule.topics.items():
             for pattern in patterns:
                 owner = owners.get((rule.effect, action, pattern))
-                parts.setdefault(owner, {}).setdefault(action, []).append(pattern)
+                parts.setdefault(id(owner), {}).setdefault(action, []).append(pattern)
         for part in parts.values() if parts else ({},):
             topics = {action: tuple(patterns) for action, patterns in part.items()}
             result.append(GrantRule(rule.effect, rule.partitions, topics))

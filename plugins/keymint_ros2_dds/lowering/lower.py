@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
+from functools import lru_cache
 
 from comarmor.errors import Diagnostic, Severity
 from comarmor.patterns import glob
@@ -18,7 +19,7 @@ from comarmor.rules import Effect, parts
 from comarmor.text import did_you_mean
 from keymint.errors import KeymintError
 from keymint.ir import Rule, SubjectRules
-from keymint_ros2_dds.lowering.dds_topics import DDS_TOPICS, TopicAction
+from keymint_ros2_dds.lowering.dds_topics import DDS_TOPICS, DdsTopic, TopicAction
 from keymint_ros2_dds.lowering.grant_rules import Partitions
 from keymint_ros2_dds.lowering.mapping import dds_patterns, has_kind, parse_expression
 
@@ -69,7 +70,7 @@ def lower(rules: SubjectRules, distro: str) -> Lowered:
     diagnostics: list[Diagnostic] = []
     for rule in rules.rules:
         side = sides[rule.effect]
-        partitions = tuple(sorted(set(rule.partitions)))
+        partitions = tuple(sorted(set(rule.partitions))) if rule.partitions else ()
         for expression in partitions:
             parse_expression(expression, rule.origin)
         for expression in rule.expressions:
@@ -85,21 +86,27 @@ def lower(rules: SubjectRules, distro: str) -> Lowered:
 def _patterns(tokens: Glob, rule: Rule, distro: str) -> list[tuple[TopicAction, Glob, Partitions]]:
     """Return action, topic pattern and mapped partitions of an expression of a rule, for all its permissions."""
     result: list[tuple[TopicAction, Glob, Partitions]] = []
-    for permission in rule.permissions:
-        for _, part, suffix in parts(rule.kind, permission):
-            if part not in DDS_TOPICS:
-                raise KeymintError(
-                    f"DDS knows no permission {part!r} of a {rule.kind} rule",
-                    where=rule.origin,
-                    help=did_you_mean(part, DDS_TOPICS),
-                    code="permission-unknown",
-                )
-            for topic in DDS_TOPICS[part]:
-                for pattern, partition in dds_patterns(distro, tokens, topic, suffix, rule.effect):
-                    if pattern and not glob.is_empty(pattern) and not (partition and glob.is_empty(partition)):
-                        partitions = () if partition is None else (exact(partition),)
-                        result.append((topic.action, pattern, partitions))
+    needed = _needed_topics(rule.kind, rule.permissions)
+    for topic, suffix in needed:
+        if isinstance(topic, str):
+            raise KeymintError(
+                f"DDS knows no permission {topic!r} of a {rule.kind} rule",
+                where=rule.origin,
+                help=did_you_mean(topic, DDS_TOPICS),
+                code="permission-unknown",
+            )
+        for pattern, partition in dds_patterns(distro, tokens, topic, suffix, rule.effect):
+            if pattern and not glob.is_empty(pattern) and not (partition and glob.is_empty(partition)):
+                partitions = () if partition is None else (exact(partition),)
+                result.append((topic.action, pattern, partitions))
     return result
+
+
+@lru_cache(maxsize=256)
+def _needed_topics(kind: str, permissions: tuple[str, ...]) -> tuple[tuple[DdsTopic | str, str], ...]:
+    """Return the DDS topics of permissions with the suffix of each part; a permission that DDS does not know itself."""
+    needed = ((part, suffix) for permission in permissions for _, part, suffix in parts(kind, permission))
+    return tuple((topic, suffix) for part, suffix in needed for topic in DDS_TOPICS.get(part, (part,)))
 
 
 def _unknown(rule: Rule, distro: str, subject: str) -> Diagnostic:

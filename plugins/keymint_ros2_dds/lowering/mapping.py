@@ -8,7 +8,7 @@ Ardent. Actions and parameters consist of topics and services. Raw topics keep t
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterable
 
 from comarmor.errors import Origin
 from comarmor.patterns import glob
@@ -30,8 +30,8 @@ DISTROS = (
 
 def dds_patterns(
     distro: str, expression: Glob, topic: DdsTopic, part: str = "", effect: Effect = Effect.ALLOW
-) -> Iterator[tuple[Glob, Glob | None]]:
-    """Yield DDS topic patterns for the names that an expression matches, each with its partition pattern.
+) -> Iterable[tuple[Glob, Glob | None]]:
+    """Return DDS topic patterns for the names that an expression matches, each with its partition pattern.
 
     The partition pattern is None where the mapping does not set the partition.
 
@@ -43,11 +43,9 @@ def dds_patterns(
         effect: the effect of the rule.
     """
     if distro == ARDENT and topic.prefix:
-        for partition, pattern in ardent_names.dds_patterns(expression, topic, part, every=effect is Effect.DENY):
-            yield pattern, partition
-    else:
-        for pattern in _topic_patterns(expression, topic, part):
-            yield pattern, None
+        pairs = ardent_names.dds_patterns(expression, topic, part, every=effect is Effect.DENY)
+        return [(pattern, partition) for partition, pattern in pairs]
+    return [(pattern, None) for pattern in _topic_patterns(expression, topic, part)]
 
 
 def _topic_patterns(expression: Glob, topic: DdsTopic, part: str) -> tuple[Glob, ...]:

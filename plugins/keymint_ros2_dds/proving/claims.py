@@ -241,16 +241,17 @@ class _Model:
         """Yield groups of domains with the same policy and rules, and whether the policy applies there."""
         wanted = self._question.spec.domains
         grants = [era.grant for era in self._eras]
-        rules = [rule for grant in grants for rule in grant.rules]
+        # Rules for the same domains apply in the same ones.
+        rules = {rule.domains: rule for grant in grants for rule in grant.rules}
         ranges = [DocumentDomains(domains.first, domains.last) for domains in wanted]
-        ranges += (domains for rule in rules for domains in rule.domains)
+        ranges += (domains for each in rules for domains in each)
         ranges += () if self._governance is None else self._governance.domains()
         permits_more = self._semantics.default_counts and any(grant.allows for grant in grants)
         groups: dict[tuple[object, ...], list[DomainRange]] = {}
         for domains in cuts(ranges):
             first = domains.first
             inside = any(d.first <= first <= d.last for d in wanted)
-            applying = [self._semantics.applies(rule, first) for rule in rules]
+            applying = [self._semantics.applies(rule, first) for rule in rules.values()]
             governed = self._rule(first)
             rule = None if governed is None else governed.rule
             opens = rule is not None and any(

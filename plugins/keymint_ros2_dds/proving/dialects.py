@@ -31,5 +31,6 @@ def read(expressions: tuple[str, ...], dialect: Dialect) -> tuple[Glob, ...]:
         if not joined.isascii():
             expressions = tuple(map(fnmatch.in_bytes, expressions))
         return tuple((text,) if text else () for text in dict.fromkeys(expressions))
-    patterns = dict.fromkeys(parse(expression, _strict(dialect)) for expression in expressions)
+    strict = _strict(dialect)
+    patterns = dict.fromkeys([parse(expression, strict) for expression in expressions])
     return tuple(patterns) if joined.isascii() else tuple(dict.fromkeys(map(octets.of_glob, patterns)))

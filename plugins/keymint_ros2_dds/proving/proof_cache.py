@@ -9,6 +9,8 @@ from collections.abc import Sequence
 from keymint.api import Claim, DomainRange, Proof
 from keymint.keymake.kinds import Arguments, Kind, kind_of
 from keymint_ros2_dds import decision
+from keymint_ros2_dds.documents import dds_xml
+from keymint_ros2_dds.enclave_layout import PERMISSIONS
 from keymint_ros2_dds.lowering.lower import Lowered, lower
 from keymint_ros2_dds.proving.claims import ASSUMPTIONS, ProofQuestion, ProofSpec, prove_document
 from keymint_ros2_dds.proving.enclave_governance import EnclaveGovernance
@@ -53,6 +55,8 @@ def prove_content(
     if known is not None:
         return known
     document = decision.read(content, *place)
+    if not document.defects:
+        dds_xml.know_valid(content, PERMISSIONS)
     question = ProofQuestion(document, spec, lower(spec.rules, spec.distro) if lowered is None else lowered, governance)
     claims = prove_document(question, models=names)
     # Proofs do not depend on the place of the document; counterexamples name it.

@@ -3,15 +3,25 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+from unittest import mock
+
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from keymint_ros2_dds.decision import (
     read,
 )
+from keymint_ros2_dds.documents import permissions_document
+from keymint_ros2_dds.lowering.dds_topics import TopicAction
+from keymint_ros2_dds.lowering.grant_rules import DEFAULT, EVERY, GrantRule
+from keymint_ros2_dds.reading import signed_permissions
 
+from comarmor.rules import Effect
+from keymint.api import DomainRange
 from keymint.errors import KeymintError
 from tests.plugins.keymint_ros2_dds.decision.documents import PLAIN, criteria, document, grant, rule
+from tests.plugins.keymint_ros2_dds.packages import package
 
 
 @pytest.mark.parametrize(
@@ -110,3 +120,48 @@ def test_errors_have_the_line_in_the_file() -> None:
     broken = PLAIN.replace(b"<default>DENY</default>", b"")
     assert read(broken, "p.p7s", 10).defect.startswith("the schema refuses it: p.p7s:12:")
     assert read(PLAIN).defect == ""
+
+
+TEXTS = st.lists(st.sampled_from(["rt/a", "rt/*", "a=b", "[!a-b]", "]", "x y", "a&b", "é"]), min_size=1, max_size=3)
+RULES = st.builds(
+    lambda effect, partitions, topics: GrantRule(effect, partitions, {each: tuple(topics[each]) for each in topics}),
+    st.sampled_from(Effect),
+    st.sampled_from([DEFAULT, EVERY, ("", "p")]),
+    st.fixed_dictionaries({}, optional=dict.fromkeys(TopicAction, TEXTS)),
+)
+DOMAINS = st.sampled_from([(DomainRange(0, 0),), (DomainRange(0, 0), DomainRange(2, 7)), (DomainRange(3, 230),)])
+CHANGES = ["", "x", " ", "\t", "\r", "<", ">", "&amp;", "]]>", "xmlns=", "9", "é", "/", "-", '"', "!", "<!---->", "="]
+
+
+@st.composite
+def written_documents(draw):
+    """Draw documents that Keymint writes, and such documents with a line or a few characters changed."""
+    rights = replace(
+        package().grant, name=draw(st.sampled_from(["/talker", "a b", '"', "xmlns="])), domains=draw(DOMAINS)
+    )
+    lines = permissions_document.render(rights, draw(st.lists(RULES, max_size=3))).decode().split("\n")
+    for _ in range(draw(st.integers(0, 2))):
+        at = draw(st.integers(0, len(lines) - 1))
+        line = lines.pop(at) if draw(st.booleans()) else lines[at]
+        if draw(st.booleans()):
+            lines.insert(draw(st.integers(0, len(lines))), line)
+        else:
+            cut = draw(st.integers(0, len(line)))
+            changed = line[:cut] + draw(st.sampled_from(CHANGES)) + line[cut + draw(st.integers(0, 3)) :]
+            lines.insert(at, changed)
+    return "\n".join(lines).encode()
+
+
+@settings(max_examples=400, deadline=None)
+@given(written_documents())
+def test_a_document_in_the_written_form_is_read_as_any_other(content: bytes) -> None:
+    fast = signed_permissions._plain(content)
+    if fast is not None:
+        with mock.patch.object(signed_permissions, "_plain", return_value=None):
+            document = read(content)
+        assert (document.grants, document.defects, document.quirks, document.crash) == (fast, (), (), None)
+
+
+def test_what_keymint_writes_is_read_fast() -> None:
+    rules = (GrantRule(Effect.ALLOW, EVERY, {TopicAction.PUBLISH: ("rt/a", "rt/*"), TopicAction.RELAY: ("b",)}),)
+    assert signed_permissions._plain(permissions_document.render(package().grant, rules)) is not None
