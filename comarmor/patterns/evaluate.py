@@ -42,8 +42,9 @@ class Evaluator:
         self.wild: dict[Glob, int] = {}
         for number, block in enumerate(decisions):
             for pattern in block.patterns:
-                text = literal(pattern)
-                if text is None:
+                # Mostly names: without a call for each of them.
+                text = pattern[0] if len(pattern) == 1 else literal(pattern)
+                if not isinstance(text, str):
                     self.wild.setdefault(pattern, number)
                 elif literals:
                     self.literals.setdefault(text, number)

@@ -11,8 +11,7 @@ cost.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
 from contextvars import ContextVar
 from dataclasses import dataclass
 from functools import lru_cache, wraps
@@ -77,22 +76,29 @@ def spend(steps: int = 1) -> None:
             raise StepLimitError(counter.reported)
 
 
-@contextmanager
-def step_limit(steps: int | None) -> Iterator[StepCounter]:
-    """Limit the steps of a block; they count towards an outer limit as well.
+class step_limit:  # noqa: N801 - used like a function
+    """Limits the steps of a block; they count towards an outer limit as well.
 
     Args:
         steps: the limit; None only counts.
     """
-    outer = _current.get()
-    counter = StepCounter(steps, steps or 0) if outer is None else outer.nested(steps)
-    token = _current.set(counter)
-    try:
-        yield counter
-    finally:
-        _current.reset(token)
-        if outer is not None:
-            outer.spent += counter.spent
+
+    __slots__ = ("_counter", "_outer", "_steps", "_token")
+
+    def __init__(self, steps: int | None) -> None:
+        self._steps = steps
+
+    def __enter__(self) -> StepCounter:
+        self._outer = outer = _current.get()
+        steps = self._steps
+        self._counter = counter = StepCounter(steps, steps or 0) if outer is None else outer.nested(steps)
+        self._token = _current.set(counter)
+        return counter
+
+    def __exit__(self, *_: object) -> None:
+        _current.reset(self._token)
+        if self._outer is not None:
+            self._outer.spent += self._counter.spent
 
 
 def cached(maxsize: int) -> Callable[[Callable[_P, _T]], Callable[_P, _T]]:

@@ -68,9 +68,12 @@ POSIX = Dialect(errors=frozenset({Undefined.LONE_BACKSLASH, Undefined.UNKNOWN_CL
 """``fnmatch`` with no flags; an error is what implementations read differently."""
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, eq=False)
 class Star:
-    """``*``: any number of characters."""
+    """``*``: any number of characters. :data:`STAR` is the only one, so that comparing it takes no time."""
+
+    def __reduce__(self) -> str:
+        return "STAR"
 
 
 @dataclass(frozen=True, slots=True)

@@ -14,7 +14,7 @@ from comarmor.errors import Diagnostic
 from comarmor.patterns.glob import Glob, literal, parse
 from comarmor.patterns.pattern_index import PatternIndex
 from comarmor.patterns.steps import StepLimitError, step_limit
-from comarmor.patterns.tokens import Star
+from comarmor.patterns.tokens import STAR, Star
 from comarmor.rules import Effect
 from comarmor.text import first_few
 from keymint.analysis.findings import undecided, warning
@@ -155,7 +155,7 @@ def _rights(clauses: Iterable[WrittenRule]) -> dict[_Chain, dict[_GrantedRight, 
 
 def _is_for_all(pattern: Glob) -> bool:
     """Return True for an attachment to every subject, or to every subject of some name in any namespace."""
-    return isinstance(pattern[0], Star) or pattern == ("/", Star())
+    return isinstance(pattern[0], Star) or pattern == ("/", STAR)
 
 
 def _texts(profile: WrittenProfile) -> _Texts:

@@ -6,6 +6,7 @@ from __future__ import annotations
 import hashlib
 from collections.abc import Callable, Iterable, Iterator
 from datetime import UTC, datetime
+from functools import lru_cache
 
 from lxml import etree
 
@@ -73,6 +74,7 @@ def size_if_small(size: Callable[[str], int]) -> int:
     return next((each for each in sizes if each <= INDENTED), sizes[-1])
 
 
+@lru_cache(maxsize=64)
 def date(moment: datetime) -> str:
     """Return a date in the form that all vendors read: UTC, to the second, without a zone (Fast DDS ignores zones)."""
     return moment.astimezone(UTC).strftime("%Y-%m-%dT%H:%M:%S")

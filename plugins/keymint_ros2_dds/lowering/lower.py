@@ -75,7 +75,10 @@ def lower(rules: SubjectRules, distro: str) -> Lowered:
             parse_expression(expression, rule.origin)
         for expression in rule.expressions:
             tokens = parse_expression(expression, rule.origin)
-            patterns = _patterns(tokens, rule, distro)
+            try:
+                patterns = _patterns(tokens, rule.kind, rule.permissions, rule.effect, distro)
+            except KeyError as error:
+                raise _unknown_permission(error.args[0], rule) from None
             for action, pattern, partition in patterns:
                 side[action].setdefault((pattern, partition or partitions), rule)
             if not patterns or not (rule.kind == _RAW_TOPIC or matches_ros_name(tokens)):
@@ -83,30 +86,38 @@ def lower(rules: SubjectRules, distro: str) -> Lowered:
     return Lowered(sides[Effect.ALLOW], sides[Effect.DENY], tuple(diagnostics))
 
 
-def _patterns(tokens: Glob, rule: Rule, distro: str) -> list[tuple[TopicAction, Glob, Partitions]]:
+# Subjects of a fleet share most expressions, and a subject's rules are lowered for several purposes.
+@lru_cache(maxsize=1 << 14)
+def _patterns(
+    tokens: Glob, kind: str, permissions: tuple[str, ...], effect: Effect, distro: str
+) -> tuple[tuple[TopicAction, Glob, Partitions], ...]:
     """Return action, topic pattern and mapped partitions of an expression of a rule, for all its permissions."""
-    result: list[tuple[TopicAction, Glob, Partitions]] = []
-    needed = _needed_topics(rule.kind, rule.permissions)
-    for topic, suffix in needed:
-        if isinstance(topic, str):
-            raise KeymintError(
-                f"DDS knows no permission {topic!r} of a {rule.kind} rule",
-                where=rule.origin,
-                help=did_you_mean(topic, DDS_TOPICS),
-                code="permission-unknown",
-            )
-        for pattern, partition in dds_patterns(distro, tokens, topic, suffix, rule.effect):
-            if pattern and not glob.is_empty(pattern) and not (partition and glob.is_empty(partition)):
-                partitions = () if partition is None else (exact(partition),)
-                result.append((topic.action, pattern, partitions))
-    return result
+    return tuple(
+        (topic.action, pattern, () if partition is None else (exact(partition),))
+        for topic, suffix in _needed_topics(kind, permissions)
+        for pattern, partition in dds_patterns(distro, tokens, topic, suffix, effect)
+        if pattern and not glob.is_empty(pattern) and not (partition and glob.is_empty(partition))
+    )
 
 
 @lru_cache(maxsize=256)
-def _needed_topics(kind: str, permissions: tuple[str, ...]) -> tuple[tuple[DdsTopic | str, str], ...]:
-    """Return the DDS topics of permissions with the suffix of each part; a permission that DDS does not know itself."""
+def _needed_topics(kind: str, permissions: tuple[str, ...]) -> tuple[tuple[DdsTopic, str], ...]:
+    """Return the DDS topics of permissions, with the suffix of each part.
+
+    Raises:
+        KeyError: DDS does not know a permission.
+    """
     needed = ((part, suffix) for permission in permissions for _, part, suffix in parts(kind, permission))
-    return tuple((topic, suffix) for part, suffix in needed for topic in DDS_TOPICS.get(part, (part,)))
+    return tuple((topic, suffix) for part, suffix in needed for topic in DDS_TOPICS[part])
+
+
+def _unknown_permission(part: str, rule: Rule) -> KeymintError:
+    return KeymintError(
+        f"DDS knows no permission {part!r} of a {rule.kind} rule",
+        where=rule.origin,
+        help=did_you_mean(part, DDS_TOPICS),
+        code="permission-unknown",
+    )
 
 
 def _unknown(rule: Rule, distro: str, subject: str) -> Diagnostic:
