@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from datetime import timedelta
+from pathlib import Path
 from unittest import mock
 
 import pytest
@@ -19,12 +20,17 @@ from keymint_ros2_dds.documents import permissions_document
 from keymint_ros2_dds.kinds import members
 from keymint_ros2_dds.kinds.structure import Structure
 from keymint_ros2_dds.kinds.template import Template
+from keymint_ros2_dds.rule_check import package_of
 
 from comarmor.rules import parts
+from keymint.analysis.subject_patterns import rules_of
 from keymint.api import BuildOptions, BuildResult, DomainRange, Package, Proof, Validity
 from keymint.errors import KeymintError
-from keymint.ir import Rule
+from keymint.ir import Rule, SubjectRules
 from keymint.keymake.kinds import kind_of
+from tests.effort import tries
+from tests.generated import pretty, tokens
+from tests.keymint.analysis.policies import loaded_text
 from tests.plugins.keymint_ros2_dds.packages import VALIDITY, package, rule
 
 USUAL = BuildOptions()
@@ -92,6 +98,35 @@ def test_every_member_has_the_bytes_of_the_engine_whoever_is_first(drawn, renami
             built, asked = by_kind(*loaded[:: -1 if turned else 1])
         event(f"renamed: {asked < len(loaded)}")
         assert built == expected[:: -1 if turned else 1]
+
+
+@pytest.mark.parametrize("seed", range(tries(6, 120)))
+def test_all_subjects_of_a_random_policy_have_the_bytes_of_the_engine(tmp_path: Path, seed: int) -> None:
+    policy = loaded_text(tmp_path, pretty(tokens(seed)))
+    robots = {f"/{robot}/{name}" for robot in ("r1", "r2", "robot", "fleet/r1", "x") for name in ("talker", "driver")}
+    rules_by_subject = {subject: SubjectRules(subject, rules_of(policy, subject)) for subject in sorted(robots)}
+    loaded = [package_of(each, "jazzy") for each in rules_by_subject.values()]
+    built, _ = by_kind(*loaded)
+    assert built == [outcome(by_engine, each) for each in loaded]
+
+
+def test_robots_with_wildcards_for_the_fleet_need_the_engine_once(tmp_path: Path) -> None:
+    profiles = (
+        f"""<profile name="r{number}"><attachment>/r{number}/driver</attachment>
+        <ros_topic qualifier="ALLOW"><attachment>/r{number}/scan</attachment><attachment>/fleet/*</attachment>
+          <permissions><ros_publish/></permissions></ros_topic>
+        <ros_topic qualifier="DENY"><attachment>/fleet/secret/*</attachment>
+          <permissions><ros_publish/><ros_subscribe/></permissions></ros_topic>
+        <ros_action qualifier="ALLOW"><attachment>/r{number}/dock</attachment>
+          <permissions><ros_operate/></permissions></ros_action></profile>"""
+        for number in range(12)
+    )
+    policy = loaded_text(tmp_path, f"<profiles>{''.join(profiles)}</profiles>")
+    subjects = [f"/r{number}/driver" for number in range(12)]
+    loaded = [package_of(SubjectRules(each, rules_of(policy, each)), "jazzy") for each in subjects]
+    built, asked = by_kind(*loaded)
+    assert asked == 1
+    assert built == [by_engine(each) for each in loaded]
 
 
 def fleet(*numbers: int, more: Sequence[Rule] = ()) -> Iterator[Package]:
