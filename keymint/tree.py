@@ -10,9 +10,8 @@ import errno
 import os
 import stat
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
 from pathlib import Path
-from typing import TypeVar
+from typing import NamedTuple, TypeVar
 
 from comarmor.errors import Origin
 from keymint.errors import KeymintError
@@ -182,8 +181,7 @@ def _or_raise(result: _Read | KeymintError) -> _Read:
     return result
 
 
-@dataclass(frozen=True, slots=True)
-class HeldFile:
+class HeldFile(NamedTuple):
     """A planned file whose content another process holds: its digest, and whether it is secret."""
 
     digest: str

