@@ -9,7 +9,6 @@ and the parent commits all parts together.
 from __future__ import annotations
 
 import contextlib
-import functools
 import io
 import itertools
 import os
@@ -19,7 +18,7 @@ import traceback
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import fields, is_dataclass, replace
 from multiprocessing.connection import Connection
-from typing import Any, TypeVar, cast
+from typing import Any, ClassVar, TypeVar, cast
 
 from keymint.changes import Action, FolderChange
 from keymint.errors import KeymintError
@@ -148,16 +147,15 @@ def _parts(names: Sequence[str], count: int) -> list[list[str]]:
 
 
 class _Pickler(pickle.Pickler):
-    """Pickles frozen data by the arguments of its constructor, ten times as fast as field by field."""
+    """Pickles frozen data by the arguments of its constructor, which is faster than field by field."""
+
+    _fields: ClassVar[dict[type, list[str]]] = {}
 
     def reducer_override(self, given: object) -> Any:
-        names = _fields(type(given))
+        if type(given) not in self._fields:
+            self._fields[type(given)] = [each.name for each in fields(given)] if is_dataclass(given) else []
+        names = self._fields[type(given)]
         return (type(given), tuple([getattr(given, name) for name in names])) if names else NotImplemented
-
-
-@functools.cache
-def _fields(given: Any) -> tuple[str, ...]:
-    return tuple(each.name for each in fields(given)) if is_dataclass(given) else ()
 
 
 def _send(pipe: Connection, *answer: object) -> None:

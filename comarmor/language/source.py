@@ -19,6 +19,7 @@ from urllib.parse import unquote, urlsplit
 from lxml import etree
 
 from comarmor.errors import ComArmorError, Origin
+from comarmor.rules import PERMISSIONS
 from comarmor.text import did_you_mean, quoted
 from comarmor.xml.reader import LIMITS, XINCLUDE, Limits, line, parse
 from comarmor.xml.sandboxed_paths import (
@@ -44,8 +45,10 @@ class PolicyFile:
         name: path as the user would type it.
         root: the root element, with its ``xi:include`` elements.
         includes: the included document of each ``xi:include`` element.
-        nodes: number of elements, with those of included documents counted at each inclusion.
-        inclusions: number of inclusions, nested ones included.
+        nodes: number of elements, with those of included documents counted at each inclusion that reads or copies them.
+        inclusions: number of such inclusions, nested ones included.
+        uniform: it has rules only, and uses no tunables, so that it means the same wherever it is included. A document
+            with anything else includes it without reading or copying it.
     """
 
     name: str
@@ -53,6 +56,7 @@ class PolicyFile:
     includes: Mapping[etree._Element, PolicyFile]
     nodes: int
     inclusions: int
+    uniform: bool
 
 
 @dataclass(frozen=True, slots=True)
@@ -212,7 +216,7 @@ class _PolicyReader:
             raise _with_chain(error, chain) from None
         self.open.append(real)
         includes: dict[etree._Element, PolicyFile] = {}
-        nodes, inclusions = 0, 0
+        nodes, inclusions, uniform = 0, 0, _is_uniform(root)
         for element in root.iter():
             nodes += 1
             if element.tag != INCLUDE:
@@ -224,11 +228,13 @@ class _PolicyReader:
                 )
             included = self.include(element, folder, relative, place)
             includes[element] = included
-            nodes += included.nodes
-            inclusions += 1 + included.inclusions
+            if uniform or not included.uniform:
+                nodes += included.nodes
+                inclusions += 1 + included.inclusions
             self.bound(nodes, inclusions, place)
         self.open.pop()
-        document = PolicyFile(name, root, MappingProxyType(includes), nodes, inclusions)
+        uniform = uniform and all(included.uniform for included in includes.values())
+        document = PolicyFile(name, root, MappingProxyType(includes), nodes, inclusions, uniform)
         self.done[real] = document
         return document
 
@@ -290,6 +296,14 @@ class _PolicyReader:
                 where=where,
                 code="xml-limit",
             )
+
+
+def _is_uniform(root: etree._Element) -> bool:
+    """Tell whether a document itself has rules and includes only, and uses no tunables."""
+    parts = root if root.tag == "profiles" else (root,)
+    return all(part.tag in PERMISSIONS or part.tag == INCLUDE for part in parts) and not any(
+        "@{" in (element.text or "") for element in root.iter()
+    )
 
 
 def _href(element: etree._Element, where: Origin) -> str:

@@ -30,9 +30,9 @@ class Limits:
         file_bytes: bytes of one file.
         total_bytes: bytes of all files.
         depth: nesting depth of elements in one file.
-        nodes: elements of one file, and of all files with each inclusion counted.
+        nodes: elements of one file, and of all files with each inclusion counted that reads or copies them.
         include_depth: nesting depth of includes.
-        inclusions: inclusions, nested ones counted each time.
+        inclusions: such inclusions, nested ones counted each time.
     """
 
     file_bytes: int = 16 * 2**20

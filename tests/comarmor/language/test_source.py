@@ -9,11 +9,13 @@ from pathlib import Path
 import pytest
 
 import comarmor
+from comarmor.data import locate
 from comarmor.errors import ComArmorError
 from comarmor.language import source
 from comarmor.xml.reader import Limits
 from tests.effort import calls_of
 
+LIBRARY = locate("keymint_ros", "templates") / "comarmor.d" / "iron"
 XI = 'xmlns:xi="http://www.w3.org/2001/XInclude"'
 
 
@@ -145,6 +147,39 @@ def test_loops(write) -> None:
     found = quickly_refused(root)
     assert found.code == "include-loop"
     assert [place.line for place in (found.where, *found.where.chain)] == [2, 1, 1]
+
+
+RULE = '<ros_topic qualifier="ALLOW"><attachment>/x</attachment><permissions><ros_publish/></permissions></ros_topic>'
+USES = RULE.replace("/x", "/@{T}")
+TUNABLE = '<tunable name="T"><value>x</value></tunable>'
+PROFILES = 40
+
+
+@pytest.mark.parametrize(
+    ("files", "each"),
+    [
+        ({"s/a.xml": RULE}, 0),
+        ({"s/a.xml": including("b.xml", "b.xml"), "s/b.xml": RULE}, 2 / PROFILES),
+        ({"s/a.xml": f"<profiles>{TUNABLE.replace('T', 'U')}</profiles>"}, 1),
+        ({"s/a.xml": USES}, 1),
+        ({"s/a.xml": including("b.xml", "c.xml"), "s/b.xml": USES, "s/c.xml": RULE}, 3),
+    ],
+    ids=["a rule", "nested rules", "declares", "uses", "nested"],
+)
+def test_an_inclusion_counts_if_it_reads_the_file_again(write, files: dict[str, str], each: float) -> None:
+    one = '<profile name="p"><attachment>/s{}</attachment><xi:include href="s/a.xml"/></profile>'
+    root = write({"p.xml": f"<profiles {XI}>{TUNABLE}{''.join(map(one.format, range(PROFILES)))}</profiles>", **files})
+    assert len(comarmor.load(root).profiles) == PROFILES
+    source.load_tree(root, limits=Limits(inclusions=int(each * PROFILES)))
+    if each:
+        with pytest.raises(ComArmorError, match="inclusions allowed"):
+            source.load_tree(root, limits=Limits(inclusions=int(each * PROFILES) - 1))
+
+
+def test_many_subjects_include_the_library_s_rules(write) -> None:
+    one = '<profile name="p"><attachment>/s{}</attachment><xi:include href="common/node.xml"/></profile>'
+    root = write({"p.xml": f"<profiles {XI}>{''.join(map(one.format, range(12_000)))}</profiles>"})
+    assert len(comarmor.load(root, library=LIBRARY).subjects()) == 12_000
 
 
 @pytest.mark.parametrize("width", [2, 10])
