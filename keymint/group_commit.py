@@ -12,7 +12,7 @@ import contextlib
 import errno
 import os
 import stat
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 
 from keymint.file_writing import opened_folder, reported, require_regular, temporary
 from keymint.folder_staging import NOT_EMPTY, Carried, clear
@@ -36,9 +36,9 @@ def commit(roots: Roots, staged: Sequence[Staged]) -> None:
     exchanges = [exchange for each in staged for exchange in each.exchanges]
     if not exchanges:
         return
-    groups = _in_order(exchanges, roots)
-    waiting = [exchange for group in reversed(groups) for exchange in reversed(group)]
     inner = _inside_replaced(exchanges) if len(staged) > 1 else {}
+    groups = _in_order(_outer_first(exchanges, inner), roots)
+    waiting = [exchange for group in reversed(groups) for exchange in reversed(group)]
     old: list[tuple[Exchange, str]] = []
     with OpenFolders(roots, create=False) as folders:
         try:
@@ -167,6 +167,19 @@ def _inside_replaced(exchanges: Iterable[Exchange]) -> dict[str, list[Exchange]]
                 inside.setdefault(above, []).append(exchange)
             above = above.rpartition("/")[0]
     return inside
+
+
+def _outer_first(exchanges: list[Exchange], inner: Mapping[str, Sequence[Exchange]]) -> list[Exchange]:
+    """Return exchanges in order, but that of a folder before those inside of it."""
+    if not inner:
+        return exchanges
+    place = {id(exchange): at for at, exchange in enumerate(exchanges)}
+
+    def first(exchange: Exchange) -> tuple[int, bool]:
+        inside = inner.get(f"{exchange.folder}/{exchange.name}", ())
+        return min(place[id(each)] for each in (exchange, *inside)), not inside
+
+    return sorted(exchanges, key=first)
 
 
 def _move_along(exchange: Exchange, moved: Exchange, folders: OpenFolders) -> None:

@@ -126,6 +126,23 @@ def test_what_another_process_staged_inside_a_replaced_folder_moves_along(
     assert {(top / name).read_bytes() for name in new} == {b"new"}
 
 
+def test_files_of_a_folder_are_removed_while_another_process_changes_what_is_inside(root: Path, store: Store) -> None:
+    store.change(changes(root, "robot", "robot/talker"))
+    top = root / "install" / "enclaves" / "robot"
+    inner = [
+        FolderChange(top / "talker", {name: File(b"new") for name in ENCLAVE}),
+        *changes(root, "robot/more"),
+    ]
+    staged = [store.stage(inner), store.stage([FolderChange(top, removed=tuple(ENCLAVE))])]
+    inode = (top / "talker").stat().st_ino
+    store.commit(staged)
+    assert files(root, temporary=True) == {
+        f"install/enclaves/robot/{name}/{file}" for name in ("talker", "more") for file in ENCLAVE
+    }
+    assert {(top / "talker" / name).read_bytes() for name in ENCLAVE} == {b"new"}
+    assert (top / "talker").stat().st_ino != inode
+
+
 def refuse(number: int) -> Any:
     def call(*_arguments: Any, **_options: Any) -> Any:
         raise OSError(number, os.strerror(number))
