@@ -152,10 +152,11 @@ class _Pickler(pickle.Pickler):
     _fields: ClassVar[dict[type, list[str]]] = {}
 
     def reducer_override(self, given: object) -> Any:
-        if type(given) not in self._fields:
-            self._fields[type(given)] = [each.name for each in fields(given)] if is_dataclass(given) else []
-        names = self._fields[type(given)]
-        return (type(given), tuple([getattr(given, name) for name in names])) if names else NotImplemented
+        kind = type(given)
+        if kind not in self._fields:
+            self._fields[kind] = [each.name for each in fields(kind)] if is_dataclass(kind) else []
+        names = self._fields[kind]
+        return (kind, tuple([getattr(given, name) for name in names])) if names else NotImplemented
 
 
 def _send(pipe: Connection, *answer: object) -> None:
