@@ -115,15 +115,12 @@ def _early(action: TopicAction, groups: _Groups) -> list[_Early]:
     """
     other = TopicAction.SUBSCRIBE if action is TopicAction.PUBLISH else TopicAction.PUBLISH
     denied = [pattern for group in groups[other] for pattern in group.denied]
-    free = [
-        p for a in groups for g in groups[a] for rule in g.free for patterns in rule.topics.values() for p in patterns
-    ]
     result: list[_Early] = []
     for group in groups[action]:
         try:
             if group.arrangement:
                 result.append((action, group, early_rules(denied, group.arrangement)))
-            elif clash := _clash(denied, action, group, free):
+            elif clash := _clash(denied, action, group, _free_patterns(groups)):
                 reason = (
                     "it is denied in one direction, allowed in the other, and narrowed to several lists of partitions: "
                     "Cyclone DDS up to 0.10 lets the denial decide for both directions"
@@ -133,6 +130,11 @@ def _early(action: TopicAction, groups: _Groups) -> list[_Early]:
             reason = "it overlaps what the other direction allows in too many ways"
             raise UnportableError(denied[0], reason, _ORDER) from None
     return result
+
+
+def _free_patterns(groups: _Groups) -> list[Glob]:
+    rules = (rule for action in groups for group in groups[action] for rule in group.free)
+    return [pattern for rule in rules for patterns in rule.topics.values() for pattern in patterns]
 
 
 def _clash(denied: Iterable[Glob], action: TopicAction, group: RuleGroup, earlier: Iterable[Glob]) -> Glob | None:
