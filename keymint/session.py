@@ -12,13 +12,14 @@ from typing import Any, Self, TypeVar
 from comarmor.errors import Origin
 from comarmor.text import did_you_mean
 from keymint import __version__
-from keymint.api import Infrastructure, InfrastructurePackage, Layout, Package, Role, WorkspaceProfile
+from keymint.api import Infrastructure, InfrastructurePackage, Layout, Package, PackageType, Role, WorkspaceProfile
 from keymint.changes import Plan
 from keymint.errors import KeymintError
 from keymint.plugins import Plugins
 from keymint.state import State, digest, digest_files
 from keymint.tree import Tree
 from keymint.workspace import (
+    DEFAULTS,
     PACKAGE_MARKER,
     PROFILE_MARKER,
     Workspace,
@@ -29,6 +30,8 @@ from keymint.workspace import (
 )
 
 _T = TypeVar("_T")
+_FILES = "files"
+"""First part of the key of what a session knows about the files of a package."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -151,16 +154,31 @@ class Session(Inputs):
         """The folder that contains the enclaves; errors as :attr:`layouts`."""
         return self.once("enclaves", lambda: self.workspace.install / self.layouts[0].enclaves)
 
+    @property
+    def package_type(self) -> PackageType:
+        """The type of the packages; errors as :meth:`keymint.plugins.Plugins.package_type`."""
+        name = self.profile.package_type
+        return self.once("package type", lambda: self.plugins.package_type(name, self.profile_marker()))
+
     def packages(self) -> tuple[str, ...]:
         """Return the names of the source packages, sorted; errors as :func:`keymint.workspace.packages`."""
         return self.once("packages", lambda: packages(self.tree, self.workspace.src), of_sources=True)
 
     def after(self, plan: Plan) -> Self:
         """Return the session as it is once a plan is carried out."""
-        src = f"{self.workspace.src}/"
-        same = not any(f"{change.folder}/".startswith(src) for step in plan.steps for change in step.changes)
+        src, made = f"{self.workspace.src}/", self._made_of_sources
+        changed = {f"{change.folder}/" for step in plan.steps for change in step.changes}
+        changed = {folder for folder in changed if folder.startswith(src)}
+        if changed:
+            files = [key for key in made if isinstance(key, tuple) and key[0] == _FILES]
+            made = {key: made[key] for key in files if changed.isdisjoint(self._folders(key[1]))}
         tree = self.tree.overlaid(plan.overlay())
-        return replace(self, tree=tree, state=plan.state, _made_of_sources=self._made_of_sources if same else {})
+        return replace(self, tree=tree, state=plan.state, _made_of_sources=made)
+
+    def _folders(self, name: str) -> tuple[str, str]:
+        """Return the folders of a package, each with a slash."""
+        folder = f"{self.workspace.src}/{name}/"
+        return folder, f"{folder}{DEFAULTS}/"
 
     def package_files(self, name: str) -> dict[str, bytes]:
         """Return the XML files of a package; empty if there is no such package."""
@@ -172,7 +190,7 @@ class Session(Inputs):
 
     def _sources(self, name: str) -> tuple[Mapping[str, str], str]:
         """Return the digests of the files of a package, and one over all of them."""
-        return self.once(("files", name), lambda: self._read_sources(name), of_sources=True)
+        return self.once((_FILES, name), lambda: self._read_sources(name), of_sources=True)
 
     def _read_sources(self, name: str) -> tuple[Mapping[str, str], str]:
         paths = package_paths(self.tree, f"{self.workspace.src}/{name}")
@@ -218,9 +236,11 @@ class Session(Inputs):
 
     def role(self, name: str) -> Role:
         """Return why a package exists; the role of a subject if there is none or its manifest has defects."""
-        package_type = self.plugins.package_type(self.profile.package_type, self.profile_marker())
-        manifest = self.tree.read(f"{self.workspace.src}/{name}/{package_type.MARKER}")
-        return Role.SUBJECT if manifest is None else package_type.role(manifest)
+        marker = f"{self.workspace.src}/{name}/{self.package_type.MARKER}"
+        found = self.tree.digest(marker)
+        if found is None:
+            return Role.SUBJECT
+        return self.once(("role", found), lambda: self.package_type.role(self.tree.read(marker) or b""))
 
     def needed_infrastructure(self) -> Mapping[str, tuple[InfrastructurePackage, str]]:
         """Return the packages of infrastructure that the profile's build types need, each with its build type, by name.
@@ -246,10 +266,9 @@ class Session(Inputs):
         key = (name, self._sources(name)[1])
         if key not in self._packages:
             files = self.package_files(name)
-            package_type = self.plugins.package_type(self.profile.package_type, self.profile_marker())
             folder = self.workspace.shown(self.workspace.src / name)
             install_space = str(self.workspace.install)
-            self._packages[key] = package_type.load(
+            self._packages[key] = self.package_type.load(
                 self.profile, name, folder, files, self.plugins.build_type, install_space
             )
         return self._packages[key]

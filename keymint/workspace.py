@@ -98,7 +98,7 @@ class Workspace:
 
     def identity_key(self, package: str) -> Path:
         """Return the path of the private key of a package's subject."""
-        return self.private / "identities" / package / "key.pem"
+        return Path(f"{self.private}/identities/{package}/key.pem")
 
 
 def shown(path: Path | str, start: Path) -> str:

@@ -94,7 +94,8 @@ class CreateStage:
         self.existing = frozenset(packages(session.tree, session.workspace.src))
         seen = (part for path, value in sorted(policy.seen.items()) for part in (str(path), value))
         self._inputs = digest(digest(*seen), session.profile_digest)
-        self._package_type = session.plugins.package_type(session.profile.package_type, session.profile_marker())
+        self._package_type = session.package_type
+        self._digested = policy if isinstance(policy, DigestedPolicy) else None
 
     def subjects(self, names: Sequence[str]) -> tuple[str, ...]:
         """Return the names that are packages of subjects, not of infrastructure.
@@ -159,7 +160,7 @@ class CreateStage:
 
     def _rules_digest(self, subject: str) -> str:
         """Return the digest of everything that the sources of a subject are made of; empty if it is not known."""
-        rules = self._policy.rules_digest(subject) if isinstance(self._policy, DigestedPolicy) else None
+        rules = self._digested.rules_digest(subject) if self._digested else None
         return digest(rules, self._session.profile_digest) if rules else ""
 
     def _infrastructure(self, name: str, build_type: str) -> PackagePlan:

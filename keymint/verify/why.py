@@ -304,7 +304,7 @@ def _rules_of_package(session: Session, package: Package, edges: Sequence[Edge])
 
 def _places(session: Session, name: str, files: Mapping[str, bytes], rules: Sequence[Rule]) -> Sequence[Origin]:
     """Return the place of each rule in its package, or in the policy if the package type does not tell."""
-    package_type = session.plugins.package_type(session.profile.package_type, session.profile_marker())
+    package_type = session.package_type
     if not isinstance(package_type, RuleLocator):
         return [rule.origin for rule in rules]
     folder = session.workspace.shown(session.workspace.src / name)
