@@ -40,7 +40,7 @@ def execute(
     """
     record = plan.state.dump()
     guards = gitignore.missing_files(workspace, plan)
-    if not guards and not plan.writes() and record == before.dump() and not store.is_marked():
+    if not guards and not plan.writes() and plan.state == before and not store.is_marked():
         for step in plan.steps:
             on_step(step)
         return

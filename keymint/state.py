@@ -9,13 +9,15 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
 MAX_RECORD = 1 << 30
 """Largest record in bytes; an enclave needs about 1,500."""
-VERSION = 2
+VERSION = 3
+_DIGEST = 64
+"""Characters of a digest; longer texts are written once."""
 _SEAL, _END = b',"sha256":"', b'"}\n'
 """Text around the digest at the end of a record, which detects damage."""
 
@@ -85,25 +87,28 @@ class State:
         return State({**self.stamps, stage: {**merged, **stamps}}, self.interrupted)
 
     def dump(self) -> bytes:
-        """Return the record as bytes; equal states give equal bytes."""
-        document = {
-            "version": VERSION,
-            "stamps": {
-                stage: {
-                    name: [
-                        stamp.inputs,
-                        dict(sorted(stamp.outputs.items())),
-                        sorted(stamp.secret),
-                        stamp.context,
-                        *([stamp.lifetimes] if stamp.lifetimes or stamp.build_types else []),
-                        *stamp.build_types,
-                    ]
-                    for name, stamp in sorted(stamps.items())
-                }
-                for stage, stamps in sorted(self.stamps.items())
-            },
+        """Return the record as bytes; equal states give equal bytes.
+
+        Long texts, and what the stamps of a stage have in common, are written once and referred to by number.
+        """
+        texts: dict[str, int] = {}
+        shapes: dict[tuple[tuple[str, ...], ...], int] = {}
+
+        def brief(text: str) -> str | int:
+            return text if len(text) <= _DIGEST else texts.setdefault(text, len(texts))
+
+        def row(stamp: Stamp) -> list[Any]:
+            files = tuple(sorted(stamp.outputs))
+            shape = files, tuple(sorted(stamp.secret)), stamp.build_types
+            values = [brief(stamp.outputs[file]) for file in files]
+            number = shapes.setdefault(shape, len(shapes))
+            return [stamp.inputs, number, values, brief(stamp.context), brief(stamp.lifetimes)]
+
+        stamps = {
+            stage: {name: row(stamp) for name, stamp in sorted(of_stage.items())}
+            for stage, of_stage in sorted(self.stamps.items())
         }
-        return sealed(document)
+        return sealed({"version": VERSION, "stamps": stamps, "texts": [*texts], "shapes": [*shapes]})
 
 
 def sealed(document: Mapping[str, Any]) -> bytes:
@@ -145,19 +150,22 @@ def _stamps(content: bytes | None) -> dict[str, dict[str, Stamp]]:
     if document is None:
         return {}
     try:
+        texts = tuple(map(str, document["texts"]))
+        shapes = [tuple(tuple(map(str, names)) for names in shape) for shape in document["shapes"]]
+
+        def stamp(
+            inputs: str, number: int, values: Sequence[str | int], context: str | int, lifetimes: str | int
+        ) -> Stamp:
+            files, secret, build_types = shapes[number]
+            outputs = dict(zip(files, map(whole, values), strict=True))
+            return Stamp(str(inputs), outputs, secret, whole(context), whole(lifetimes), build_types)
+
+        def whole(brief: str | int) -> str:
+            return texts[brief] if isinstance(brief, int) else str(brief)
+
         return {
-            str(stage): {
-                str(name): Stamp(
-                    str(inputs),
-                    {str(k): str(v) for k, v in outputs.items()},
-                    tuple(map(str, secret)),
-                    str(context),
-                    "".join(map(str, rest[:1])),
-                    tuple(map(str, rest[1:])),
-                )
-                for name, (inputs, outputs, secret, context, *rest) in stamps.items()
-            }
-            for stage, stamps in document["stamps"].items()
+            str(stage): {str(name): stamp(*row) for name, row in of_stage.items()}
+            for stage, of_stage in document["stamps"].items()
         }
-    except (ValueError, KeyError, TypeError, AttributeError):
+    except (ValueError, KeyError, TypeError, AttributeError, IndexError):
         return {}

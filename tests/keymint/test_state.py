@@ -72,17 +72,29 @@ def sealed(body: bytes) -> bytes:
         b"[" * 200_000,
         b"\xff\xfe",
         sealed(b'{"version":2,"stamps":{}'),
-        sealed(b'{"version":1'),
-        sealed(b'{"version":1,"stamps":[]'),
-        sealed(b'{"version":1,"stamps":{"build":{"a":7}}'),
-        sealed(b'{"version":1,"stamps":{"build":{"a":["x",[],[]]}}'),
-        sealed(b'{"version":1,"stamps":{"build":{"a":["x",{}]}}'),
-        sealed(b'{"version":1,"stamps":' + b"[" * 200_000),
+        sealed(b'{"version":3'),
+        sealed(b'{"version":3,"stamps":{}'),
+        sealed(b'{"version":3,"shapes":[],"texts":[],"stamps":[]'),
+        sealed(b'{"version":3,"shapes":[],"texts":[],"stamps":{"build":{"a":7}}'),
+        sealed(b'{"version":3,"shapes":[],"texts":[],"stamps":{"build":{"a":["x",0,[],"",""]}}'),
+        sealed(b'{"version":3,"shapes":[[[],[]]],"texts":[],"stamps":{"build":{"a":["x",0,[],"",""]}}'),
+        sealed(b'{"version":3,"shapes":[[[],[],[]]],"texts":[],"stamps":{"build":{"a":["x",0,["y"],"",""]}}'),
+        sealed(b'{"version":3,"shapes":[[[],[],[]]],"texts":[],"stamps":{"build":{"a":["x",0,[],0,""]}}'),
+        sealed(b'{"version":3,"shapes":[[[],[],[]]],"texts":7,"stamps":{"build":{"a":["x",0,[],"",""]}}'),
+        sealed(b'{"version":3,"stamps":' + b"[" * 200_000),
         sealed(b"\xff\xfe"),
     ],
 )
 def test_a_record_of_another_shape_is_an_empty_one(content: bytes) -> None:
     assert load(content) == State()
+
+
+def test_what_stamps_have_in_common_is_written_once() -> None:
+    text = "what every stamp says " * 10
+    stamps = {f"p{n}": Stamp("x", {"a.xml": f"{n}", "claims": text}, (), "c", text, ("dds",)) for n in range(50)}
+    state = State().updated("prove", stamps)
+    assert state.dump().count(text.encode()) == state.dump().count(b"a.xml") == 1
+    assert load(state.dump()) == state
 
 
 def test_no_record_is_an_empty_one() -> None:
