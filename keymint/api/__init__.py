@@ -78,6 +78,7 @@ from keymint.api.proving import Counterexample as Counterexample
 from keymint.api.proving import Proof as Proof
 from keymint.api.proving import ProofTask as ProofTask
 from keymint.api.proving import Prover as Prover
+from keymint.api.proving import RemoteProver as RemoteProver
 from keymint.api.proving import SharedProofTask as SharedProofTask
 from keymint.api.proving import SharedProver as SharedProver
 from keymint.api.proving import TrustAnchor as TrustAnchor

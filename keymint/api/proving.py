@@ -7,7 +7,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from datetime import datetime
 from enum import StrEnum
-from typing import Protocol, runtime_checkable
+from typing import Any, Protocol, runtime_checkable
 
 from comarmor.errors import Diagnostic, Origin
 from keymint.api.packages import DomainRange, Package
@@ -233,6 +233,24 @@ class Prover(Protocol):
         Raises:
             KeymintError: no document of the enclave can be read, or the anchors do not vouch for it.
         """
+
+
+@runtime_checkable
+class RemoteProver(Protocol):
+    """Optional capability of a prover: what is costly, and needs no secret, can be proven on other machines."""
+
+    def question(self, task: ProofTask) -> object:
+        """Verify the files of an enclave as :meth:`Prover.prove` does, and return what is to be proven, as plain data.
+
+        Raises:
+            KeymintError: the files cannot be read, or the anchors do not vouch for them.
+        """
+
+    def proving(self) -> Callable[[Any, Sequence[Any]], Sequence[Sequence[Claim]]]:
+        """Return the function of a module that a worker calls with questions; claims for each, or none."""
+
+    def know(self, question: Any, claims: Sequence[Claim]) -> None:
+        """Keep proven claims for :meth:`Prover.prove`, which decides all others itself."""
 
 
 @runtime_checkable

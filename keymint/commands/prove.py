@@ -31,7 +31,7 @@ SHOWN = 5
 """Number of unprotected topics in the summary; ``--json`` lists all of them."""
 
 
-@verb(dry_run=True)
+@verb(dry_run=True, executor=True)
 @click.argument("names", nargs=-1, metavar="[ENCLAVE]...", shell_complete=complete_package)
 @click.option(
     "--seconds",
@@ -66,14 +66,15 @@ def prove(
     inputs = run.snapshot(workspace)
     session = inputs.session()
     chosen = run.names(inputs, names)
-    with run.console.progress(len(chosen), run.setting.monotonic) as advance:
+    with run.console.progress(len(chosen), run.setting.monotonic) as advance, run.pool() as pool:
         policy = lazy_policy(session)  # loaded only if something is to be proven
         results = find(
             session, chosen, policy, effort_of(run, states, seconds),
-            lambda name: advance(Step(STAGE, name, Action.UNCHANGED)), standard_only=allow_vendor_specific,
+            lambda name: advance(Step(STAGE, name, Action.UNCHANGED)), standard_only=allow_vendor_specific, pool=pool,
         )  # fmt: skip
     unknown = () if names else (*unaccounted(session), *uncreated(inputs, policy, chosen))
-    unrecorded = run.keep(inputs, results.state)
+    # What a cluster says is a result to show, but nothing that a later run may rely on.
+    unrecorded = run.keep(inputs, results.state) if pool.trusted else ()
 
     def folder(name: str) -> str:
         return workspace.shown(session.enclaves / name)

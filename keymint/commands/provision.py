@@ -94,11 +94,15 @@ def provision(
         install = partial(InstallStage, authorities=authorities, prune=prune)
         proof = proof_stage(run, acquired, standard_only=document_options.allow_vendor_specific)
         subjects = create(session).subjects(names)
+        if run.has_cluster:
+            ahead = create(session)
+            created = ahead.plan([ahead.package(name) for name in subjects])
+            # Processes begin with what the cluster compiled.
+            run.compile_elsewhere(session.after(created), subjects, hinted.options, prove=prove)
         run.workers.start(session, subjects, (create, build, install, *((proof,) if prove else ())))
         created = run.planned(create(session), subjects)
         session = session.after(created)
         names = (*names, *session.infrastructure())
-        run.compile_elsewhere(session, names, hinted.options, prove=prove)
         built = run.planned(build(session), names)
         session = session.after(built)
         installed = run.planned(install(session), names)

@@ -82,8 +82,8 @@ class Run:
         self.plugins = Plugins(environment=Environment(setting.now, setting.cache, setting.environment))
         self._trusted: bool = options.get("trust_executor", False)
         self._executor: str = options.get("executor", PROCESSES)
-        # What a cluster compiled is here only, not in other processes.
-        self.workers = Workers(self.jobs if self._executor == PROCESSES else 1, open_store)
+        self.has_cluster = self._executor != PROCESSES
+        self.workers = Workers(self.jobs, open_store)
         self._named: Path | None = options.get("workspace")
         self._spaces: dict[str, Path] = {
             space: folder for space in SPACES if (folder := options.get(f"{space}_space")) is not None
@@ -200,7 +200,7 @@ class Run:
         Raises:
             KeymintError: the cluster cannot be used, or is not trusted although its documents would not be proven.
         """
-        if self._executor == PROCESSES:
+        if not self.has_cluster:
             return
         if not prove and not self._trusted:
             raise usage_error(
@@ -219,7 +219,7 @@ class Run:
         Raises:
             KeymintError: the user named a cluster that cannot be used.
         """
-        if self._executor == PROCESSES:
+        if not self.has_cluster:
             yield Processes(self.plugins, self.jobs)
             return
         from keymint.executors.cluster import cluster  # noqa: PLC0415 - few runs need it

@@ -19,12 +19,14 @@ from keymint.api import (
     Proof,
     ProofTask,
     Prover,
+    RemoteProver,
     Role,
     SharedProofTask,
     SharedProver,
     ValidityTerm,
 )
 from keymint.errors import KeymintError
+from keymint.executors import Pool
 from keymint.ir import SubjectRules
 from keymint.plan import authority_evidence, proof_record, terms
 from keymint.plan.authority_files import trusted_chains
@@ -37,6 +39,8 @@ from keymint.session import Session
 from keymint.state import Stamp, State, digest, digest_files
 
 STAGE = "prove"
+LEAST = 50
+"""Enclaves for which a process of its own is worth its start."""
 NO_PROVER = "proof-unsupported"
 """Code of the finding on an enclave whose build type proves nothing."""
 
@@ -129,6 +133,7 @@ def prove(
     *,
     standard_only: bool = False,
     unsigned: bool = False,
+    pool: Pool | None = None,
 ) -> ProofResults:
     """Prove or refute the claims about the enclaves of some packages.
 
@@ -140,15 +145,24 @@ def prove(
         on_enclave: called with each name after its proof.
         standard_only: accept differences between vendors and claim only what the standard says; nothing is recorded.
         unsigned: the documents are about to be signed: messages cite the unsigned ones in the build space.
+        pool: where else to prove; None if only here.
 
     Raises:
-        KeymintError: a package has defects.
+        KeymintError: a package has defects, or the pool is lost.
     """
     stage = ProofStage(session, policy, effort, standard_only=standard_only, unsigned=unsigned)
     proven: list[PackageProof] = []
-    for name in names:
-        proven.append(stage.package(name))
-        on_enclave(name)
+    parts: Iterable[Sequence[str]] = ([name] for name in names)
+    results: Iterable[list[PackageProof]] = ([stage.package(name)] for name in names)
+    if pool is not None and pool.shares_memory and len(divided := pool.parts(names, LEAST)) > 1:
+        parts = divided
+        results = pool.map(lambda _plugins, part: [stage.package(name) for name in part], parts)
+    if pool is not None and not pool.shares_memory:
+        stage.ask(pool, names)
+    for part, proofs in zip(parts, results, strict=True):
+        proven += proofs
+        for name in part:
+            on_enclave(name)
     return stage.results(proven)
 
 
@@ -178,6 +192,8 @@ class ProofStage:
         self._policy_digest = digest(*(f"{path} {value.hex()}" for path, value in sorted(policy.seen.items())))
         self._chains_digest = digest_files(self._chains)
         self._shared = SharedReader(session, unsigned=unsigned)
+        self._asked: list[tuple[RemoteProver, object]] | None = None
+        """What other machines are to prove; None while it is proven here."""
 
     def results(self, proven: Sequence[PackageProof]) -> ProofResults:
         """Put the proofs of some packages together, and add the claims across subjects."""
@@ -195,6 +211,20 @@ class ProofStage:
                 standards.update([*prover.assumptions()][:1])
         proofs, shared = tuple(each.proof for each in proven), tuple(each.proof for each in across)
         return ProofResults(proofs, shared, state, assumptions, frozenset(standards), self._session.now)
+
+    def ask(self, pool: Pool, names: Sequence[str]) -> None:
+        """Let other machines prove claims that are not cached; those that they do not prove are decided here."""
+        if self._standard_only:
+            return
+        self._asked = []
+        for name in names:
+            self.package(name)
+        asked, self._asked = self._asked, None
+        for prover in dict.fromkeys(prover for prover, _ in asked):
+            parts = pool.parts([question for by, question in asked if by is prover], 1)
+            for part, answers in zip(parts, pool.map(prover.proving(), parts), strict=True):
+                for question, claims in zip(part, answers, strict=False):
+                    prover.know(question, claims)
 
     def package(self, name: str) -> PackageProof:
         """Prove the claims about one enclave, unless the proof is cached."""
@@ -345,7 +375,11 @@ class ProofStage:
             KeymintError: the enclave cannot be read, or the anchors do not vouch for it.
         """
         if task.package.role is Role.SUBJECT:
-            return prover.prove(task)
+            if self._asked is None:
+                return prover.prove(task)
+            if isinstance(prover, RemoteProver):
+                self._asked.append((prover, prover.question(task)))
+            return ()
         if found := prover.differences(task.files, task.folder, task.anchors, task.shared, task.shared_folder):
             raise KeymintError.of(found)
         return ()

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from typing import Any
 
 from comarmor.rules import PERMISSIONS
 from keymint.api import API_VERSION, BuildOptions, Claim, Package, ProofTask
@@ -17,7 +18,8 @@ class DdsSecurity:
     """The build type for DDS Security 1.1 as Cyclone DDS and Fast DDS implement it.
 
     Implements :class:`keymint.api.BuildType`, :class:`keymint.api.NameMapping`, :class:`keymint.api.ActionMapping`,
-    :class:`keymint.api.RuleCheck`, :class:`keymint.api.RemoteCompiler` and :class:`keymint.api.Prover`.
+    :class:`keymint.api.RuleCheck`, :class:`keymint.api.RemoteCompiler`,
+    :class:`keymint.api.Prover` and :class:`keymint.api.RemoteProver`.
     """
 
     API = API_VERSION
@@ -57,6 +59,15 @@ class DdsSecurity:
         from keymint_ros2_dds.kinds.elsewhere import compile_part  # noqa: PLC0415
 
         return compile_part
+
+    question = lazy("keymint_ros2_dds.proving.elsewhere:question")
+    know = lazy("keymint_ros2_dds.proving.elsewhere:receive")
+
+    def proving(self) -> Callable[[object, Sequence[Any]], Sequence[Sequence[Claim]]]:
+        """See :func:`keymint_ros2_dds.proving.elsewhere.prove_part`."""
+        from keymint_ros2_dds.proving.elsewhere import prove_part  # noqa: PLC0415
+
+        return prove_part
 
     def assumptions(self) -> Mapping[str, Sequence[str]]:
         """See :data:`keymint_ros2_dds.proving.ASSUMPTIONS`."""

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from functools import lru_cache
 
 from comarmor.errors import Origin
@@ -28,13 +29,28 @@ from keymint_ros2_dds.transports.enclave_files import subject_name
 
 
 def prove(task: ProofTask, *, models: Sequence[str] | None = None) -> tuple[Claim, ...]:
-    """Return the claims about an enclave, by model, action and domains.
+    """Return the claims about an enclave, by model, action and domains; see :func:`question`."""
+    asked = question(task)
+    return prove_content(asked.content, asked.place, asked.spec, models=models, governance=asked.governance)
+
+
+@dataclass(frozen=True, slots=True)
+class EnclaveQuestion:
+    """What the claims about an enclave depend on, once its files are verified; the arguments of ``prove_content``."""
+
+    content: bytes
+    place: tuple[str, int]
+    spec: ProofSpec
+    governance: EnclaveGovernance
+
+
+def question(task: ProofTask) -> EnclaveQuestion:
+    """Verify the files of an enclave, and return what is to be proven.
 
     Nothing is claimed about an enclave whose trust anchors differ from the workspace's.
 
     Args:
         task: the enclave, and the policy that it must implement.
-        models: names of the models; None: all.
 
     Raises:
         KeymintError: a file of the enclave is missing, cannot be read, or is not issued by the anchors; or a rule of
@@ -52,7 +68,7 @@ def prove(task: ProofTask, *, models: Sequence[str] | None = None) -> tuple[Clai
         task.states,
         task.go_on,
     )
-    return prove_content(content, place, spec, models=models, governance=_read_governance(task))
+    return EnclaveQuestion(content, place, spec, _read_governance(task))
 
 
 def terms(

@@ -77,6 +77,12 @@ def remember(content: bytes, spec: ProofSpec, rules: tuple[Kind, Arguments], cla
     _keep(_key(content, spec, rules, tuple(ASSUMPTIONS)), claims)
 
 
+def know(content: bytes, spec: ProofSpec, governance: EnclaveGovernance, claims: tuple[Claim, ...]) -> None:
+    """Remember what is proven about a document by all models, together with its governance."""
+    key = b"" if governance.transparent(spec.domains) else governance.key
+    _keep(_key(content, spec, kind_of(spec.rules.rules), tuple(ASSUMPTIONS), key), claims)
+
+
 def _keep(key: _Key, claims: tuple[Claim, ...]) -> None:
     if len(_proven) < MOST:
         _proven[key] = claims
