@@ -34,6 +34,14 @@ class File:
 
     content: bytes = field(repr=False)
     secret: bool = False
+    _digest: str = field(default="", init=False, repr=False, compare=False)
+
+    @property
+    def digest(self) -> str:
+        """The digest of the content; see :func:`keymint.state.digest`."""
+        if not self._digest:
+            object.__setattr__(self, "_digest", digest(self.content))
+        return self._digest
 
 
 @dataclass(frozen=True, slots=True)
@@ -61,7 +69,7 @@ class FolderChange:
 
     def held_elsewhere(self) -> FolderChange:
         """Return this change without the content of its files, for a process that does not write them."""
-        held = {name: HeldFile(digest(file.content), file.secret) for name, file in self.files.items()}
+        held = {name: HeldFile(file.digest, file.secret) for name, file in self.files.items()}
         return FolderChange(self.folder, {}, self.removed, self.private, held)
 
 

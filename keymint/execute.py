@@ -8,7 +8,7 @@ from collections.abc import Callable, Iterator
 from keymint.changes import Action, File, Plan, Step
 from keymint.plan import gitignore, key_record
 from keymint.staged import Staged
-from keymint.state import State, digest, dump_mark
+from keymint.state import State, dump_mark
 from keymint.store import Store
 from keymint.workers import Workers
 from keymint.workspace import Workspace
@@ -77,5 +77,5 @@ def _public(plan: Plan) -> Iterator[str]:
     """Yield the digests of the public files that a plan writes."""
     for step in plan.steps:
         for change in step.changes:
-            yield from (digest(file.content) for file in change.files.values() if not file.secret)
+            yield from (file.digest for file in change.files.values() if not file.secret)
             yield from (file.digest for file in change.held.values() if not file.secret)

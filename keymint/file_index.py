@@ -12,7 +12,7 @@ from pathlib import Path
 
 from keymint.changes import File, FolderChange
 from keymint.folder_status import NEVER, FolderStatus, folder_status, walk
-from keymint.state import MAX_RECORD, digest, sealed, unsealed
+from keymint.state import MAX_RECORD, sealed, unsealed
 from keymint.store import Store
 from keymint.tree import Tree, read_file
 from keymint.workspace import Workspace
@@ -136,7 +136,7 @@ def _written_by(changes: Iterable[FolderChange]) -> tuple[dict[str, dict[str, st
         folder = str(change.folder)
         if change.written:
             digests = written.setdefault(folder, {})
-            digests.update((name, digest(file.content)) for name, file in change.files.items())
+            digests.update((name, file.digest) for name, file in change.files.items())
             digests.update((name, file.digest) for name, file in change.held.items())
         if change.removed:
             removed.setdefault(folder, set()).update(change.removed)

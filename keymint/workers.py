@@ -154,7 +154,7 @@ class _Pickler(pickle.Pickler):
     def reducer_override(self, given: object) -> Any:
         kind = type(given)
         if kind not in self._fields:
-            self._fields[kind] = [each.name for each in fields(kind)] if is_dataclass(kind) else []
+            self._fields[kind] = [each.name for each in fields(kind) if each.init] if is_dataclass(kind) else []
         names = self._fields[kind]
         return (kind, tuple([getattr(given, name) for name in names])) if names else NotImplemented
 

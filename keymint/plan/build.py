@@ -112,10 +112,10 @@ def _plan_package(
     package = session.package(name)
     built = _built(session, package, options)
     existing = {file: session.tree.read(f"{folder}/{file}") for file in built.documents}
-    different = {file: content for file, content in built.documents.items() if existing[file] != content}
+    files = {file: File(content) for file, content in built.documents.items()}
+    new_files = {file: new for file, new in files.items() if existing[file] != new.content}
     if not force:
-        _refuse_edits(session, name, folder, {file: existing[file] for file in different})
-    new_files = {file: File(content) for file, content in different.items()}
+        _refuse_edits(session, name, folder, {file: existing[file] for file in new_files})
     changes: tuple[FolderChange, ...] = (FolderChange(folder, new_files),) if new_files else ()
     obsolete = [file for file in stamp.outputs if file not in built.documents] if stamp else []
     changes += tuple(
@@ -132,7 +132,7 @@ def _plan_package(
         identity_keys.load(session, package, key_path, key_content)
     before = stamp is not None or any(content is not None for content in existing.values())
     action = (Action.UPDATED if before else Action.CREATED) if changes or minted else Action.UNCHANGED
-    outputs = {file: digest(content) for file, content in built.documents.items()}
+    outputs = {file: new.digest for file, new in files.items()}
     sizes = _sizes(built)
     step = Step(STAGE, name, action, (*minted, *changes), ", ".join(map(_smaller, sizes)), sizes)
     own = lifetimes.lifetimes(package)

@@ -152,11 +152,12 @@ class CreateStage:
             return PackagePlan(name, None, None, unnamed if known else (), (*errors, *in_the_way))
         # The marker goes last: until then a later run sees no package, and creates the missing files.
         ordered = sorted(new.items(), key=lambda item: item[0] == self._package_type.MARKER)
-        changes = changed(session.tree, folder, {file: File(content) for file, content in ordered})
+        written = {file: File(content) for file, content in ordered}
+        changes = changed(session.tree, folder, written)
         action = (Action.UPDATED if known else Action.CREATED) if changes else Action.UNCHANGED
         step = Step(STAGE, name, action, changes)
-        written = outputs | _outputs({file: digest(content) for file, content in new.items()})
-        return PackagePlan(name, step, Stamp(self._inputs, written, context=context), unnamed if known else (), errors)
+        outputs |= _outputs({file: new_file.digest for file, new_file in written.items()})
+        return PackagePlan(name, step, Stamp(self._inputs, outputs, context=context), unnamed if known else (), errors)
 
     def _rules_digest(self, subject: str) -> str:
         """Return the digest of everything that the sources of a subject are made of; empty if it is not known."""

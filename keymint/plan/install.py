@@ -138,7 +138,7 @@ def _plan_enclave(
     edits = _edits(session, name, documents) if is_recorded else ()
     made = Stamp(
         inputs,
-        {file: digest(item.content) for file, item in files.items()},
+        {file: item.digest for file, item in files.items()},
         tuple(file for file, item in files.items() if item.secret),
         lifetimes=lifetimes.dump(own, workspace),
     )
