@@ -74,10 +74,10 @@ def rendered(content: bytes, base: str) -> SubjectRules | None:
         base: folder that origins are relative to.
 
     Returns:
-        The rules with the places that the document states; None if this process did not render it, or if reading it
-        may give something else.
+        The rules with the places that the document states, at the first call for a document; None if this process did
+        not render it, or if reading it may give something else.
     """
-    rules, base_then = _rendered.get(content, (None, ""))
+    rules, base_then = _rendered.pop(content, (None, ""))
     if rules is None or base_then != base:
         return None
     chains: dict[int, tuple[Origin, ...]] = {}
