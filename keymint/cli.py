@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import functools
 import gc
 import importlib
 import io
@@ -24,6 +25,7 @@ from comarmor.text import did_you_mean, printable, printable_lines
 from keymint import __version__
 from keymint.errors import ExitCode
 from keymint.process import Output, OutputError, StoppedError, held_signals, received, settle
+from keymint.unchanged import Call, Consulted, is_recorded, recall
 
 VERBS: Mapping[str, str] = {
     "init": "Create a workspace.",
@@ -128,7 +130,8 @@ def _standard_streams() -> Iterator[tuple[Output, Output]]:
 def _run(given: Sequence[str], out: Output, err: Output) -> int:
     try:
         try:
-            code = _carried_out(given)
+            recalled = _recalled(given)
+            code = _carried_out(given) if recalled is None else recalled
             out.flush()
         except StoppedError as stop:
             code = stopped(given, stop.number)
@@ -149,7 +152,8 @@ def _carried_out(given: Sequence[str]) -> int:
     if not sys.warnoptions:  # warnings of libraries are for programmers, not for users
         warnings.simplefilter("ignore")
     try:
-        result: Any = cli.main(list(given), prog_name="keymint", standalone_mode=False, obj=_setting)
+        setting = functools.partial(_setting, given)
+        result: Any = cli.main(list(given), prog_name="keymint", standalone_mode=False, obj=setting)
     except click.exceptions.Exit as end:
         return end.exit_code
     except click.ClickException as error:
@@ -218,27 +222,41 @@ def _fail(arguments: Sequence[str], code: str, message: str, exit_code: ExitCode
     return int(exit_code)
 
 
-def _setting() -> Any:
+def _call(given: Sequence[str]) -> Call:
+    plain = bool(os.environ.get("NO_COLOR")) or os.environ.get("TERM") == "dumb"
+    colours = sys.stdout.isatty() and not plain, sys.stderr.isatty() and not plain
+    return Call(given, str(_current_folder()), colours, _now().timestamp(), time.time_ns(), Consulted(os.environ))
+
+
+def _recalled(given: Sequence[str]) -> int | None:
+    """Answer a command that was carried out before, and return its exit code; see :mod:`keymint.unchanged`."""
+    try:
+        answer = recall(_call(given)) if is_recorded(given) else None
+    except click.UsageError:
+        return None  # there is no usable clock or current directory, which the command reports if it needs one
+    if answer is None:
+        return None
+    sys.stderr.write(answer.err)
+    sys.stdout.write(answer.out)
+    return answer.exit_code
+
+
+def _setting(given: Sequence[str]) -> Any:
     """Return the environment of the run; called when a verb runs, so that ``--help`` needs none of it."""
+    call = _call(given)
     from keymint.commands.run import Setting  # noqa: PLC0415 - not needed for --help
     from keymint.output.console import Streams  # noqa: PLC0415
 
-    plain = bool(os.environ.get("NO_COLOR")) or os.environ.get("TERM") == "dumb"
-    err_tty = sys.stderr.isatty()
+    progress = sys.stderr.isatty() and os.environ.get("TERM") != "dumb"
     return Setting(
-        now=_now(),
+        now=datetime.fromtimestamp(call.now, UTC),
         monotonic=time.monotonic,
-        environment=os.environ,
-        cwd=_current_folder(),
+        environment=call.environment,
+        cwd=Path(call.cwd),
         cache=_cache(),
         cores=os.cpu_count() or 1,
-        streams=Streams(
-            sys.stdout,
-            sys.stderr,
-            colour_out=sys.stdout.isatty() and not plain,
-            colour_err=err_tty and not plain,
-            progress=err_tty and os.environ.get("TERM") != "dumb",
-        ),
+        streams=Streams(sys.stdout, sys.stderr, *call.colours, progress=progress),
+        call=call,
     )
 
 

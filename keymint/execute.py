@@ -12,6 +12,7 @@ from keymint.state import State, dump_mark
 from keymint.store import Store
 from keymint.workers import Workers
 from keymint.workspace import Workspace
+from keymint.workspace_lock import clock
 
 RECORD = "state.json"
 
@@ -24,7 +25,7 @@ def open_store(workspace: Workspace) -> Store:
 
 def execute(
     plan: Plan, workspace: Workspace, store: Store, before: State, workers: Workers, on_step: Callable[[Step], None]
-) -> None:
+) -> int:
     """Carry out a plan.
 
     Args:
@@ -35,6 +36,9 @@ def execute(
         workers: the processes that hold a part of what is written.
         on_step: called for every step, after all of them.
 
+    Returns:
+        The clock of the file system before anything became visible.
+
     Raises:
         KeymintError: the system refuses a write; no file is incomplete, and a later run goes on from here.
     """
@@ -43,14 +47,17 @@ def execute(
     if not guards and not plan.writes() and plan.state == before and not store.is_marked():
         for step in plan.steps:
             on_step(step)
-        return
+        return clock(workspace.state)
     with store.marked(dump_mark(before, _public(plan), key_record.new_fingerprints(before, plan.state))):
         for guard in guards:  # before the first secret is written
             store.write(guard.folder, guard.files, private=guard.private)
-        store.commit(_staged(plan, store, workers))
+        staged = _staged(plan, store, workers)
+        visible = clock(workspace.state)
+        store.commit(staged)
         for step in plan.steps:
             on_step(step)
         store.write(workspace.state, {RECORD: File(record)})
+    return visible
 
 
 def _staged(plan: Plan, store: Store, workers: Workers) -> list[Staged]:

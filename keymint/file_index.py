@@ -7,7 +7,6 @@ Like the record, the index only saves work: without it, all files are read.
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
 from pathlib import Path
 
 from keymint.changes import File, FolderChange
@@ -23,64 +22,6 @@ INDEX = "files.json"
 VERSION = 1
 Digests = Mapping[str, Mapping[str, str]]
 """Digests of files (see :func:`keymint.state.digest`) by folder and name."""
-
-
-@dataclass(frozen=True, slots=True)
-class Sight:
-    """The folders of a workspace as they are before a run reads a file.
-
-    Attributes:
-        roots: the folders that were looked at, with all that is below them.
-        folders: the status of each folder.
-        clock: the clock of the file system before that, in nanoseconds; 0 if it is not known.
-    """
-
-    roots: tuple[str, ...]
-    folders: Mapping[str, FolderStatus]
-    clock: int
-
-    @classmethod
-    def of(cls, folders: Iterable[Path], clock: int = 0) -> Sight:
-        """Look at folders and all that is below them."""
-        roots = tuple(map(str, folders))
-        return cls(roots, walk(roots), clock)
-
-    def after(self, written: Digests, removed: Mapping[str, Iterable[str]], clock: int) -> Sight:
-        """Return what is there when the run is done.
-
-        The status of a folder in which something else changed meanwhile is not trusted.
-
-        Args:
-            written: the files that the run wrote.
-            removed: the names of files that it removed, by folder.
-            clock: the clock of the file system, later than the last write.
-        """
-        folders = {
-            folder: status if status.is_trusted(self.clock) else status._replace(newest=NEVER)
-            for folder, status in self.folders.items()
-        }
-        for folder in filter(self._has, {*written, *removed, *self._new_above(written)}):
-            before, new = self.folders.get(folder), written.get(folder, {})
-            present = folder_status(folder, [], new, self.clock)
-            if present is None:
-                folders.pop(folder, None)
-                continue
-            kept = set(before.files if before else ()).difference(removed.get(folder, ()))
-            folders[folder] = present if {*present.files} == kept.union(new) else present._replace(newest=NEVER)
-        return Sight(self.roots, folders, clock)
-
-    def _has(self, folder: str) -> bool:
-        return f"{folder}/".startswith(tuple(f"{root}/" for root in self.roots))
-
-    def _new_above(self, folders: Iterable[str]) -> set[str]:
-        """Return the folders above new ones that are new as well."""
-        new: set[str] = set()
-        for folder in folders:
-            above = folder if folder in self.roots else folder.rpartition("/")[0]
-            while above not in self.folders and above not in new and self._has(above):
-                new.add(above)
-                above = above.rpartition("/")[0]
-        return new
 
 
 def load(workspace: Workspace, sight: Sight) -> Digests:
@@ -100,7 +41,9 @@ def load(workspace: Workspace, sight: Sight) -> Digests:
     return known
 
 
-def save(store: Store, workspace: Workspace, tree: Tree, sight: Sight, changes: Iterable[FolderChange]) -> None:
+def save(
+    store: Store, workspace: Workspace, tree: Tree, sight: Sight, changes: Iterable[FolderChange], visible: int
+) -> Sight:
     """Write the index after a run, if it changed.
 
     Args:
@@ -109,12 +52,17 @@ def save(store: Store, workspace: Workspace, tree: Tree, sight: Sight, changes: 
         tree: the files that the run read.
         sight: the folders before that.
         changes: what the run wrote and removed.
+        visible: the clock of the file system before that became visible.
+
+    Returns:
+        The folders after the run.
     """
     written, removed = _written_by(changes)
-    seen = sight.after(written, removed, clock(workspace.state))
+    seen = sight.after(written, removed, visible, clock(workspace.state))
     content = _dump(workspace.root, seen, tree.known, tree.digests, written)
     if content != read_file(workspace.state / INDEX, MAX_RECORD):
         store.write(workspace.state, {INDEX: File(content)})
+    return seen
 
 
 def _dump(root: Path, sight: Sight, *digests: Digests) -> bytes:

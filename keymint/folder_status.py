@@ -11,7 +11,7 @@ from __future__ import annotations
 import hashlib
 import os
 import stat
-from collections.abc import Collection, Iterable
+from collections.abc import Collection, Iterable, Mapping
 from typing import NamedTuple
 
 NEVER = 1 << 63
@@ -41,6 +41,17 @@ class FolderStatus(NamedTuple):
         return self.newest < clock
 
 
+def path_status(path: str) -> tuple[str, int]:
+    """Return the status of a file or folder that may be anywhere, and its latest time; links are followed."""
+    real = os.path.realpath(path)
+    try:
+        of = os.stat(real)  # noqa: PTH116 - of texts
+    except OSError as error:
+        return f"{real} {error.errno}", 0
+    status = f"{real} {of.st_mode} {of.st_uid} {of.st_gid} {of.st_size} {of.st_mtime_ns} {of.st_ctime_ns} {of.st_ino}"
+    return status, max(of.st_mtime_ns, of.st_ctime_ns)
+
+
 def walk(folders: Iterable[str]) -> dict[str, FolderStatus]:
     """Return the status of folders, and of all folders below them except ``.git``; none of those that do not exist."""
     found: dict[str, FolderStatus] = {}
@@ -54,7 +65,7 @@ def walk(folders: Iterable[str]) -> dict[str, FolderStatus]:
 
 
 def folder_status(
-    folder: str, below: list[str], written: Collection[str] = (), since: int = NEVER
+    folder: str, below: list[str], written: Collection[str] = (), since: int = NEVER, visible: int = NEVER
 ) -> FolderStatus | None:
     """Return the status of a folder, or None if it does not exist.
 
@@ -63,6 +74,7 @@ def folder_status(
         below: its subfolders are added to this list.
         written: names of files that this run wrote.
         since: if another file was modified after this time, the status is not trusted.
+        visible: the same for the files that this run wrote: the time at which they appeared.
     """
     files: dict[str, str] = {}
     newest = 0
@@ -76,7 +88,7 @@ def folder_status(
                     if name != _SKIPPED:
                         below.append(entry.path)
                     continue
-                if not stat.S_ISREG(of.st_mode) or (of.st_mtime_ns >= since and name not in written):
+                if not stat.S_ISREG(of.st_mode) or of.st_mtime_ns >= (visible if name in written else since):
                     newest = NEVER
                 newest = max(newest, of.st_mtime_ns, of.st_ctime_ns)
                 files[name] = (
@@ -90,3 +102,63 @@ def folder_status(
     names = tuple(sorted(files))
     rows += (files[name] for name in names)
     return FolderStatus(hashlib.blake2b("\n".join(rows).encode(), digest_size=16).hexdigest(), newest, names)
+
+
+class Sight(NamedTuple):
+    """The folders of a workspace as they are before a run reads a file.
+
+    Attributes:
+        roots: the folders that were looked at, with all that is below them.
+        folders: the status of each folder.
+        clock: the clock of the file system before that, in nanoseconds; 0 if it is not known.
+    """
+
+    roots: tuple[str, ...]
+    folders: Mapping[str, FolderStatus]
+    clock: int
+
+    @classmethod
+    def of(cls, folders: Iterable[str], clock: int = 0) -> Sight:
+        """Look at folders and all that is below them."""
+        roots = tuple(folders)
+        return cls(roots, walk(roots), clock)
+
+    def after(
+        self, written: Mapping[str, Collection[str]], removed: Mapping[str, Iterable[str]], visible: int, clock: int
+    ) -> Sight:
+        """Return what is there when the run is done.
+
+        The status of a folder in which something else changed meanwhile is not trusted.
+
+        Args:
+            written: the names of files that the run wrote, by folder.
+            removed: those that it removed.
+            visible: the clock of the file system before the first write became visible.
+            clock: the clock of the file system, later than the last write.
+        """
+        folders = {
+            folder: status if status.is_trusted(self.clock) else status._replace(newest=NEVER)
+            for folder, status in self.folders.items()
+        }
+        for folder in filter(self._has, {*written, *removed, *self._new_above(written)}):
+            before, new = self.folders.get(folder), written.get(folder, ())
+            present = folder_status(folder, [], new, self.clock, visible)
+            if present is None:
+                folders.pop(folder, None)
+                continue
+            kept = set(before.files if before else ()).difference(removed.get(folder, ()))
+            folders[folder] = present if {*present.files} == kept.union(new) else present._replace(newest=NEVER)
+        return Sight(self.roots, folders, clock)
+
+    def _has(self, folder: str) -> bool:
+        return f"{folder}/".startswith(tuple(f"{root}/" for root in self.roots))
+
+    def _new_above(self, folders: Iterable[str]) -> set[str]:
+        """Return the folders above new ones that are new as well."""
+        new: set[str] = set()
+        for folder in folders:
+            above = folder if folder in self.roots else folder.rpartition("/")[0]
+            while above not in self.folders and above not in new and self._has(above):
+                new.add(above)
+                above = above.rpartition("/")[0]
+        return new

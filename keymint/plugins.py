@@ -1,20 +1,19 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Find plugins by their entry points, check their version, and report every failure.
-
-The only module that touches :mod:`importlib.metadata`.
-"""
+"""Find plugins by their entry points, check their version, and report every failure."""
 
 from __future__ import annotations
 
+import contextlib
 import functools
 import importlib.util
 import json
+import os
 import re
 import shlex
 import sys
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from importlib.metadata import Distribution, EntryPoint, distributions
+from importlib import import_module
 from pathlib import Path
 from typing import Any, cast
 
@@ -55,22 +54,16 @@ class PluginInfo:
         distribution: the installed distribution that registers it.
         version: version of the distribution.
         location: folder of the distribution.
+        metadata: folder of its metadata.
     """
 
     group: str
     name: str
     target: str
-    distribution: str
-    version: str
-    location: str
-
-
-def _info(entry: EntryPoint) -> PluginInfo:
-    distribution = entry.dist
-    if distribution is None:
-        return PluginInfo(entry.group, entry.name, entry.value, "", "", "")
-    name, version = (_header(distribution, header) for header in ("Name", "Version"))
-    return PluginInfo(entry.group, entry.name, entry.value, name, version, str(distribution.locate_file("")))
+    distribution: str = ""
+    version: str = ""
+    location: str = ""
+    metadata: str = ""
 
 
 def how_to_add(package: str) -> str:
@@ -92,49 +85,78 @@ def _kind(group: str) -> str:
     return group.removeprefix("keymint.").removesuffix("s").replace("_", " ")
 
 
-def _source(entry: EntryPoint) -> str:
+def _source(info: PluginInfo) -> str:
     """Return the distribution to reinstall, and its source (PEP 610)."""
-    name = _info(entry).distribution
     try:
-        url = json.loads((entry.dist and entry.dist.read_text("direct_url.json")) or "{}").get("url", "")
+        url = json.loads(Path(info.metadata, "direct_url.json").read_bytes()).get("url", "")
     except (OSError, ValueError, AttributeError):
         url = ""
+    name = info.distribution
     if url:
         return f"{name or 'it'} from {url}"
     return name if name and name != _OURS else "it from its checkout or wheel"
 
 
-def _brought_by(entry: EntryPoint) -> str:
+def _brought_by(info: PluginInfo) -> str:
     """Return the identity of a distribution: its name, or its location if it has no name."""
-    info = _info(entry)
     return info.distribution or info.location
 
 
-def _header(distribution: Distribution, header: str) -> str:
-    """Return a header of a distribution's metadata, or an empty text: damaged metadata must not hide a plugin."""
-    try:
-        # Looking a missing header up by [] gives None, warns, or raises, depending on the version of Python.
-        return str((distribution.metadata.get_all(header) or [""])[0])
-    except (OSError, ValueError, LookupError, AttributeError):
-        return ""
+def entries_of(metadata: str) -> Iterator[PluginInfo]:
+    """Yield the entry points of our groups that a distribution registers.
 
+    :mod:`importlib.metadata` would take longer than everything else in a short run: it parses the metadata of all
+    distributions as e-mails.
 
-def _installed() -> Iterator[EntryPoint]:
-    """Yield the entry points of our groups; a distribution that is twice on ``sys.path`` counts once.
-
-    A distribution with unreadable entry points is ignored: it may be unrelated to Keymint.
+    Args:
+        metadata: its folder of metadata; if that is damaged, it must not hide a plugin.
     """
+    try:
+        text = Path(metadata, "entry_points.txt").read_text(encoding="utf-8")
+    except (OSError, ValueError):
+        return
+    if "[keymint." not in text:
+        return
+    group, headers = "", _headers(metadata)
+    for line in map(str.strip, text.splitlines()):
+        name, equals, target = line.partition("=")
+        if line.startswith("["):
+            group = line.strip("[]")
+        elif group in GROUPS and equals and not line.startswith("#"):
+            yield PluginInfo(
+                group, name.strip(), target.strip(), *headers, str(Path(metadata).parent), metadata=metadata
+            )
+
+
+def _headers(metadata: str) -> tuple[str, str]:
+    """Return the name and the version of a distribution, or empty texts."""
+    found = {"Name": "", "Version": ""}
+    for file in ("METADATA", "PKG-INFO"):
+        with contextlib.suppress(OSError):
+            for line in Path(metadata, file).read_text(encoding="utf-8", errors="replace").splitlines():
+                if not line:
+                    break
+                header, _, value = line.partition(":")
+                if header in found:
+                    found[header] = found[header] or value.strip()
+    return found["Name"], found["Version"]
+
+
+def _installed() -> Iterator[PluginInfo]:
+    """Yield the entry points of our groups; a distribution that is twice on ``sys.path`` counts once."""
     seen: set[str] = set()
-    for distribution in distributions():
-        name = re.sub(r"[-_.]+", "-", _header(distribution, "Name")).lower()
-        if name and name in seen:
-            continue
-        seen.add(name)
+    for folder in sys.path:
         try:
-            entries = tuple(distribution.entry_points)
-        except Exception:  # noqa: BLE001, S112 - its file may hold anything, and the reader is not ours
+            names = sorted(os.listdir(folder or "."))  # noqa: PTH208 - the path is a text
+        except OSError:
             continue
-        yield from (entry for entry in entries if entry.group in GROUPS)
+        for name in names:
+            if name.endswith((".dist-info", ".egg-info")):
+                found = tuple(entries_of(f"{folder or '.'}/{name}"))
+                identity = re.sub(r"[-_.]+", "-", found[0].distribution).lower() if found else ""
+                if identity not in seen or not identity:
+                    yield from found
+                seen.add(identity)
 
 
 class Plugins:
@@ -145,10 +167,10 @@ class Plugins:
         environment: what transports are opened with; without it there are none to ask for.
     """
 
-    def __init__(self, entries: Iterable[EntryPoint] | None = None, environment: Environment | None = None) -> None:
+    def __init__(self, entries: Iterable[PluginInfo] | None = None, environment: Environment | None = None) -> None:
         self._environment = environment
         self._transports: dict[str, Transport] = {}
-        self._entries: dict[str, dict[str, list[EntryPoint]]] = {}
+        self._entries: dict[str, dict[str, list[PluginInfo]]] = {}
         self._loaded: dict[tuple[str, str], object] = {}
         for entry in _installed() if entries is None else entries:
             versions = self._entries.setdefault(entry.group, {}).setdefault(entry.name, [])
@@ -160,7 +182,7 @@ class Plugins:
     def infos(self) -> tuple[PluginInfo, ...]:
         """Metadata of all plugins, sorted by group and name, including duplicates."""
         return tuple(
-            _info(entry)
+            entry
             for group in GROUPS
             for name in sorted(self._entries.get(group, {}))
             for entry in self._entries[group][name]
@@ -278,10 +300,11 @@ class Plugins:
             )
         entry = entries[0]
         try:
-            plugin: object = entry.load()
+            module, _, attribute = entry.target.partition(" ")[0].partition(":")
+            plugin: object = functools.reduce(getattr, filter(None, attribute.split(".")), import_module(module))
         except Exception as error:
             raise KeymintError(
-                f"the {kind} {name!r} ({entry.value}) fails to load: {type(error).__name__}: {error}",
+                f"the {kind} {name!r} ({entry.target}) fails to load: {type(error).__name__}: {error}",
                 where=where,
                 help=f"reinstall {_source(entry)}",
                 code="plugin-broken",
@@ -289,10 +312,10 @@ class Plugins:
         version = getattr(plugin, "API", None)
         if not isinstance(version, str) or _major(version) != _major(API_VERSION):
             raise KeymintError(
-                f"the {kind} {name!r} ({entry.value}) implements version {version!r} of the plugin interface, "
+                f"the {kind} {name!r} ({entry.target}) implements version {version!r} of the plugin interface, "
                 f"this Keymint needs {API_VERSION!r}",
                 where=where,
-                help=f"install a version of {_info(entry).distribution or 'it'} for this Keymint, "
+                help=f"install a version of {entry.distribution or 'it'} for this Keymint, "
                 "or change its code as docs/migrating-plugins.md says",
                 code="plugin-version",
             )

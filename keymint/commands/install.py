@@ -19,8 +19,9 @@ from keymint.commands.options import (
     strict_option,
 )
 from keymint.commands.proof_gate import proof_stage, proven
-from keymint.commands.run import Run
+from keymint.commands.run import Run, exit_code_of
 from keymint.commands.verb import verb
+from keymint.errors import ExitCode
 from keymint.output.report import Report, findings_exit
 from keymint.plan.authorities import plan_authorities
 from keymint.plan.install import InstallStage
@@ -70,6 +71,8 @@ def install(
         done = replace(done, diagnostics=(*done.diagnostics, *warnings, *missing))
         return proven(run, after, installed, chosen, proof, done, strict=strict) if proof else done
 
-    report = run.carry_out(workspace, make_plan)
-    nothing = findings_exit([finding for finding in report.diagnostics if finding.code == UNCREATED])
-    return replace(report, exit_code=report.exit_code or nothing)
+    def exit_code(plan: Plan) -> ExitCode:
+        nothing = findings_exit([finding for finding in plan.diagnostics if finding.code == UNCREATED])
+        return exit_code_of(plan) or nothing
+
+    return run.carry_out(workspace, make_plan, exit_code)

@@ -10,7 +10,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from datetime import datetime
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from comarmor.errors import Diagnostic, Origin, Severity, cited
 from comarmor.text import did_you_mean
@@ -18,13 +18,13 @@ from keymint import file_index
 from keymint.api import BuildOptions, Environment
 from keymint.changes import File, Plan
 from keymint.commands.options import PROCESSES, usage_error
+from keymint.commands.remember import remember
 from keymint.errors import ExitCode, KeymintError
 from keymint.execute import RECORD, execute, open_store
-from keymint.executors import Pool, Processes
-from keymint.file_index import Sight
+from keymint.folder_status import Sight
 from keymint.names import package_name
 from keymint.output.console import Console, Streams
-from keymint.output.report import Report
+from keymint.output.report import Report, folded
 from keymint.plan import gitignore
 from keymint.plan.stage import PlanStage
 from keymint.plugins import Plugins
@@ -32,9 +32,13 @@ from keymint.session import Inputs, Session
 from keymint.state import MAX_RECORD, State
 from keymint.state import load as load_state
 from keymint.tree import HeldError, Tree, read_file
+from keymint.unchanged import Call
 from keymint.workers import Workers
 from keymint.workspace import SPACES, Workspace, find, packages, shown
 from keymint.workspace_lock import LOCK, clock, read_lock
+
+if TYPE_CHECKING:
+    from keymint.executors import Pool
 
 
 @dataclass(frozen=True, slots=True)
@@ -49,6 +53,7 @@ class Setting:
         cache: cache directory of this user.
         cores: number of processors.
         streams: where output goes.
+        call: the command.
     """
 
     now: datetime
@@ -58,6 +63,13 @@ class Setting:
     cache: Path
     cores: int
     streams: Streams
+    call: Call
+
+
+def exit_code_of(plan: Plan) -> ExitCode:
+    """Return the exit code of an executed plan; an error concerns an enclave that was not changed."""
+    failed = any(diagnostic.severity is Severity.ERROR for diagnostic in plan.diagnostics)
+    return ExitCode.FAILURE if failed else ExitCode.DONE
 
 
 class Run:
@@ -230,13 +242,23 @@ class Run:
 
     # -- doing it ------------------------------------------------------------------------------------------------
 
-    def carry_out(self, workspace: Workspace, make_plan: Callable[[Inputs], Plan]) -> Report:
+    def carry_out(
+        self,
+        workspace: Workspace,
+        make_plan: Callable[[Inputs], Plan],
+        exit_code: Callable[[Plan], ExitCode] = exit_code_of,
+    ) -> Report:
         """Plan, execute the plan under the workspace lock, and return the report.
 
         A new workspace is planned before anything is written, including the lock.
+
+        Args:
+            workspace: the workspace.
+            make_plan: makes the plan.
+            exit_code: returns the exit code of an executed plan.
         """
         with contextlib.closing(self.workers):
-            return self._carry_out(workspace, functools.partial(self._plan, make_plan))
+            return self._carry_out(workspace, functools.partial(self._plan, make_plan), exit_code)
 
     def _plan(self, make_plan: Callable[[Inputs], Plan], inputs: Inputs) -> Plan:
         self.workers.close()  # those of an earlier plan
@@ -246,12 +268,14 @@ class Run:
             self.workers.give_up()
             return make_plan(inputs)
 
-    def _carry_out(self, workspace: Workspace, make_plan: Callable[[Inputs], Plan]) -> Report:
+    def _carry_out(
+        self, workspace: Workspace, make_plan: Callable[[Inputs], Plan], exit_code: Callable[[Plan], ExitCode]
+    ) -> Report:
         if self.dry_run:
             plan = make_plan(self.snapshot(workspace))
-            return Report(self.verb, workspace, plan.steps, plan.diagnostics, {}, _exit_code(plan), dry_run=True)
+            return Report(self.verb, workspace, plan.steps, plan.diagnostics, {}, exit_code(plan), dry_run=True)
         planned: tuple[Inputs, Plan] | None = None
-        sight = Sight.of(workspace.spaces())
+        sight = Sight.of(map(str, workspace.spaces()))
         if not workspace.state.is_dir():
             inputs = self.inputs(workspace)
             try:
@@ -264,16 +288,23 @@ class Run:
         with store.locked(self.console.waiting):
             store.sweep()
             if planned is None or workspace.exists() or workspace.state.joinpath(RECORD).exists():
-                sight = Sight.of(workspace.spaces(), clock(workspace.state))
+                sight = Sight.of(map(str, workspace.spaces()), clock(workspace.state))
                 inputs = self.inputs(workspace, sight)
                 planned = (inputs, make_plan(inputs))
             inputs, plan = planned
             guards = gitignore.missing_files(workspace, plan)
             with self.console.progress(len(plan.steps), self.setting.monotonic) as advance:
-                execute(plan, workspace, store, inputs.state, self.workers, advance)
+                visible = execute(plan, workspace, store, inputs.state, self.workers, advance)
             changes = (*guards, *(change for step in plan.steps for change in step.changes))
-            file_index.save(store, workspace, inputs.tree, sight, changes)
-        return Report(self.verb, workspace, plan.steps, plan.diagnostics, {}, _exit_code(plan))
+            sight = file_index.save(store, workspace, inputs.tree, sight, changes, visible)
+            report = Report(self.verb, workspace, plan.steps, plan.diagnostics, {}, exit_code(plan))
+            session = inputs.after(plan).session()
+            remember(self.setting.call, session, plan, self.presented(report), sight, store, self.console)
+        return report
+
+    def presented(self, report: Report) -> Report:
+        """Return a report with all paths as the user would type them, and equal diagnostics merged."""
+        return replace(report, diagnostics=folded([self.as_typed(diagnostic) for diagnostic in report.diagnostics]))
 
     def planned(self, stage: PlanStage, names: Sequence[str]) -> Plan:
         """Return the plan of a stage for some packages; processes that were started make their parts of it.
@@ -305,9 +336,3 @@ class Run:
             message = f"the results are not cached: {error.diagnostics[0].message}"
             return (Diagnostic("not-recorded", Severity.NOTE, message, error.diagnostics[0].where),)
         return ()
-
-
-def _exit_code(plan: Plan) -> ExitCode:
-    """Return the exit code of an executed plan; an error concerns an enclave that was not changed."""
-    failed = any(diagnostic.severity is Severity.ERROR for diagnostic in plan.diagnostics)
-    return ExitCode.FAILURE if failed else ExitCode.DONE

@@ -5,7 +5,6 @@ from __future__ import annotations
 
 import functools
 from collections.abc import Callable
-from dataclasses import replace
 from typing import Any
 
 import click
@@ -13,7 +12,7 @@ import click
 from keymint.commands.options import common_options, require_known_plugins
 from keymint.commands.run import Run, Setting
 from keymint.errors import ExitCode, KeymintError
-from keymint.output.report import Report, folded
+from keymint.output.report import Report
 
 Verb = Callable[..., Report]
 _COMMON = {"workspace", "as_json", "verbose", "quiet", "jobs", "dry_run", "executor", "trust_executor"}
@@ -63,6 +62,5 @@ def _guarded(run: Run, function: Callable[[], Report]) -> ExitCode:
         report = Report(
             run.verb, run.known_workspace, (), error.diagnostics, exit_code=error.exit_code, dry_run=run.dry_run
         )
-    diagnostics = [run.as_typed(diagnostic) for diagnostic in report.diagnostics]
-    run.console.show(replace(report, diagnostics=folded(diagnostics)))
+    run.console.show(run.presented(report))
     return report.exit_code

@@ -3,18 +3,18 @@
 
 from __future__ import annotations
 
+import io
 import json
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import IO, Any
 
 from comarmor.errors import Diagnostic, Severity
 from comarmor.text import counted, encodable, printable, printable_lines
 from keymint.changes import Action, DocumentSize, Step
-from keymint.output.json import report_json
-from keymint.output.report import Report
+from keymint.output.report import Report, report_json
 from keymint.process import Output
 
 _COLOURS: Mapping[Severity, str] = {
@@ -94,6 +94,13 @@ class Console:
             self.diagnostic(diagnostic)
         if self._verbosity >= 0:
             self._steps(report)
+
+    def rendered(self, report: Report) -> tuple[str, str]:
+        """Return what a report shows as results and as diagnostics."""
+        out, err = io.StringIO(), io.StringIO()
+        streams = replace(self._streams, out=out, err=err)
+        Console(streams, verbosity=self._verbosity, as_json=self._json).show(report)
+        return out.getvalue(), err.getvalue()
 
     def diagnostic(self, diagnostic: Diagnostic) -> None:
         """Show one diagnostic: ``place: severity: message (help)``; notes only if verbose."""

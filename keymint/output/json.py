@@ -1,74 +1,21 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The JSON of all verbs, as Python objects; ``docs/json.md`` describes it."""
+"""The JSON of the results of verbs, as Python objects; ``docs/json.md`` describes it."""
 
 from __future__ import annotations
 
-from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict
-from pathlib import Path
 from typing import Any
 
-from comarmor.errors import Diagnostic, Origin
+from comarmor.errors import Origin
 from keymint.analysis.policy_diff import SubjectChanges
 from keymint.api import PolicyDecision, Verdict
-from keymint.changes import Step
 from keymint.graph import Edge
 from keymint.output.mismatches import request_text
-from keymint.output.report import Report
 from keymint.verify.mismatch import Comparison, Mismatch
-from keymint.workspace import Workspace
 
-FORMAT = "keymint-report"
-VERSION = 2
 Typed = Callable[[str], str]
 """Returns a path as the user would type it."""
-
-
-def report_json(report: Report) -> dict[str, Any]:
-    """Return the JSON document of a verb."""
-    workspace = report.workspace
-    return {
-        "format": FORMAT,
-        "version": VERSION,
-        "verb": report.verb,
-        "workspace": str(workspace.root) if workspace else None,
-        "dry_run": report.dry_run,
-        "exit_code": int(report.exit_code),
-        "summary": dict(sorted(Counter(str(step.action) for step in report.steps).items())),
-        "steps": [_step(step, workspace) for step in report.steps],
-        "diagnostics": [_diagnostic(diagnostic) for diagnostic in report.diagnostics],
-        "result": dict(report.result),
-    }
-
-
-def _step(step: Step, workspace: Workspace | None) -> dict[str, Any]:
-    def typed(folder: Path, name: str) -> str:
-        return workspace.shown(folder / name) if workspace else str(folder / name)
-
-    return {
-        "stage": step.stage,
-        "package": step.package,
-        "action": str(step.action),
-        "written": [typed(change.folder, name) for change in step.changes for name in change.written],
-        "removed": [typed(change.folder, name) for change in step.changes for name in change.removed],
-        "detail": step.detail,
-        "sizes": [asdict(size) for size in step.sizes],
-    }
-
-
-def _diagnostic(diagnostic: Diagnostic) -> dict[str, Any]:
-    where = diagnostic.where
-    return {
-        "code": diagnostic.code,
-        "severity": str(diagnostic.severity),
-        "message": diagnostic.message,
-        "file": where.file if where else None,
-        "line": where.line or None if where else None,
-        "included_from": [{"file": outer.file, "line": outer.line} for outer in (where.chain if where else ())],
-        "help": diagnostic.help,
-        "subject": diagnostic.subject,
-    }
 
 
 # -- places, edges and decisions -------------------------------------------------------------------------------------

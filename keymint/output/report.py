@@ -1,16 +1,21 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The outcome of a verb."""
+"""The outcome of a verb, and its JSON, which ``docs/json.md`` describes."""
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import asdict, dataclass, field, replace
+from pathlib import Path
 from typing import Any
 
 from comarmor.errors import Diagnostic, Severity
 from keymint.changes import Step
 from keymint.errors import ExitCode
 from keymint.workspace import Workspace
+
+FORMAT = "keymint-report"
+VERSION = 2
 
 
 @dataclass(frozen=True, slots=True)
@@ -61,3 +66,49 @@ def findings_exit(diagnostics: Sequence[Diagnostic]) -> ExitCode:
     """Return the exit code of a verb that reports findings; notes do not count."""
     has_findings = any(diagnostic.severity is not Severity.NOTE for diagnostic in diagnostics)
     return ExitCode.FINDINGS if has_findings else ExitCode.DONE
+
+
+def report_json(report: Report) -> dict[str, Any]:
+    """Return the JSON document of a verb."""
+    workspace = report.workspace
+    return {
+        "format": FORMAT,
+        "version": VERSION,
+        "verb": report.verb,
+        "workspace": str(workspace.root) if workspace else None,
+        "dry_run": report.dry_run,
+        "exit_code": int(report.exit_code),
+        "summary": dict(sorted(Counter(str(step.action) for step in report.steps).items())),
+        "steps": [_step(step, workspace) for step in report.steps],
+        "diagnostics": [_diagnostic(diagnostic) for diagnostic in report.diagnostics],
+        "result": dict(report.result),
+    }
+
+
+def _step(step: Step, workspace: Workspace | None) -> dict[str, Any]:
+    def typed(folder: Path, name: str) -> str:
+        return workspace.shown(folder / name) if workspace else str(folder / name)
+
+    return {
+        "stage": step.stage,
+        "package": step.package,
+        "action": str(step.action),
+        "written": [typed(change.folder, name) for change in step.changes for name in change.written],
+        "removed": [typed(change.folder, name) for change in step.changes for name in change.removed],
+        "detail": step.detail,
+        "sizes": [asdict(size) for size in step.sizes],
+    }
+
+
+def _diagnostic(diagnostic: Diagnostic) -> dict[str, Any]:
+    where = diagnostic.where
+    return {
+        "code": diagnostic.code,
+        "severity": str(diagnostic.severity),
+        "message": diagnostic.message,
+        "file": where.file if where else None,
+        "line": where.line or None if where else None,
+        "included_from": [{"file": outer.file, "line": outer.line} for outer in (where.chain if where else ())],
+        "help": diagnostic.help,
+        "subject": diagnostic.subject,
+    }

@@ -63,6 +63,12 @@ def is_unchanged(session: Session) -> bool:
     )
 
 
+def recorded_files(state: State) -> Mapping[str, str] | None:
+    """Return the paths that the policy was read from, each with its fingerprint, or None if the record has none."""
+    recorded = state.stamp(_STAGE, _FILES)
+    return None if recorded is None else recorded.outputs
+
+
 def recorded_subjects(session: Session) -> frozenset[str]:
     """Return the subjects that the policy named when it was recorded."""
     recorded = session.state.stamp(_STAGE, _SUBJECTS)

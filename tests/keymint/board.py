@@ -8,7 +8,6 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from importlib.metadata import EntryPoint
 from pathlib import Path
 
 from comarmor.errors import Diagnostic, Origin
@@ -37,6 +36,7 @@ from keymint.api import (
     WorkspaceProfile,
 )
 from keymint.graph import Edge
+from keymint.plugins import PluginInfo
 
 NAME = "board"
 BOARD = "board/rights.txt"
@@ -175,7 +175,7 @@ simulated = _Type(Board((Tier.DECISION,), reads_keys=False))
 real = _Type(Board((Tier.DECISION, Tier.ADMISSION), reads_keys=True))
 
 ENTRIES = (
-    EntryPoint(NAME, f"{__name__}:build_type", "keymint.build_types"),
-    EntryPoint("board-1", f"{__name__}:simulated", "keymint.transports"),
-    EntryPoint("board", f"{__name__}:real", "keymint.transports"),
+    PluginInfo("keymint.build_types", NAME, f"{__name__}:build_type"),
+    PluginInfo("keymint.transports", "board-1", f"{__name__}:simulated"),
+    PluginInfo("keymint.transports", "board", f"{__name__}:real"),
 )

@@ -4,7 +4,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from importlib.metadata import EntryPoint
 
 from comarmor.errors import Diagnostic, Severity
 from keymint.api import (
@@ -26,6 +25,7 @@ from keymint.api import (
 )
 from keymint.errors import KeymintError
 from keymint.ir import SubjectRules
+from keymint.plugins import PluginInfo
 
 NAME = "lighthouse"
 TOWER = "tower"
@@ -103,4 +103,4 @@ class LighthouseBuildType:
 
 
 build_type = LighthouseBuildType()
-ENTRIES = (EntryPoint(NAME, f"{__name__}:build_type", "keymint.build_types"),)
+ENTRIES = (PluginInfo("keymint.build_types", NAME, f"{__name__}:build_type"),)

@@ -12,7 +12,8 @@ import pytest
 from keymint import file_index
 from keymint.changes import File, FolderChange
 from keymint.execute import open_store
-from keymint.file_index import INDEX, Sight
+from keymint.file_index import INDEX
+from keymint.folder_status import Sight
 from keymint.state import digest
 from keymint.store import Store
 from keymint.tree import Tree
@@ -32,22 +33,26 @@ def workspace(tmp_path: Path) -> Workspace:
 
 def known(workspace: Workspace) -> Mapping[str, str]:
     """Return the digests that the index has of the package."""
-    return file_index.load(workspace, Sight.of(workspace.spaces())).get(str(workspace.build / "a"), {})
+    return file_index.load(workspace, Sight.of(map(str, workspace.spaces()))).get(str(workspace.build / "a"), {})
 
 
 def run(
     workspace: Workspace,
     work: Callable[[Tree, Store], object],
     *changes: FolderChange,
+    written: Callable[[], object] = lambda: None,
 ) -> None:
-    """Look at the workspace, work, write changes, and save the index."""
+    """Look at the workspace, work, write changes, and save the index; then something may happen before that."""
     store = open_store(workspace)
     with store.locked(lambda: None):
-        sight = Sight.of(workspace.spaces(), clock(workspace.state))
+        sight = Sight.of(map(str, workspace.spaces()), clock(workspace.state))
         tree = Tree(known=file_index.load(workspace, sight))
         work(tree, store)
-        store.change(changes)
-        file_index.save(store, workspace, tree, sight, changes)
+        staged = store.stage(changes)
+        visible = clock(workspace.state)
+        store.commit([staged])
+        written()
+        file_index.save(store, workspace, tree, sight, changes, visible)
 
 
 def ask(tree: Tree, workspace: Workspace) -> list[str | None]:
@@ -75,7 +80,7 @@ def test_a_file_is_read_once_and_again_when_it_changed(workspace: Workspace) -> 
 
 def test_an_unchanged_file_is_not_read(workspace: Workspace, monkeypatch: pytest.MonkeyPatch) -> None:
     run(workspace, lambda tree, _: ask(tree, workspace))
-    tree = Tree(known=file_index.load(workspace, Sight.of(workspace.spaces())))
+    tree = Tree(known=file_index.load(workspace, Sight.of(map(str, workspace.spaces()))))
     monkeypatch.setattr("keymint.tree.read_file", lambda _: None)
     assert ask(tree, workspace) == [digest(b"content"), digest(b"other"), None]
 
@@ -85,7 +90,7 @@ def test_what_is_written_is_known_without_reading(workspace: Workspace) -> None:
     change = FolderChange(new, {"made": File(b"made")})
     run(workspace, lambda tree, _: ask(tree, workspace), change, FolderChange(workspace.build / "a", {}, ("other",)))
     assert known(workspace) == {"file": digest(b"content")}
-    assert file_index.load(workspace, Sight.of(workspace.spaces()))[str(new)] == {"made": digest(b"made")}
+    assert file_index.load(workspace, Sight.of(map(str, workspace.spaces())))[str(new)] == {"made": digest(b"made")}
 
 
 def outside(workspace: Workspace, name: str, content: bytes) -> Callable[[Tree, Store], object]:
@@ -129,3 +134,10 @@ def test_a_damaged_index_knows_nothing(workspace: Workspace, damage: bytes) -> N
     run(workspace, lambda tree, _: ask(tree, workspace))
     (workspace.state / INDEX).write_bytes(damage)
     assert known(workspace) == {}
+
+
+def test_what_another_program_does_to_a_new_file_is_not_trusted(workspace: Workspace) -> None:
+    new = workspace.build / "b"
+    change = FolderChange(new, {"made": File(b"made")})
+    run(workspace, lambda *_: None, change, written=lambda: (new / "made").write_bytes(b"MADE"))
+    assert str(new) not in file_index.load(workspace, Sight.of(map(str, workspace.spaces())))

@@ -4,7 +4,6 @@
 from __future__ import annotations
 
 import sys
-from importlib.metadata import Distribution, EntryPoint
 from pathlib import Path
 from types import ModuleType
 
@@ -13,7 +12,7 @@ import pytest
 from comarmor.errors import Origin
 from keymint.api import API_VERSION
 from keymint.errors import KeymintError
-from keymint.plugins import GROUPS, Plugins
+from keymint.plugins import GROUPS, PluginInfo, Plugins, entries_of
 
 GROUP = "keymint.build_types"
 
@@ -23,14 +22,14 @@ class Plugin:
         self.API = version
 
 
-def distribution(folder: Path, name: str, plugins: dict[str, str], *, group: str = GROUP) -> list[EntryPoint]:
+def distribution(folder: Path, name: str, plugins: dict[str, str], *, group: str = GROUP) -> list[PluginInfo]:
     """Write the metadata of an installed distribution, and return its entry points."""
     info = folder / f"{name}-1.2.dist-info"
     info.mkdir(parents=True)
     (info / "METADATA").write_text(f"Metadata-Version: 2.1\nName: {name}\nVersion: 1.2\n")
     lines = [f"[{group}]", *(f"{plugin} = {target}" for plugin, target in plugins.items())]
     (info / "entry_points.txt").write_text("\n".join(lines))
-    return list(Distribution.at(info).entry_points)
+    return list(entries_of(str(info)))
 
 
 @pytest.fixture(autouse=True)
@@ -125,7 +124,7 @@ def test_a_plugin_that_fails_to_load_is_named(tmp_path: Path, target: str, monke
 
 
 def test_an_entry_point_without_a_distribution_is_loaded_too(module: ModuleType) -> None:
-    plugins = Plugins([EntryPoint("mine", f"{module.__name__}:good", GROUP)])
+    plugins = Plugins([PluginInfo(GROUP, "mine", f"{module.__name__}:good")])
     assert plugins.build_type("mine") is module.good
     assert plugins.infos[0].distribution == ""
 
@@ -150,9 +149,10 @@ def damage(info: Path, content: bytes | None) -> None:
 
 @pytest.mark.parametrize("content", DAMAGED.values(), ids=DAMAGED)
 def test_damaged_metadata_does_not_hide_a_plugin(tmp_path: Path, module: ModuleType, content: bytes | None) -> None:
-    entries = distribution(tmp_path, "dist", {"mine": f"{module.__name__}:good"})
-    damage(tmp_path / "dist-1.2.dist-info" / "METADATA", content)
-    plugins = Plugins(entries)
+    distribution(tmp_path, "dist", {"mine": f"{module.__name__}:good"})
+    info = tmp_path / "dist-1.2.dist-info"
+    damage(info / "METADATA", content)
+    plugins = Plugins(entries_of(str(info)))
     assert plugins.build_type("mine") is module.good
     assert plugins.infos[0].name == "mine"
     assert isinstance(plugins.infos[0].distribution + plugins.infos[0].version, str)

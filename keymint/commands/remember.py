@@ -1,0 +1,65 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Record what a command will print if it is given again, so that it need not be carried out; see ADR 0002."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+from keymint.changes import Action, File, Plan, Step
+from keymint.folder_status import Sight
+from keymint.output.console import Console
+from keymint.output.report import Report
+from keymint.plan.authorities import STAGE as AUTHORITIES
+from keymint.plan.build_types import BUILD
+from keymint.plan.policy import recorded_files
+from keymint.session import Session
+from keymint.store import Store
+from keymint.unchanged import Answer, Call, name_of, record
+
+
+def remember(
+    call: Call, session: Session, plan: Plan, report: Report, sight: Sight, store: Store, console: Console
+) -> None:
+    """Record the answer to a command, unless something is in doubt.
+
+    Args:
+        call: the command.
+        session: the workspace after it, and its profile.
+        plan: what it did.
+        report: what it reports.
+        sight: the files after it.
+        store: the writer.
+        console: where the report is shown.
+    """
+    seen, expected = recorded_files(plan.state), next_report(plan, report)
+    if seen is None or expected is None:
+        return
+    validity = (authority.certificate.validity for authority in session.profile.authorities)
+    dates = [date for each in validity for date in (each.not_before, each.not_after)]
+    answer = Answer(*console.rendered(expected), int(expected.exit_code))
+    content = record(call, str(session.workspace.root), sight, seen, dates, answer)
+    if content is not None:
+        store.write(session.workspace.state, {name_of(call): File(content)})
+
+
+def next_report(plan: Plan, report: Report) -> Report | None:
+    """Return what a command reports if it is given again, or None if that is not known.
+
+    What has nothing to do does the same again. After one that did something without any diagnostic, everything is
+    unchanged, and no workspace is new.
+    """
+    if not plan.writes():
+        return report
+    if report.diagnostics or any(_is_unclear(step) for step in plan.steps):
+        return None
+    # What has no package is only reported if it is written.
+    return replace(report, steps=[_again(step) for step in plan.steps if step.package])
+
+
+def _is_unclear(step: Step) -> bool:
+    """Tell whether it is not known how a step is reported next time."""
+    return step.action in {Action.REMOVED, Action.KEPT} or (step.stage == BUILD and not step.package)
+
+
+def _again(step: Step) -> Step:
+    return Step(step.stage, step.package, Action.UNCHANGED, detail=step.detail if step.stage == AUTHORITIES else "")

@@ -1,0 +1,122 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Dataclasses that are made quickly are those of the standard library."""
+
+from __future__ import annotations
+
+import copy
+import dataclasses
+import inspect
+import pickle
+from collections.abc import Callable
+from dataclasses import FrozenInstanceError, field
+from typing import Any
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from comarmor import values
+
+
+def classes(dataclass: Any) -> dict[str, Any]:
+    """Return classes of all kinds, made by a decorator."""
+
+    @dataclass(frozen=True, slots=True)
+    class Frozen:
+        one: int
+        two: str = "x"
+        three: list[int] = field(default_factory=list, compare=False)
+        four: int = field(default=7, init=False, repr=False)
+
+    @dataclass(frozen=True, slots=True, order=True)
+    class Ordered:
+        one: int
+        two: str = "x"
+
+    @dataclass(frozen=True, slots=True)
+    class Below(Frozen):
+        five: tuple[int, ...] = ()
+
+    @dataclass(slots=True)
+    class Changing:
+        one: int
+        two: str = "x"
+
+    @dataclass(frozen=True, slots=True, eq=False)
+    class Same:
+        one: int
+        two: str = "x"
+
+    @dataclass(frozen=True, slots=True)
+    class Own:  # noqa: PLW1641
+        one: int
+        two: str = "x"
+
+        def __post_init__(self) -> None:
+            if self.one < 0:
+                raise ValueError("negative")
+
+        def __eq__(self, other: object) -> bool:
+            return isinstance(other, Own) and self.one == other.one
+
+        def __repr__(self) -> str:
+            return "own"
+
+    @dataclass(frozen=True)
+    class Open:
+        one: int
+        two: str = "x"
+
+    @dataclass(frozen=True, slots=True)
+    class Single:
+        one: int
+
+    return {each.__name__: each for each in (Frozen, Ordered, Below, Changing, Same, Own, Open, Single)}
+
+
+OURS, THEIRS = classes(values.dataclass), classes(dataclasses.dataclass)
+for _name, _class in OURS.items():  # so that they can be pickled
+    _class.__qualname__ = _name
+    globals()[_name] = _class
+    THEIRS[_name].__qualname__ = _name
+NUMBERS = st.integers(0, 2)
+
+
+def outcome(work: Callable[[], object]) -> object:
+    try:
+        return work()
+    except (TypeError, ValueError, FrozenInstanceError, AttributeError) as error:
+        return type(error)
+
+
+@pytest.mark.parametrize("name", OURS)
+@given(one=NUMBERS, other=NUMBERS)
+def test_they_behave_as_those_of_the_standard_library(name: str, one: int, other: int) -> None:
+    seen = []
+    for made in (OURS[name], THEIRS[name]):
+        a, b = made(one), made(one=other)
+        seen.append(
+            [
+                repr(a), a == b, a != b, a == one,
+                name == "Same" or outcome(lambda a=a, b=b: hash(a) == hash(b)),
+                outcome(lambda a=a, b=b: (a < b, a <= b, a > b, a >= b)), outcome(lambda a=a: a < 1),
+                outcome(lambda a=a: setattr(a, "one", 5)), outcome(lambda a=a: delattr(a, "one")),
+                outcome(lambda made=made: made()),
+                outcome(lambda made=made: made(-1)) if name == "Own" else 0, repr(dataclasses.replace(b, one=1)),
+                dataclasses.asdict(b), made.__match_args__, [*inspect.signature(made).parameters],
+            ]
+        )  # fmt: skip
+    assert seen[0] == seen[1]
+
+
+@pytest.mark.parametrize("name", OURS)
+def test_they_can_be_copied_and_sent_to_other_processes(name: str) -> None:
+    value = OURS[name](1)
+    for copied in (pickle.loads(pickle.dumps(value)), copy.copy(value), copy.deepcopy(value)):
+        assert (type(copied), repr(copied), copied.one) == (type(value), repr(value), 1)
+
+
+def test_no_two_share_a_default() -> None:
+    first, second = OURS["Frozen"](1), OURS["Frozen"](1)
+    first.three.append(1)
+    assert second.three == []
