@@ -5,8 +5,9 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass
 from enum import IntEnum, StrEnum
+
+from comarmor.values import dataclass
 
 Spot = tuple[str, int, int]
 """File, line and column of a place. The line alone does not identify a rule: a minified policy is one line."""

@@ -4,11 +4,11 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
 from enum import StrEnum
 from types import MappingProxyType
 
 from comarmor.errors import Origin
+from comarmor.values import dataclass
 
 
 class Effect(StrEnum):

@@ -2,3 +2,5 @@
 """Keymint: a meta-build tool that mints keys and notarizes access-control documents for robots."""
 
 __version__ = "0.1.0"
+SPACES = ("profile", "private", "public", "src", "build", "install")
+"""The folders of a workspace; see :class:`keymint.workspace.Workspace`."""

@@ -4,11 +4,12 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import field
 from enum import StrEnum
 from pathlib import Path
 
 from comarmor.errors import Diagnostic
+from comarmor.values import dataclass
 from keymint.state import State, digest
 from keymint.tree import Content, HeldFile, Tree
 

@@ -17,15 +17,17 @@ from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Any, TextIO, cast
+from typing import TYPE_CHECKING, Any, TextIO, cast
 
 import click
 
 from comarmor.text import did_you_mean, printable, printable_lines
-from keymint import __version__
+from keymint import SPACES, __version__
 from keymint.errors import ExitCode
 from keymint.process import Output, OutputError, StoppedError, held_signals, received, settle
-from keymint.unchanged import Call, Consulted, is_recorded, recall
+
+if TYPE_CHECKING:
+    from keymint.unchanged import Call
 
 VERBS: Mapping[str, str] = {
     "init": "Create a workspace.",
@@ -83,8 +85,6 @@ class _Verbs(click.Group):
         del ctx
         with formatter.section("Verbs"):
             formatter.write_dl(list(VERBS.items()))
-        from keymint.workspace import SPACES  # noqa: PLC0415 - not needed by a verb
-
         with formatter.section("Workspace layout (options of every verb that takes --workspace)"):
             formatter.write_dl(
                 [(f"--{space}-space DIR", f"Directory of the {space} space [{space}/].") for space in SPACES]
@@ -223,6 +223,9 @@ def _fail(arguments: Sequence[str], code: str, message: str, exit_code: ExitCode
 
 
 def _call(given: Sequence[str]) -> Call:
+    """Return the command with all that its answer may depend on."""
+    from keymint.unchanged import Call, Consulted  # noqa: PLC0415 - not needed for --help
+
     plain = bool(os.environ.get("NO_COLOR")) or os.environ.get("TERM") == "dumb"
     colours = sys.stdout.isatty() and not plain, sys.stderr.isatty() and not plain
     return Call(given, str(_current_folder()), colours, _now().timestamp(), time.time_ns(), Consulted(os.environ))
@@ -230,8 +233,12 @@ def _call(given: Sequence[str]) -> Call:
 
 def _recalled(given: Sequence[str]) -> int | None:
     """Answer a command that was carried out before, and return its exit code; see :mod:`keymint.unchanged`."""
+    if not given or given[0].startswith("-") or "-h" in given or "--help" in given:
+        return None
+    from keymint import unchanged  # noqa: PLC0415 - not needed for --help
+
     try:
-        answer = recall(_call(given)) if is_recorded(given) else None
+        answer = unchanged.recall(_call(given)) if given[0] in unchanged.VERBS else None
     except click.UsageError:
         return None  # there is no usable clock or current directory, which the command reports if it needs one
     if answer is None:

@@ -14,10 +14,11 @@ import os
 import shutil
 import stat
 from collections.abc import Collection
-from dataclasses import dataclass, field
+from dataclasses import field
 from typing import NoReturn
 
 from comarmor.errors import Origin
+from comarmor.values import dataclass
 from keymint.changes import File
 from keymint.errors import KeymintError
 from keymint.file_writing import (

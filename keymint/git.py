@@ -9,9 +9,9 @@ import tarfile
 import tempfile
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import dataclass
 from pathlib import Path
 
+from comarmor.values import dataclass
 from keymint.errors import KeymintError
 
 _SECONDS = 120

@@ -9,10 +9,10 @@ the policy does. Allowing is the positive.
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass
 from enum import StrEnum
 
 from comarmor.rules import PERMISSIONS
+from comarmor.values import dataclass
 
 
 @dataclass(frozen=True, slots=True, order=True)

@@ -8,9 +8,8 @@ any DENY rule matches it, else allowed if any ALLOW rule does, else denied. The 
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 from comarmor.rules import Rule
+from comarmor.values import dataclass
 
 __all__ = ["Rule", "SubjectRules"]
 

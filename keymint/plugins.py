@@ -12,13 +12,13 @@ import re
 import shlex
 import sys
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
 from importlib import import_module
 from pathlib import Path
 from typing import Any, cast
 
 from comarmor.errors import Origin
 from comarmor.text import did_you_mean
+from comarmor.values import dataclass
 from keymint.api import (
     API_VERSION,
     BuildType,

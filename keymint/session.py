@@ -4,13 +4,14 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Hashable, Iterator, Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import field, replace
 from datetime import datetime
 from pathlib import Path
 from typing import Any, Self, TypeVar
 
 from comarmor.errors import Origin
 from comarmor.text import did_you_mean
+from comarmor.values import dataclass
 from keymint import __version__
 from keymint.api import Infrastructure, InfrastructurePackage, Layout, Package, PackageType, Role, WorkspaceProfile
 from keymint.changes import Plan

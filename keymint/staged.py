@@ -11,8 +11,8 @@ import contextlib
 import os
 import shutil
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass
 
+from comarmor.values import dataclass
 from keymint.changes import File, FolderChange
 from keymint.file_writing import (
     FOLDER,

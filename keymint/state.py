@@ -13,6 +13,8 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
+from comarmor.values import dataclass
+
 MAX_RECORD = 1 << 30
 """Largest record in bytes; an enclave needs about 1,500."""
 VERSION = 3

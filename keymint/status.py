@@ -4,9 +4,9 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from datetime import UTC, datetime
 
+from comarmor.values import dataclass
 from keymint.api import LoadedPolicy, Role
 from keymint.errors import KeymintError
 from keymint.pki import certificates

@@ -21,7 +21,8 @@ from keymint.folder_status import FolderStatus, Sight, path_status, walk
 from keymint.state import sealed, unsealed
 
 VERSION = 1
-_VERBS = ("create", "build", "install", "provision")
+VERBS = ("create", "build", "install", "provision")
+"""The verbs whose answers are recorded."""
 _RECORDS, _RECORD, _MARK = ".keymint", "state.json", "running"
 _PROFILE = "profile/keymint_profile.xml"
 _UNRECORDED = ("--hints", "--profile-space", "--new-authority", "--renew", "--force", "-f", "--executor")
@@ -85,11 +86,6 @@ class Consulted(Mapping[str, str]):
         return len(self._variables)
 
 
-def is_recorded(arguments: Sequence[str]) -> bool:
-    """Tell whether a command may have been recorded: one of a verb that writes."""
-    return bool(arguments) and arguments[0] in _VERBS
-
-
 def recall(call: Call) -> Answer | None:
     """Return the answer to a command that was carried out before, or None if it must be carried out."""
     root = _root(call)
@@ -132,7 +128,8 @@ def record(
     others = {path: path_status(path) for path in (*elsewhere, *_profiles_below(call, root))}
     own = path_status(state)
     if (
-        not is_recorded(call.arguments)
+        not call.arguments
+        or call.arguments[0] not in VERBS
         or _root(call) != root
         or any(argument.startswith(_UNRECORDED) for argument in call.arguments)
         or not call.environment.names <= _VARIABLES
@@ -205,14 +202,22 @@ def _identity(call: Call, root: str, variables: Iterable[str]) -> str:
 def _installed() -> Iterator[str]:
     """Yield the status of everything that may register a plugin."""
     for folder in sys.path:
-        yield path_status(folder)[0]
+        yield f"{folder} {_status(folder or '.')}"
         try:
             names = os.listdir(folder or ".")  # noqa: PTH208 - the path is a text
         except OSError:
             continue
         for name in names:
             if name.endswith((".dist-info", ".egg-info")):
-                yield from (path_status(f"{folder}/{name}/{file}")[0] for file in ("METADATA", "entry_points.txt"))
+                yield from (f"{name} {_status(f'{folder}/{name}/{file}')}" for file in ("METADATA", "entry_points.txt"))
+
+
+def _status(path: str) -> str:
+    try:
+        of = os.stat(path)  # noqa: PTH116 - the path is a text
+    except OSError:
+        return ""
+    return f"{of.st_ino} {of.st_size} {of.st_mtime_ns} {of.st_ctime_ns}"
 
 
 def _digest(folders: Mapping[str, FolderStatus]) -> str:

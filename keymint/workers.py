@@ -30,6 +30,9 @@ from keymint.staged import Staged
 from keymint.store import Store
 from keymint.workspace import Workspace
 
+if TYPE_CHECKING:
+    from multiprocessing.connection import Connection
+
 MIN_PACKAGES = 64
 """Packages from which on processes are worth their start."""
 

@@ -5,11 +5,13 @@ from __future__ import annotations
 
 import os
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import lru_cache
 from pathlib import Path
 
 from comarmor.errors import Diagnostic, Origin
+from comarmor.values import dataclass
+from keymint import SPACES
 from keymint.errors import ExitCode, KeymintError
 from keymint.names import RESERVED, package_name
 from keymint.tree import Tree
@@ -19,7 +21,6 @@ PACKAGE_MARKER = "keymint_package.xml"
 IGNORE_MARKER = RESERVED
 DEFAULTS = "package.defaults"
 """Folder of a package that has defaults of its own."""
-SPACES = ("profile", "private", "public", "src", "build", "install")
 
 
 @dataclass(frozen=True, slots=True)

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from dataclasses import dataclass
 from enum import StrEnum
 from itertools import product
 from math import prod
@@ -18,6 +17,7 @@ from comarmor.errors import ComArmorError
 from comarmor.patterns.printing import canonical, escape
 from comarmor.patterns.tokens import COMARMOR, Bracket, next_token
 from comarmor.text import did_you_mean, quoted
+from comarmor.values import dataclass
 
 
 class Placeholder(StrEnum):

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass
 
 from comarmor.errors import ComArmorError, Reason
 from comarmor.language.syntax import Decision
@@ -17,6 +16,7 @@ from comarmor.patterns.expression import beginning, literal, matches
 from comarmor.patterns.rule_matching import rule_matches_partition
 from comarmor.rules import PARTS, PERMISSIONS, Effect, Rule
 from comarmor.text import did_you_mean, quoted
+from comarmor.values import dataclass
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass, field, replace
+from dataclasses import field, replace
 
 from lxml import etree
 
@@ -20,6 +20,7 @@ from comarmor.patterns.expression import literal
 from comarmor.ros_names import is_fully_qualified
 from comarmor.rules import PERMISSIONS, Effect
 from comarmor.text import quoted
+from comarmor.values import dataclass
 from comarmor.xml import schema
 from comarmor.xml.reader import place
 

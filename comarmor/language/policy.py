@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import field
 from pathlib import Path
 
 from comarmor.language.attachments import parts
@@ -13,6 +13,7 @@ from comarmor.language.decide import Row, RuleIndex
 from comarmor.language.syntax import Decision, Inclusion, Profile, ProfileRule, Tunable, places
 from comarmor.patterns.expression import beginning, literal, matches
 from comarmor.rules import Rule
+from comarmor.values import dataclass
 
 _MOST_CACHED = 4096
 """Subjects whose rules are cached."""

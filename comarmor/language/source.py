@@ -11,7 +11,7 @@ from __future__ import annotations
 import hashlib
 import posixpath
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import field, replace
 from pathlib import Path
 from types import MappingProxyType
 from urllib.parse import unquote, urlsplit
@@ -21,6 +21,7 @@ from lxml import etree
 from comarmor.errors import ComArmorError, Origin
 from comarmor.rules import PERMISSIONS
 from comarmor.text import did_you_mean, quoted
+from comarmor.values import dataclass
 from comarmor.xml.reader import LIMITS, XINCLUDE, Limits, line, parse
 from comarmor.xml.sandboxed_paths import (
     SandboxedFolder,

@@ -4,11 +4,12 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 from comarmor.errors import Origin, Reason
 from comarmor.language.attachments import Placeholder, Value, for_parts, for_subject
 from comarmor.rules import Effect, Rule
+from comarmor.values import dataclass
 
 
 @dataclass(frozen=True, slots=True)

@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import field
 from functools import partial
 
 from comarmor.errors import ComArmorError, Origin, Spot
@@ -12,6 +12,7 @@ from comarmor.language.attachments import MOST_VALUES, TunableReference, Value, 
 from comarmor.language.attachments import parse as parse_attachment
 from comarmor.language.syntax import Tunable
 from comarmor.text import did_you_mean
+from comarmor.values import dataclass
 
 MOST_CHARACTERS = 32 * 2**20
 """The most characters of all expanded expressions of a policy."""

@@ -8,7 +8,6 @@ Such words are a union of cubes "matches p, and q, and none of these". This modu
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from dataclasses import dataclass
 from functools import cached_property
 
 from comarmor.patterns.cube_search import CubeSearch
@@ -19,6 +18,7 @@ from comarmor.patterns.glob import Glob, literal
 from comarmor.patterns.matching import matcher
 from comarmor.patterns.pattern_index import PatternIndex
 from comarmor.patterns.relations import disjoint, ends_differ
+from comarmor.values import dataclass
 
 ROUNDS = 16
 """Searches of a cube with a part of its excluded patterns, before all of them are used."""

@@ -5,12 +5,13 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import field
 from functools import lru_cache
 
 from comarmor.patterns.glob import Glob
 from comarmor.patterns.steps import spend
 from comarmor.patterns.tokens import ANY, Charset
+from comarmor.values import dataclass
 
 
 @dataclass(frozen=True, slots=True)

@@ -8,11 +8,11 @@ and finite automaton constructions", 1996). Patterns are linear, so that every d
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import dataclass
 
 from comarmor.patterns.decision_lists import Universe
 from comarmor.patterns.glob import Glob, units
 from comarmor.patterns.tokens import ANY, MAX_CODE, Charset, Star
+from comarmor.values import dataclass
 
 END = 0
 """The node that matches only the empty word."""

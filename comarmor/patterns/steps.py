@@ -13,9 +13,10 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from contextvars import ContextVar
-from dataclasses import dataclass
 from functools import lru_cache, wraps
 from typing import ParamSpec, TypeVar
+
+from comarmor.values import dataclass
 
 _P = ParamSpec("_P")
 _T = TypeVar("_T")

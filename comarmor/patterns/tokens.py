@@ -12,11 +12,11 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass
 from enum import Enum, auto
 
 from comarmor.errors import ComArmorError
 from comarmor.text import did_you_mean
+from comarmor.values import dataclass
 
 MAX_CODE = 0x10FFFF
 SPECIAL = re.compile(r"[*?\[\\]")

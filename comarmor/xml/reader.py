@@ -8,7 +8,6 @@ document that exceeds a limit never becomes a tree.
 from __future__ import annotations
 
 import re
-from dataclasses import dataclass
 from typing import Any, NoReturn
 from xml.parsers import expat  # nosec - every DOCTYPE is refused, so there are no entities to expand
 
@@ -16,6 +15,7 @@ from lxml import etree
 
 from comarmor.errors import ComArmorError, Origin
 from comarmor.text import quoted
+from comarmor.values import dataclass
 
 XINCLUDE = "http://www.w3.org/2001/XInclude"
 XSI = "http://www.w3.org/2001/XMLSchema-instance"

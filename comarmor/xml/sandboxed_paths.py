@@ -7,11 +7,11 @@ import errno
 import os
 import posixpath
 import stat
-from dataclasses import dataclass
 from pathlib import Path
 
 from comarmor.errors import ComArmorError, Origin
 from comarmor.text import did_you_mean, quoted
+from comarmor.values import dataclass
 
 
 @dataclass(frozen=True, slots=True)

@@ -4,9 +4,10 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import dataclass
 
 from lxml import etree
+
+from comarmor.values import dataclass
 
 XS = "{http://www.w3.org/2001/XMLSchema}"
 

@@ -11,7 +11,6 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
-from dataclasses import dataclass
 from functools import cache
 from itertools import product
 
@@ -20,6 +19,7 @@ from comarmor.patterns.decision_lists import DecisionList, Equal, Witness
 from comarmor.patterns.glob import EVERYTHING, Glob, literal, parse
 from comarmor.patterns.relations import TooComplexError, covers, intersection
 from comarmor.rules import Effect
+from comarmor.values import dataclass
 from keymint.analysis.rule_lists import (
     RAW,
     PermissionKey,

@@ -4,12 +4,12 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
 
 from comarmor.errors import Origin
 from comarmor.patterns.decision_lists import Equal
 from comarmor.patterns.relations import disjoint
 from comarmor.rules import Effect, parts
+from comarmor.values import dataclass
 from keymint.analysis.rule_lists import (
     allow_only,
     find_permitted,

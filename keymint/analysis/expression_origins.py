@@ -5,9 +5,9 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Mapping
-from dataclasses import dataclass
 
 from comarmor.errors import Origin, Spot
+from comarmor.values import dataclass
 from keymint.analysis.subject_patterns import expressions_for
 from keymint.api import PolicyStructure, WrittenRule
 from keymint.ir import Rule

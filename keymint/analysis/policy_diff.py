@@ -4,8 +4,8 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
 
+from comarmor.values import dataclass
 from keymint.analysis.pattern_diff import pattern_differences
 from keymint.analysis.query_budget import QueryBudget
 from keymint.analysis.rule_diff import PermissionChange, rule_changes, unknown_change

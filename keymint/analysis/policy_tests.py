@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 from comarmor.errors import Diagnostic, Origin, Severity, Spot
 from comarmor.patterns.decision_lists import Equal, Witness
@@ -12,6 +12,7 @@ from comarmor.patterns.glob import Glob, literal, parse, surround
 from comarmor.patterns.matching import matches
 from comarmor.patterns.relations import disjoint
 from comarmor.rules import Effect, parts
+from comarmor.values import dataclass
 from keymint.analysis.query import parse_permission
 from keymint.analysis.rule_lists import (
     allow_only,

@@ -4,12 +4,12 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 from comarmor.patterns.glob import parse
 from comarmor.patterns.tokens import PatternError
 from comarmor.rules import KIND_OF
 from comarmor.text import did_you_mean
+from comarmor.values import dataclass
 from keymint.errors import ExitCode, KeymintError
 
 FORMS = (

@@ -3,9 +3,10 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import field
 
 from comarmor.patterns.decision_lists import SearchBudget
+from comarmor.values import dataclass
 
 STATES = 5_000_000
 """Maximum number of states for all queries of a command."""

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections import Counter, defaultdict
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import field
 
 from comarmor.errors import Diagnostic, Origin, Spot
 from comarmor.patterns.decision_lists import Block, Equal, ProofResult, Unknown
@@ -19,6 +19,7 @@ from comarmor.patterns.relations import TooComplexError
 from comarmor.patterns.steps import StepLimitError, step_limit
 from comarmor.ros_names import is_fully_qualified
 from comarmor.rules import Effect
+from comarmor.values import dataclass
 from keymint.analysis.deny_overlap import may_deny_something
 from keymint.analysis.expression_origins import ExpressionOrigin, ExpressionOrigins
 from keymint.analysis.findings import quoted_list, undecided, warning

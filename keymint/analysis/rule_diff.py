@@ -4,7 +4,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
 
 from comarmor.errors import Origin
 from comarmor.patterns.decision_lists import DecisionList, Equal, ProofResult, Unknown, Witness
@@ -13,6 +12,7 @@ from comarmor.patterns.proofs import difference
 from comarmor.patterns.relations import TooComplexError, covers, disjoint, intersection
 from comarmor.patterns.tokens import STAR
 from comarmor.rules import PARTS, PERMISSIONS, Effect, parts
+from comarmor.values import dataclass
 from keymint.analysis.query_budget import QueryBudget
 from keymint.analysis.rule_lists import (
     PermissionKey,

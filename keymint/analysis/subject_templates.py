@@ -9,13 +9,13 @@ symbolic words may yield the same word, so two patterns can share a word without
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
 from functools import lru_cache
 from itertools import cycle
 
 from comarmor.patterns.glob import Glob, literal, normalise, units
 from comarmor.patterns.relations import disjoint
 from comarmor.patterns.tokens import STAR, Star, Token
+from comarmor.values import dataclass
 from keymint.analysis.rule_lists import PermissionKey, rule_patterns
 from keymint.api import WrittenRule
 

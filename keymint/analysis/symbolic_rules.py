@@ -4,7 +4,6 @@
 from __future__ import annotations
 
 from collections import defaultdict
-from dataclasses import dataclass
 from functools import cache
 
 from comarmor.errors import Origin
@@ -12,6 +11,7 @@ from comarmor.patterns.glob import Glob, literal, parse, prefix
 from comarmor.patterns.relations import TooComplexError, disjoint
 from comarmor.patterns.tokens import STAR
 from comarmor.rules import Effect
+from comarmor.values import dataclass
 from keymint.analysis.rule_lists import PermissionKey, permission_keys
 from keymint.analysis.subject_patterns import EVERY, profile_subjects
 from keymint.analysis.subject_templates import symbolic_patterns

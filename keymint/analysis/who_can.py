@@ -4,7 +4,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
 
 from comarmor.errors import Origin
 from comarmor.patterns.decision_lists import ProofResult, Unknown, Witness
@@ -12,6 +11,7 @@ from comarmor.patterns.glob import Glob, literal
 from comarmor.patterns.matching import matches
 from comarmor.patterns.relations import TooComplexError, intersection
 from comarmor.rules import Effect, parts
+from comarmor.values import dataclass
 from keymint.analysis.query_budget import QueryBudget
 from keymint.analysis.rule_lists import (
     allow_only,

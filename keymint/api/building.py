@@ -4,11 +4,12 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import field
 from datetime import datetime
 from typing import Any, Protocol, runtime_checkable
 
 from comarmor.errors import Diagnostic, Origin
+from comarmor.values import dataclass
 from keymint.api.packages import Package, PackageSettings, PackageSources
 from keymint.api.transports import Enclave
 from keymint.graph import Edge

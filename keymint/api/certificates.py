@@ -3,10 +3,11 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import field
 from datetime import datetime
 
 from comarmor.errors import Origin
+from comarmor.values import dataclass
 
 
 @dataclass(frozen=True, slots=True)

@@ -4,10 +4,10 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
 from typing import Protocol, runtime_checkable
 
 from comarmor.errors import Diagnostic
+from comarmor.values import dataclass
 from keymint.api.policies import LoadedPolicy
 from keymint.api.transports import Availability
 from keymint.graph import Edge, Graph

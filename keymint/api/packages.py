@@ -4,10 +4,11 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import field
 from enum import StrEnum
 
 from comarmor.errors import Origin
+from comarmor.values import dataclass
 from keymint.api.certificates import Authority, CertificateSpec, Extension, Validity
 from keymint.ir import SubjectRules
 

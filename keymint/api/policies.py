@@ -4,12 +4,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import field
 from pathlib import Path
 from typing import Protocol, runtime_checkable
 
 from comarmor.errors import Origin, Reason
 from comarmor.rules import Expectation
+from comarmor.values import dataclass
 from keymint.api.profiles import PolicySource
 from keymint.graph import Edge
 from keymint.ir import Rule, SubjectRules

@@ -4,12 +4,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import field
 from datetime import datetime
 from pathlib import Path
 from typing import Protocol, runtime_checkable
 
 from comarmor.errors import Origin
+from comarmor.values import dataclass
 from keymint.api.building import BuildType
 from keymint.api.certificates import Authority
 from keymint.api.packages import Package, Role

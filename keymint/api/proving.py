@@ -4,12 +4,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import field
 from datetime import datetime
 from enum import StrEnum
 from typing import Any, Protocol, runtime_checkable
 
 from comarmor.errors import Diagnostic, Origin
+from comarmor.values import dataclass
 from keymint.api.packages import DomainRange, Package
 from keymint.api.policies import PolicyDecision
 from keymint.api.transports import Endpoint, Verdict

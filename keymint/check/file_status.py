@@ -12,11 +12,11 @@ import os
 import pwd
 import stat
 from collections.abc import Iterator
-from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
 
 from comarmor.errors import Diagnostic, Origin, Severity
+from comarmor.values import dataclass
 from keymint.session import Inputs
 
 _GROUP, _OTHERS = stat.S_IWGRP, stat.S_IWOTH

@@ -4,10 +4,10 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
 from datetime import timedelta
 
 from comarmor.errors import Diagnostic, Origin, Severity
+from comarmor.values import dataclass
 from keymint.api import BuildOptions, SharedInspection
 from keymint.changes import file_mode
 from keymint.check.file_status import modes

@@ -4,12 +4,13 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import replace
 from functools import partial
 
 import click
 
 from comarmor.errors import Diagnostic, Severity
+from comarmor.values import dataclass
 from keymint.analysis.attachment_mistakes import attachment_mistakes
 from keymint.analysis.subject_patterns import structure
 from keymint.api import BuildOptions, LoadedPolicy
@@ -24,7 +25,6 @@ from keymint.commands.run import Run
 from keymint.commands.user_files import read_input
 from keymint.commands.verb import verb
 from keymint.errors import KeymintError
-from keymint.hints import load_hints, unknown_subjects
 from keymint.output.report import Report
 from keymint.plan.build import BuildStage
 from keymint.plan.policy import load_policy
@@ -87,6 +87,10 @@ class Hinted:
 
     def unknown(self, names: Sequence[str]) -> tuple[Diagnostic, ...]:
         """Return a warning for each subject of the hints without a package."""
+        if not self.options.hints:
+            return ()
+        from keymint.hints import unknown_subjects  # noqa: PLC0415 - few builds have hints
+
         return tuple(unknown_subjects(self.options.hints, [f"/{name}" for name in names], self.hints))
 
 
@@ -99,8 +103,13 @@ def build_options(run: Run, given: DocumentOptions) -> Hinted:
     """
     if given.hints is not None and not given.optimise:
         raise click.UsageError("--hints changes the order of rules, which --no-optimise keeps.")
-    build_hints = () if given.hints is None else load_hints(read_input(run, given.hints), str(given.hints))
-    return Hinted(BuildOptions(given.allow_vendor_specific, given.optimise, build_hints), str(given.hints or ""))
+    plain = BuildOptions(given.allow_vendor_specific, given.optimise)
+    if given.hints is None:
+        return Hinted(plain)
+    from keymint.hints import load_hints  # noqa: PLC0415 - few builds have hints
+
+    hints = load_hints(read_input(run, given.hints), str(given.hints))
+    return Hinted(replace(plain, hints=hints), str(given.hints))
 
 
 def policy_slips(session: Session, steps: Iterable[Step], policy: LoadedPolicy | None = None) -> tuple[Diagnostic, ...]:

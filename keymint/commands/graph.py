@@ -4,13 +4,14 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import click
 
 from comarmor.errors import Diagnostic, Origin
+from comarmor.values import dataclass
 from keymint import graph_json
 from keymint.api import LoadedPolicy
 from keymint.commands.graph_sources import graph_source

@@ -6,17 +6,19 @@ from __future__ import annotations
 import functools
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, fields
+from dataclasses import fields
 from pathlib import Path
 from typing import Any
 
 import click
 from click.core import ParameterSource
 
+from comarmor.values import dataclass
+from keymint import SPACES
 from keymint.errors import ExitCode, KeymintError
 from keymint.plugins import Plugins
 from keymint.tree import Tree
-from keymint.workspace import SPACES, find, packages
+from keymint.workspace import find, packages
 
 Decorator = Callable[[Any], Any]
 PROCESSES = "processes"

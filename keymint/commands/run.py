@@ -7,14 +7,15 @@ import contextlib
 import functools
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, field, replace
+from dataclasses import field, replace
 from datetime import datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from comarmor.errors import Diagnostic, Origin, Severity, cited
 from comarmor.text import did_you_mean
-from keymint import file_index
+from comarmor.values import dataclass
+from keymint import SPACES, file_index
 from keymint.api import BuildOptions, Environment
 from keymint.changes import File, Plan
 from keymint.commands.options import PROCESSES, usage_error
@@ -34,7 +35,7 @@ from keymint.state import load as load_state
 from keymint.tree import HeldError, Tree, read_file
 from keymint.unchanged import Call
 from keymint.workers import Workers
-from keymint.workspace import SPACES, Workspace, find, packages, shown
+from keymint.workspace import Workspace, find, packages, shown
 from keymint.workspace_lock import LOCK, clock, read_lock
 
 if TYPE_CHECKING:

@@ -5,11 +5,12 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Collection, Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import NoReturn
 
 from comarmor.errors import Origin
 from comarmor.text import did_you_mean, first_few
+from comarmor.values import dataclass
 from keymint.errors import ExitCode, KeymintError
 from keymint.graph import ConfusionMatrix, Edge, EdgeOutcome, Object
 

@@ -12,9 +12,9 @@ from __future__ import annotations
 from bisect import bisect_right, insort
 from collections import defaultdict
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 
 from comarmor.text import printable
+from comarmor.values import dataclass
 from keymint.drawing.display_text import (
     INWARD,
     KINDS,

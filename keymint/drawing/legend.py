@@ -4,8 +4,9 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
+from comarmor.values import dataclass
 from keymint.drawing.display_text import INWARD, KINDS, OUTWARD, columns, role
 from keymint.drawing.labelled_graph import LabelledGraph
 from keymint.drawing.layout import CHARACTER, Panel

@@ -3,9 +3,9 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from enum import StrEnum
 
+from comarmor.values import dataclass
 from keymint.drawing.palette import Theme
 
 

@@ -9,9 +9,10 @@ from __future__ import annotations
 
 from collections import defaultdict
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 from comarmor.text import counted, printable
+from comarmor.values import dataclass
 from keymint.drawing.display_text import KINDS
 from keymint.drawing.labelled_graph import LabelledEdge, LabelledGraph, namespace
 from keymint.drawing.picture_options import DrawingOptions, Split

@@ -6,13 +6,13 @@ from __future__ import annotations
 import pickle
 import tempfile
 from collections.abc import Sequence
-from dataclasses import dataclass
 from datetime import datetime
 from functools import cache
 from pathlib import Path
 from typing import Any, get_type_hints
 
 from comarmor.errors import Diagnostic
+from comarmor.values import dataclass
 from keymint import __version__
 from keymint.api import Environment
 from keymint.errors import ExitCode, KeymintError

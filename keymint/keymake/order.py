@@ -9,12 +9,12 @@ decides about the other.
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import dataclass
 
 from comarmor.patterns.glob import Glob, literal
 from comarmor.patterns.matching import matcher
 from comarmor.patterns.relations import TooComplexError, covers, disjoint, intersection, maximal
 from comarmor.patterns.steps import spend
+from comarmor.values import dataclass
 
 MAX_PIECES = 1000
 """Most patterns of early rules: a handshake could not carry a larger document."""

@@ -8,11 +8,12 @@ import json
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import IO, Any
 
 from comarmor.errors import Diagnostic, Severity
 from comarmor.text import counted, encodable, printable, printable_lines
+from comarmor.values import dataclass
 from keymint.changes import Action, DocumentSize, Step
 from keymint.output.report import Report, report_json
 from keymint.process import Output

@@ -5,11 +5,12 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import asdict, field, replace
 from pathlib import Path
 from typing import Any
 
 from comarmor.errors import Diagnostic, Severity
+from comarmor.values import dataclass
 from keymint.changes import Step
 from keymint.errors import ExitCode
 from keymint.workspace import Workspace

@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 import functools
-from dataclasses import dataclass, field
+from dataclasses import field
 
 from cryptography import x509
 from cryptography.exceptions import InvalidSignature, UnsupportedAlgorithm
@@ -13,6 +13,7 @@ from cryptography.x509.oid import ExtendedKeyUsageOID
 
 from comarmor.errors import Diagnostic, Origin, Severity
 from comarmor.text import quoted
+from comarmor.values import dataclass
 from keymint.api import CertificateSpec
 from keymint.errors import KeymintError
 from keymint.pki import extensions, forms, keys

@@ -8,7 +8,6 @@ supports: every field is either compared with its one legal value, or covered by
 from __future__ import annotations
 
 import hashlib
-from dataclasses import dataclass
 from functools import lru_cache
 from typing import NamedTuple
 
@@ -18,6 +17,7 @@ from cryptography.hazmat.primitives import hashes, serialization
 from cryptography.hazmat.primitives.asymmetric import ec, padding, rsa
 from cryptography.hazmat.primitives.serialization import pkcs7
 
+from comarmor.values import dataclass
 from keymint.pki import der
 from keymint.pki.keys import PrivateKey
 

@@ -4,7 +4,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
 from datetime import UTC
 from types import MappingProxyType
 
@@ -14,6 +13,7 @@ from cryptography.x509.oid import ExtendedKeyUsageOID, ExtensionOID
 
 from comarmor.errors import Diagnostic, Origin, Severity
 from comarmor.text import quoted
+from comarmor.values import dataclass
 from keymint.api import CertificateSpec, Validity
 from keymint.errors import KeymintError
 from keymint.pki import distinguished_names, extensions, keys

@@ -37,10 +37,11 @@ import base64
 import hashlib
 import re
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import field
 from typing import NoReturn
 
 from comarmor.errors import Origin
+from comarmor.values import dataclass
 from keymint.errors import KeymintError
 from keymint.pki import der
 

@@ -5,12 +5,13 @@ from __future__ import annotations
 
 import functools
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import field
 
 from cryptography import x509
 
 from comarmor.errors import Diagnostic, Origin, Severity
 from comarmor.text import did_you_mean
+from comarmor.values import dataclass
 from keymint.api import SigningAuthority
 from keymint.changes import Action, File, FolderChange, Plan, Step, changed
 from keymint.errors import ExitCode, KeymintError

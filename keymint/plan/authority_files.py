@@ -7,11 +7,12 @@ A replaced key or certificate is an error here: only a person can know which of 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import field, replace
 
 from cryptography import x509
 
 from comarmor.errors import Origin
+from comarmor.values import dataclass
 from keymint.api import Authority, CertificateSpec
 from keymint.errors import KeymintError
 from keymint.pki import certificates, distinguished_names, keys

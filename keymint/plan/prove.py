@@ -7,10 +7,11 @@ The proof of an enclave whose claims were all proven is cached until its files, 
 from __future__ import annotations
 
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from datetime import datetime
 
 from comarmor.errors import Diagnostic, Severity
+from comarmor.values import dataclass
 from keymint import __version__
 from keymint.api import (
     Claim,

@@ -7,10 +7,11 @@ Only the second part looks at several packages. So other processes may do the fi
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import field
 from typing import Protocol, TypeVar
 
 from comarmor.errors import Diagnostic
+from comarmor.values import dataclass
 from keymint.api import Artifact
 from keymint.changes import Plan, Step
 from keymint.errors import KeymintError

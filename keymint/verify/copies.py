@@ -10,11 +10,12 @@ from __future__ import annotations
 import contextlib
 import tempfile
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import cast
 
 from comarmor.errors import Diagnostic
+from comarmor.values import dataclass
 from keymint.api import Availability, Enclave, EndpointTransport, Tier, Transport, Verdict
 from keymint.errors import KeymintError
 from keymint.graph import Column, Edge

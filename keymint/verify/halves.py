@@ -8,9 +8,10 @@ that permits one of them, although a subject that may publish requests can alrea
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from itertools import groupby
 
+from comarmor.values import dataclass
 from keymint.api import Enclave, Transport, Verdict
 from keymint.graph import Edge
 from keymint.verify.compare import Explain, label_by_subject

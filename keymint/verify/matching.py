@@ -4,13 +4,13 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass
 
 from comarmor.patterns import glob
 from comarmor.patterns.expression import matches
 from comarmor.patterns.rule_matching import rule_matches, rule_matches_partition
 from comarmor.rules import Effect, parts
 from comarmor.text import nearest_word
+from comarmor.values import dataclass
 from keymint.graph import Edge
 from keymint.ir import Rule
 from keymint.verify.rows import RAW

@@ -4,9 +4,9 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
 
 from comarmor.errors import Origin
+from comarmor.values import dataclass
 from keymint.api import PolicyDecision, Tier, Verdict
 from keymint.graph import ConfusionMatrix, Edge, EdgeOutcome
 

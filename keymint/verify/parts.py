@@ -4,8 +4,9 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import astuple, dataclass, replace
+from dataclasses import astuple, replace
 
+from comarmor.values import dataclass
 from keymint.api import DivisiblePolicy, LoadedPolicy, Transport
 from keymint.executors import Pool
 from keymint.graph import ConfusionMatrix, Graph, Object

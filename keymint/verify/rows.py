@@ -7,9 +7,9 @@ What follows from a column alone, as the endpoints of its requests, is computed 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
 from functools import lru_cache
 
+from comarmor.values import dataclass
 from keymint.api import NameMapping
 from keymint.graph import Column, Edge
 

@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import cache
 from itertools import groupby
 from operator import attrgetter
@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import TypeVar
 
 from comarmor.text import did_you_mean
+from comarmor.values import dataclass
 from keymint.api import ActionMapping, BuildType, Enclave, LoadedPolicy, NameMapping, Package, Role
 from keymint.errors import KeymintError
 from keymint.graph import LABELLED, Column, Edge, Graph, Object, column

@@ -4,9 +4,10 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass, field
+from dataclasses import field
 from itertools import chain
 
+from comarmor.values import dataclass
 from keymint.api import EndpointTransport, LoadedPolicy, PolicyDecision, Tier, Transport
 from keymint.graph import Edge
 from keymint.verify.compare import compare

@@ -4,11 +4,11 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
 from functools import partial
 
 from comarmor.errors import Origin
 from comarmor.text import did_you_mean, nearest_word
+from comarmor.values import dataclass
 from keymint.api import (
     ActionMapping,
     AppliedProfile,

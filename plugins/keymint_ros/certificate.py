@@ -4,10 +4,11 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 from comarmor.errors import Origin
+from comarmor.values import dataclass
 from comarmor.xml.reader import line
 from keymint.api import CertificateSpec, Extension, KeySpec, Validity
 from keymint.errors import KeymintError

@@ -4,9 +4,9 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
+from comarmor.values import dataclass
 from comarmor.xml.reader import line
 from keymint.api import Role
 from keymint.errors import KeymintError

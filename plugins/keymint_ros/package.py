@@ -4,12 +4,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import lru_cache, partial
 from typing import TYPE_CHECKING, TypeVar
 
 from comarmor.errors import Diagnostic, Origin
 from comarmor.text import did_you_mean
+from comarmor.values import dataclass
 from comarmor.xml.reader import line
 from keymint.api import (
     Authority,

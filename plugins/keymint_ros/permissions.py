@@ -12,7 +12,7 @@ import hashlib
 import posixpath
 import re
 from collections.abc import Iterable
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import lru_cache
 from typing import TYPE_CHECKING
 from urllib.parse import unquote
@@ -23,6 +23,7 @@ from comarmor.errors import Origin
 from comarmor.language.attachments import strip
 from comarmor.patterns.expression import parse as parse_expression
 from comarmor.rules import Effect
+from comarmor.values import dataclass
 from comarmor.xml import reader
 from comarmor.xml.reader import line
 from keymint.errors import KeymintError

@@ -8,7 +8,6 @@ import re
 from collections.abc import Iterable
 from functools import lru_cache
 from urllib.parse import quote
-from xml.sax.saxutils import escape
 
 from comarmor.errors import Origin
 from keymint.ir import Rule, SubjectRules
@@ -20,7 +19,9 @@ GRANT_LINE = 6
 
 _UNSAFE = re.compile(r"[%;\x00-\x1f\x7f-\x9f\u2028\u2029\ud800-\udfff\ufffe\uffff]")
 _SPECIAL = re.compile('[&<>"\r\n\t]')
-_ENTITIES = {'"': "&quot;", "\r": "&#13;", "\n": "&#10;", "\t": "&#9;"}
+_ENTITIES = str.maketrans(
+    {"&": "&amp;", "<": "&lt;", ">": "&gt;", '"': "&quot;", "\r": "&#13;", "\n": "&#10;", "\t": "&#9;"}
+)
 _CHANGED = ("&", "> ", " </attachment>", " </partition>", 'origin=":', "; :")
 """What a document has, besides characters that are not printable ASCII, if reading may change a text or a place."""
 _MOST_RENDERED = 1 << 14
@@ -137,4 +138,4 @@ def _percent_encoded(match: re.Match[str]) -> str:
 
 
 def _text(text: str) -> str:
-    return escape(text, _ENTITIES) if _SPECIAL.search(text) else text
+    return text.translate(_ENTITIES) if _SPECIAL.search(text) else text

@@ -5,13 +5,13 @@ from __future__ import annotations
 
 import functools
 from collections.abc import Collection, Iterable, Mapping, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 
 import comarmor
 import comarmor.language.source
 from comarmor.language.decide import Ruling
 from comarmor.rules import Effect, Expectation
+from comarmor.values import dataclass
 from keymint.api import (
     API_VERSION,
     AppliedProfile,

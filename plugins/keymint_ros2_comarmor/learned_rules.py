@@ -4,12 +4,13 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import field
 
 from comarmor.errors import Origin
 from comarmor.language.syntax import Attachment, ProfileRule
 from comarmor.patterns.printing import escape
 from comarmor.rules import PERMISSIONS, Effect
+from comarmor.values import dataclass
 from keymint.graph import Edge
 
 Need = tuple[str, str, str, tuple[str, ...]]

@@ -8,10 +8,10 @@ refuted or not decided, the plain form is emitted.
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass
 
 from comarmor.errors import Diagnostic, Severity
 from comarmor.patterns.steps import step_limit
+from comarmor.values import dataclass
 from keymint.api import BuildOptions, Claim, Package, Proof
 from keymint.errors import KeymintError
 from keymint_ros2_dds import subject_name_text

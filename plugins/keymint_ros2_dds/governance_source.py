@@ -4,12 +4,13 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import lru_cache
 from typing import TYPE_CHECKING, Any
 
 from comarmor.errors import Diagnostic, Origin
 from comarmor.text import quoted
+from comarmor.values import dataclass
 from comarmor.xml.reader import line
 from keymint.api import DomainRange, Grant, PackageSettings, PackageSources, SourcePart
 from keymint.errors import KeymintError

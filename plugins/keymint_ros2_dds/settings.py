@@ -3,9 +3,10 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import field
 
 from comarmor.errors import Origin
+from comarmor.values import dataclass
 from keymint.api import DomainRange, Grant, Package, Validity
 from keymint.source_documents import incomplete
 

@@ -5,11 +5,11 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
 from typing import Any
 
 from comarmor.errors import Diagnostic, Severity
 from comarmor.text import quoted
+from comarmor.values import dataclass
 from keymint_ros2_zenoh.documents.access_control import AclSubject
 from keymint_ros2_zenoh.documents.configuration import Configuration
 from keymint_ros2_zenoh.messages import Permission

@@ -3,10 +3,11 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import field
 from ipaddress import IPv6Address, ip_address
 
 from comarmor.errors import Origin
+from comarmor.values import dataclass
 from keymint.api import Package
 
 BUILD_TYPE = "keymint_ros2_zenoh"

@@ -4,12 +4,12 @@
 from __future__ import annotations
 
 import re
-from dataclasses import dataclass
 from ipaddress import ip_address
 from typing import TYPE_CHECKING
 
 from comarmor.errors import Diagnostic, Origin, Severity
 from comarmor.text import quoted
+from comarmor.values import dataclass
 from comarmor.xml.reader import line
 from keymint.api import (
     Extension,

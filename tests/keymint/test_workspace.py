@@ -8,9 +8,10 @@ from pathlib import Path
 
 import pytest
 
+from keymint import SPACES
 from keymint.errors import ExitCode, KeymintError
 from keymint.tree import Tree
-from keymint.workspace import SPACES, Workspace, find, package_files, packages, profile_files, shown
+from keymint.workspace import Workspace, find, package_files, packages, profile_files, shown
 
 
 def make(root: Path, *paths: str) -> Path:

@@ -5,7 +5,6 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass
 
 from comarmor.errors import Diagnostic, Severity
 from comarmor.patterns.glob import Glob
@@ -13,6 +12,7 @@ from comarmor.patterns.printing import exact
 from comarmor.patterns.relations import disjoint, sort_key
 from comarmor.patterns.steps import StepLimitError, step_limit
 from comarmor.rules import Effect
+from comarmor.values import dataclass
 from keymint.api import BuildOptions, Grant, Hint
 from keymint.errors import KeymintError
 from keymint.ir import Rule

@@ -12,7 +12,6 @@ applies one without partitions to the default partition only, and Fast DDS ignor
 from __future__ import annotations
 
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
 from functools import lru_cache
 from typing import Self
 
@@ -29,6 +28,7 @@ from comarmor.patterns.relations import (
     sort_key,
 )
 from comarmor.patterns.tokens import STAR, Star
+from comarmor.values import dataclass
 from keymint_ros2_dds.lowering.grant_rules import DEFAULT, EVERY, Partitions
 
 MAX_PATTERNS = 128

@@ -7,12 +7,12 @@ For every endpoint, DDS vendors try the rules of a grant, and the expressions of
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 
 from comarmor.patterns import glob
 from comarmor.patterns.glob import Glob
 from comarmor.patterns.matching import matcher, matches
 from comarmor.patterns.relations import all_disjoint
+from comarmor.values import dataclass
 from keymint_ros2_dds.compiling.gathering import GUARD
 from keymint_ros2_dds.lowering.dds_topics import TopicAction
 from keymint_ros2_dds.lowering.grant_rules import GrantRule, is_name

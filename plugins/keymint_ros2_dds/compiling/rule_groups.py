@@ -7,11 +7,11 @@ A group has simple rules if its patterns share a list of partitions, and a detai
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass
 
 from comarmor.patterns.glob import Glob, literal
 from comarmor.patterns.relations import all_disjoint, disjoint, sort_key
 from comarmor.rules import Effect
+from comarmor.values import dataclass
 from keymint.keymake.order import Arrangement, arrange
 from keymint_ros2_dds.compiling.partitions import Step, decision_list, touches, uniform
 from keymint_ros2_dds.lowering.dds_topics import TopicAction

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import re
 from collections.abc import Collection, Iterable, Iterator, Sequence
-from dataclasses import dataclass
 from datetime import datetime
 from enum import StrEnum
 from functools import cached_property, lru_cache
@@ -17,6 +16,7 @@ from functools import cached_property, lru_cache
 from comarmor.errors import Origin
 from comarmor.patterns.expression import beginning
 from comarmor.patterns.tokens import Dialect
+from comarmor.values import dataclass
 from keymint_ros2_dds.decision import fnmatch
 from keymint_ros2_dds.decision.semantics import OMG, Semantics, Variation
 from keymint_ros2_dds.reading.signed_permissions import (

@@ -10,12 +10,13 @@ from __future__ import annotations
 
 import functools
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import field, replace
 from datetime import UTC, datetime
 from enum import StrEnum
 from typing import Any
 
 from comarmor.patterns.tokens import Dialect
+from comarmor.values import dataclass
 from keymint_ros2_dds.decision import fnmatch, subject_names
 from keymint_ros2_dds.reading import dates
 from keymint_ros2_dds.reading.quirks import BLANKS, CRASHES, REFUSES, UNMODELLED, Quirk, VendorReading

@@ -3,8 +3,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
+from comarmor.values import dataclass
 from keymint.graph import Object
 from keymint.graph_json import partitions
 

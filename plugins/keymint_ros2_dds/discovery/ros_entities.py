@@ -8,9 +8,9 @@ namespace into the partition: ``chatter`` in ``rt``, ``chatter`` in ``rt/robot1`
 from __future__ import annotations
 
 import re
-from dataclasses import dataclass
 
 from comarmor.ros_names import is_fully_qualified
+from comarmor.values import dataclass
 from keymint.graph import Object
 
 _TYPE = re.compile(r"([A-Za-z]\w*(?:::[A-Za-z]\w*)*)::dds_::([A-Za-z]\w*)_\Z")

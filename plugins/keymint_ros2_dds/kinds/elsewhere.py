@@ -8,8 +8,8 @@ Rules about relaying are not covered either, so subjects that have some are comp
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
+from comarmor.values import dataclass
 from keymint.api import BuildOptions, Claim, Package, Proof
 from keymint.errors import KeymintError
 from keymint.keymake.kinds import kind_of

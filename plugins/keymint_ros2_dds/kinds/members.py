@@ -6,10 +6,11 @@ It is renamed from that of another member, which the engine made, where that is 
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import field
 from functools import lru_cache
 
 from comarmor.patterns.steps import step_limit
+from comarmor.values import dataclass
 from keymint.api import BuildOptions, Claim, DomainRange, Grant, Package, Proof, Validity
 from keymint.errors import KeymintError
 from keymint.keymake.kinds import Arguments, Kind, kind_of

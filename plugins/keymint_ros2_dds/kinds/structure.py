@@ -5,7 +5,6 @@ from __future__ import annotations
 
 import re
 from collections.abc import Sequence
-from dataclasses import dataclass
 from itertools import combinations
 
 from comarmor.patterns.glob import Glob, literal, parse
@@ -15,6 +14,7 @@ from comarmor.patterns.steps import StepLimitError, step_limit
 from comarmor.patterns.tokens import ANY, Charset
 from comarmor.ros_names import is_fully_qualified
 from comarmor.rules import parts
+from comarmor.values import dataclass
 from keymint.keymake.kinds import Arguments, Kind
 from keymint_ros2_dds.lowering.dds_topics import DDS_TOPICS
 from keymint_ros2_dds.lowering.mapping import ARDENT, dds_patterns

@@ -4,9 +4,9 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 
 from comarmor.rules import Effect
+from comarmor.values import dataclass
 from keymint.api import DomainRange
 from keymint_ros2_dds.documents import dds_xml, permissions_document
 from keymint_ros2_dds.documents.permissions_document import Around

@@ -4,11 +4,11 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
 from typing import Generic, TypeVar
 
 from comarmor.patterns.tokens import SPECIAL
 from comarmor.rules import Effect
+from comarmor.values import dataclass
 from keymint_ros2_dds.lowering.dds_topics import TopicAction
 
 Partitions = tuple[str, ...]

@@ -17,6 +17,7 @@ from comarmor.patterns.possible_names import advice, matches_ros_name
 from comarmor.patterns.printing import exact
 from comarmor.rules import Effect, parts
 from comarmor.text import did_you_mean
+from comarmor.values import dataclass
 from keymint.errors import KeymintError
 from keymint.ir import Rule, SubjectRules
 from keymint_ros2_dds.lowering.dds_topics import DDS_TOPICS, DdsTopic, TopicAction

@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from types import MappingProxyType
 
 from comarmor.errors import Reason
@@ -19,6 +19,7 @@ from comarmor.patterns.decision_lists import (
 from comarmor.patterns.proofs import difference
 from comarmor.patterns.tokens import PatternError
 from comarmor.rules import Effect
+from comarmor.values import dataclass
 from keymint.api import Claim, Counterexample, DomainRange, Endpoint, PolicyDecision, Proof, Verdict
 from keymint.ir import SubjectRules
 from keymint_ros2_dds import decision

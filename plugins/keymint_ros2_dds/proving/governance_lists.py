@@ -9,7 +9,6 @@ comparison searches, case by case, for words that some lists permit and another 
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
 from functools import lru_cache
 
 from comarmor.patterns.decision_lists import (
@@ -25,6 +24,7 @@ from comarmor.patterns.decision_lists import (
 from comarmor.patterns.glob import EVERYTHING, Glob, normalise
 from comarmor.patterns.proofs import escapes
 from comarmor.patterns.tokens import Charset
+from comarmor.values import dataclass
 from keymint_ros2_dds.decision.semantics import Semantics
 from keymint_ros2_dds.proving.dialects import read
 from keymint_ros2_dds.proving.permission_lists import SEPARATOR

@@ -4,10 +4,10 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
 from datetime import UTC, datetime, timedelta
 from itertools import pairwise
 
+from comarmor.values import dataclass
 from keymint_ros2_dds.decision.semantics import Semantics
 from keymint_ros2_dds.reading.signed_permissions import DocumentGrant, PermissionsDocument
 

@@ -8,12 +8,12 @@ topic less than the sources do, weakens every claim. These claims are reported o
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
 
 from comarmor.errors import Origin, Reason
 from comarmor.patterns.decision_lists import Block, DecisionList, SearchBudget, Universe, Unknown, Witness
 from comarmor.patterns.glob import EVERYTHING
 from comarmor.patterns.proofs import escapes
+from comarmor.values import dataclass
 from keymint.api import Claim, Counterexample, DomainRange, Endpoint, PolicyDecision, Proof, Verdict
 from keymint_ros2_dds.decision.access import DomainAccess
 from keymint_ros2_dds.decision.semantics import Semantics

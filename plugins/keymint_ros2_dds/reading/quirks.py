@@ -11,13 +11,13 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterator
-from dataclasses import dataclass
 from enum import Enum
 
 from lxml import etree
 
 from comarmor.data import locate
 from comarmor.errors import ComArmorError
+from comarmor.values import dataclass
 from comarmor.xml import schema
 from comarmor.xml.reader import line
 from keymint_ros2_dds.domains import MAX_DOMAIN

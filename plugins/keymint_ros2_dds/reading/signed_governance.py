@@ -9,12 +9,13 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import lru_cache
 
 from lxml import etree
 
 from comarmor.errors import Origin
+from comarmor.values import dataclass
 from comarmor.xml.reader import line, parse
 from keymint.errors import KeymintError
 from keymint_ros2_dds.enclave_layout import GOVERNANCE, GOVERNANCE_XML

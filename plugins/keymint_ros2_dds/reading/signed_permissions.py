@@ -14,6 +14,7 @@ from functools import cache
 from lxml import etree
 
 from comarmor.errors import ComArmorError, Diagnostic, Origin
+from comarmor.values import dataclass
 from comarmor.xml.reader import line, parse
 from keymint.errors import KeymintError
 from keymint_ros2_dds.domains import MAX_DOMAIN

@@ -11,8 +11,9 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
+from comarmor.values import dataclass
 from keymint.api import Availability, Enclave, Tier, Transport, Verdict
 from keymint.graph import Edge
 from keymint_ros2_dds.lowering.endpoints import endpoints

@@ -12,10 +12,11 @@ its endpoints are created last, and when its sample arrives, all others have bee
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from itertools import groupby, islice
 from typing import cast
 
+from comarmor.values import dataclass
 from keymint.api import Enclave, Verdict
 from keymint.errors import KeymintError
 from keymint.graph import Edge

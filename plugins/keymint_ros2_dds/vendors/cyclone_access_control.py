@@ -19,9 +19,10 @@ import weakref
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from ctypes import POINTER, Structure, byref, c_char_p, c_int, c_int32, c_int64, c_ubyte, c_uint32, c_void_p
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Self
+
+from comarmor.values import dataclass
 
 Document = Path | bytes | str
 """A file, the content itself, or a URI (``file:`` or ``data:,``) as the property of a participant has it."""

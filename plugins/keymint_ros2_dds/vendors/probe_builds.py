@@ -13,10 +13,10 @@ import shutil
 import subprocess
 import tempfile
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from types import MappingProxyType
 
+from comarmor.values import dataclass
 from keymint_ros2_dds.vendors import cyclone_access_control, program_cache
 
 _SOURCES = Path(__file__).parent

@@ -13,10 +13,10 @@ A rule applies to a key expression that it *includes*: one that only intersects 
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
 from itertools import product
 
 from comarmor.errors import Origin
+from comarmor.values import dataclass
 from keymint_ros2_zenoh.documents.access_control import AccessControl, AclRule, AclSubject
 from keymint_ros2_zenoh.keyexpr.key_expr import KeyExpr, parse
 from keymint_ros2_zenoh.keyexpr.relations import includes

@@ -7,10 +7,10 @@ The parts of a key that no right depends on are fixed: the type and its hash, an
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
 from types import MappingProxyType
 
 from comarmor.rules import parts
+from comarmor.values import dataclass
 from keymint.graph import Edge
 from keymint_ros2_zenoh.keyexpr.key_expr import KeyExprError, canonical, parse
 from keymint_ros2_zenoh.lowering.names import ADVANCED

@@ -3,9 +3,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 from comarmor.errors import Origin
+from comarmor.values import dataclass
 from keymint_ros2_zenoh.messages import Flow, Message, Permission
 
 

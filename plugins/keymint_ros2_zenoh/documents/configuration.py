@@ -4,10 +4,11 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import field
 from typing import Any
 
 from comarmor.errors import Origin
+from comarmor.values import dataclass
 from keymint_ros2_zenoh.documents.access_control import AccessControl
 from keymint_ros2_zenoh.messages import Permission
 

@@ -11,8 +11,10 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterable
-from dataclasses import dataclass, field
+from dataclasses import field
 from functools import lru_cache
+
+from comarmor.values import dataclass
 
 ANY_CHUNK = "*"
 ANY_CHUNKS = "**"

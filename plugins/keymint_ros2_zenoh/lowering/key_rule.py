@@ -3,10 +3,9 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 from comarmor.errors import Origin
 from comarmor.rules import Effect
+from comarmor.values import dataclass
 from keymint_ros2_zenoh.keyexpr.key_expr import KeyExpr
 from keymint_ros2_zenoh.messages import Flow, Message
 

@@ -8,12 +8,12 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass
 
 from comarmor.errors import Diagnostic, Origin
 from comarmor.patterns.glob import Glob
 from comarmor.patterns.relations import TooComplexError, disjoint, intersection
 from comarmor.rules import Effect
+from comarmor.values import dataclass
 from keymint.api import DomainRange
 from keymint.errors import KeymintError
 from keymint.ir import Rule, SubjectRules

@@ -4,7 +4,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
 
 from comarmor.errors import Diagnostic, Severity
 from comarmor.patterns import glob
@@ -13,6 +12,7 @@ from comarmor.patterns.possible_names import advice, matches_ros_name
 from comarmor.patterns.tokens import PatternError
 from comarmor.rules import Effect, parts
 from comarmor.text import did_you_mean
+from comarmor.values import dataclass
 from keymint.errors import KeymintError
 from keymint.ir import Rule, SubjectRules
 from keymint_ros2_zenoh.keyexpr.expansion import TooManyAlternativesError, key_exprs

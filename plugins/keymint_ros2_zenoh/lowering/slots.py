@@ -7,11 +7,11 @@ Measured with Zenoh 1.10.2, by leaving out each of them. Ingress is from the sub
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
 from enum import StrEnum
 from itertools import product
 from types import MappingProxyType
 
+from comarmor.values import dataclass
 from keymint_ros2_zenoh.messages import Flow, Message
 
 

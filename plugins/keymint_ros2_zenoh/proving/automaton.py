@@ -8,10 +8,10 @@ hash-consed: equal rests of different patterns are one integer.
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
 
 from comarmor.patterns.glob import Glob, units
 from comarmor.patterns.tokens import MAX_CODE, Charset, Star, charset
+from comarmor.values import dataclass
 from keymint_ros2_zenoh.keyexpr.expansion import ALPHABET
 from keymint_ros2_zenoh.keyexpr.key_expr import ANY_CHARACTERS, ANY_CHUNK, ANY_CHUNKS, VERBATIM, KeyExpr
 from keymint_ros2_zenoh.lowering.names import TYPE_AND_HASH

@@ -4,10 +4,10 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator
-from dataclasses import dataclass
 from itertools import product
 
 from comarmor.patterns.decision_lists import Equal, ProofResult, SearchBudget, Unknown, Witness
+from comarmor.values import dataclass
 from keymint.api import Claim, Counterexample, DomainRange, Endpoint, PolicyDecision, Proof, Verdict
 from keymint.ir import SubjectRules
 from keymint_ros2_zenoh.decision.access import AccessModel, Link

@@ -11,13 +11,13 @@ from __future__ import annotations
 import string
 from collections import deque
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass
 from functools import lru_cache
 from itertools import pairwise
 
 from comarmor.patterns.decision_lists import BudgetError, Equal, ProofResult, SearchBudget, Unknown, Witness
 from comarmor.patterns.steps import StepLimitError, step_limit
 from comarmor.patterns.tokens import MAX_CODE, Charset, charset
+from comarmor.values import dataclass
 from keymint_ros2_zenoh.keyexpr.key_expr import VERBATIM
 from keymint_ros2_zenoh.proving.automaton import IN_CHUNK, START, Automaton
 

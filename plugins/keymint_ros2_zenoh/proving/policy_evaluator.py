@@ -4,12 +4,12 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
 
 from comarmor.errors import Reason
 from comarmor.patterns import glob
 from comarmor.patterns.matching import matches
 from comarmor.rules import Effect, parts
+from comarmor.values import dataclass
 from keymint.api import PolicyDecision
 from keymint.graph import Edge, Object
 from keymint.ir import Rule, SubjectRules

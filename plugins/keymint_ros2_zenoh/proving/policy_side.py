@@ -4,12 +4,12 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
 
 from comarmor.patterns.decision_lists import Equal
 from comarmor.patterns.glob import Glob
 from comarmor.patterns.printing import exact
 from comarmor.rules import Effect
+from comarmor.values import dataclass
 from keymint.api import DomainRange
 from keymint_ros2_zenoh.keyexpr.expansion import key_exprs
 from keymint_ros2_zenoh.keyexpr.key_expr import KeyExpr

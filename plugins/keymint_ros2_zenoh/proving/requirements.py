@@ -7,10 +7,10 @@ Each requirement is stated here by itself, and not taken from what the compiler 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass
 from typing import Any
 
 from comarmor.errors import Origin
+from comarmor.values import dataclass
 from keymint.api import Package
 from keymint_ros2_zenoh.documents.configuration import Configuration
 from keymint_ros2_zenoh.emission import ROUTER_SETTINGS, SESSION_SETTINGS

@@ -4,9 +4,9 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass
 
 from comarmor.errors import Origin
+from comarmor.values import dataclass
 from keymint_ros2_zenoh.documents.access_control import AccessControl, AclPolicy, AclRule, AclSubject
 from keymint_ros2_zenoh.keyexpr.key_expr import KeyExpr, parse
 from keymint_ros2_zenoh.messages import Flow, Message, Permission

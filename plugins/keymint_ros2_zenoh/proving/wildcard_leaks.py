@@ -11,9 +11,9 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import suppress
-from dataclasses import dataclass
 from functools import lru_cache
 
+from comarmor.values import dataclass
 from keymint_ros2_zenoh.keyexpr.key_expr import (
     ANY_CHARACTERS,
     ANY_CHUNK,

@@ -4,10 +4,10 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import dataclass
 from pathlib import Path
 
 from comarmor.errors import Origin
+from comarmor.values import dataclass
 from keymint.api import Enclave, Environment, Verdict
 from keymint.errors import KeymintError
 from keymint.graph import Edge

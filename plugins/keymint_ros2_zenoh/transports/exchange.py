@@ -14,9 +14,10 @@ declaration of its receiver may get lost.
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from itertools import groupby, islice
 
+from comarmor.values import dataclass
 from keymint.api import Verdict
 from keymint.graph import Edge
 from keymint_ros2_zenoh.decision.operations import CALL, OTHER_END, PUBLISH, SUBSCRIBE, Operation, operations

@@ -9,13 +9,13 @@ enclave, or none, is read as it stands.
 from __future__ import annotations
 
 import hashlib
-from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
 from typing import cast
 
 from cryptography import x509
 
 from comarmor.errors import Origin
+from comarmor.values import dataclass
 from keymint.api import Enclave, Environment
 from keymint.errors import KeymintError
 from keymint.pki import certificates

@@ -4,8 +4,8 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass
 
+from comarmor.values import dataclass
 from keymint.api import Availability, Enclave, Environment, Tier, Verdict
 from keymint.graph import Edge
 from keymint_ros2_zenoh.transports.enclave_model import InstalledModels

@@ -11,7 +11,9 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass, replace
+from dataclasses import replace
+
+from comarmor.values import dataclass
 
 FILTER = "zenoh::net::routing::interceptor::access_control=trace"
 

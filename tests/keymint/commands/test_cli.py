@@ -10,8 +10,8 @@ from pathlib import Path
 
 import pytest
 
+from keymint import SPACES
 from keymint.cli import VERBS
-from keymint.workspace import SPACES
 
 
 def run(*arguments: str, cwd: Path, **environment: str) -> subprocess.CompletedProcess[str]:

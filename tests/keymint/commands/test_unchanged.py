@@ -15,7 +15,7 @@ from pathlib import Path
 
 import pytest
 
-from keymint import cli, unchanged
+from keymint import unchanged
 from tests.conftest import CHECKOUT, NOW, Outcome, snapshot
 
 EXAMPLES = CHECKOUT / "examples"
@@ -35,12 +35,14 @@ def recalled(monkeypatch: pytest.MonkeyPatch) -> list[bool]:
     """Tell of each command whether it was answered from its record."""
     answers: list[bool] = []
 
+    before = unchanged.recall
+
     def recall(call: unchanged.Call) -> unchanged.Answer | None:
-        answer = unchanged.recall(call)
+        answer = before(call)
         answers.append(answer is not None)
         return answer
 
-    monkeypatch.setattr(cli, "recall", recall)
+    monkeypatch.setattr(unchanged, "recall", recall)
     return answers
 
 
