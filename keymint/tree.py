@@ -14,7 +14,6 @@ from pathlib import Path
 from typing import NamedTuple, TypeVar
 
 from comarmor.errors import Origin
-from comarmor.values import dataclass
 from keymint.errors import KeymintError
 from keymint.state import digest
 

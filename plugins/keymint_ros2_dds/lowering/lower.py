@@ -7,7 +7,6 @@ Order has no meaning yet: deny overrides allow.
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
 from functools import lru_cache
 
 from comarmor.errors import Diagnostic, Severity
