@@ -10,7 +10,6 @@ from collections.abc import Iterable, Mapping
 from pathlib import Path
 
 from keymint.changes import File, FolderChange
-from keymint.folder_status import NEVER, FolderStatus, folder_status, walk
 from keymint.state import MAX_RECORD, sealed, unsealed
 from keymint.store import Store
 from keymint.tree import Tree, read_file

@@ -4,10 +4,10 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from functools import lru_cache
 
 from comarmor.errors import Origin
+from comarmor.values import dataclass
 from keymint.api import Claim, ProofTask, TrustAnchors, ValidityTerm
 from keymint.errors import KeymintError
 from keymint.pki import smime
