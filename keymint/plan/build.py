@@ -66,8 +66,18 @@ def is_current(session: Session, name: str) -> bool:
 
 def is_built(inputs: Inputs, name: str) -> bool:
     """Tell whether a package was built and has its documents; a package whose rights are shared has none of its own."""
-    stamp = inputs.state.stamp(STAGE, name)
-    return bool(built_documents(inputs, name)) or (stamp is not None and not stamp.outputs)
+    return document_digests(inputs, name) is not None
+
+
+def document_digests(inputs: Inputs, name: str) -> dict[str, str] | None:
+    """Return the digests of :func:`built_documents`, which are not read if they did not change; None if not built."""
+    stamp, folder = inputs.state.stamp(STAGE, name), f"{inputs.workspace.build}/{name}"
+    if stamp is None:
+        found = {file: digest(content) for file, content in built_documents(inputs, name).items()}
+        return found or None
+    digests = {file: inputs.tree.digest(f"{folder}/{file}") for file in sorted(stamp.outputs)}
+    found = {file: value for file, value in digests.items() if value is not None}
+    return found if found or not stamp.outputs else None
 
 
 def built_documents(inputs: Inputs, name: str) -> dict[str, bytes]:

@@ -115,6 +115,20 @@ def enclave_files(session: Session, name: str) -> tuple[dict[str, bytes], tuple[
     return files, tuple(unreadable)
 
 
+def enclave_digests(session: Session, name: str) -> dict[str, str] | None:
+    """Return the digests of :func:`enclave_files`, which are not read if they did not change.
+
+    The result is None if a file cannot be read.
+    """
+    folder = f"{session.enclaves}/{name}"
+    try:
+        names = [file for file, is_folder in session.tree.names(folder) if not is_folder]
+        found = {file: session.tree.digest(f"{folder}/{file}") for file in names}
+    except KeymintError:
+        return None
+    return {file: value for file, value in found.items() if value is not None}
+
+
 def not_installed(name: str, folder: str) -> Diagnostic:
     """Return the finding on a package without an enclave; the folder is the missing one as messages show it."""
     message, help_ = f"the enclave /{name} is not installed", f"run 'keymint install {name}'"

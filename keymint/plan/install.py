@@ -83,32 +83,30 @@ def _plan_enclave(
     session: Session, name: str, authorities: Mapping[str, MintedAuthority], keyring: Keyring
 ) -> PackagePlan:
     workspace = session.workspace
-    documents = build.built_documents(session, name)
     key_path = workspace.identity_key(name)
-    key_pem = session.tree.read(key_path)
-    if key_pem is None or not (documents or build.is_built(session, name)):
+    inputs = _inputs_digest(session, name, {authority: minted.chain for authority, minted in authorities.items()})
+    if inputs is None:
         raise KeymintError(
             f"the package {name} is not built",
             help=f"run 'keymint build {name}'",
             code="not-built",
             where=Origin(workspace.shown(workspace.build / name)),
         )
-    folder = session.enclaves / name
-    status = session.tree.status(folder)
+    status = session.tree.status(f"{session.enclaves}/{name}")
     if status is not None and stat.S_ISLNK(status.st_mode):
         raise KeymintError(
             "is a symbolic link, which is refused: an enclave must be a folder",
-            where=Origin(workspace.shown(folder)),
+            where=Origin(workspace.shown(session.enclaves / name)),
             help="remove the link",
             code="symlink-refused",
         )
     stamp = session.state.stamp(STAGE, name)
-    inputs = _inputs_digest(session, name, {authority: minted.chain for authority, minted in authorities.items()})
     if stamp is not None and _has_outputs(session, name, stamp, inputs):
         own = lifetimes.recalled(session, name, stamp)
         return PackagePlan(name, Step(STAGE, name, Action.UNCHANGED), lifetimes=own)
-    package = session.package(name)
+    package, folder = session.package(name), session.enclaves / name
     own = lifetimes.lifetimes(package)
+    documents, key_pem = build.built_documents(session, name), session.tree.read(key_path) or b""
     existing, unreadable = enclave_files(session, name)
     public = identity_keys.load(session, package, key_path, key_pem).public_key()
     fingerprint = keyring.require_own(name, key_path, public)
@@ -207,25 +205,27 @@ def is_current(session: Session, name: str, chains: Mapping[str, bytes]) -> bool
     return stamp is not None and _has_outputs(session, name, stamp, _inputs_digest(session, name, chains))
 
 
-def _has_outputs(session: Session, name: str, stamp: Stamp, inputs: str) -> bool:
+def _has_outputs(session: Session, name: str, stamp: Stamp, inputs: str | None) -> bool:
     """Tell whether an enclave was made from these inputs, and is as it was made."""
     folder = f"{session.enclaves}/{name}"
-    return stamp.inputs == inputs and all(
-        (content := session.tree.try_read(f"{folder}/{file}")) is not None
-        and digest(content) == value
-        and _has_mode(session, f"{folder}/{file}", secret=file in stamp.secret)
-        for file, value in stamp.outputs.items()
-    )
+    try:
+        return stamp.inputs == inputs and all(
+            session.tree.digest(f"{folder}/{file}") == value
+            and _has_mode(session, f"{folder}/{file}", secret=file in stamp.secret)
+            for file, value in stamp.outputs.items()
+        )
+    except KeymintError:
+        return False  # a file cannot be read
 
 
-def _inputs_digest(session: Session, name: str, chains: Mapping[str, bytes]) -> str:
-    return digest(
-        inputs_digest(session, name),
-        digest_files(build.built_documents(session, name)),
-        session.tree.read(session.workspace.identity_key(name)) or b"",
-        digest_files(chains),
-        session.profile.layout,
-    )
+def _inputs_digest(session: Session, name: str, chains: Mapping[str, bytes]) -> str | None:
+    """Return the digest of all that an enclave is made from, or None if its package is not built."""
+    documents = build.document_digests(session, name)
+    key = session.tree.digest(session.workspace.identity_key(name))
+    if documents is None or key is None:
+        return None
+    built = (part for item in sorted(documents.items()) for part in item)
+    return digest(inputs_digest(session, name), key, digest_files(chains), session.profile.layout, *built)
 
 
 def _has_mode(inputs: Inputs, path: str, *, secret: bool) -> bool:

@@ -11,6 +11,7 @@ from functools import lru_cache
 from comarmor.errors import Origin
 from keymint.api import Claim, DomainRange, Proof, ValidityTerm
 from keymint.ir import SubjectRules
+from keymint.keymake.kinds import Kind, kind_of
 from keymint.state import Stamp, digest
 
 _RULES, _CLAIMS, _TERMS = "rules", "claims", "terms"
@@ -44,6 +45,7 @@ def dump(
 
 _json = json.JSONEncoder(separators=(",", ":")).encode
 _date = lru_cache(maxsize=64)(datetime.isoformat)
+_moment = lru_cache(maxsize=64)(datetime.fromisoformat)
 
 
 # The claims about most enclaves are the same.
@@ -73,13 +75,20 @@ def _rules_digest(rules: Iterable[SubjectRules]) -> str:
     """Return a digest of rules, independent of where they are written."""
     return digest(
         *(
-            repr((r.effect, r.kind, r.permissions, r.expressions, r.partitions))
+            part
             for of_subject in rules
-            for r in of_subject.rules
+            for kind, names in [kind_of(of_subject.rules)]
+            for part in (_kind_digest(kind), *names)
         )
     )
 
 
+@lru_cache(maxsize=1 << 12)
+def _kind_digest(kind: Kind) -> str:
+    return digest(repr(kind))
+
+
+@lru_cache(maxsize=64)
 def _load_claims(text: str) -> tuple[Claim, ...] | None:
     try:
         return tuple(
@@ -104,7 +113,7 @@ def _load_terms(text: str, folder: str) -> tuple[ValidityTerm, ...] | None:
                 str(code),
                 str(what),
                 Origin(f"{folder}/{file}", int(line)),
-                tuple((datetime.fromisoformat(first), datetime.fromisoformat(last)) for first, last in periods),
+                tuple((_moment(first), _moment(last)) for first, last in periods),
                 tuple(map(str, models)),
             )
             for code, what, file, line, periods, models in json.loads(text)

@@ -32,7 +32,7 @@ from keymint.ir import SubjectRules
 from keymint.plan import authority_evidence, proof_record, terms
 from keymint.plan.authority_files import trusted_chains
 from keymint.plan.build_types import build_types_of, inputs_digest, issuers_of, suffixes_read
-from keymint.plan.enclaves import INSTALLED, enclave_files, not_installed
+from keymint.plan.enclaves import INSTALLED, enclave_digests, enclave_files, not_installed
 from keymint.plan.shared_documents import load_packages, record_key
 from keymint.plan.shared_proof import SharedReader
 from keymint.plan.trust_anchors import anchors_of, shared_anchors
@@ -230,9 +230,13 @@ class ProofStage:
     def package(self, name: str) -> PackageProof:
         """Prove the claims about one enclave, unless the proof is cached."""
         session = self._session
-        files, unread = enclave_files(session, name)
-        if defects := self._of_enclave(name, unread):
-            return PackageProof(name, EnclaveProof(f"/{name}", (), diagnostics=defects), refuted=True)
+        digests = enclave_digests(session, name)
+        files: Mapping[str, bytes] | None = None
+        if digests is None:
+            files, unread = enclave_files(session, name)
+            if defects := self._of_enclave(name, unread):
+                return PackageProof(name, EnclaveProof(f"/{name}", (), diagnostics=defects), refuted=True)
+            digests = {file: digest(content) for file, content in files.items()}
         if self._contradictions and (
             contradictions := authority_evidence.contradictions_for(
                 self._contradictions, issuers_of(session, session.package(name))
@@ -240,16 +244,17 @@ class ProofStage:
         ):
             return PackageProof(name, EnclaveProof(f"/{name}", (), diagnostics=contradictions))
         stamp, folder = session.state.stamp(STAGE, name), self._shown(name)
-        cached = proof_record.load(stamp, folder) if stamp else None
-        current = stamp is not None and stamp.inputs == self._inputs_digest(name, files, stamp.build_types)
-        if stamp and current and cached and self._same_rules(stamp, [f"/{name}"]):
+        current = stamp is not None and stamp.inputs == self._inputs_digest(name, digests, stamp.build_types)
+        cached = proof_record.load(stamp, folder) if stamp and current else None
+        if stamp and cached and self._same_rules(stamp, [f"/{name}"]):
             claims, validity = cached
             # The cache does not depend on the clock: whether documents are in force is checked at each run.
             proof = EnclaveProof(f"/{name}", claims, cached=True, terms=validity)
             return PackageProof(name, proof, stamp.build_types, self._of_policy(stamp))
         package = session.package(name)
+        files = enclave_files(session, name)[0] if files is None else files
         build_types = tuple(build_types_of(session, package)) if files else ()
-        inputs = self._inputs_digest(name, files, build_types)
+        inputs = self._inputs_digest(name, digests, build_types)
         rules = self._rules(package.subject)
         proof = self._proof(package, rules, files, folder)
         return self._kept(name, proof, (rules,), Stamp(inputs, {}, build_types=build_types), folder)
@@ -303,8 +308,6 @@ class ProofStage:
 
     def _of_enclave(self, name: str, unread: Sequence[Diagnostic]) -> tuple[Diagnostic, ...]:
         """Return the diagnostics of unreadable files that belong to the enclave, by the record or by their names."""
-        if not unread:
-            return ()
         suffixes = suffixes_read(self._session, self._session.package(name))
         stamp = self._session.state.stamp(INSTALLED, name)
         files = [each.where.file.rpartition("/")[2] if each.where else "" for each in unread]
@@ -328,7 +331,7 @@ class ProofStage:
         """Return the path of an enclave's files in messages, as the user would type it."""
         workspace = self._session.workspace
         folder = workspace.build if self._unsigned else self._session.enclaves
-        return workspace.shown(folder / name)
+        return workspace.shown(f"{folder}/{name}")
 
     def _proof(self, package: Package, rules: SubjectRules, files: Mapping[str, bytes], folder: str) -> EnclaveProof:
         subject = package.subject
@@ -390,12 +393,11 @@ class ProofStage:
         build_type: object = self._session.plugins.build_type(name)
         return self._session.once(("prover", name), lambda: build_type if isinstance(build_type, Prover) else None)
 
-    def _inputs_digest(self, name: str, files: Mapping[str, bytes], build_types: Iterable[str]) -> str:
+    def _inputs_digest(self, name: str, digests: Mapping[str, str], build_types: Iterable[str]) -> str:
         """Return the digest of everything that a proof depends on, except the policy."""
         shared = (self._shared.digest(each) for each in build_types)
-        return digest(
-            inputs_digest(self._session, name), digest_files(files), *shared, self._chains_digest, __version__
-        )
+        files = (part for item in sorted(digests.items()) for part in item)
+        return digest(inputs_digest(self._session, name), self._chains_digest, __version__, *shared, "", *files)
 
     def _rules(self, subject: str) -> SubjectRules:
         """Return the policy's rules for a subject; none for infrastructure, even if a profile is for every subject."""
