@@ -8,6 +8,7 @@ from pathlib import Path
 
 from keymint.api import Artifact, BuildType
 from keymint.changes import Action, File, Step, changed
+from keymint.errors import KeymintError
 from keymint.plan.enclaves import INSTALLED, installed
 from keymint.session import Session
 
@@ -26,12 +27,13 @@ def shared_steps(
     build_types = sorted({build_type for of_package, _ in changed_enclaves.values() for build_type in of_package})
     copied = {file for name in build_types for file in session.plugins.build_type(name).COPIED}
     enclaves: dict[str, Mapping[str, Artifact]] = {}
+    contents: dict[str | None, Artifact | None] = {None: None}  # enclaves usually have the same files
     for name in sorted({*changed_enclaves, *installed(session)}):
         if name in changed_enclaves:
             enclaves[f"/{name}"] = changed_enclaves[name][1]
-        else:
-            existing = {file: session.tree.try_read(session.enclaves / name / file) for file in copied}
-            enclaves[f"/{name}"] = {file: Artifact(content) for file, content in existing.items() if content}
+            continue
+        existing = {file: _artifact(session, f"{session.enclaves}/{name}/{file}", contents) for file in copied}
+        enclaves[f"/{name}"] = {file: artifact for file, artifact in existing.items() if artifact}
     steps = []
     for name in build_types:
         folders: dict[Path, dict[str, File]] = {}
@@ -44,6 +46,17 @@ def shared_steps(
             action = Action.UPDATED if existed else Action.CREATED
             steps.append(Step(INSTALLED, "", action, tuple(changes), "shared by all enclaves"))
     return steps
+
+
+def _artifact(session: Session, path: str, contents: dict[str | None, Artifact | None]) -> Artifact | None:
+    """Return an installed file, or None if there is none or it cannot be read; equal files are read once."""
+    try:
+        value = session.tree.digest(path)
+        if value not in contents:
+            contents[value] = Artifact(session.tree.read(path) or b"")
+        return contents[value]
+    except KeymintError:
+        return None
 
 
 def copies_of(
