@@ -14,7 +14,7 @@ from keymint.ir import SubjectRules
 from keymint.keymake.kinds import Kind, kind_of
 from keymint.state import Stamp, digest
 
-_RULES, _CLAIMS, _TERMS = "rules", "claims", "terms"
+_RULES, _CLAIMS, _TERMS, _WRITTEN = "rules", "claims", "terms", "written"
 """Keys of the outputs."""
 
 
@@ -69,6 +69,16 @@ def load(stamp: Stamp, folder: str) -> tuple[tuple[Claim, ...], tuple[ValidityTe
 def has_rules(stamp: Stamp, rules: Iterable[SubjectRules]) -> bool:
     """Tell whether a proof was made of the same rules, wherever they are written."""
     return stamp.outputs.get(_RULES) == _rules_digest(rules)
+
+
+def written(outputs: Mapping[str, str], rules: str) -> Mapping[str, str]:
+    """Return the outputs of a stamp with a digest of the rules and of where they are written, if there is one."""
+    return {**outputs, _WRITTEN: rules} if rules else outputs
+
+
+def has_written(stamp: Stamp, rules: str) -> bool:
+    """Tell whether a proof was made of the same rules in the same places; takes their digest."""
+    return bool(rules) and stamp.outputs.get(_WRITTEN) == rules
 
 
 def _rules_digest(rules: Iterable[SubjectRules]) -> str:

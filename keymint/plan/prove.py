@@ -15,6 +15,7 @@ from comarmor.values import dataclass
 from keymint import __version__
 from keymint.api import (
     Claim,
+    DigestedPolicy,
     LoadedPolicy,
     Package,
     Proof,
@@ -192,6 +193,7 @@ class ProofStage:
         self._contradictions = authority_evidence.contradictions(session)
         self._policy_digest = digest(*(f"{path} {value.hex()}" for path, value in sorted(policy.seen.items())))
         self._chains_digest = digest_files(self._chains)
+        self._digested = policy if isinstance(policy, DigestedPolicy) else None
         self._shared = SharedReader(session, unsigned=unsigned)
         self._asked: list[tuple[RemoteProver, object]] | None = None
         """What other machines are to prove; None while it is proven here."""
@@ -250,7 +252,7 @@ class ProofStage:
             claims, validity = cached
             # The cache does not depend on the clock: whether documents are in force is checked at each run.
             proof = EnclaveProof(f"/{name}", claims, cached=True, terms=validity)
-            return PackageProof(name, proof, stamp.build_types, self._of_policy(stamp))
+            return PackageProof(name, proof, stamp.build_types, self._of_policy(stamp, [f"/{name}"]))
         package = session.package(name)
         files = enclave_files(session, name)[0] if files is None else files
         build_types = tuple(build_types_of(session, package)) if files else ()
@@ -274,7 +276,7 @@ class ProofStage:
         cached = proof_record.load(stamp, folder) if stamp and stamp.inputs == inputs else None
         if stamp and cached and self._same_rules(stamp, subjects):
             proof = EnclaveProof("", cached[0], cached=True, build_type=name)
-            return PackageProof(key, proof, stamp=self._of_policy(stamp))
+            return PackageProof(key, proof, stamp=self._of_policy(stamp, subjects))
         rules = {subject: self._rules(subject) for subject in subjects}
         try:
             packages = load_packages(session, name, names)
@@ -303,7 +305,9 @@ class ProofStage:
             return PackageProof(key, proof, stamp.build_types)
         if proof.diagnostics or any(claim.proof is not Proof.PROVEN for claim in proof.claims):
             return PackageProof(key, proof, stamp.build_types, refuted=True)
+        rules = tuple(rules)
         outputs = proof_record.dump(proof.claims, proof.terms, rules, folder)
+        outputs = proof_record.written(outputs, self._written(each.subject for each in rules))
         return PackageProof(key, proof, stamp.build_types, replace(stamp, outputs=outputs, context=self._policy_digest))
 
     def _of_enclave(self, name: str, unread: Sequence[Diagnostic]) -> tuple[Diagnostic, ...]:
@@ -319,13 +323,25 @@ class ProofStage:
 
     def _same_rules(self, stamp: Stamp, subjects: Iterable[str]) -> bool:
         """Tell whether the policy has the same rules for some subjects as when the stamp was made."""
-        return stamp.context == self._policy_digest or proof_record.has_rules(
-            stamp, [self._rules(subject) for subject in subjects]
+        return (
+            stamp.context == self._policy_digest
+            or proof_record.has_written(stamp, self._written(subjects))
+            or proof_record.has_rules(stamp, [self._rules(subject) for subject in subjects])
         )
 
-    def _of_policy(self, stamp: Stamp) -> Stamp | None:
+    def _written(self, subjects: Iterable[str]) -> str:
+        """Return a digest that is the same if the rules of some subjects are, and their places; or an empty text."""
+        if self._digested is None:
+            return ""
+        digests = [self._digested.rules_digest(subject) for subject in subjects]
+        return "" if None in digests else digest(*map(str, digests))
+
+    def _of_policy(self, stamp: Stamp, subjects: Iterable[str]) -> Stamp | None:
         """Return a stamp as the present policy has it, or None if it is that already."""
-        return None if stamp.context == self._policy_digest else replace(stamp, context=self._policy_digest)
+        if stamp.context == self._policy_digest:
+            return None
+        outputs = proof_record.written(stamp.outputs, self._written(subjects))
+        return replace(stamp, context=self._policy_digest, outputs=outputs)
 
     def _shown(self, name: str) -> str:
         """Return the path of an enclave's files in messages, as the user would type it."""

@@ -33,7 +33,7 @@ def shared_steps(
             enclaves[f"/{name}"] = changed_enclaves[name][1]
             continue
         existing = {file: _artifact(session, f"{session.enclaves}/{name}/{file}", contents) for file in copied}
-        enclaves[f"/{name}"] = {file: artifact for file, artifact in existing.items() if artifact}
+        enclaves[f"/{name}"] = {file: each for file, each in existing.items() if each and each.content}
     steps = []
     for name in build_types:
         folders: dict[Path, dict[str, File]] = {}
