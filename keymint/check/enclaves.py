@@ -90,7 +90,7 @@ def identity_key(
             message = f"the private key of {subject} is not here"
             where, help_ = Origin(inputs.workspace.shown(path)), f"'keymint build {package.name}' restores it"
             return "", (Diagnostic("key-missing", Severity.NOTE, message, where, help_, subject),)
-        key = identity_keys.load(inputs, package, path, pem).public_key()
+        key = identity_keys.load(inputs, package, path, pem)
         fingerprint = keys.fingerprint(key)
         keyring.require_own(package.name, path, key)
     except KeymintError as error:

@@ -12,6 +12,7 @@ import hashlib
 import re
 from collections.abc import Mapping
 from types import MappingProxyType
+from typing import cast
 
 from cryptography import x509
 from cryptography.exceptions import UnsupportedAlgorithm
@@ -46,6 +47,10 @@ MIN_RSA_BITS = 2048
 MAX_RSA_BITS = 16384
 """OpenSSL verifies no larger ones (OPENSSL_RSA_MAX_MODULUS_BITS)."""
 _PUBLIC_EXPONENT = 65537
+_MOST = 1 << 16
+"""Number of public keys that are remembered."""
+_PUBLIC: dict[bytes, bytes] = {}
+"""Public keys in DER, by the digest of the file of the private key."""
 _PEM = re.compile(rb"-----BEGIN ([A-Z0-9 ]+)-----\n((?:[A-Za-z0-9+/]{1,64}={0,2}\n)+)-----END \1-----\n")
 
 
@@ -138,16 +143,33 @@ def from_pem(pem: bytes, password: bytes | None = None, where: Origin | None = N
     return key
 
 
-def matches(key: PrivateKey, certificate: x509.Certificate) -> bool:
-    """Return whether a private key belongs to a certificate."""
-    return key.public_key() == certificate.public_key()
+def public_of(pem: bytes, password: bytes | None = None, where: Origin | None = None) -> PublicKey:
+    """Return the public key of the PEM file of a private key; errors as :func:`from_pem`.
+
+    It is remembered by the digest of the file, so that a file is parsed once and no private key is kept.
+    """
+    if _is_encrypted(pem):
+        return from_pem(pem, password, where).public_key()
+    file = hashlib.sha256(pem).digest()
+    if file not in _PUBLIC:
+        if len(_PUBLIC) >= _MOST:
+            _PUBLIC.clear()
+        _PUBLIC[file] = _encoded(from_pem(pem, None, where).public_key())
+    return cast("PublicKey", serialization.load_der_public_key(_PUBLIC[file]))
+
+
+def matches(key: PrivateKey | PublicKey, certificate: x509.Certificate) -> bool:
+    """Return whether a key belongs to a certificate."""
+    return (key if isinstance(key, PublicKey) else key.public_key()) == certificate.public_key()
 
 
 def fingerprint(key: PrivateKey | PublicKey) -> str:
     """Return the SHA-256, in hex, of the public key of a pair (SubjectPublicKeyInfo in DER; RFC 5280, 4.1.2.7)."""
-    public = key if isinstance(key, PublicKey) else key.public_key()
-    form = serialization.PublicFormat.SubjectPublicKeyInfo
-    return hashlib.sha256(public.public_bytes(serialization.Encoding.DER, form)).hexdigest()
+    return hashlib.sha256(_encoded(key if isinstance(key, PublicKey) else key.public_key())).hexdigest()
+
+
+def _encoded(key: PublicKey) -> bytes:
+    return key.public_bytes(serialization.Encoding.DER, serialization.PublicFormat.SubjectPublicKeyInfo)
 
 
 def is_canonical(pem: bytes) -> bool:

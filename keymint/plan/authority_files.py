@@ -143,7 +143,8 @@ def load_private_key(inputs: Inputs, files: AuthorityFiles) -> keys.PrivateKey:
     """Load the private key of an authority that has one; errors as :func:`keymint.plan.private_keys.load_key`."""
     spec = files.authority.certificate
     remedy = f"restore it from a backup; {new_authority_help(files.authority.name)}"
-    return load_key(files.key or b"", spec.key, inputs.environment, Origin(files.key_file), spec.origin, remedy)
+    shown = Origin(files.key_file)
+    return load_key(keys.from_pem, files.key or b"", spec.key, inputs.environment, shown, spec.origin, remedy)
 
 
 def new_authority_help(name: str) -> str:

@@ -32,10 +32,11 @@ def _new(name: str) -> str:
     return f"'keymint build --renew {name}'"
 
 
-def load(inputs: Inputs, package: Package, path: Path, pem: bytes) -> keys.PrivateKey:
-    """Load the stored key of a package; errors as :func:`keymint.plan.private_keys.load_key`."""
+def load(inputs: Inputs, package: Package, path: Path, pem: bytes) -> keys.PublicKey:
+    """Load the public key of a package's stored key; errors as :func:`keymint.plan.private_keys.load_key`."""
     identity, shown = package.identity, Origin(inputs.workspace.shown(path))
-    return load_key(pem, identity.key, inputs.environment, shown, identity.origin, _remedy(package.name))
+    remedy = _remedy(package.name)
+    return load_key(keys.public_of, pem, identity.key, inputs.environment, shown, identity.origin, remedy)
 
 
 def mint(inputs: Inputs, package: Package, path: Path) -> tuple[FolderChange, str]:

@@ -108,7 +108,7 @@ def _plan_enclave(
     own = lifetimes.lifetimes(package)
     documents, key_pem = build.built_documents(session, name), session.tree.read(key_path) or b""
     existing, unreadable = enclave_files(session, name)
-    public = identity_keys.load(session, package, key_path, key_pem).public_key()
+    public = identity_keys.load(session, package, key_path, key_pem)
     fingerprint = keyring.require_own(name, key_path, public)
     artifacts, warnings = sign(session, package, documents, authorities, (key_pem, public), existing)
     paths = {workspace.shown(folder / file) for file in artifacts} if unreadable else set()

@@ -4,14 +4,16 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import replace
+from typing import TypeVar
 
 from comarmor.errors import Diagnostic, Origin, Severity
 from keymint.api import KeySpec
 from keymint.errors import KeymintError
 from keymint.pki import keys
 
+_Key = TypeVar("_Key", bound=keys.PrivateKey | keys.PublicKey)
 MAX_PASSWORD = 1023
 """Bytes of a password that OpenSSL can read (PEM_BUFSIZE, less the final null)."""
 
@@ -45,11 +47,18 @@ def password(spec: KeySpec, environment: Mapping[str, str], origin: Origin) -> b
 
 
 def load_key(
-    pem: bytes, spec: KeySpec, environment: Mapping[str, str], shown: Origin, asked: Origin, remedy: str
-) -> keys.PrivateKey:
-    """Load a stored private key.
+    read: Callable[[bytes, bytes | None, Origin], _Key],
+    pem: bytes,
+    spec: KeySpec,
+    environment: Mapping[str, str],
+    shown: Origin,
+    asked: Origin,
+    remedy: str,
+) -> _Key:
+    """Load a stored private key, or its public key.
 
     Args:
+        read: :func:`keymint.pki.keys.from_pem`, or :func:`keymint.pki.keys.public_of` for the public key.
         pem: the file's bytes.
         spec: the kind of key that the sources specify.
         environment: environment variables, for the password.
@@ -62,7 +71,7 @@ def load_key(
             keys are replaced only on request.
     """
     try:
-        key = keys.from_pem(pem, password(spec, environment, asked), shown)
+        key = read(pem, password(spec, environment, asked), shown)
     except KeymintError as error:
         diagnostics = [replace(each, help=_help(each, spec, asked, remedy)) for each in error.diagnostics]
         raise KeymintError.of(diagnostics) from None

@@ -59,7 +59,7 @@ class CredentialCheck:
         if pem is None:
             return
         try:
-            matches = keys.matches(keys.from_pem(pem, None, self._where(KEY)), certificate)
+            matches = keys.matches(keys.public_of(pem, None, self._where(KEY)), certificate)
         except KeymintError as error:
             yield from error.diagnostics
             return

@@ -129,3 +129,16 @@ def test_the_frame_of_an_encrypted_key_is_checked_without_its_password(authority
     assert keys.is_canonical(pem)
     assert not keys.is_canonical(pem.replace(b"=", b"", 1) if b"=" in pem else pem + b" ")
     assert not keys.is_canonical(pem.replace(b"\n", b"", 2))
+
+
+@pytest.mark.parametrize("spec", [KeySpec("ec", "SECP256R1"), KeySpec("rsa", size=2048)])
+def test_the_public_key_of_a_file_is_that_of_its_private_key_each_time(spec: KeySpec) -> None:
+    key = keys.generate(spec)
+    plain, encrypted = keys.to_pem(key), keys.to_pem(key, b"secret")
+    for _ in range(2):
+        assert keys.public_of(plain) == key.public_key()
+        assert keys.public_of(encrypted, b"secret") == key.public_key()
+        with pytest.raises(KeymintError, match="password"):
+            keys.public_of(encrypted, b"wrong")
+        with pytest.raises(KeymintError, match="not a private key"):
+            keys.public_of(plain.replace(b"M", b"!", 1))
