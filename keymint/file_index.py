@@ -10,6 +10,7 @@ from collections.abc import Iterable, Mapping
 from pathlib import Path
 
 from keymint.changes import File, FolderChange
+from keymint.folder_status import Sight
 from keymint.state import MAX_RECORD, sealed, unsealed
 from keymint.store import Store
 from keymint.tree import Tree, read_file

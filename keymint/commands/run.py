@@ -233,6 +233,8 @@ class Run:
             KeymintError: the user named a cluster that cannot be used.
         """
         if not self.has_cluster:
+            from keymint.executors import Processes  # noqa: PLC0415 - few runs need it
+
             yield Processes(self.plugins, self.jobs)
             return
         from keymint.executors.cluster import cluster  # noqa: PLC0415 - few runs need it
