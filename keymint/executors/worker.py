@@ -58,7 +58,7 @@ def result_of(work: Work[Any, Any], answer: object, installed: str) -> Any:
     here, there = installed.splitlines(), refusal.versions.splitlines()
     raise KeymintError(
         f"a worker has {_first(there, here)}, where this machine has {_first(here, there)}",
-        help="install the same versions of keymint-tools and of its plugins on all machines",
+        help="all machines need the same versions of Keymint and of its plugins",
         code="executor-version",
     )
 

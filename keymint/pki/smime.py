@@ -97,7 +97,7 @@ def read(signed: bytes, ca_pem: bytes, *, at: datetime | None = None, where: Ori
         raise KeymintError.of(found) from None
 
 
-# Several claims rest on one file, and enclaves usually have the same governance.
+# Several claims rest on one file, and many enclaves have a file in common.
 @functools.lru_cache(maxsize=16)
 def _read(signed: bytes, ca_pem: bytes, at: datetime | None) -> SignedDocument:
     """Verify a signed document; places of errors have a line only."""

@@ -33,8 +33,8 @@ def test_help_lists_every_verb(keymint) -> None:
 
 WRITING = {"init", "create", "build", "install", "prove", "provision", "discover", "learn", "graph"}
 """Verbs that write files, so that they have ``--dry-run``."""
-STAGES = {"init", "create", "build", "install", "provision"}
-"""Verbs that write several packages at a time, so that they have ``--jobs``."""
+STAGES = {"init", "create", "build", "install", "provision", "prove", "verify"}
+"""Verbs that divide packages among processes, so that they have ``--jobs``."""
 ELSEWHERE = {"diff", "discover", "learn", "plugins", "transports", "completion"}
 """Verbs that use no workspace, so that they have neither ``--workspace`` nor ``--src-space`` and the like."""
 

@@ -5,15 +5,14 @@ from __future__ import annotations
 
 import json
 import shutil
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 
-from keymint import cli
-from keymint.changes import FolderChange
+from keymint import cli, group_commit
 from keymint.pki import smime
-from keymint.store import Store
+from keymint.staged import Exchange
 from tests.conftest import NOW, snapshot
 from tests.keymint.conftest import POLICY
 from tests.keymint.notice_board import BOARD, NAME, NOTE, SIGNATURE, register
@@ -151,21 +150,21 @@ def test_a_new_package_is_admitted_before_its_enclave_is_there(keymint, ws: Path
 
 def test_it_is_written_before_any_enclave(keymint, ws: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Also where a run is killed: the rights of a removed subject end first."""
-    written: list[Path] = []
-    write = Store.change
+    visible: list[str] = []
+    make_visible = group_commit._make_visible
 
-    def change_folders(store: Store, changes: Iterable[FolderChange]) -> None:
-        kept = list(changes)
-        written.extend(each.folder for each in kept if each.folder.is_relative_to(ws / "install"))
-        write(store, kept)
+    def seen(folder: int, exchange: Exchange) -> str | None:
+        visible.append(f"{exchange.folder}/{exchange.name}".removeprefix(f"{ws}/"))
+        return make_visible(folder, exchange)
 
     shutil.rmtree(ws / "src/talker")
     change(ws, "robot1/listener")
     assert keymint("build", cwd=ws).code == 0
-    monkeypatch.setattr(Store, "change", change_folders)
+    monkeypatch.setattr(group_commit, "_make_visible", seen)
     assert keymint("install", "--prune", "--no-prove", cwd=ws).code == 0
-    assert {ws / "install/enclaves/talker", ws / "install/enclaves/robot1/listener"} <= {*written}
-    assert written[0] == ws / "install/board"
+    installed = [each for each in visible if each.startswith("install/")]
+    assert {"install/enclaves/talker", "install/enclaves/robot1/listener"} <= {*installed}
+    assert installed[0].startswith("install/board")
 
 
 def test_a_removed_package_leaves_it_before_its_enclave_is_removed(keymint, ws: Path) -> None:
