@@ -278,8 +278,8 @@ class Run:
             plan = make_plan(self.snapshot(workspace))
             return Report(self.verb, workspace, plan.steps, plan.diagnostics, {}, exit_code(plan), dry_run=True)
         planned: tuple[Inputs, Plan] | None = None
-        sight = Sight.of(map(str, workspace.spaces()))
         if not workspace.state.is_dir():
+            sight = Sight.of(map(str, workspace.spaces()))
             inputs = self.inputs(workspace)
             try:
                 planned = (inputs, make_plan(inputs))
