@@ -330,7 +330,7 @@ class Tree:
         there |= dict.fromkeys(folders, True)
         return sorted(item for item in there.items() if files.get(item[0], b"") is not None)
 
-    def walk(self, folder: Path, skipped: str = ".git") -> Iterator[tuple[Path, bool]]:
+    def walk(self, folder: Path | str, skipped: str = ".git") -> Iterator[tuple[str, bool]]:
         """Yield everything below a folder, each with whether it is a folder; links are not followed.
 
         Folders that cannot be read are yielded, but not what is in them.
@@ -344,11 +344,12 @@ class Tree:
         except KeymintError:
             return
         for name, is_folder in entries:
+            path = f"{folder}/{name}"
             if not is_folder:
-                yield folder / name, False
+                yield path, False
             elif name != skipped:
-                yield folder / name, True
-                yield from self.walk(folder / name, skipped)
+                yield path, True
+                yield from self.walk(path, skipped)
 
     def files(self, folder: Path | str, *, suffix: str = "", depth: int = 1) -> dict[str, bytes]:
         """Return the files whose names end with ``suffix`` by relative path, from ``depth`` levels of folders."""

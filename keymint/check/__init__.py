@@ -8,7 +8,7 @@ files, unexpected files, authorities, and the files that all enclaves share.
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import replace
 from datetime import timedelta
 
@@ -24,6 +24,7 @@ from keymint.errors import KeymintError
 from keymint.plan import identity_keys
 from keymint.plan.enclaves import enclave_files, not_installed, unaccounted
 from keymint.plan.identity_keys import Keyring
+from keymint.plan.policy import is_unchanged, load_policy
 from keymint.session import Session
 
 
@@ -40,8 +41,10 @@ def check(session: Session, names: Sequence[str], within: timedelta) -> tuple[Di
     fingerprints: dict[str, str] = {}
     findings: list[Diagnostic] = []
     by_type: dict[str, list[Inspection]] = {}
+    render = _renderer(session, names)
     for name in names:
         try:
+            render(name)
             package = session.package(name)
             files, unreadable = enclave_files(session, name)
             seen = inspections(session, package, files, within)
@@ -73,6 +76,24 @@ def check(session: Session, names: Sequence[str], within: timedelta) -> tuple[Di
     findings += outside_enclaves(session, shared.files)
     later = _without_install_hints(findings, in_defect(of_authorities))
     return (*of_authorities, *file_status(session), *git_exposure(session), *later)
+
+
+def _renderer(session: Session, names: Sequence[str]) -> Callable[[str], object]:
+    """Return what renders the sources of a package from the policy: such sources need not be parsed when it is loaded.
+
+    It does nothing for a few packages of many, and if the policy is not the one that they were created from.
+    """
+    try:
+        policy = load_policy(session) if len(names) == len(session.packages()) and is_unchanged(session) else None
+    except KeymintError:  # reported with the policy
+        policy = None
+
+    def render(name: str) -> None:
+        rules = policy.rules(f"/{name}") if policy else None
+        if rules:
+            session.package_type.create(session.profile, rules, {}, force=False)
+
+    return render
 
 
 def _without_install_hints(findings: Iterable[Diagnostic], defect: Diagnostic | None) -> Iterator[Diagnostic]:

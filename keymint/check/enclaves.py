@@ -100,15 +100,15 @@ def identity_key(
 
 def on_disk(session: Session, name: str, files: Mapping[str, bytes]) -> Iterator[Diagnostic]:
     """Check modes, links and recorded digests of one enclave."""
-    folder = session.enclaves / name
+    folder = f"{session.enclaves}/{name}"
     stamp = session.state.stamp(install.STAGE, name)
     secret = stamp.secret if stamp else ("key.pem",)
     yield from modes(session, folder, 0o700, f"/{name}")
     for file, is_folder in session.tree.names(folder):
         if not is_folder:
-            yield from modes(session, folder / file, file_mode(secret=file in secret), f"/{name}")
+            yield from modes(session, f"{folder}/{file}", file_mode(secret=file in secret), f"/{name}")
             if file in secret:
-                yield from linked_twice(session, folder / file, f"/{name}")
+                yield from linked_twice(session, f"{folder}/{file}", f"/{name}")
     if stamp is None:
         yield Diagnostic(
             "record-missing",
@@ -125,7 +125,7 @@ def on_disk(session: Session, name: str, files: Mapping[str, bytes]) -> Iterator
                 "file-changed",
                 Severity.ERROR,
                 "was changed after it was installed",
-                Origin(session.workspace.shown(folder / file)),
+                Origin(session.workspace.shown(f"{folder}/{file}")),
                 f"'keymint install {name}' restores it",
                 f"/{name}",
             )

@@ -26,7 +26,7 @@ _GROUP, _OTHERS = stat.S_IWGRP, stat.S_IWOTH
 class _Entry:
     """A file or folder of a space, and its status (of a link: of the link itself)."""
 
-    path: Path
+    path: str
     status: os.stat_result
 
 
@@ -36,25 +36,26 @@ def file_status(inputs: Inputs) -> Iterator[Diagnostic]:
     owners = _owners(inputs)
     root = inputs.tree.status(workspace.root)
     if root is not None:
-        yield from _open_to_others(inputs, [_Entry(workspace.root, root)])
-    for space in (workspace.private, workspace.install):
-        entries = list(_walk(inputs, space))
+        yield from _open_to_others(inputs, [_Entry(str(workspace.root), root)])
+    private = list(_walk(inputs, workspace.private))
+    for entries in (private, list(_walk(inputs, workspace.install))):
         yield from _kinds(inputs, entries)
         yield from _each_folder(inputs, entries)
         yield from _owned_by_others(inputs, entries, owners)
-    yield from _private(inputs)
+    yield from _private(inputs, private)
     for space in (workspace.build, workspace.public, workspace.state, workspace.profile, workspace.src):
         entries = [each for each in _walk(inputs, space) if not stat.S_ISLNK(each.status.st_mode)]
         yield from _open_to_others(inputs, entries)
         yield from _owned_by_others(inputs, entries, owners)
 
 
-def modes(inputs: Inputs, path: Path, mode: int, subject: str) -> Iterator[Diagnostic]:
+def modes(inputs: Inputs, path: Path | str, mode: int, subject: str) -> Iterator[Diagnostic]:
     """Yield a finding for a symbolic link or an unexpected mode; none if the file does not exist."""
-    status, shown = inputs.tree.status(path), inputs.workspace.shown(path)
-    if status is None:
+    status = inputs.tree.status(path)
+    existing = None if status is None else stat.S_IMODE(status.st_mode)
+    if status is None or existing is None or (existing == mode and not stat.S_ISLNK(status.st_mode)):
         return
-    existing = stat.S_IMODE(status.st_mode)
+    shown = inputs.workspace.shown(path)
     if stat.S_ISLNK(status.st_mode):
         yield Diagnostic(
             "file-link",
@@ -64,7 +65,7 @@ def modes(inputs: Inputs, path: Path, mode: int, subject: str) -> Iterator[Diagn
             "remove it and run 'keymint install'",
             subject,
         )
-    elif existing != mode:
+    else:
         yield Diagnostic(
             "file-mode",
             Severity.ERROR if existing & ~mode & 0o077 else Severity.WARNING,
@@ -75,26 +76,26 @@ def modes(inputs: Inputs, path: Path, mode: int, subject: str) -> Iterator[Diagn
         )
 
 
-def linked_twice(inputs: Inputs, path: Path, subject: str) -> Iterator[Diagnostic]:
+def linked_twice(inputs: Inputs, path: Path | str, subject: str) -> Iterator[Diagnostic]:
     """Yield a finding for a private key that has a second name (a hard link) somewhere."""
-    status, shown = inputs.tree.status(path), inputs.workspace.shown(path)
+    status = inputs.tree.status(path)
     if status is not None and stat.S_ISREG(status.st_mode) and status.st_nlink > 1:
         yield Diagnostic(
             "key-linked",
             Severity.ERROR,
             f"is a private key with {status.st_nlink} names: another one leads to it from elsewhere",
-            Origin(shown),
+            Origin(inputs.workspace.shown(path)),
             f"find the others with 'find / -xdev -inum {status.st_ino}', and remove them",
             subject,
         )
 
 
-def _private(inputs: Inputs) -> Iterator[Diagnostic]:
+def _private(inputs: Inputs, entries: list[_Entry]) -> Iterator[Diagnostic]:
     """Check modes and links of all private keys and their folders."""
-    for each in _walk(inputs, inputs.workspace.private):
+    for each in entries:
         if stat.S_ISDIR(each.status.st_mode) or stat.S_ISLNK(each.status.st_mode):
             yield from modes(inputs, each.path, 0o700, "")
-        elif each.path.suffix == ".pem":
+        elif _is_pem(each.path):
             yield from modes(inputs, each.path, 0o600, "")
             yield from linked_twice(inputs, each.path, "")
 
@@ -121,8 +122,9 @@ def _kind(mode: int) -> str:
 def _each_folder(inputs: Inputs, entries: list[_Entry]) -> Iterator[Diagnostic]:
     """Report folders of a space created by Keymint that others can write to."""
     for each in entries:
-        mode, shown = each.status.st_mode, inputs.workspace.shown(each.path)
+        mode = each.status.st_mode
         if stat.S_ISDIR(mode) and mode & (_GROUP | _OTHERS):
+            shown = inputs.workspace.shown(each.path)
             yield Diagnostic(
                 "place-writable",
                 Severity.ERROR,
@@ -130,6 +132,10 @@ def _each_folder(inputs: Inputs, entries: list[_Entry]) -> Iterator[Diagnostic]:
                 Origin(shown),
                 f"chmod go-w {shown}",
             )
+
+
+def _is_pem(path: str) -> bool:
+    return os.path.splitext(path)[1] == ".pem"  # noqa: PTH122 - of a text
 
 
 def _open_to_others(inputs: Inputs, entries: list[_Entry]) -> Iterator[Diagnostic]:
@@ -150,7 +156,7 @@ def _open_to_others(inputs: Inputs, entries: list[_Entry]) -> Iterator[Diagnosti
 def _owned_by_others(inputs: Inputs, entries: list[_Entry], owners: frozenset[int]) -> Iterator[Diagnostic]:
     """Yield one finding for all files and folders of a space that belong to others, and one for each such key."""
     foreign = [each for each in entries if each.status.st_uid not in owners]
-    keys = [each for each in foreign if each.path.suffix == ".pem"]
+    keys = [each for each in foreign if _is_pem(each.path)]
     for each in keys or foreign[:1]:
         more = "" if keys or len(foreign) == 1 else f", like {len(foreign) - 1} more below it or beside it"
         yield Diagnostic(
@@ -167,7 +173,7 @@ def _walk(inputs: Inputs, folder: Path) -> Iterator[_Entry]:
     status = inputs.tree.status(folder)
     if status is None:
         return
-    yield _Entry(folder, status)
+    yield _Entry(str(folder), status)
     for path, _ in inputs.tree.walk(folder) if stat.S_ISDIR(status.st_mode) else ():
         if (status := inputs.tree.status(path)) is not None:
             yield _Entry(path, status)

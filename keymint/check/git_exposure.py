@@ -29,7 +29,8 @@ def git_exposure(inputs: Inputs) -> Iterator[Diagnostic]:
 
 
 def _of_space(inputs: Inputs, space: Path) -> Iterator[Diagnostic]:
-    keys = [path for path, is_folder in inputs.tree.walk(space) if not is_folder and _is_secret(inputs, path)]
+    files = (Path(path) for path, is_folder in inputs.tree.walk(space) if not is_folder)
+    keys = [path for path in files if _is_secret(inputs, path)]
     if not keys:
         return
     environment = _plain(inputs.environment)

@@ -23,14 +23,16 @@ def outside_enclaves(session: Session, known: Collection[str]) -> Iterator[Diagn
         known: files that are checked elsewhere, by path relative to the install space.
     """
     workspace, names = session.workspace, installed(session)
-    enclaves = {session.enclaves / name for name in names}
+    enclaves = {f"{session.enclaves}/{name}" for name in names}
     expected = _copies(session, names)
     entries = list(session.tree.walk(workspace.install, skipped=""))
     folders = [path for path, is_folder in entries if is_folder]
     empty = [folder for folder in folders if not session.tree.names(folder)]  # an error if one cannot be read
     for path, is_folder in entries:
-        relative = str(path.relative_to(workspace.install))
-        if is_folder or path.parent in enclaves or relative in known or path == workspace.install / gitignore.NAME:
+        if is_folder or path.rpartition("/")[0] in enclaves:
+            continue
+        relative = path.removeprefix(f"{workspace.install}/")
+        if relative in known or relative == gitignore.NAME:
             continue
         if relative not in expected:
             yield Diagnostic(

@@ -9,7 +9,7 @@ from __future__ import annotations
 import re
 from collections.abc import Iterator
 from dataclasses import replace
-from functools import cache
+from functools import cache, lru_cache
 
 from lxml import etree
 
@@ -211,6 +211,13 @@ _CRITERIA = re.compile(r"<(publish|subscribe|relay)>(.*?)</\1>", re.DOTALL)
 _TOPIC, _PARTITION = re.compile("<topic>([^<]*)<"), re.compile("<partition>([^<]*)<")
 
 
+def is_plain(content: bytes) -> bool:
+    """Tell whether a document is valid, and has nothing that a vendor may read differently or crash on."""
+    grants = _plain(content)
+    return grants is not None and all(grant.subject_name == grant.subject_name.strip() for grant in grants)
+
+
+@lru_cache(maxsize=4)
 def _plain(content: bytes) -> tuple[DocumentGrant, ...] | None:
     """Return the grant of a document in the form in which Keymint writes it, fast; None for any other document."""
     if (

@@ -6,8 +6,10 @@ from __future__ import annotations
 import shutil
 from collections.abc import Callable
 from pathlib import Path
+from unittest import mock
 
 import pytest
+from keymint_ros import permissions, permissions_writer
 
 from tests.conftest import NOW, snapshot
 
@@ -95,6 +97,34 @@ def test_damage_is_found(keymint, provisioned: Path, damage: Callable[[Path], No
     for finding in outcome.document["diagnostics"]:
         assert finding["code"]
         assert "\n" not in finding["message"] + finding["help"]
+
+
+def widen_policy(ws: Path) -> None:
+    policy = ws.parent / "policy.xml"
+    policy.write_text(policy.read_text().replace("chatter", "other"))
+
+
+def break_policy(ws: Path) -> None:
+    (ws.parent / "policy.xml").write_text("<policies>")
+
+
+@pytest.mark.parametrize(
+    "change", [uninstall, edit_source, widen_governance, swap_enclave("permissions.p7s"), widen_policy, break_policy]
+)
+def test_sources_of_the_policy_are_as_if_they_were_read(
+    keymint, provisioned: Path, change: Callable[[Path], None]
+) -> None:
+    change(provisioned)
+    outcome = keymint("check", "--json", cwd=provisioned)
+    with mock.patch.object(permissions_writer, "rendered", return_value=None) as rendered:
+        read = keymint("check", "--json", cwd=provisioned)
+    assert rendered.called
+    assert (outcome.code, outcome.out, outcome.err) == (read.code, read.out, read.err)
+
+
+def test_sources_that_the_policy_gives_are_not_parsed(keymint, provisioned: Path) -> None:
+    with mock.patch.object(permissions, "read", side_effect=AssertionError):
+        assert keymint("check", cwd=provisioned).code == 0
 
 
 @pytest.mark.parametrize(

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from keymint_ros2_dds.decision import (
     read,
 )
-from keymint_ros2_dds.documents import permissions_document
+from keymint_ros2_dds.documents import dds_xml, permissions_document
 from keymint_ros2_dds.lowering.dds_topics import TopicAction
 from keymint_ros2_dds.lowering.grant_rules import DEFAULT, EVERY, GrantRule
 from keymint_ros2_dds.reading import signed_permissions
@@ -160,6 +160,14 @@ def test_a_document_in_the_written_form_is_read_as_any_other(content: bytes) -> 
         with mock.patch.object(signed_permissions, "_plain", return_value=None):
             document = read(content)
         assert (document.grants, document.defects, document.quirks, document.crash) == (fast, (), (), None)
+        hazards = list(dds_xml.hazards(content, dds_xml.read(content, "permissions", "permissions.xml")))
+        assert signed_permissions.is_plain(content) == (not hazards)
+
+
+def test_a_blank_after_the_subject_is_not_plain() -> None:
+    content = permissions_document.render(package().grant, ())
+    assert signed_permissions.is_plain(content)
+    assert not signed_permissions.is_plain(content.replace(b"</subject_name>", b" </subject_name>"))
 
 
 def test_what_keymint_writes_is_read_fast() -> None:
