@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import gc
 import sys
 
 from keymint import process
@@ -20,6 +21,7 @@ def main() -> None:
         code = cli.main()
     except process.StoppedError as stop:
         code = cli.stopped(sys.argv[1:], stop.number)
+    gc.freeze()  # the process ends: nothing is searched for cycles any more
     sys.exit(code)
 
 

@@ -10,8 +10,10 @@ from pathlib import Path
 
 from comarmor.errors import Diagnostic
 from comarmor.values import dataclass
-from keymint.state import State, digest
-from keymint.tree import Content, HeldFile, Tree
+from keymint.state import State
+from keymint.tree import Content, File, HeldFile, Tree
+
+__all__ = ["Action", "DocumentSize", "File", "FolderChange", "Plan", "Step", "changed", "file_mode"]
 
 
 class Action(StrEnum):
@@ -27,22 +29,6 @@ class Action(StrEnum):
 def file_mode(*, secret: bool) -> int:
     """Return the mode of a secret or public file."""
     return 0o600 if secret else 0o644
-
-
-@dataclass(frozen=True, slots=True)
-class File:
-    """A file to write: its bytes, and whether it is secret (0600) or public (0644)."""
-
-    content: bytes = field(repr=False)
-    secret: bool = False
-    _digest: str = field(default="", init=False, repr=False, compare=False)
-
-    @property
-    def digest(self) -> str:
-        """The digest of the content; see :func:`keymint.state.digest`."""
-        if not self._digest:
-            object.__setattr__(self, "_digest", digest(self.content))
-        return self._digest
 
 
 @dataclass(frozen=True, slots=True)
@@ -135,7 +121,7 @@ class Plan:
         changed: list[tuple[str, Content]] = []
         for step in self.steps:
             for change in step.changes:
-                changed += [(f"{change.folder}/{name}", file.content) for name, file in change.files.items()]
+                changed += [(f"{change.folder}/{name}", file) for name, file in change.files.items()]
                 changed += [(f"{change.folder}/{name}", file) for name, file in change.held.items()]
                 changed += [(f"{change.folder}/{name}", None) for name in change.removed]
         return changed

@@ -10,10 +10,12 @@ import errno
 import os
 import stat
 from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import field
 from pathlib import Path
 from typing import NamedTuple, TypeVar
 
 from comarmor.errors import Origin
+from comarmor.values import dataclass
 from keymint.errors import KeymintError
 from keymint.state import digest
 
@@ -181,6 +183,22 @@ def _or_raise(result: _Read | KeymintError) -> _Read:
     return result
 
 
+@dataclass(frozen=True, slots=True)
+class File:
+    """A file to write: its bytes, and whether it is secret (0600) or public (0644)."""
+
+    content: bytes = field(repr=False)
+    secret: bool = False
+    _digest: str = field(default="", init=False, repr=False, compare=False)
+
+    @property
+    def digest(self) -> str:
+        """The digest of the content; see :func:`keymint.state.digest`."""
+        if not self._digest:
+            object.__setattr__(self, "_digest", digest(self.content))
+        return self._digest
+
+
 class HeldFile(NamedTuple):
     """A planned file whose content another process holds: its digest, and whether it is secret."""
 
@@ -192,7 +210,7 @@ class HeldError(Exception):
     """A plan needs content that another process holds: it must be made by one process."""
 
 
-Content = bytes | HeldFile | None
+Content = bytes | File | HeldFile | None
 """Planned content of a file; None for a file that will be removed."""
 
 
@@ -257,6 +275,8 @@ class Tree:
         planned, content = self._planned(path)
         if isinstance(content, HeldFile):
             raise HeldError(path)
+        if isinstance(content, File):
+            return content.content
         return content if planned else self._disk.read(path)
 
     def digest(self, path: Path | str) -> str | None:
@@ -269,7 +289,7 @@ class Tree:
         """
         path = str(path)
         planned, content = self._planned(path)
-        if isinstance(content, HeldFile):
+        if isinstance(content, HeldFile | File):
             return content.digest
         if planned:
             return None if content is None else digest(content)

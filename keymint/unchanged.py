@@ -31,7 +31,7 @@ _VARIABLES = {"ROS_DISTRO"}
 """Environment variables whose values may be recorded; any other one may be a password."""
 _TICK, _COARSE_TICK = 20_000_000, 2_000_000_000
 """Nanoseconds in which a file may change twice and have the same time; the second if times are whole seconds."""
-_DATE = re.compile(rb"\d{4}-\d\d-\d\dT\d\d:\d\d:\d\d(?:\.\d+)?(?:Z|[+-]\d\d:\d\d)")
+_DATE = re.compile(rb"-(?<=(\d{4}-))(\d\d-\d\dT\d\d:\d\d:\d\d(?:\.\d+)?(?:Z|[+-]\d\d:\d\d))")  # few bytes are "-"
 _ALWAYS = 1e12
 
 
@@ -141,7 +141,7 @@ def record(
         return None
     operands = [argument for argument in call.arguments if not argument.startswith("-")]
     with open(state, "rb") as opened:  # noqa: PTH123 - the path is a text
-        recorded = (datetime.fromisoformat(text.decode()) for text in set(_DATE.findall(opened.read())))
+        recorded = (datetime.fromisoformat(b"".join(parts).decode()) for parts in set(_DATE.findall(opened.read())))
         ends = [moment for date in (*dates, *recorded) if (moment := date.timestamp()) >= call.now]
     return sealed(
         {

@@ -69,6 +69,7 @@ _UNBOUNDED = 1024
 """Maximum characters of a value whose type has no upper bound of its own."""
 
 _TYPE_THEN_EQUALS = re.compile(r"\s*([A-Za-z][A-Za-z0-9.-]*|[0-9][0-9.]*)\s*=")
+_SPECIAL = re.compile(r'[\\,/"+]')
 _HEX_PAIR = re.compile(r"[0-9A-Fa-f]{2}")
 _ESCAPABLE = frozenset(',+"\\<>;=/# ')
 _ESCAPED_IN_TEXT = frozenset(',+"\\<>;')
@@ -180,8 +181,10 @@ def _value(text: str, position: int) -> tuple[str, int]:
             problem = "values are not quoted" if character == '"' else "RDNs with several attributes are not supported"
             help_ = f"separate attributes by ',', or write \\{character} for the character itself"
             raise _invalid(text, problem, help_)
-        raw += character.encode("utf-8", "surrogatepass")
-        position += 1
+        special = _SPECIAL.search(text, position + 1)
+        end = special.start() if special else len(text)
+        raw += text[position:end].encode("utf-8", "surrogatepass")
+        position = end
     while len(raw) > kept and raw.endswith(b" "):
         del raw[-1:]
     try:

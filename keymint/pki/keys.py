@@ -99,7 +99,10 @@ def fits(key: PrivateKey | PublicKey, spec: KeySpec) -> bool:
 def to_pem(key: PrivateKey, password: bytes | None = None) -> bytes:
     """Return a private key as PKCS #8 PEM, encrypted (PBES2, AES-256) if a password is given."""
     encryption = serialization.BestAvailableEncryption(password) if password else serialization.NoEncryption()
-    return key.private_bytes(serialization.Encoding.PEM, serialization.PrivateFormat.PKCS8, encryption)
+    pem = key.private_bytes(serialization.Encoding.PEM, serialization.PrivateFormat.PKCS8, encryption)
+    if not password:
+        _remember(pem, key.public_key())
+    return pem
 
 
 def from_pem(pem: bytes, password: bytes | None = None, where: Origin | None = None) -> PrivateKey:
@@ -152,10 +155,14 @@ def public_of(pem: bytes, password: bytes | None = None, where: Origin | None = 
         return from_pem(pem, password, where).public_key()
     file = hashlib.sha256(pem).digest()
     if file not in _PUBLIC:
-        if len(_PUBLIC) >= _MOST:
-            _PUBLIC.clear()
-        _PUBLIC[file] = _encoded(from_pem(pem, None, where).public_key())
+        _remember(pem, from_pem(pem, None, where).public_key())
     return cast("PublicKey", serialization.load_der_public_key(_PUBLIC[file]))
+
+
+def _remember(pem: bytes, key: PublicKey) -> None:
+    if len(_PUBLIC) >= _MOST:
+        _PUBLIC.clear()
+    _PUBLIC[hashlib.sha256(pem).digest()] = _encoded(key)
 
 
 def matches(key: PrivateKey | PublicKey, certificate: x509.Certificate) -> bool:

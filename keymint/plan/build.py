@@ -106,12 +106,11 @@ def _plan_package(
     renew: bool,
 ) -> PackagePlan:
     folder = session.workspace.build / name
-    sources_digest = inputs_digest(session, name)
     options = options_of(options, f"/{name}")
     options_digest = digest(repr(options))
     stamp = session.state.stamp(STAGE, name)
     key_path = session.workspace.identity_key(name)
-    same = stamp is not None and (stamp.inputs, stamp.context) == (sources_digest, options_digest)
+    same = stamp is not None and stamp.context == options_digest and is_current(session, name)
     if stamp and same and not force and not renew and session.tree.has_file(key_path):
         digests = {file: session.tree.digest(f"{folder}/{file}") for file in stamp.outputs}
         if None not in digests.values():

@@ -99,8 +99,13 @@ def inputs_digest(session: Session, name: str, build_types: Iterable[str] | None
     if build_types is None:
         stamp = session.state.stamp(BUILD, name)
         build_types = stamp.build_types if stamp is not None else ()
-    places = [str(session.workspace.install)] if any(shared_builder(session, each) for each in build_types) else []
-    return digest(session.profile_digest, session.sources_digest(name), session.plugins.versions, *places)
+    shared = any(shared_builder(session, each) for each in build_types)
+    places = [str(session.workspace.install)] if shared else []
+    return session.once(
+        ("inputs", name, shared),
+        lambda: digest(session.profile_digest, session.sources_digest(name), session.plugins.versions, *places),
+        of_sources=True,
+    )
 
 
 def shared_builder(session: Session, name: str) -> SharedDocuments | None:
