@@ -57,8 +57,8 @@ def read_file(path: Path | str, most: int | None = None) -> bytes | None:
                 where=Origin(str(path)),
                 code="file-size",
             )
-        chunks = []
-        while chunk := os.read(descriptor, status.st_size + 1):
+        chunks = [os.read(descriptor, status.st_size + 1)]
+        while len(chunks[0]) != status.st_size and (chunk := os.read(descriptor, status.st_size + 1)):
             chunks.append(chunk)
         return b"".join(chunks)
     except OSError as error:

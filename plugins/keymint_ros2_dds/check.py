@@ -14,7 +14,7 @@ from keymint.errors import KeymintError
 from keymint.pki import certificates, certification_path, distinguished_names, keys, smime
 from keymint_ros2_dds import authority_roles as roles
 from keymint_ros2_dds import check_governance, subject_name_text, vendor_limits
-from keymint_ros2_dds.credentials import CredentialCheck, revocation_period
+from keymint_ros2_dds.credentials import CredentialCheck, revocation_period, subject_of
 from keymint_ros2_dds.documents import dds_xml
 from keymint_ros2_dds.domains import in_words, uncovered
 from keymint_ros2_dds.emission import is_form_of
@@ -211,7 +211,7 @@ class _EnclaveCheck(CredentialCheck):
 
     def _certificate_subject(self) -> str | None:
         try:
-            return subject_name_text.render(certificates.load(self._files.get(CERTIFICATE, b"")).subject)
+            return subject_name_text.render(subject_of(self._files.get(CERTIFICATE, b"")))
         except KeymintError:
             return None
 

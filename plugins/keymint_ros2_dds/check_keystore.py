@@ -10,8 +10,9 @@ from collections.abc import Iterator, Sequence
 from comarmor.errors import Diagnostic, Origin, Severity
 from keymint.api import Inspection
 from keymint.errors import KeymintError
-from keymint.pki import certificates, distinguished_names
+from keymint.pki import distinguished_names
 from keymint_ros2_dds import authority_roles as roles
+from keymint_ros2_dds.credentials import subject_of
 from keymint_ros2_dds.enclave_layout import CERTIFICATE
 
 
@@ -49,7 +50,7 @@ def _shared_grants(inspections: Sequence[Inspection]) -> Iterator[Diagnostic]:
 
 def _subject(inspection: Inspection) -> str:
     try:
-        return distinguished_names.to_text(certificates.load(inspection.files.get(CERTIFICATE, b"")).subject)
+        return distinguished_names.to_text(subject_of(inspection.files.get(CERTIFICATE, b"")))
     except KeymintError:
         return ""
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from datetime import UTC, datetime, timedelta
+from functools import lru_cache
 
 from cryptography import x509
 from cryptography.exceptions import UnsupportedAlgorithm
@@ -65,6 +66,12 @@ class CredentialCheck:
             return
         if not matches:
             yield self._error("key-mismatch", KEY, "is not the key of the certificate beside it")
+
+
+@lru_cache(maxsize=4096)
+def subject_of(pem: bytes) -> x509.Name:
+    """Return the subject of the one certificate of a file; errors as :func:`keymint.pki.certificates.load`."""
+    return certificates.load(pem).subject
 
 
 def revocation_period(pem: bytes) -> tuple[datetime, datetime] | None:
