@@ -63,7 +63,7 @@ def choose(workspace: Path, package: str, build_type: str) -> None:
 
 
 def state(folder: Path) -> dict[str, tuple[int, int, bytes]]:
-    """Return the mode, modification time and content of every file and folder."""
+    """Return the mode, modification time and content of every file and folder, except the recorded answers."""
     return {
         path.relative_to(folder).as_posix(): (
             path.lstat().st_mode,
@@ -71,6 +71,7 @@ def state(folder: Path) -> dict[str, tuple[int, int, bytes]]:
             path.read_bytes() if path.is_file() else b"",
         )
         for path in folder.rglob("*")
+        if path.name != ".keymint" and not path.name.startswith("last-")
     }
 
 

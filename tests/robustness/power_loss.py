@@ -239,7 +239,7 @@ class Crash:
 
     Attributes:
         at: number of the events before it.
-        keeps: tells whether an event that is not certain is on the disk all the same.
+        keeps: tells whether an event that is not certain is on the disk nevertheless.
         damaged: returns what is left of data that are not certain.
     """
 

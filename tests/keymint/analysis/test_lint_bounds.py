@@ -3,19 +3,23 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from functools import partial
 from pathlib import Path
 from random import Random
 
 import pytest
 
+from comarmor.errors import Diagnostic, Origin
 from comarmor.patterns.edit_distance import NameTrie
 from comarmor.patterns.glob import parse
 from comarmor.patterns.pattern_index import PatternIndex
 from comarmor.patterns.relations import disjoint
-from comarmor.patterns.steps import step_limit
+from comarmor.patterns.steps import spend, step_limit
+from comarmor.rules import Effect
 from keymint.analysis import name_similarity, portability, redundant_rules, subject_patterns
 from keymint.analysis.lint import lint
+from keymint.ir import Rule, SubjectRules
 from tests.effort import calls_of
 from tests.families import FAMILIES
 from tests.keymint.analysis.policies import loaded_text
@@ -80,13 +84,25 @@ def test_too_many_overlapping_patterns_end_with_a_note(tmp_path: Path, monkeypat
     assert "lint-unknown" in linted(tmp_path, f"<profiles>{text}</profiles>")[1]
 
 
-def test_the_compiler_ends_with_a_note(keymint, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    (tmp_path / "p.xml").write_text(FAMILIES["bracketed"](4) + " ")
-    (tmp_path / "q.xml").write_text(FAMILIES["flat"](30))
-    monkeypatch.setattr(portability, "STEPS", 0)
-    outcome = keymint("lint", "q.xml", "--json")
-    assert outcome.codes() == ["lint-unknown"]
-    assert outcome.code == 0
+class Costly:
+    """Checks the rules of any subject in ten steps."""
+
+    def check_rules(self, rules: SubjectRules, distro: str) -> Sequence[Diagnostic]:
+        del rules, distro
+        spend(10)
+        return ()
+
+
+@pytest.mark.parametrize(("limit", "codes"), [(9, ["lint-unknown"]), (10, [])])
+def test_the_compiler_ends_with_a_note(monkeypatch: pytest.MonkeyPatch, limit: int, codes: Found) -> None:
+    monkeypatch.setattr(portability, "STEPS", limit)
+    rules = {
+        name: Rule(Effect.ALLOW, "topic", ("publish",), (name,), (), audit=False, origin=Origin("p.xml", 1))
+        for name in "ab"
+    }
+    subjects = [(f"/{name}", (rule,)) for name, rule in rules.items()]
+    found = portability.portability(Costly(), "jazzy", subjects)
+    assert [each.code for each in found] == codes
 
 
 def test_pattern_index_finds_overlapping_patterns() -> None:

@@ -1,7 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 from __future__ import annotations
 
-from importlib.metadata import EntryPoint
 from types import SimpleNamespace
 from typing import Any
 
@@ -10,7 +9,7 @@ import pytest
 from keymint.api import API_VERSION
 from keymint.commands.graph_sources import graph_source
 from keymint.errors import ExitCode, KeymintError
-from keymint.plugins import Plugins
+from keymint.plugins import PluginInfo, Plugins
 
 ONE = SimpleNamespace(API=API_VERSION)
 OTHER = SimpleNamespace(API=API_VERSION)
@@ -18,7 +17,8 @@ OTHER = SimpleNamespace(API=API_VERSION)
 
 def run_with(*names: str) -> Any:
     """Return a run with these graph sources installed."""
-    entries = [EntryPoint(name, f"{__name__}:{name.upper()}", "keymint.graph_sources") for name in names]
+    group = "keymint.graph_sources"
+    entries = [PluginInfo(group, name, f"{__name__}:{name.upper()}", "test", "1") for name in names]
     return SimpleNamespace(plugins=Plugins(entries))
 
 
