@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import field
 from enum import StrEnum
 from pathlib import Path
@@ -116,14 +116,17 @@ class Plan:
         """Return the packages that are left as they are, although they should be something else."""
         return frozenset(step.package for step in self.steps if step.action is Action.KEPT)
 
+    def changes(self) -> Iterator[FolderChange]:
+        """Yield the changes of all steps, in order."""
+        return (change for step in self.steps for change in step.changes)
+
     def overlay(self) -> list[tuple[str, Content]]:
         """Return the planned content by path, for the stages that plan on top of this one."""
         changed: list[tuple[str, Content]] = []
-        for step in self.steps:
-            for change in step.changes:
-                changed += [(f"{change.folder}/{name}", file) for name, file in change.files.items()]
-                changed += [(f"{change.folder}/{name}", file) for name, file in change.held.items()]
-                changed += [(f"{change.folder}/{name}", None) for name in change.removed]
+        for change in self.changes():
+            changed += [(f"{change.folder}/{name}", file) for name, file in change.files.items()]
+            changed += [(f"{change.folder}/{name}", file) for name, file in change.held.items()]
+            changed += [(f"{change.folder}/{name}", None) for name in change.removed]
         return changed
 
     def writes(self) -> bool:

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 
 from keymint.changes import Action, File, Plan, Step
 from keymint.plan import gitignore, key_record
@@ -42,12 +43,12 @@ def execute(
     Raises:
         KeymintError: the system refuses a write; no file is incomplete, and a later run goes on from here.
     """
-    record = plan.state.dump()
     guards = gitignore.missing_files(workspace, plan)
     if not guards and not plan.writes() and plan.state == before and not store.is_marked():
         for step in plan.steps:
             on_step(step)
         return clock(workspace.state)
+    record = plan.state.dump()
     with store.marked(dump_mark(before, _public(plan), key_record.new_fingerprints(before, plan.state))):
         for guard in guards:  # before the first secret is written
             store.write(guard.folder, guard.files, private=guard.private)
@@ -62,17 +63,15 @@ def execute(
 
 def _staged(plan: Plan, store: Store, workers: Workers) -> list[Staged]:
     """Stage a plan. What other processes hold comes before what is removed."""
-    changes = [change for step in plan.steps for change in step.changes]
-    if not any(change.held for change in changes):
-        return [store.stage(changes)]
-    removals = [change for step in plan.steps if step.action is Action.REMOVED for change in step.changes]
+    if not any(change.held for change in plan.changes()):
+        return [store.stage(plan.changes())]
+    removals = replace(plan, steps=tuple(step for step in plan.steps if step.action is Action.REMOVED))
+    others = replace(plan, steps=tuple(step for step in plan.steps if step.action is not Action.REMOVED))
     staged: list[Staged] = []
     try:
-        staged.append(
-            store.stage(change for step in plan.steps if step.action is not Action.REMOVED for change in step.changes)
-        )
+        staged.append(store.stage(others.changes()))
         staged += workers.stage(store)
-        staged.append(store.stage(removals))
+        staged.append(store.stage(removals.changes()))
     except BaseException:
         for each in staged:
             store.discard(each)
@@ -82,7 +81,6 @@ def _staged(plan: Plan, store: Store, workers: Workers) -> list[Staged]:
 
 def _public(plan: Plan) -> Iterator[str]:
     """Yield the digests of the public files that a plan writes."""
-    for step in plan.steps:
-        for change in step.changes:
-            yield from (file.digest for file in change.files.values() if not file.secret)
-            yield from (file.digest for file in change.held.values() if not file.secret)
+    for change in plan.changes():
+        yield from (file.digest for file in change.files.values() if not file.secret)
+        yield from (file.digest for file in change.held.values() if not file.secret)

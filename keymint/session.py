@@ -168,7 +168,7 @@ class Session(Inputs):
     def after(self, plan: Plan) -> Self:
         """Return the session as it is once a plan is carried out."""
         src, made = f"{self.workspace.src}/", self._made_of_sources
-        changed = {f"{change.folder}/" for step in plan.steps for change in step.changes}
+        changed = {f"{change.folder}/" for change in plan.changes()}
         changed = {folder for folder in changed if folder.startswith(src)}
         if changed:
             files = [key for key in made if isinstance(key, tuple) and key[0] == _FILES]

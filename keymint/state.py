@@ -16,7 +16,7 @@ from typing import Any
 from comarmor.values import dataclass
 
 MAX_RECORD = 1 << 30
-"""Largest record in bytes; an enclave needs about 1,500."""
+"""Largest record in bytes; an enclave needs about 2,400."""
 VERSION = 3
 _DIGEST = 64
 """Characters of a digest; longer texts are written once."""

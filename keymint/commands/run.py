@@ -298,7 +298,7 @@ class Run:
             guards = gitignore.missing_files(workspace, plan)
             with self.console.progress(len(plan.steps), self.setting.monotonic) as advance:
                 visible = execute(plan, workspace, store, inputs.state, self.workers, advance)
-            changes = (*guards, *(change for step in plan.steps for change in step.changes))
+            changes = (*guards, *plan.changes())
             sight = file_index.save(store, workspace, inputs.tree, sight, changes, visible)
             report = Report(self.verb, workspace, plan.steps, plan.diagnostics, {}, exit_code(plan))
             session = inputs.after(plan).session()

@@ -24,7 +24,7 @@ def missing_files(workspace: Workspace, plan: Plan) -> Sequence[FolderChange]:
     An existing file belongs to the user and is kept. A space that is a link or read-only is skipped, unless the plan
     writes to it anyway.
     """
-    written = {str(change.folder) for step in plan.steps for change in step.changes if change.written}
+    written = {str(change.folder) for change in plan.changes() if change.written}
     if written:
         written.add(str(workspace.state))  # has the record of what is written
     spaces = (workspace.private, workspace.build, workspace.install, workspace.state)
