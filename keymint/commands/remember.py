@@ -3,7 +3,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import replace
+from datetime import datetime
 
 from keymint.changes import Action, File, Plan, Step
 from keymint.folder_status import Sight
@@ -12,19 +14,19 @@ from keymint.output.report import Report
 from keymint.plan.authorities import STAGE as AUTHORITIES
 from keymint.plan.build_types import BUILD
 from keymint.plan.policy import recorded_files
-from keymint.session import Session
+from keymint.session import Inputs
 from keymint.store import Store
 from keymint.unchanged import Answer, Call, name_of, record
 
 
 def remember(
-    call: Call, session: Session, plan: Plan, report: Report, sight: Sight, store: Store, console: Console
+    call: Call, inputs: Inputs, plan: Plan, report: Report, sight: Sight, store: Store, console: Console
 ) -> None:
     """Record the answer to a command, unless something is in doubt.
 
     Args:
         call: the command.
-        session: the workspace after it, and its profile.
+        inputs: the workspace before it.
         plan: what it did.
         report: what it reports.
         sight: the files after it.
@@ -34,12 +36,18 @@ def remember(
     seen, expected = recorded_files(plan.state), next_report(plan, report)
     if seen is None or expected is None:
         return
-    validity = (authority.certificate.validity for authority in session.profile.authorities)
-    dates = [date for each in validity for date in (each.not_before, each.not_after)]
     answer = Answer(*console.rendered(expected), int(expected.exit_code))
-    content = record(call, str(session.workspace.root), sight, seen, dates, answer)
+    content = record(call, str(inputs.workspace.root), sight, seen, _dates(inputs, plan), answer)
     if content is not None:
-        store.write(session.workspace.state, {name_of(call): File(content)})
+        store.write(inputs.workspace.state, {name_of(call): File(content)})
+
+
+def _dates(inputs: Inputs, plan: Plan) -> Iterator[datetime]:
+    """Yield the dates of the authorities after a plan; the profile is loaded only if they are asked for."""
+    tree = inputs.tree.overlaid(plan.overlay(f"{inputs.workspace.profile}/"))
+    for authority in replace(inputs, tree=tree).session().profile.authorities:
+        yield authority.certificate.validity.not_before
+        yield authority.certificate.validity.not_after
 
 
 def next_report(plan: Plan, report: Report) -> Report | None:

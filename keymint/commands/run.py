@@ -301,8 +301,7 @@ class Run:
             changes = (*guards, *plan.changes())
             sight = file_index.save(store, workspace, inputs.tree, sight, changes, visible)
             report = Report(self.verb, workspace, plan.steps, plan.diagnostics, {}, exit_code(plan))
-            session = inputs.after(plan).session()
-            remember(self.setting.call, session, plan, self.presented(report), sight, store, self.console)
+            remember(self.setting.call, inputs, plan, self.presented(report), sight, store, self.console)
         return report
 
     def presented(self, report: Report) -> Report:
