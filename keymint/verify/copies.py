@@ -24,6 +24,8 @@ from keymint.verify.usable_transports import names_rules
 
 PUBLIC = {".json", ".json5", ".p7s", ".pem", ".sig", ".xml"}
 """Suffixes of files that a model may read, and that may leave this machine."""
+_KEY = "key.pem"
+"""How the names of private keys end, whatever is in them."""
 _PRIVATE = b"PRIVATE KEY"
 """What a private key in PEM says of itself (RFC 7468)."""
 
@@ -62,6 +64,7 @@ class Copies:
             str(file.relative_to(self.root)): content
             for file in sorted(self.root.rglob("*"))
             if file.parent not in self.left_out and file.suffix in PUBLIC and file.is_file()
+            if not file.name.endswith(_KEY)
             if _PRIVATE not in (content := file.read_bytes())
         }
 
@@ -147,7 +150,7 @@ def _shared(tree: Tree, folder: Path, enclaves: Collection[Path]) -> Iterator[Pa
 def _copy(tree: Tree, source: Path, target: Path, *, keys: bool) -> None:
     target.mkdir(parents=True, exist_ok=True)
     for name, is_folder in tree.names(source):
-        if is_folder or (name.endswith("key.pem") and not keys):
+        if is_folder or (name.endswith(_KEY) and not keys):
             continue
         content = _content(tree, source / name)
         if content is not None:

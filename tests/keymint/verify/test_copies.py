@@ -126,3 +126,15 @@ def test_an_error_names_the_originals(tmp_path: Path, enclaves: dict[str, Enclav
     assert str(diagnostic) == f"{folder}/cert.pem:3: no {folder} ({folder})"
     assert (diagnostic.code, caught.value.exit_code) == ("x", ExitCode.FINDINGS)
     assert not copies.root.exists()
+
+
+@pytest.mark.parametrize("content", [b"\x30\x82\x01\x22DER", b"-----BEGIN PRIVATE KEY-----"], ids=["DER", "PEM"])
+def test_no_private_key_is_a_public_file_whatever_its_encoding(
+    tmp_path: Path, enclaves: dict[str, Enclave], content: bytes
+) -> None:
+    for name in ("key.pem", "authority_key.pem"):
+        (enclaves["/a/b"].folder / name).write_bytes(content)
+    real = Transport((Tier.DECISION, Tier.EXCHANGE))
+    with copied(Tree(), tmp_path / "install", enclaves, [real]) as copies:
+        public = copies.public_files()
+    assert {path.rpartition("/")[2] for path in public} == {"permissions.p7s", "ca.pem"}
