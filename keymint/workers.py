@@ -106,7 +106,8 @@ class Workers:
             KeymintError: the system refuses a write; what others staged is discarded.
         """
         for pipe in self._pipes:
-            pipe.send(None)
+            with contextlib.suppress(OSError):  # the process ended, which its missing answer tells
+                pipe.send(None)
         by_process: list[list[Staged]] = []
         errors: list[KeymintError] = []
         for pipe in self._pipes:

@@ -135,6 +135,32 @@ def test_a_refused_proof_is_explained_as_by_one_process(tmp_path: Path) -> None:
     assert snapshot(tmp_path / "ws") == before
 
 
+ENDED_BEFORE_STAGING = """
+import os, signal, sys
+from keymint.cli import main
+from keymint.workers import Workers
+stage = Workers.stage
+def staged(self, store):
+    process = self._processes[-1]
+    os.kill(process.pid, signal.SIGKILL)
+    process.join()
+    return stage(self, store)
+Workers.stage = staged
+sys.exit(main(sys.argv[1:]))
+"""
+
+
+def test_a_process_that_is_ended_between_planning_and_staging(tmp_path: Path) -> None:
+    source = policy(tmp_path / "policy.xml")
+    ended = run(tmp_path, "provision", source, "-w", "ws", "-j", 2, program=ENDED_BEFORE_STAGING)
+    assert ended.returncode == 1, ended.stderr
+    assert ended.stderr.count("\n") == 1
+    assert "a process that planned a part of the packages was ended" in ended.stderr
+    assert not list((tmp_path / "ws").rglob("key.pem"))
+    assert run(tmp_path, "provision", source, "-w", "ws").returncode == 0
+    assert run(tmp_path, "check", "-w", "ws").returncode == 0
+
+
 @pytest.mark.parametrize(
     ("module", "stage", "name"),
     [
