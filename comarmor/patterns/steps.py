@@ -5,8 +5,8 @@ A step is one pair of patterns compared, or one state visited. The caller sets t
 algorithms count (:func:`spend`). When the limit is reached, :class:`StepLimitError` is raised. Whoever set the limit
 turns it into an error or into "unknown", never into an answer.
 
-The count does not depend on earlier calls: an answer from a cache (:func:`cached`) costs the steps that computing it
-cost.
+An answer from a cache of this package (:func:`cached`) costs the steps that computing it cost, so that the count of a
+search does not depend on earlier ones. Caches above it, as that of compiled kinds of subjects, save steps.
 """
 
 from __future__ import annotations

@@ -14,7 +14,11 @@ from keymint.api import RuleCheck
 from keymint.ir import Rule, SubjectRules
 
 STEPS = 40_000_000
-"""Steps after which no further subject is checked (:mod:`comarmor.patterns.steps`)."""
+"""Steps after which no further subject is checked (:mod:`comarmor.patterns.steps`).
+
+Only work that is done counts: a subject that is like one this process compiled before costs next to nothing, so a
+second run in the same process may check more subjects than the first one, never fewer.
+"""
 
 
 def portability(
