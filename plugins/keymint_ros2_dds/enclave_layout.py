@@ -23,7 +23,8 @@ GOVERNANCE_P7S = f"{GOVERNANCE}.p7s"
 CERTIFICATE, KEY = "cert.pem", "key.pem"
 CA, IDENTITY_CA, PERMISSIONS_CA = "ca.cert.pem", "identity_ca.cert.pem", "permissions_ca.cert.pem"
 CRL = "crl.pem"
-"""The revocation list of an enclave. Keymint does not write it; ROS 2 from Humble on reads it if it exists."""
+"""The revocation list of an enclave; see :func:`reads_revocations`."""
+_WITHOUT_REVOCATIONS = frozenset(("ardent", "bouncy", "crystal", "dashing", "eloquent", "foxy", "galactic"))
 
 FILES: Mapping[str, tuple[str, ...]] = {
     "sros2": (IDENTITY_CA, PERMISSIONS_CA, CERTIFICATE, KEY, GOVERNANCE_P7S, PERMISSIONS_P7S, PERMISSIONS_XML),
@@ -37,3 +38,14 @@ COPIED = (IDENTITY_CA, PERMISSIONS_CA, GOVERNANCE_P7S)
 def files(layout: str) -> frozenset[str]:
     """Return the names of all files that may lie in an enclave; see :meth:`keymint.api.BuildType.files`."""
     return frozenset((*FILES.get(layout, ()), CRL))
+
+
+def reads_revocations(distro: str) -> bool:
+    """Return whether the nodes of a ROS 2 distribution read the revocation list of their enclave.
+
+    Humble and later give it to the vendor if it exists (rmw_dds_common#52, rmw_cyclonedds#325, rmw_fastrtps#546).
+
+    Args:
+        distro: name of the distribution; an unknown one counts as later.
+    """
+    return distro not in _WITHOUT_REVOCATIONS

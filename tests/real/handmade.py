@@ -27,9 +27,9 @@ class Authority:
     key: ec.EllipticCurvePrivateKey = field(repr=False)
 
     @classmethod
-    def new(cls, name: str) -> Authority:
-        """Create an authority with a common name."""
-        key = ec.generate_private_key(ec.SECP256R1())
+    def new(cls, name: str, key: ec.EllipticCurvePrivateKey | None = None) -> Authority:
+        """Create an authority with a common name, and with a new key if none is given."""
+        key = key or ec.generate_private_key(ec.SECP256R1())
         subject = x509.Name.from_rfc4514_string(f"CN={name}")
         usage = _key_usage(digital_signature=True, key_cert_sign=True, crl_sign=True)
         identifier = x509.SubjectKeyIdentifier.from_public_key(key.public_key())

@@ -51,7 +51,7 @@ BEGINNING_OF_TIME = datetime.min.replace(tzinfo=UTC)
 
 @dataclass(frozen=True, slots=True)
 class Semantics:
-    """How a permissions document is read.
+    """How the files of an enclave are read.
 
     Attributes:
         parser: whose parser reads the documents; it decides which documents are refused, and which are not modelled.
@@ -72,6 +72,8 @@ class Semantics:
         tags_count: data tags are evaluated.
         needs_rule_to_join: a participant needs an allow rule, even if the governance does not control joining.
         topic_rules_both_ways: a topic rule also matches if the topic's name, as a pattern, matches its expression.
+        one_authority: only the first certificate of the identity authority's file is trusted.
+        lists_among_authorities: revocation lists in the identity authority's file are read.
     """
 
     parser: Parser = Parser.STANDARD
@@ -92,6 +94,8 @@ class Semantics:
     tags_count: bool = True
     needs_rule_to_join: bool = False
     topic_rules_both_ways: bool = False
+    one_authority: bool = False
+    lists_among_authorities: bool = False
 
     def refusal(self, document: PermissionsDocument | GovernanceDocument) -> str:
         """Return why the parser refuses a document, in one line with its place; or an empty text."""
@@ -214,6 +218,7 @@ CYCLONE_DEVIATIONS = (
     _on("16", "trimmed-text", "white space around a text is ignored", reads_text=trimmed),
     _on("17", "fnmatch", "no escapes; only '!' negates a set; the ']' that ends a set is a member of it",
         fnmatch=fnmatch.CYCLONE_DDS),
+    _on("21", "one-authority", "only the first certificate of identity_ca.cert.pem is trusted", one_authority=True),
     _on("data tags", "tags-ignored", "data tags are ignored", tags_count=False),
 )  # fmt: skip
 
@@ -238,6 +243,8 @@ FAST_DEVIATIONS = (
     _on("20", "topic-rules-both-ways",
         "the name of a topic is compared as an expression with the expressions of the governance, too",
         topic_rules_both_ways=True),
+    _on("22", "lists-among-authorities", "revocation lists in identity_ca.cert.pem are read",
+        lists_among_authorities=True),
     _on("data tags", "tags-ignored", "data tags are ignored", tags_count=False),
 )  # fmt: skip
 

@@ -10,6 +10,7 @@ from keymint.api import Enclave, Verdict
 from keymint.errors import KeymintError
 from keymint.graph import Edge
 from keymint_ros2_dds.decision import Variation
+from keymint_ros2_dds.enclave_layout import reads_revocations
 from keymint_ros2_dds.lowering.endpoints import endpoints
 from keymint_ros2_dds.transports import enclave_files
 from keymint_ros2_dds.transports.enclave_model import EnclaveModel, EnclaveModels
@@ -74,7 +75,7 @@ def admission(
         try:
             with System(vendor) as system:
                 try:
-                    participant = system.open(enclave.folder, domain)
+                    participant = system.open(enclave.folder, domain, revocations=reads_revocations(enclave.distro))
                 except RefusedError as error:
                     reason = f"the participant is refused: {error}"
                     refused = Verdict(allowed=False, reason=reason, where=enclave_model.place())
@@ -104,7 +105,8 @@ def admitted(vendor: Vendor, enclave: Enclave, domain: int, endpoints: Sequence[
     try:
         with System(vendor) as system:
             try:
-                return system.open(enclave.folder, domain).allow(topics)
+                opened = system.open(enclave.folder, domain, revocations=reads_revocations(enclave.distro))
+                return opened.allow(topics)
             except RefusedError:
                 return ()
     except ProbeError as error:

@@ -73,8 +73,12 @@ class CycloneDDSTransport(RealTransport):
 def _open(enclave_model: EnclaveModel, folder: Path, domain: int, stack: ExitStack) -> AccessControl | str:
     """Return the plugin with an enclave, or why it is refused.
 
-    Some documents crash the process that gives them to Cyclone DDS; they are not given to it.
+    Some documents crash the process that gives them to Cyclone DDS; they are not given to it. The plugin sees no
+    revocation list and no authority: whether the participant authenticates itself is what the model says.
     """
+    unauthenticated = enclave_model.unauthenticated(CYCLONEDDS_0_10)
+    if unauthenticated:
+        return f"Cyclone DDS refuses the enclave: {unauthenticated}"
     if enclave_model.documents is not None:
         permissions = enclave_model.documents.permissions
     else:

@@ -21,6 +21,7 @@ from keymint.api import Enclave, Verdict
 from keymint.errors import KeymintError
 from keymint.graph import Edge
 from keymint_ros2_dds.decision import Variation
+from keymint_ros2_dds.enclave_layout import reads_revocations
 from keymint_ros2_dds.lowering.endpoints import endpoints
 from keymint_ros2_dds.transports import admission
 from keymint_ros2_dds.transports.enclave_model import EnclaveModels
@@ -98,16 +99,23 @@ def _batch(
 
 
 def _peer(endpoint: Edge, models: EnclaveModels, model: Variation) -> Enclave | None:
-    """Return the first other enclave, by name, that may be the other end by the model of the vendor."""
+    """Return the first other enclave, by name, that may be the other end by the model of the vendor.
+
+    One that refuses the subject in the handshake, or is refused by it, is taken if there is no other.
+    """
     wildcards = set("*?[")
     if endpoint.permission not in _OTHER_END or any(wildcards & set(p) for p in endpoint.object.partitions):
         return None  # two expressions never match each other (DDS 1.4, 2.2.3.13)
+    own, stranger = models.of(endpoint.subject, endpoint.domain), None
     for subject in models.subjects():
         if subject != endpoint.subject:
             other = replace(endpoint, subject=subject, permission=_OTHER_END[endpoint.permission])
-            if models.of(subject, endpoint.domain).decide(model, other).allowed:
-                return models.enclave(subject)
-    return None
+            peer = models.of(subject, endpoint.domain)
+            if peer.decide(model, other).allowed:
+                if not peer.refuses(own, model) and not own.refuses(peer, model):
+                    return models.enclave(subject)
+                stranger = stranger or models.enclave(subject)
+    return stranger
 
 
 def _admitted(vendor: Vendor, model: Variation, models: EnclaveModels, batch: Sequence[Edge]) -> dict[Edge, _Trial]:
@@ -117,7 +125,9 @@ def _admitted(vendor: Vendor, model: Variation, models: EnclaveModels, batch: Se
     trials: dict[Edge, _Trial] = {}
     with System(vendor) as system:
         try:
-            participant: ProbeParticipant | None = system.open(enclave.folder, batch[0].domain)
+            participant: ProbeParticipant | None = system.open(
+                enclave.folder, batch[0].domain, revocations=reads_revocations(enclave.distro)
+            )
             refusal = ""
         except RefusedError as error:
             participant, refusal = None, f"the participant is refused: {error}"
@@ -179,11 +189,11 @@ def _pairs(
     system: System, enclave: Enclave, trials: Sequence[_Trial], *, conforming: bool
 ) -> list[tuple[_Trial, _SentSample | None]]:
     """Create both ends of each endpoint, in order, and write a sample; None if an end cannot be created."""
-    domain, peer = trials[0].endpoint.domain, trials[0].peer
+    domain, peer = trials[0].endpoint.domain, cast("Enclave", trials[0].peer)
     pairs: list[tuple[_Trial, _SentSample | None]] = []
     try:
-        other = system.open(cast("Enclave", peer).folder, domain)
-        own = system.open(enclave.folder, domain, conforming=conforming)
+        other = system.open(peer.folder, domain, revocations=reads_revocations(peer.distro))
+        own = system.open(enclave.folder, domain, conforming=conforming, revocations=reads_revocations(enclave.distro))
     except RefusedError:
         return [(trial, None) for trial in trials]
     for number, trial in enumerate(trials):

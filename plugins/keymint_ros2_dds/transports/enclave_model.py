@@ -14,7 +14,8 @@ from keymint_ros2_dds import decision
 from keymint_ros2_dds.decision import OMG, DecisionOutcome, DocumentEvaluator, EndpointDecision, Variation, fnmatch
 from keymint_ros2_dds.decision.access import DomainAccess, topic_rule
 from keymint_ros2_dds.reading.signed_governance import DocumentDomainRule, DocumentTopicRule
-from keymint_ros2_dds.transports import enclave_files
+from keymint_ros2_dds.transports import authentication, enclave_files
+from keymint_ros2_dds.transports.authentication import Authentication
 
 
 class EnclaveModel:
@@ -38,21 +39,39 @@ class EnclaveModel:
         self._now = environment.now
         self._domain = domain
         self._evaluators: dict[str, tuple[DocumentEvaluator, DomainAccess]] = {}
+        self._refusals: dict[str, str] = {}
+        self._authentication: Authentication | None = None
         self.documents: enclave_files.SignedDocuments | None = None
         self.refusal = ""
         try:
-            self.documents = enclave_files.signed_documents(enclave.folder, environment)
+            documents = enclave_files.signed_documents(enclave.folder, environment)
+            self._authentication = authentication.load(enclave, environment.now)
+            self.documents = documents
         except KeymintError as error:
             enclave_files.raise_if_unread(error, enclave.folder)
             self.refusal = str(error)
 
     def decide(self, variation: Variation, endpoint: Edge) -> EndpointDecision:
         """Decide whether a participant may have an endpoint, an edge of kind ``topic``."""
-        if self.documents is None:
-            return EndpointDecision(DecisionOutcome.ERROR, 0, self.refusal)
+        refusal = self.refusal or self.unauthenticated(variation)
+        if self.documents is None or refusal:
+            return EndpointDecision(DecisionOutcome.ERROR, 0, refusal)
         evaluator, access = self._evaluators.get(variation.name) or self._opened(variation, self.documents)
         topic = endpoint.object
         return access.decide(evaluator, endpoint.permission, topic.name, topic.partitions)
+
+    def unauthenticated(self, variation: Variation) -> str:
+        """Return why an implementation creates no participant with the certificate of the enclave, or an empty text."""
+        if self._authentication is None:
+            return ""
+        if variation.name not in self._refusals:
+            self._refusals[variation.name] = self._authentication.refusal(variation.semantics)
+        return self._refusals[variation.name]
+
+    def refuses(self, peer: EnclaveModel, variation: Variation) -> bool:
+        """Return whether the participant of the enclave refuses that of another one in the handshake."""
+        own, other = self._authentication, peer._authentication
+        return own is not None and other is not None and bool(own.refuses(other.certificate, variation.semantics))
 
     def _opened(
         self, variation: Variation, documents: enclave_files.SignedDocuments
@@ -66,7 +85,7 @@ class EnclaveModel:
     def admitted(self, variation: Variation, endpoints: Column) -> bytes:
         """Decide about many endpoints at once, one byte each: 1 admitted, 0 refused; see :meth:`decide`."""
         refused = bytes(len(endpoints.requests))
-        if self.documents is None:
+        if self.documents is None or self.unauthenticated(variation):
             return refused
         evaluator, access = self._evaluators.get(variation.name) or self._opened(variation, self.documents)
         if access.rule is None or access.absent(evaluator) is not None:

@@ -97,8 +97,10 @@ static void set_authority(dds_qos_t *qos, const char *property, const char *fold
   set_file(qos, property, folder, access(path, F_OK) == 0 ? file : "ca.cert.pem");
 }
 
-/* access_control is the path of an access-control plugin to use instead of the vendor's. */
-static void open_participant(uint32_t domain, const char *folder, const char *plugins, const char *access_control)
+/* crl is the name of a revocation list in the folder, or empty; access_control is the path of an access-control plugin
+ * to use instead of the vendor's. */
+static void open_participant(
+    uint32_t domain, const char *folder, const char *crl, const char *plugins, const char *access_control)
 {
   char library[3][4096];
   const char *names[3] = {"auth", "crypto", "ac"};
@@ -116,6 +118,8 @@ static void open_participant(uint32_t domain, const char *folder, const char *pl
   set_authority(qos, "dds.sec.access.permissions_ca", folder, "permissions_ca.cert.pem");
   set_file(qos, "dds.sec.access.governance", folder, "governance.p7s");
   set_file(qos, "dds.sec.access.permissions", folder, "permissions.p7s");
+  if (crl[0])
+    set_file(qos, "org.eclipse.cyclonedds.sec.auth.crl", folder, crl);
   participant = dds_create_participant(domain, qos, NULL);
   dds_delete_qos(qos);
   if (participant < 0)
@@ -239,8 +243,8 @@ static bool obey(char **words, size_t count)
 {
   const char *command = words[0];
   const Edge *edge = count > 1 ? find_edge(words[1]) : NULL;
-  if (strcmp(command, "OPEN") == 0 && (count == 4 || count == 5))
-    open_participant((uint32_t)atoi(words[1]), words[2], words[3], count == 5 ? words[4] : NULL);
+  if (strcmp(command, "OPEN") == 0 && (count == 5 || count == 6))
+    open_participant((uint32_t)atoi(words[1]), words[2], words[3], words[4], count == 6 ? words[5] : NULL);
   else if (strcmp(command, "EDGE") == 0 || strcmp(command, "TRY") == 0)
     edge_command(command, words + 1, count - 1);
   else if (strcmp(command, "AWAIT") == 0 && edge && count == 3)

@@ -185,8 +185,8 @@ public:
     std::string obey(const Words& words)
     {
         const std::string& command = words[0];
-        if (command == "OPEN" && words.size() == 5)
-            return open(std::stoul(words[1]), words[2], std::stoi(words[3]), std::stoi(words[4]));
+        if (command == "OPEN" && words.size() == 6)
+            return open(std::stoul(words[1]), words[2], words[3], std::stoi(words[4]), std::stoi(words[5]));
         if (participant_ == nullptr)
             return "ERROR no participant";
         if (command == "EDGE" && words.size() >= 4)
@@ -207,7 +207,8 @@ public:
 
 private:
     // The caller chooses the ports, two for each participant, so that systems of different tests never communicate.
-    std::string open(uint32_t domain, const std::string& folder, int first_port, int index)
+    // crl is the name of a revocation list in the folder, or empty.
+    std::string open(uint32_t domain, const std::string& folder, const std::string& crl, int first_port, int index)
     {
         fast::DomainParticipantQos qos;
         auto transport = std::make_shared<eprosima::fastdds::rtps::UDPv4TransportDescriptor>();
@@ -233,6 +234,8 @@ private:
         set(qos, "dds.sec.access.builtin.Access-Permissions.permissions_ca", authority(folder, "permissions_ca.cert.pem"));
         set(qos, "dds.sec.access.builtin.Access-Permissions.governance", file + "governance.p7s");
         set(qos, "dds.sec.access.builtin.Access-Permissions.permissions", file + "permissions.p7s");
+        if (!crl.empty())
+            set(qos, "dds.sec.auth.builtin.PKI-DH.identity_crl", file + crl);
 
         participant_ = fast::DomainParticipantFactory::get_instance()->create_participant(
                 domain, qos, &listener_, fast::StatusMask::none());

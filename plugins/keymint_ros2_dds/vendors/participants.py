@@ -5,7 +5,7 @@ A participant is a probe (:mod:`probes`) that reads one command per line. The wo
 tabs, and each line is answered by one line:
 
 =================================================  ==================================================
-``OPEN domain enclave …``                          ``OPENED``, or ``REFUSED reason``
+``OPEN domain enclave crl …``                      ``OPENED``, or ``REFUSED reason``
 ``EDGE name publish|subscribe topic partition…``   ``ALLOWED``, or ``DENIED reason``; the edge stays
 ``TRY publish|subscribe topic partition…``         the same, and the edge is deleted at once
 ``AWAIT name milliseconds``                        ``MATCHED count``, ``REJECTED reason`` or ``TIMEOUT``
@@ -13,6 +13,9 @@ tabs, and each line is answered by one line:
 ``READ name milliseconds``                         ``SAMPLE text`` or ``TIMEOUT``
 ``CLOSE``                                          ``CLOSED``, and the process ends
 =================================================  ==================================================
+
+``crl`` is the name of a revocation list in the folder of the enclave, or empty. The properties are those that
+``rmw_cyclonedds`` and ``rmw_fastrtps`` set if the enclave has a ``crl.pem``.
 """
 
 from __future__ import annotations
@@ -30,6 +33,7 @@ from pathlib import Path
 from typing import IO, Self, cast
 
 from comarmor.values import dataclass
+from keymint_ros2_dds.enclave_layout import CRL
 from keymint_ros2_dds.vendors import cyclone_access_control
 from keymint_ros2_dds.vendors.ports import FIRST_PARTICIPANT, Ports
 
@@ -138,13 +142,17 @@ class System:
     def __exit__(self, *_: object) -> None:
         self._stack.close()
 
-    def open(self, enclave: Path, domain: int = 0, *, conforming: bool = True) -> ProbeParticipant:
+    def open(
+        self, enclave: Path, domain: int = 0, *, conforming: bool = True, revocations: bool = True
+    ) -> ProbeParticipant:
         """Start a process with a participant that uses the files of an enclave.
 
         Args:
             enclave: the folder.
             domain: DDS domain id.
             conforming: the participant enforces its own permissions; otherwise only its peers do.
+            revocations: the participant reads the revocation list of the enclave, if there is one, as ROS 2 from
+                Humble on does.
 
         Raises:
             RefusedError: the vendor refuses; the process has ended.
@@ -153,7 +161,8 @@ class System:
         environment, words = self._vendor.start(self.first_port, index, conforming=conforming)
         process = _ProbeProcess(self._vendor.program, environment)
         self._stack.callback(process.reap)
-        answer, reason = process.ask("OPEN", str(domain), str(enclave.resolve()), *words)
+        crl = CRL if revocations and (enclave / CRL).exists() else ""
+        answer, reason = process.ask("OPEN", str(domain), str(enclave.resolve()), crl, *words)
         if answer != "OPENED":
             process.reap()
             raise RefusedError(reason)
