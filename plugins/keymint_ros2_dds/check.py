@@ -39,6 +39,18 @@ SLACK = timedelta(days=1)
 """Fast DDS reads dates in the host's time zone, so a period must begin a day earlier and end a day later."""
 
 
+_DROPPED = (
+    "then running participants of Cyclone DDS drop it within a second and report nothing, those of Fast DDS 2.9 go on, "
+    "and neither connects again"
+)
+_AT_THE_END = {
+    "certificate": _DROPPED,
+    "grant": _DROPPED,
+    "revocation list": "then running participants refuse every new peer, and none starts",
+}
+"""What vendors do at the end of a period; ``tests/real/test_keystore_life.py`` measures it."""
+
+
 def check(inspection: Inspection) -> tuple[Diagnostic, ...]:
     """Return findings on one installed enclave; codes are stable."""
     return tuple(_EnclaveCheck(inspection).findings())
@@ -227,7 +239,9 @@ class _EnclaveCheck(CredentialCheck):
             message = f"the {what} is not valid before {_shown(begin)}"
             yield self._error(f"{code}-not-yet-valid", name, message, renew)
         elif now + timedelta(days=self._inspection.within_days) >= end:
-            yield self._warning(f"{code}-expires", name, f"the {what} expires on {_shown(end)}", renew)
+            yield self._warning(
+                f"{code}-expires", name, f"the {what} expires on {_shown(end)}; {_AT_THE_END[what]}", renew
+            )
         elif now + slack >= end or now - slack < begin:
             message = (
                 f"the {what} is valid from {_shown(begin)} to {_shown(end)}, which is within a day of now: Fast DDS "

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import dataclass, field
 from datetime import UTC, datetime, timedelta
 from typing import TYPE_CHECKING
@@ -90,7 +91,13 @@ def revocation_list(
 
 
 def enclave(
-    authorities: Authorities, folder: Path, who: Identity, *, trusted: bytes = b"", crl: bytes | None = None
+    authorities: Authorities,
+    folder: Path,
+    who: Identity,
+    *,
+    trusted: bytes = b"",
+    crl: bytes | None = None,
+    end: timedelta | None = None,
 ) -> Path:
     """Write the enclave of an identity that may do everything; return its folder.
 
@@ -100,8 +107,13 @@ def enclave(
         who: the identity.
         trusted: the file of the identity authority, if it is not the certificate of that of ``authorities``.
         crl: the revocation list, if there is one.
+        end: end of the grant, from now; else in ten days.
     """
-    authorities.enclave(folder, permissions=permissions_document(who.name, EVERYTHING))
+    document = permissions_document(who.name, EVERYTHING)
+    if end is not None:
+        last = f"<not_after>{datetime.now(UTC) + end:%Y-%m-%dT%H:%M:%S}</not_after>"
+        document = re.sub("<not_after>.*</not_after>", last, document)
+    authorities.enclave(folder, permissions=document)
     contents = {"cert.pem": who.pem, "key.pem": who.key_pem}
     if trusted:
         contents["identity_ca.cert.pem"] = trusted

@@ -6,6 +6,7 @@ Every fact about the creation of a participant is also compared with the model o
 
 from __future__ import annotations
 
+import time
 from dataclasses import dataclass
 from datetime import UTC, datetime, timedelta
 from typing import TYPE_CHECKING
@@ -165,19 +166,29 @@ def matched(system: System, folder: Path, reader: ProbeEndpoint) -> ProbeEndpoin
     return writer
 
 
-def test_a_certificate_that_expires_while_it_runs(place: Place, vendor: Vendor, system: System, tmp_path: Path) -> None:
-    """Cyclone DDS drops the peer in silence: its writes succeed. Fast DDS 2.9 goes on."""
-    lifetime = timedelta(seconds=4)
-    reader = system.open(enclave(place.authorities, tmp_path / "own", place.own)).edge("subscribe", "rt/x")
-    expiring = identity(place.ca, "/expiring", end=lifetime)
-    writer = matched(system, enclave(place.authorities, tmp_path / "expiring", expiring), reader)
-    left = (expiring.certificate.not_valid_after_utc - datetime.now(UTC)).total_seconds()
-    assert reader.read(max(left, 0) + 2.0) is None
-    writer.write("after the end")
-    if isinstance(vendor, CycloneDDS):
-        assert reader.read(0.5) is None
-    else:
-        assert reader.read(WAIT) == "after the end"
+def test_what_expires_while_it_runs(place: Place, vendor: Vendor, system: System, tmp_path: Path) -> None:
+    """Cyclone DDS drops the peer in silence: its writes succeed. Fast DDS 2.9 goes on. Neither connects again."""
+    end = timedelta(seconds=6)
+    expiring = identity(place.ca, "/expiring", end=end)
+    good = enclave(place.authorities, tmp_path / "good", place.peer)
+    by_certificate = enclave(place.authorities, tmp_path / "certificate", expiring)
+    by_grant = enclave(place.authorities, tmp_path / "grant", identity(place.ca, "/granted"), end=end)
+    crl = revocation_list(place.ca, end=end)
+    reader = system.open(enclave(place.authorities, tmp_path / "own", place.own, crl=crl)).edge("subscribe", "rt/x")
+    ending = [matched(system, folder, reader) for folder in (by_certificate, by_grant)]
+    lasting = matched(system, good, reader)
+    time.sleep(max((expiring.certificate.not_valid_after_utc - datetime.now(UTC)).total_seconds(), 0) + 2.5)
+    for writer in (*ending, lasting):
+        writer.write("after the end")
+    reads = 1 if isinstance(vendor, CycloneDDS) else 3
+    assert [reader.read(WAIT) for _ in range(reads)] == ["after the end"] * reads
+    assert reader.read(0.5) is None
+    for folder in (by_certificate, by_grant):
+        with pytest.raises(RefusedError):
+            system.open(folder)
+    newcomer = system.open(good).edge("publish", "rt/x")
+    newcomer.write("the list of the reader has expired")
+    assert reader.read(1.0) is None
 
 
 def test_two_identity_authorities_side_by_side(place: Place, vendor: Vendor, system: System, tmp_path: Path) -> None:

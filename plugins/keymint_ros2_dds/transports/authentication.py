@@ -11,6 +11,7 @@ from __future__ import annotations
 import re
 from collections.abc import Sequence
 from datetime import UTC, datetime
+from functools import lru_cache
 
 from cryptography import x509
 from cryptography.exceptions import UnsupportedAlgorithm
@@ -55,7 +56,7 @@ class Authentication:
     def refuses(self, certificate: x509.Certificate, semantics: Semantics) -> str:
         """Return why a certificate is refused, in a handshake or at creation; or an empty text."""
         trusted = self.authorities[:1] if semantics.one_authority else self.authorities
-        issuer = next((each for each in trusted if certificates.is_issued_by(certificate, each)), None)
+        issuer = next((each for each in trusted if _is_issued_by(certificate, each)), None)
         if issuer is None:
             return f"{CERTIFICATE} is by no authority that is trusted"
         period = certificate.not_valid_before_utc, certificate.not_valid_after_utc
@@ -65,6 +66,12 @@ class Authentication:
             or (f"{CRL} is not a revocation list" if self.unread else "")
             or _revoked(certificate, issuer, [each for each in lists if each is not None], self.now)
         )
+
+
+@lru_cache(maxsize=4096)
+def _is_issued_by(certificate: x509.Certificate, authority: x509.Certificate) -> bool:
+    """Return whether an authority issued a certificate; models of all vendors ask it about each."""
+    return certificates.is_issued_by(certificate, authority)
 
 
 def _revoked(
