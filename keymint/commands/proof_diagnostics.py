@@ -11,7 +11,7 @@ from keymint.api import Claim, Counterexample, Proof
 from keymint.commands.run import Run
 from keymint.graph import Edge
 from keymint.plan import terms
-from keymint.plan.prove import EnclaveProof, ProofEffort, ProofResults
+from keymint.plan.proof_results import EnclaveProof, ProofEffort, ProofResults
 
 SECONDS = 10.0
 STATES = 500_000

@@ -13,7 +13,8 @@ from keymint.changes import Plan
 from keymint.commands.proof_diagnostics import dated_of, diagnostics_of, effort_of, merged_packages
 from keymint.commands.run import Run
 from keymint.errors import ExitCode, KeymintError
-from keymint.plan.prove import NO_PROVER, EnclaveProof, ProofStage
+from keymint.plan.proof_results import EnclaveProof
+from keymint.plan.prove import NO_PROVER, ProofStage
 from keymint.plan.shared_install import HAND_EDITED
 from keymint.plan.shared_proof import affected
 from keymint.plan.terms import merged

@@ -24,7 +24,8 @@ from keymint.plan import terms
 from keymint.plan.enclaves import unaccounted
 from keymint.plan.policy import lazy_policy
 from keymint.plan.policy_drift import uncreated
-from keymint.plan.prove import NO_PROVER, STAGE, EnclaveProof, ProofResults
+from keymint.plan.proof_results import EnclaveProof, ProofResults
+from keymint.plan.prove import NO_PROVER, STAGE
 from keymint.plan.prove import prove as find
 
 SHOWN = 5

@@ -8,10 +8,8 @@ from __future__ import annotations
 
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
-from datetime import datetime
 
 from comarmor.errors import Diagnostic, Severity
-from comarmor.values import dataclass
 from keymint import __version__
 from keymint.api import (
     Claim,
@@ -34,96 +32,18 @@ from keymint.plan import authority_evidence, proof_record, terms
 from keymint.plan.authority_files import trusted_chains
 from keymint.plan.build_types import build_types_of, inputs_digest, issuers_of, suffixes_read
 from keymint.plan.enclaves import INSTALLED, enclave_digests, enclave_files, not_installed
+from keymint.plan.proof_results import EnclaveProof, PackageProof, ProofEffort, ProofResults
 from keymint.plan.shared_documents import load_packages, record_key
 from keymint.plan.shared_proof import SharedReader
 from keymint.plan.trust_anchors import anchors_of, shared_anchors
 from keymint.session import Session
-from keymint.state import Stamp, State, digest, digest_files
+from keymint.state import Stamp, digest, digest_files
 
 STAGE = "prove"
 LEAST = 50
 """Enclaves for which a process of its own is worth its start."""
 NO_PROVER = "proof-unsupported"
 """Code of the finding on an enclave whose build type proves nothing."""
-
-
-@dataclass(frozen=True, slots=True)
-class ProofEffort:
-    """The limits of the search.
-
-    Attributes:
-        states: states that one search may visit.
-        deadline: called for each enclave; returns a function that tells whether to continue.
-    """
-
-    states: int
-    deadline: Callable[[], Callable[[], bool]]
-
-
-@dataclass(frozen=True, slots=True)
-class EnclaveProof:
-    """The result for one enclave.
-
-    Attributes:
-        subject: its subject.
-        claims: by model, action and domains; none if the enclave could not be read.
-        cached: every claim was proven before, and nothing changed.
-        diagnostics: files that could not be read, or that do not rest on the workspace's authorities.
-        terms: when the documents are in force.
-        build_type: of claims across subjects, the build type; the subject is empty.
-    """
-
-    subject: str
-    claims: tuple[Claim, ...]
-    cached: bool = False
-    diagnostics: tuple[Diagnostic, ...] = ()
-    terms: tuple[ValidityTerm, ...] = ()
-    build_type: str = ""
-
-
-@dataclass(frozen=True, slots=True)
-class PackageProof:
-    """The proof of one package, or across all packages of a build type, and what becomes of its record.
-
-    Attributes:
-        name: the package; of claims across subjects, their key in the record.
-        proof: the result.
-        build_types: the build types of the package.
-        stamp: the record to keep; None if it does not change.
-        refuted: the proof must not be on record.
-    """
-
-    name: str
-    proof: EnclaveProof
-    build_types: tuple[str, ...] = ()
-    stamp: Stamp | None = None
-    refuted: bool = False
-
-
-@dataclass(frozen=True, slots=True)
-class ProofResults:
-    """The results for all enclaves.
-
-    Attributes:
-        enclaves: the result for each.
-        shared: the results across subjects, for each build type that has some.
-        state: the record to keep.
-        assumptions: assumptions of the claims, by model.
-        standards: the models that are no vendor's: those that each prover names first.
-        now: the time at which the claims are judged, UTC.
-    """
-
-    enclaves: tuple[EnclaveProof, ...]
-    shared: tuple[EnclaveProof, ...]
-    state: State
-    assumptions: Mapping[str, Sequence[str]]
-    standards: frozenset[str]
-    now: datetime
-
-    @property
-    def all(self) -> tuple[EnclaveProof, ...]:
-        """The results for all enclaves, and those across subjects."""
-        return (*self.enclaves, *self.shared)
 
 
 def prove(
