@@ -21,9 +21,9 @@ from keymint_ros2_dds.enclave_layout import (
 )
 from keymint_ros2_dds.proving import validity_terms
 from keymint_ros2_dds.proving.anchor_check import differences, enclave_file
-from keymint_ros2_dds.proving.claims import ProofSpec
 from keymint_ros2_dds.proving.enclave_governance import EnclaveGovernance
 from keymint_ros2_dds.proving.proof_cache import prove_content
+from keymint_ros2_dds.proving.questions import ProofSpec
 from keymint_ros2_dds.settings import settings_of
 from keymint_ros2_dds.transports.enclave_files import subject_name
 

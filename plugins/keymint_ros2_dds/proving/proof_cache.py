@@ -12,8 +12,9 @@ from keymint_ros2_dds import decision
 from keymint_ros2_dds.documents import dds_xml
 from keymint_ros2_dds.enclave_layout import PERMISSIONS
 from keymint_ros2_dds.lowering.lower import Lowered, lower
-from keymint_ros2_dds.proving.claims import ASSUMPTIONS, ProofQuestion, ProofSpec, prove_document
+from keymint_ros2_dds.proving.claims import ASSUMPTIONS, prove_document
 from keymint_ros2_dds.proving.enclave_governance import EnclaveGovernance
+from keymint_ros2_dds.proving.questions import ProofQuestion, ProofSpec
 
 MOST = 10_000
 """Number of documents whose claims are cached."""

@@ -1,0 +1,73 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Compare the policy with what permissions and governance permit, over all names."""
+
+from __future__ import annotations
+
+from comarmor.patterns.decision_lists import DecisionList, ProofResult, SearchBudget, Universe
+from comarmor.patterns.proofs import difference
+from comarmor.values import dataclass
+from keymint_ros2_dds.proving import octets, permission_lists
+from keymint_ros2_dds.proving.enclave_governance import ACTIONS
+from keymint_ros2_dds.proving.governance_lists import NOTHING, Regions, without_wildcards
+from keymint_ros2_dds.proving.governance_lists import difference as governed_difference
+from keymint_ros2_dds.proving.questions import ProofQuestion
+
+
+@dataclass(frozen=True, slots=True)
+class Permitted:
+    """What the documents permit.
+
+    Attributes:
+        lists: decision lists of the permissions, of which all must permit.
+        regions: topics by their governance; None if every topic is under access control.
+        exempt: permits the topics that the sources leave open, as the profile accepts.
+        both_ways: names with wildcards are excluded, because topic rules match them in both directions.
+    """
+
+    lists: tuple[DecisionList, ...]
+    regions: Regions | None = None
+    exempt: DecisionList = NOTHING
+    both_ways: bool = False
+
+
+NOTHING_PERMITTED = Permitted((NOTHING,))
+
+
+class Comparator:
+    """Compares the policy with decision lists of the document, once for all models with the same lists.
+
+    Attributes:
+        pairs: words have partitions.
+        lists: the decision lists of the document.
+        independent: no expression depends on the locale.
+    """
+
+    def __init__(self, question: ProofQuestion) -> None:
+        self._question = question
+        opens = question.governance is not None and question.governance.opens()
+        self.pairs = opens or permission_lists.has_partitions(question.lowered, question.document.grants)
+        self._universe = Universe(
+            octets.ALPHABET, fields=2 if self.pairs else 1, separator=permission_lists.SEPARATOR, last_nonempty=True
+        )
+        self.lists = permission_lists.GrantLists(question.document.grants, pairs=self.pairs)
+        self.independent = octets.is_independent(question.document, question.spec.rules)
+        self._policy = {
+            action: permission_lists.of_policy(question.lowered, action, pairs=self.pairs) for action in ACTIONS
+        }
+        self._known: dict[tuple[object, ...], ProofResult] = {}
+
+    def of(self, action: str, permitted: Permitted, *, inside: bool) -> ProofResult:
+        """Compare what the policy allows, in its domains or elsewhere, with what the document permits."""
+        policy = self._policy[action] if inside else ()
+        key = (policy, permitted)
+        result = self._known.get(key)
+        if result is None:
+            budget = SearchBudget(self._question.spec.states, self._question.spec.go_on)
+            result = self._known[key] = self._compared(policy, permitted, budget)
+        return result
+
+    def _compared(self, policy: DecisionList, permitted: Permitted, budget: SearchBudget) -> ProofResult:
+        if permitted.regions is None:
+            return difference(policy, *permitted.lists, universe=self._universe, budget=budget)
+        universe = without_wildcards(self._universe) if permitted.both_ways else self._universe
+        return governed_difference(policy, permitted.lists, permitted.regions, permitted.exempt, universe, budget)

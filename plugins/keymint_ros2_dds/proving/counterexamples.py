@@ -1,0 +1,124 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Tell by the plain evaluators what the policy and the documents decide about a name on which they differ."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+from comarmor.errors import Reason
+from comarmor.rules import Effect
+from comarmor.values import dataclass
+from keymint.api import Counterexample, Endpoint, PolicyDecision, Verdict
+from keymint.ir import SubjectRules
+from keymint_ros2_dds import decision
+from keymint_ros2_dds.decision import OMG, DocumentEvaluator, EndpointDecision, Variation
+from keymint_ros2_dds.decision.access import DomainAccess
+from keymint_ros2_dds.proving import octets, permission_lists, policy_evaluator, protection
+from keymint_ros2_dds.proving.grant_periods import GrantPeriod
+from keymint_ros2_dds.proving.questions import ProofQuestion
+
+_DATE = "%Y-%m-%dT%H:%M:%S"
+
+
+@dataclass(frozen=True, slots=True)
+class Counterexamples:
+    """Makes counterexamples to the claims of one model.
+
+    Attributes:
+        question: the document, and what it must permit.
+        variation: the model.
+        refused: why the model reads no document at all, or an empty text.
+        eras: the periods in which a grant is in force.
+        pairs: words have partitions.
+    """
+
+    question: ProofQuestion
+    variation: Variation
+    refused: str
+    eras: tuple[GrantPeriod, ...]
+    pairs: bool
+
+    def of(
+        self, action: str, domain: int, era: GrantPeriod | None, word: str, *, inside: bool, permitted: bool
+    ) -> Counterexample:
+        """Return a name for which the policy and the documents decide differently, with both decisions.
+
+        Args:
+            action: a key of the action.
+            domain: a domain where they differ.
+            era: the grant in force; None if none ever is.
+            word: the name, and its partition, in the alphabet of the engine.
+            inside: the policy applies in that domain.
+            permitted: the engine finds that the documents permit it.
+        """
+        spec, governance = self.question.spec, self.question.governance
+        pair = word.split(permission_lists.SEPARATOR) if self.pairs else ("", word)
+        partition, topic = map(octets.in_text, pair)
+        rules = spec.rules if inside else SubjectRules(spec.rules.subject, ())
+        edges = policy_evaluator.endpoint_edges(rules.subject, spec.distro, action, topic, partition)
+        rule = policy_evaluator.decide(rules, spec.distro, action, topic, partition)
+        if rule is not None:
+            verb = "allows" if rule.effect is Effect.ALLOW else "denies"
+            policy = PolicyDecision(
+                rule.effect is Effect.ALLOW, rule.origin, Reason((f"the {rule.kind} rule {verb} it",)), rule.audit
+            )
+        else:
+            reason = "no rule allows it" if inside else "not its domain"
+            policy = PolicyDecision(allowed=False, where=None, reason=Reason((reason,)))
+        verdict = self._verdict(action, domain, era, (topic, partition), permitted=permitted)
+        by_governance = (
+            governance is not None and verdict.where is not None and verdict.where.file == governance.document.file
+        )
+        return Counterexample(
+            Endpoint(rules.subject, action, topic, edges[0].object.partitions, domain),
+            next((edge for edge in edges[1:] if policy_evaluator.is_ros_name(edge.object.name)), None),
+            policy,
+            verdict,
+            protection.help_for(governance, domain) if by_governance else "",
+            verdict.where if by_governance else None,
+        )
+
+    def _verdict(
+        self, action: str, domain: int, era: GrantPeriod | None, name: tuple[str, str], *, permitted: bool
+    ) -> Verdict:
+        """Return the verdict of the decision point about a topic and partition, by this model.
+
+        Where the engine finds it permitted, the permissions alone may do so: a peer evaluates its own governance.
+        """
+        question, governance, (topic, partition) = self.question, self.question.governance, name
+        if self.refused:
+            return Verdict(allowed=False, reason=self.refused)
+        if era is None:
+            return self._never()
+        now = era.begin
+
+        def ask(variation: Variation) -> EndpointDecision:
+            evaluator = DocumentEvaluator(question.document, question.spec.subject_name, now, domain, variation)
+            partitions = (partition,) if partition else ()
+            if governance is None:
+                return evaluator.decide(action, topic, partitions)
+            governed = DomainAccess(governance.document, domain, variation.semantics)
+            outcome = governed.decide(evaluator, action, topic, partitions)
+            if not outcome.allowed and permitted and (alone := evaluator.decide(action, topic, partitions)).allowed:
+                reason = f"{alone.reason}; only the governance of this enclave refuses it: peers evaluate their own"
+                return replace(alone, reason=reason)
+            return outcome
+
+        outcome = ask(self.variation)
+        deviation = ""
+        if self.variation.name != OMG.name and ask(OMG).allowed is not outcome.allowed:
+            deviation = "; ".join(map(str, decision.explain(lambda other: ask(other).allowed, self.variation)))
+        reason = outcome.reason
+        if len(self.eras) > 1:
+            reason += f" (by the grant in force from {era.begin:{_DATE}} to {era.end:{_DATE}})"
+        return Verdict(outcome.allowed, reason, outcome.where, deviation)
+
+    def _never(self) -> Verdict:
+        """Return why no grant is ever in force."""
+        document, name = self.question.document, self.question.spec.subject_name
+        grant = next(iter(self.variation.semantics.grants(document, name)), None)
+        if grant is None:
+            return Verdict(allowed=False, reason=f"no grant applies to {name!r}")
+        dates = f"{grant.not_before.strip()} to {grant.not_after.strip()}"
+        reason = f"the grant of {name!r} is never valid ({dates})"
+        return Verdict(allowed=False, reason=reason, where=document.place(grant.line))
