@@ -25,6 +25,7 @@ from keymint.api.building import AuthorityRole as AuthorityRole
 from keymint.api.building import BuildOptions as BuildOptions
 from keymint.api.building import BuildResult as BuildResult
 from keymint.api.building import BuildType as BuildType
+from keymint.api.building import CommonNameIdentity as CommonNameIdentity
 from keymint.api.building import EnclaveCredentials as EnclaveCredentials
 from keymint.api.building import Hint as Hint
 from keymint.api.building import Inspection as Inspection
@@ -47,6 +48,7 @@ from keymint.api.graphs import LearnedPolicy as LearnedPolicy
 from keymint.api.graphs import PolicyLearner as PolicyLearner
 from keymint.api.packages import DomainRange as DomainRange
 from keymint.api.packages import Grant as Grant
+from keymint.api.packages import Issuance as Issuance
 from keymint.api.packages import Package as Package
 from keymint.api.packages import PackageSettings as PackageSettings
 from keymint.api.packages import PackageSources as PackageSources
@@ -67,6 +69,7 @@ from keymint.api.policies import WrittenRule as WrittenRule
 from keymint.api.profiles import Bootstrap as Bootstrap
 from keymint.api.profiles import Infrastructure as Infrastructure
 from keymint.api.profiles import InfrastructurePackage as InfrastructurePackage
+from keymint.api.profiles import IssuanceFiles as IssuanceFiles
 from keymint.api.profiles import PackageType as PackageType
 from keymint.api.profiles import PolicySource as PolicySource
 from keymint.api.profiles import ProfileSettings as ProfileSettings

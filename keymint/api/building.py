@@ -103,7 +103,7 @@ class EnclaveCredentials:
 
     Attributes:
         certificate: the identity certificate.
-        key: its private key.
+        key: its private key; empty if it is elsewhere, and the enclave has no ``key.pem``.
         chains: by role, the certificate of the authority, followed by those of the authorities above it.
         signers: by role, the authorities that sign, with their private keys.
     """
@@ -273,6 +273,16 @@ class BuildType(Protocol):
 
     def check_all(self, inspections: Sequence[Inspection]) -> Sequence[Diagnostic]:
         """Return findings that involve several enclaves, e.g. names that a vendor confuses."""
+
+
+@runtime_checkable
+class CommonNameIdentity(Protocol):
+    """Optional capability of a build type: its transport knows a subject by a common name alone.
+
+    Then the common name has the generation (:attr:`Issuance.generation`), so that a revoked identity loses its rights.
+    """
+
+    KNOWS_COMMON_NAMES_ONLY: bool
 
 
 @runtime_checkable

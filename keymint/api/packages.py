@@ -5,6 +5,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import field
+from datetime import datetime
 from enum import StrEnum
 
 from comarmor.errors import Origin
@@ -123,6 +124,25 @@ class PackageSettings:
 
 
 @dataclass(frozen=True, slots=True)
+class Issuance:
+    """What an authority decided about the certificate and the grant of a package, beyond the documents of its owner.
+
+    The certificate and the grant are of one generation, which their subject names show, and change together.
+
+    Attributes:
+        generation: rises whenever the certificate is revoked, and never falls.
+        renewed: begin of validity of the certificate and of the grant, UTC, if it is later than their own documents
+            say; the length of each stays. None if they were never renewed.
+        public_key: the subject's public key (SubjectPublicKeyInfo in PEM), if the private key is not in the workspace:
+            the subject's machine made it, and it never left that. Empty if the workspace has the key.
+    """
+
+    generation: int = 0
+    renewed: datetime | None = None
+    public_key: bytes = b""
+
+
+@dataclass(frozen=True, slots=True)
 class Package:
     """A loaded source package: the input of build types for one subject.
 
@@ -137,6 +157,8 @@ class Package:
         issuers: the chain of authorities from the identity's issuer up to the root.
         role: why the package exists.
         infrastructure: the packages of that role in the workspace that have a build type in common with this one.
+        issuance: what an authority decided about the certificate and the grant, which have it in their names and
+            periods already.
     """
 
     name: str
@@ -149,3 +171,4 @@ class Package:
     issuers: tuple[Authority, ...] = ()
     role: Role = Role.SUBJECT
     infrastructure: tuple[Package, ...] = ()
+    issuance: Issuance = Issuance()

@@ -13,7 +13,7 @@ from comarmor.errors import Origin
 from comarmor.values import dataclass
 from keymint.api.building import BuildType
 from keymint.api.certificates import Authority
-from keymint.api.packages import Package, Role
+from keymint.api.packages import Issuance, Package, Role
 from keymint.ir import SubjectRules
 
 
@@ -247,3 +247,25 @@ class RuleLocator(Protocol):
         Raises:
             KeymintError: with ``file:line`` of each defect.
         """
+
+
+@runtime_checkable
+class IssuanceFiles(Protocol):
+    """Optional capability of a package type: keeps in a package what an authority decided about its certificate."""
+
+    ISSUANCE: str
+    """Name of the file that has it, relative to the folder of a package; a package without it has the defaults."""
+
+    def issuance(self, folder: str, files: Mapping[str, bytes]) -> Issuance:
+        """Return what the authority decided about a package; the defaults if its files have nothing about it.
+
+        Args:
+            folder: its folder as the user would type it.
+            files: the package's files by name; those beside :attr:`ISSUANCE` may be missing.
+
+        Raises:
+            KeymintError: with ``file:line`` of each defect.
+        """
+
+    def with_issuance(self, issuance: Issuance) -> Mapping[str, bytes]:
+        """Return the files to write into a package's folder, by name, so that it has this."""

@@ -41,11 +41,14 @@ class TrustAnchors:
         authorities: by role, as :meth:`keymint.api.BuildType.authorities` names them.
         subject_name: the identity's distinguished name, from the package.
         layout: name of the layout.
+        public_key: the subject's public key (PEM), from the package, if its private key is elsewhere; then the enclave
+            need not have that, and its certificate must be for this key. Empty if the workspace has the private key.
     """
 
     authorities: Mapping[str, TrustAnchor]
     subject_name: str
     layout: str
+    public_key: bytes = b""
 
 
 @dataclass(frozen=True, slots=True)

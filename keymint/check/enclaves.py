@@ -16,7 +16,7 @@ from keymint.plan import identity_keys, install
 from keymint.plan.authority_files import trusted_chains
 from keymint.plan.build_types import build_types_of
 from keymint.plan.private_keys import key_defects
-from keymint.session import Inputs, Session
+from keymint.session import Session
 from keymint.state import digest
 
 Inspections = Mapping[str, tuple[BuildType, Inspection]]
@@ -73,26 +73,30 @@ def unexpected(session: Session, package: Package, files: Iterable[str]) -> Iter
 
 
 def identity_key(
-    inputs: Inputs, package: Package, keyring: identity_keys.Keyring
+    session: Session, package: Package, keyring: identity_keys.Keyring
 ) -> tuple[str, tuple[Diagnostic, ...]]:
-    """Return the fingerprint of a package's private key (empty if it cannot be read), and the findings on it.
+    """Return the fingerprint of a package's key (empty if it cannot be read), and the findings on it.
 
     Args:
-        inputs: the workspace.
+        session: the workspace and its profile.
         package: the package.
         keyring: the known keys of all subjects and authorities.
     """
-    path, subject = inputs.workspace.identity_key(package.name), f"/{package.name}"
+    path, subject = session.workspace.identity_key(package.name), f"/{package.name}"
     fingerprint = ""
     try:
-        pem = inputs.tree.read(path)
-        if pem is None:
+        pem = session.tree.read(path)
+        if pem is None and not package.issuance.public_key:
             message = f"the private key of {subject} is not here"
-            where, help_ = Origin(inputs.workspace.shown(path)), f"'keymint build {package.name}' restores it"
+            where, help_ = Origin(session.workspace.shown(path)), f"'keymint build {package.name}' restores it"
             return "", (Diagnostic("key-missing", Severity.NOTE, message, where, help_, subject),)
-        key = identity_keys.load(inputs, package, path, pem)
+        key = identity_keys.public_key(session, package)
         fingerprint = keys.fingerprint(key)
-        keyring.require_own(package.name, path, key)
+        identity_keys.require_own(session, package, keyring, key)
+        if pem is not None and package.issuance.public_key:
+            message = f"is a private key of {subject}, whose certificate is for a key elsewhere: nothing uses this one"
+            where, help_ = Origin(session.workspace.shown(path)), "remove it, once no installed enclave uses it"
+            return fingerprint, (Diagnostic("key-unused", Severity.WARNING, message, where, help_, subject),)
     except KeymintError as error:
         return fingerprint, tuple(key_defects(error, subject))
     return fingerprint, ()

@@ -113,25 +113,33 @@ def to_text(name: x509.Name) -> str:
     return ",".join(f"{kind}={_escape(value)}" for kind, value in attributes(name))
 
 
-def common_name(subject: str) -> str:
+def common_name(subject: str, generation: int = 0) -> str:
     """Return the common name of a subject: its name, or its last segments if that exceeds a limit.
 
-    A shortened common name is not unique: combine it with an RDN of :func:`unique_suffix`.
+    A shortened common name is not unique: combine it with an RDN of :func:`unique_suffix`. A generation above 0 follows
+    a ``.``, which no ROS name has: ``/robot1/arm/driver.2``.
 
     Args:
         subject: a subject's name, e.g. ``/robot1/arm/driver``.
+        generation: generation of the identity, from 0.
     """
+    mark = f".{generation}" if generation else ""
+    most = MAX_COMMON_NAME - len(mark)
     segments = subject.removeprefix("/").split("/")
     for first in range(max(0, len(segments) - MAX_SEGMENTS), len(segments)):
         candidate = "/" + "/".join(segments[first:])
-        if len(candidate) <= MAX_COMMON_NAME:
-            return candidate
-    return f"/{segments[-1]}"[:MAX_COMMON_NAME]
+        if len(candidate) <= most:
+            return candidate + mark
+    return f"/{segments[-1]}"[:most] + mark
 
 
-def unique_suffix(subject: str) -> str:
-    """Return 32 hexadecimal digits that are unique to a subject: half of the SHA-256 of its name."""
-    return hashlib.sha256(subject.encode()).hexdigest()[:32]
+def unique_suffix(subject: str, generation: int = 0) -> str:
+    """Return 32 hexadecimal digits that are unique to a generation of a subject: half of a SHA-256.
+
+    It is that of the name, for a generation above 0 of the name, a line feed and the generation in decimal digits.
+    """
+    named = f"{subject}\n{generation}" if generation else subject
+    return hashlib.sha256(named.encode()).hexdigest()[:32]
 
 
 def _invalid(text: str, problem: str, help_: str = "") -> KeymintError:

@@ -109,9 +109,8 @@ def _plan_package(
     options = options_of(options, f"/{name}")
     options_digest = digest(repr(options))
     stamp = session.state.stamp(STAGE, name)
-    key_path = session.workspace.identity_key(name)
     same = stamp is not None and stamp.context == options_digest and is_current(session, name)
-    if stamp and same and not force and not renew and session.tree.has_file(key_path):
+    if stamp and same and not force and not renew and identity_keys.is_there(session, name):
         digests = {file: session.tree.digest(f"{folder}/{file}") for file in stamp.outputs}
         if None not in digests.values():
             edited = [file for file, value in digests.items() if value != stamp.outputs[file]]
@@ -130,15 +129,7 @@ def _plan_package(
     changes += tuple(
         FolderChange(folder, removed=(file,)) for file in obsolete if session.tree.has_file(f"{folder}/{file}")
     )
-    minted: tuple[FolderChange, ...] = ()
-    fingerprint = ""
-    key_content = session.tree.read(key_path)
-    if key_content is None or renew:
-        new_key = identity_keys.mint if renew else identity_keys.restore_or_mint
-        change, fingerprint = new_key(session, package, key_path)
-        minted = (change,)
-    else:
-        identity_keys.load(session, package, key_path, key_content)
+    minted, fingerprint = _key(session, package, renew=renew)
     before = stamp is not None or any(content is not None for content in existing.values())
     action = (Action.UPDATED if before else Action.CREATED) if changes or minted else Action.UNCHANGED
     outputs = {file: new.digest for file, new in files.items()}
@@ -153,6 +144,26 @@ def _plan_package(
         build_types=package.build_types,
     )
     return PackagePlan(name, step, made, built.diagnostics, fingerprint=fingerprint, lifetimes=own)
+
+
+def _key(session: Session, package: Package, *, renew: bool) -> tuple[tuple[FolderChange, ...], str]:
+    """Return the change that stores a new or restored private key, if one is needed, and its fingerprint.
+
+    Raises:
+        KeymintError: the stored key cannot be used, or the key to replace is elsewhere.
+    """
+    path = session.workspace.identity_key(package.name)
+    if renew:
+        identity_keys.refuse_elsewhere(session, package.name)
+    if package.issuance.public_key:
+        return (), ""  # the private key is on the subject's machine, and none is needed here
+    content = session.tree.read(path)
+    if content is not None and not renew:
+        identity_keys.load(session, package, path, content)
+        return (), ""
+    new_key = identity_keys.mint if renew else identity_keys.restore_or_mint
+    change, fingerprint = new_key(session, package, path)
+    return (change,), fingerprint
 
 
 def _built(session: Session, package: Package, options: BuildOptions) -> BuildResult:

@@ -15,11 +15,13 @@ from comarmor.errors import Diagnostic, Origin
 from keymint.api import Package
 from keymint.changes import File, FolderChange
 from keymint.errors import KeymintError
-from keymint.pki import certificates, keys
+from keymint.pki import certificates, keys, public_keys
 from keymint.plan import key_record
 from keymint.plan.enclaves import INSTALLED, KEY, installed, installed_certificate
+from keymint.plan.issuance import issuance_of, place_of
 from keymint.plan.private_keys import load_key, password
 from keymint.session import Inputs, Session
+from keymint.state import digest
 
 
 def _remedy(name: str) -> str:
@@ -37,6 +39,66 @@ def load(inputs: Inputs, package: Package, path: Path, pem: bytes) -> keys.Publi
     identity, shown = package.identity, Origin(inputs.workspace.shown(path))
     remedy = _remedy(package.name)
     return load_key(keys.public_of, pem, identity.key, inputs.environment, shown, identity.origin, remedy)
+
+
+def key_digest(session: Session, name: str) -> str | None:
+    """Return a digest of the key that a package's certificate is issued for; None if the workspace lacks it.
+
+    Raises:
+        KeymintError: what the authority decided about the package has defects.
+    """
+    public = issuance_of(session, name).public_key
+    return digest(public) if public else session.tree.digest(session.workspace.identity_key(name))
+
+
+def is_there(session: Session, name: str) -> bool:
+    """Tell whether the workspace has the key that a package's certificate is issued for; errors as above."""
+    return bool(issuance_of(session, name).public_key) or session.tree.has_file(session.workspace.identity_key(name))
+
+
+def refuse_elsewhere(session: Session, name: str) -> None:
+    """Refuse to make a new key for a package whose private key is not here.
+
+    Raises:
+        KeymintError: it is not here; what the authority decided about the package says so.
+    """
+    if issuance_of(session, name).public_key:
+        raise KeymintError(
+            f"the private key of /{name} is not here, so no other one is made for it",
+            where=place_of(session, name),
+            help="run 'keymint request' on the machine that is to have the key, then 'keymint sign' here",
+            code="key-elsewhere",
+        )
+
+
+def private_key(session: Session, package: Package) -> bytes:
+    """Return the stored private key of a package, in PEM; empty if it is elsewhere, or missing."""
+    if package.issuance.public_key:
+        return b""
+    return session.tree.read(session.workspace.identity_key(package.name)) or b""
+
+
+def public_key(session: Session, package: Package) -> keys.PublicKey:
+    """Return the public key that a package's certificate is issued for.
+
+    Raises:
+        KeymintError: the stored private key cannot be used.
+    """
+    if package.issuance.public_key:
+        return public_keys.from_pem(package.issuance.public_key, place_of(session, package.name))
+    path = session.workspace.identity_key(package.name)
+    return load(session, package, path, private_key(session, package))
+
+
+def require_own(session: Session, package: Package, keyring: Keyring, key: keys.PublicKey) -> str:
+    """Require that the key of a package is its subject's, and nobody else's; returns its fingerprint.
+
+    Raises:
+        KeymintError: it is an authority's key, was replaced, or belongs to another subject.
+    """
+    if package.issuance.public_key:
+        return keyring.require_free(package.name, key)
+    return keyring.require_own(package.name, session.workspace.identity_key(package.name), key)
 
 
 def mint(inputs: Inputs, package: Package, path: Path) -> tuple[FolderChange, str]:
@@ -132,6 +194,30 @@ class Keyring:
             for other in self._owners.get(fingerprint, ()):
                 if other != name:
                     raise _shared(name, other, self._place(path))
+        return fingerprint
+
+    def require_free(self, name: str, key: keys.PublicKey) -> str:
+        """Require that a key whose private half is elsewhere is nobody else's; returns its fingerprint.
+
+        It may differ from the one that the subject had: an authority decided so in the sources.
+
+        Args:
+            name: the package.
+            key: its public key.
+
+        Raises:
+            KeymintError: it is an authority's key, or belongs to another subject.
+        """
+        fingerprint, where = keys.fingerprint(key), place_of(self._session, name)
+        owner = f"the authority {self._authorities[fingerprint]!r}" if fingerprint in self._authorities else ""
+        others = [other for other in self._owners.get(fingerprint, ()) if other != name]
+        if owner or others:
+            raise KeymintError(
+                f"the public key of /{name} is that of {owner or f'/{others[0]}'}",
+                where=where,
+                help="make a new key with 'keymint request' on the machine of this subject, then run 'keymint sign'",
+                code="key-of-authority" if owner else "key-shared",
+            )
         return fingerprint
 
     def _place(self, path: Path) -> Origin:

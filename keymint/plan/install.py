@@ -83,7 +83,6 @@ def _plan_enclave(
     session: Session, name: str, authorities: Mapping[str, MintedAuthority], keyring: Keyring
 ) -> PackagePlan:
     workspace = session.workspace
-    key_path = workspace.identity_key(name)
     inputs = _inputs_digest(session, name, {authority: minted.chain for authority, minted in authorities.items()})
     if inputs is None:
         raise KeymintError(
@@ -106,10 +105,10 @@ def _plan_enclave(
         return PackagePlan(name, Step(STAGE, name, Action.UNCHANGED), lifetimes=own)
     package, folder = session.package(name), session.enclaves / name
     own = lifetimes.lifetimes(package)
-    documents, key_pem = build.built_documents(session, name), session.tree.read(key_path) or b""
+    documents = build.built_documents(session, name)
     existing, unreadable = enclave_files(session, name)
-    public = identity_keys.load(session, package, key_path, key_pem)
-    fingerprint = keyring.require_own(name, key_path, public)
+    key_pem, public = identity_keys.private_key(session, package), identity_keys.public_key(session, package)
+    fingerprint = identity_keys.require_own(session, package, keyring, public)
     artifacts, warnings = sign(session, package, documents, authorities, (key_pem, public), existing)
     paths = {workspace.shown(folder / file) for file in artifacts} if unreadable else set()
     if blocking := [each for each in unreadable if _is_blocking(each, paths)]:
@@ -221,7 +220,7 @@ def _has_outputs(session: Session, name: str, stamp: Stamp, inputs: str | None) 
 def _inputs_digest(session: Session, name: str, chains: Mapping[str, bytes]) -> str | None:
     """Return the digest of all that an enclave is made from, or None if its package is not built."""
     documents = build.document_digests(session, name)
-    key = session.tree.digest(session.workspace.identity_key(name))
+    key = identity_keys.key_digest(session, name)
     if documents is None or key is None:
         return None
     built = (part for item in sorted(documents.items()) for part in item)

@@ -7,7 +7,7 @@ from collections.abc import Mapping
 
 from keymint.api import API_VERSION
 from keymint.api.lazy import lazy
-from keymint_ros.manifest import BUILD_TYPE, MARKER
+from keymint_ros.manifest import BUILD_TYPE, ISSUANCE, MARKER
 
 __all__ = ["RosPackageType", "RosProfileType", "package_type", "profile_type"]
 
@@ -32,16 +32,23 @@ class RosProfileType:
 
 
 class RosPackageType:
-    """Source packages; implements :class:`keymint.api.PackageType` and :class:`keymint.api.RuleLocator`."""
+    """Source packages.
+
+    Implements :class:`keymint.api.PackageType`, :class:`keymint.api.RuleLocator` and
+    :class:`keymint.api.IssuanceFiles`.
+    """
 
     API = API_VERSION
     MARKER = MARKER
+    ISSUANCE = ISSUANCE
 
     create = lazy("keymint_ros.create:create")
     create_infrastructure = lazy("keymint_ros.create:create_infrastructure")
     role = lazy("keymint_ros.manifest:role")
     load = lazy("keymint_ros.package:load")
     rule_places = lazy("keymint_ros.package:rule_places")
+    issuance = lazy("keymint_ros.issuance:issuance")
+    with_issuance = lazy("keymint_ros.issuance:with_issuance")
 
 
 profile_type = RosProfileType()

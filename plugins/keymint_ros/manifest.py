@@ -16,6 +16,8 @@ if TYPE_CHECKING:
     from lxml import etree
 
 MARKER = "keymint_package.xml"
+ISSUANCE = "issuance.xml"
+"""What an authority decided about the certificate of the package; see :mod:`keymint_ros.issuance`."""
 BUILD_TYPE = "keymint_ros2_dds"
 
 

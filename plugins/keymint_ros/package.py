@@ -16,7 +16,9 @@ from keymint.api import (
     Authority,
     BuildType,
     CertificateSpec,
+    CommonNameIdentity,
     Grant,
+    Issuance,
     Package,
     PackageSettings,
     PackageSources,
@@ -36,7 +38,7 @@ from keymint.source_documents import (
     signer,
     text,
 )
-from keymint_ros import certificate, manifest, permissions, permissions_writer, placeholders, validity
+from keymint_ros import certificate, issuance, manifest, permissions, permissions_writer, placeholders, validity
 from keymint_ros.manifest import MARKER, PackageManifest, PackagePart
 from keymint_ros.profile import base_of
 
@@ -46,6 +48,7 @@ if TYPE_CHECKING:
     from keymint.api import DomainRange, Validity
 
 _T = TypeVar("_T")
+_Issued = TypeVar("_Issued", CertificateSpec, Grant)
 
 
 @dataclass(frozen=True, slots=True)
@@ -259,13 +262,15 @@ def load(
             code="name-mismatch",
         )
     subject = f"/{name}"
-    values = placeholders.of_subject(subject)
+    plugins = {each: build_types(each, Origin(file)) for each in package_manifest.build_types}
+    diagnostics: list[Diagnostic] = []
+    issued = _attempt(partial(issuance.issuance, folder, files), diagnostics) or Issuance()
+    in_common_name = any(isinstance(each, CommonNameIdentity) for each in plugins.values())
+    values = placeholders.of_subject(subject, issued.generation, in_common_name=in_common_name)
     authorities = tuple(authority.name for authority in profile.authorities)
     loader = _PackageLoader(profile, name, folder, base_of(profile), files, package_manifest, values, authorities)
-    diagnostics: list[Diagnostic] = []
-    identity = _attempt(loader.identity, diagnostics)
-    grant = _attempt(loader.grant, diagnostics)
-    plugins = {each: build_types(each, Origin(file)) for each in package_manifest.build_types}
+    identity = _renewed(_attempt(loader.identity, diagnostics), issued)
+    grant = _renewed(_attempt(loader.grant, diagnostics), issued)
     parts = _parts(loader, plugins.values(), diagnostics)
     sources = PackageSources(
         name=name,
@@ -295,7 +300,15 @@ def load(
         settings={each: read.value for each, read in settings.items()},
         issuers=tuple(_issuers(profile, identity.issuer)),
         role=package_manifest.role,
+        issuance=issued,
     )
+
+
+def _renewed(issued: _Issued | None, issuance_: Issuance) -> _Issued | None:
+    """Return a certificate or a grant with the validity that it has since it was renewed."""
+    if issued is None or issued.validity is None or issuance_.renewed is None:
+        return issued
+    return replace(issued, validity=validity.renewed(issued.validity, issuance_.renewed))
 
 
 def _parts(

@@ -48,13 +48,19 @@ def expand(name: str, values: Mapping[str, str]) -> str:
     return _BRACES.sub(lambda match: values[match.group(1)], name)
 
 
-def of_subject(subject: str) -> Mapping[str, str]:
-    """Return the values of :data:`SUBJECT` for a subject such as ``/robot1/talker``."""
+def of_subject(subject: str, generation: int = 0, *, in_common_name: bool = False) -> Mapping[str, str]:
+    """Return the values of :data:`SUBJECT` for a generation of a subject.
+
+    Args:
+        subject: the subject's name, e.g. ``/robot1/talker``.
+        generation: generation of its identity; the unique suffix has it.
+        in_common_name: the common name has it as well, for a transport that knows a subject by this name alone.
+    """
     from keymint.pki import distinguished_names  # noqa: PLC0415 - imports cryptography, which takes 0.1 s
 
     return {
         "name": subject.removeprefix("/"),
         "subject": subject,
-        "common_name": distinguished_names.common_name(subject),
-        "unique": distinguished_names.unique_suffix(subject),
+        "common_name": distinguished_names.common_name(subject, generation if in_common_name else 0),
+        "unique": distinguished_names.unique_suffix(subject, generation),
     }

@@ -18,6 +18,7 @@ if TYPE_CHECKING:
 
 _YEARS = range(1950, 10000)
 """RFC 5280, 4.1.2.5: the years that UTCTime and GeneralizedTime of a certificate can express."""
+_LAST = datetime(9999, 12, 31, 23, 59, 59, tzinfo=UTC)
 _LONGEST = 64
 """Most characters of a date or a duration."""
 
@@ -31,8 +32,8 @@ def read(element: etree._Element | None) -> Validity | None:
     if element is None:
         return None
     start, end = element
-    not_before = _date(start)
-    not_after = _date(end) if end.tag == "not_after" else _later(not_before, end)
+    not_before = date(start)
+    not_after = date(end) if end.tag == "not_after" else _later(not_before, end)
     if not_after <= not_before:
         raise KeymintError(
             f"the validity ends at {not_after:%Y-%m-%dT%H:%M:%SZ}, which is not after its start at "
@@ -57,21 +58,40 @@ def effective(own: Validity | None, file: str, defaults: Validity | None, defaul
     return period and replace(period, origin=Origin(source, period.origin.line if period.origin else 0))
 
 
-def _date(element: etree._Element) -> datetime:
+def renewed(period: Validity, start: datetime | None) -> Validity:
+    """Return a period that begins at a later date, and is as long as before; itself if the date is not later.
+
+    It ends with the year 9999 at the latest, which stands for no end (RFC 5280, 4.1.2.5).
+    """
+    if start is None or start <= period.not_before:
+        return period
+    try:
+        end = start + (period.not_after - period.not_before)
+    except OverflowError:
+        end = _LAST
+    return replace(period, not_before=start, not_after=min(end, _LAST))
+
+
+def date(element: etree._Element) -> datetime:
+    """Return the date of an element; without a zone it is in UTC.
+
+    Raises:
+        KeymintError: no such date, or a year that a certificate cannot express.
+    """
     content = text(element) or ""
     try:
-        date = datetime.fromisoformat(content) if len(content) <= _LONGEST else None
-        date = date and (date.replace(tzinfo=UTC) if date.tzinfo is None else date.astimezone(UTC))
+        found = datetime.fromisoformat(content) if len(content) <= _LONGEST else None
+        found = found and (found.replace(tzinfo=UTC) if found.tzinfo is None else found.astimezone(UTC))
     except (ValueError, OverflowError):
-        date = None
-    if date is None or date.year not in _YEARS:
+        found = None
+    if found is None or found.year not in _YEARS:
         raise KeymintError(
             f"{quoted(content, _LONGEST)} is not a date between the years {_YEARS.start} and {_YEARS[-1]}",
             where=place(element),
             help="write e.g. 2026-01-31T00:00:00, which means UTC, or with a zone 2026-01-31T00:00:00+01:00",
             code="date-invalid",
         )
-    return date.replace(microsecond=0)
+    return found.replace(microsecond=0)
 
 
 def _later(start: datetime, element: etree._Element) -> datetime:

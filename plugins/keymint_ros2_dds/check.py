@@ -94,7 +94,7 @@ class _EnclaveCheck(CredentialCheck):
 
     def _inventory(self) -> Iterator[Diagnostic]:
         for name in self._names:
-            if name not in self._files:
+            if name not in self._files and not (name == KEY and self._inspection.package.issuance.public_key):
                 yield self._error("file-missing", name, "is missing")
 
     def _revocations(self) -> Iterator[Diagnostic]:
@@ -126,8 +126,9 @@ class _EnclaveCheck(CredentialCheck):
             yield from self._validity("certificate", CERTIFICATE, *period, slack=timedelta(0))
         if KEY in self._files and not keys.is_canonical(self._files[KEY]):
             yield self._error("pem-altered", KEY, "is not the canonical encoding of a private key")
-        if not self._inspection.package.identity.key.password_env:  # else it cannot be read
-            yield from map(self._for_subject, self._key(certificate))
+        public_key = self._inspection.package.issuance.public_key
+        if public_key or not self._inspection.package.identity.key.password_env:  # else it cannot be read
+            yield from map(self._for_subject, self._key(certificate, public_key))
 
     def _authorities(self) -> Iterator[Diagnostic]:
         trusted = {

@@ -12,7 +12,7 @@ from cryptography.exceptions import UnsupportedAlgorithm
 
 from comarmor.errors import Diagnostic, Origin, Severity
 from keymint.errors import KeymintError
-from keymint.pki import certificates, keys
+from keymint.pki import certificates, keys, public_keys
 from keymint.pki.distinguished_names import to_text
 from keymint_ros2_dds.enclave_layout import CERTIFICATE, CRL, KEY
 
@@ -54,8 +54,15 @@ class CredentialCheck:
             message = f"is for {to_text(certificate.subject)!r}, not {to_text(expected)!r}"
             yield self._error("certificate-subject", CERTIFICATE, message)
 
-    def _key(self, certificate: x509.Certificate) -> Iterator[Diagnostic]:
-        """Check that the key, if the enclave has one, is that of its certificate."""
+    def _key(self, certificate: x509.Certificate, public_key: bytes = b"") -> Iterator[Diagnostic]:
+        """Check that the key, if the enclave has one, is that of its certificate.
+
+        Args:
+            certificate: the identity certificate.
+            public_key: the key that it must be for (PEM), if the private key is elsewhere; empty if it may be for any.
+        """
+        if public_key and not public_keys.is_of(public_key, certificate):
+            yield self._error("key-mismatch", CERTIFICATE, "is for another public key than the package has")
         pem = self._files.get(KEY)
         if pem is None:
             return

@@ -62,7 +62,7 @@ def install(
         PERMISSIONS_P7S: Artifact(_signed(permissions, PERMISSIONS, credentials, installed)),
         GOVERNANCE_P7S: Artifact(_signed(governance, GOVERNANCE, credentials, installed)),
     }
-    return {name: files[name] for name in FILES[layout]}
+    return {name: files[name] for name in FILES[layout] if name != KEY or credentials.key}
 
 
 def _document(package: Package, documents: Mapping[str, bytes], kind: str) -> bytes:

@@ -15,12 +15,13 @@ class Zenoh:
     """The build type for Zenoh's access control, as rmw_zenoh uses Zenoh.
 
     Implements :class:`keymint.api.BuildType`, :class:`keymint.api.SharedDocuments`,
-    :class:`keymint.api.Infrastructure`, :class:`keymint.api.RuleCheck`, :class:`keymint.api.ActionMapping`,
-    :class:`keymint.api.Prover` and :class:`keymint.api.SharedProver`.
+    :class:`keymint.api.Infrastructure`, :class:`keymint.api.CommonNameIdentity`, :class:`keymint.api.RuleCheck`,
+    :class:`keymint.api.ActionMapping`, :class:`keymint.api.Prover` and :class:`keymint.api.SharedProver`.
     """
 
     API = API_VERSION
     NOUN = "key expression"
+    KNOWS_COMMON_NAMES_ONLY = True
 
     TRANSPORT = "zenoh"
     PARTS = ("zenoh",)

@@ -44,7 +44,7 @@ def _enclave(inspection: Inspection) -> Iterator[Diagnostic]:
     names = (CERTIFICATE, KEY, IDENTITY_CA, *(() if is_router(package) else (SESSION,)))
     restore = f"'keymint install {package.name}' writes it again"
     for name in names:
-        if name not in inspection.files:
+        if name not in inspection.files and not (name == KEY and package.issuance.public_key):
             where = Origin(f"{inspection.folder}/{name}")
             yield Diagnostic("file-missing", Severity.ERROR, "is missing", where, restore, package.subject)
     if is_router(package) and SESSION in inspection.files:

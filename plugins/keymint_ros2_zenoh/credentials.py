@@ -14,7 +14,7 @@ from cryptography.x509.oid import ExtendedKeyUsageOID, NameOID
 from comarmor.errors import Diagnostic, Origin, Severity
 from keymint.api import Inspection
 from keymint.errors import KeymintError
-from keymint.pki import certificates, certification_path, distinguished_names, extensions, keys
+from keymint.pki import certificates, certification_path, distinguished_names, extensions, keys, public_keys
 from keymint_ros2_zenoh.authority_roles import IDENTITY
 from keymint_ros2_zenoh.enclave_layout import CERTIFICATE, IDENTITY_CA, KEY
 from keymint_ros2_zenoh.settings import is_address, is_router, settings_of
@@ -110,6 +110,10 @@ def _has_host(certificate: x509.Certificate, host: str) -> bool:
 
 def _key(certificate: x509.Certificate, inspection: Inspection) -> Iterator[Diagnostic]:
     pem, subject = inspection.files.get(KEY), inspection.package.subject
+    public_key, restore = inspection.package.issuance.public_key, f"'keymint install {inspection.package.name}'"
+    if public_key and not public_keys.is_of(public_key, certificate):
+        message, where = "is for another public key than the package has", _where(inspection, CERTIFICATE)
+        yield Diagnostic("key-mismatch", Severity.ERROR, message, where, f"{restore} writes it again", subject)
     if pem is None or inspection.package.identity.key.password_env:
         return
     where = _where(inspection, KEY)
@@ -121,5 +125,5 @@ def _key(certificate: x509.Certificate, inspection: Inspection) -> Iterator[Diag
     if not matches:
         yield Diagnostic(
             "key-mismatch", Severity.ERROR, "is not the key of the certificate beside it", where,
-            f"'keymint install {inspection.package.name}' writes it again", subject,
+            f"{restore} writes it again", subject,
         )  # fmt: skip

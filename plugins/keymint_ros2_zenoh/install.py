@@ -32,8 +32,9 @@ def install(
     files = {
         IDENTITY_CA: Artifact(credentials.chains[IDENTITY]),
         CERTIFICATE: Artifact(credentials.certificate),
-        KEY: Artifact(credentials.key, secret=True),
     }
+    if credentials.key:
+        files[KEY] = Artifact(credentials.key, secret=True)
     if not is_router(package):
         files[SESSION] = Artifact(_document(documents, SESSION, f"{package.name}/{SESSION}", package.name))
     return files

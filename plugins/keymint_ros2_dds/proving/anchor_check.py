@@ -127,7 +127,8 @@ class _AnchorCheck(CredentialCheck):
         yield from certification_path.verify_chain(pem, self._issuer.chain, None, where)
         yield from self._subject_name(certificate, expected)
         # An encrypted key cannot be read without its password, so it is not compared with the certificate.
-        yield from (finding for finding in self._key(certificate) if finding.code != "key-password")
+        of_key = self._key(certificate, self._anchors.public_key)
+        yield from (finding for finding in of_key if finding.code != "key-password")
 
     def _signed(self, name: str) -> Iterator[Diagnostic]:
         try:

@@ -14,7 +14,7 @@ from functools import lru_cache
 from comarmor.errors import Diagnostic, Origin, Severity
 from keymint.api import TrustAnchor, TrustAnchors, ValidityTerm
 from keymint.errors import KeymintError
-from keymint.pki import certificates, certification_path, distinguished_names, keys
+from keymint.pki import certificates, certification_path, distinguished_names, keys, public_keys
 from keymint_ros2_zenoh import signature
 from keymint_ros2_zenoh.authority_roles import ACCESS, IDENTITY
 from keymint_ros2_zenoh.enclave_layout import CERTIFICATE, IDENTITY_CA, KEY, ROUTER, SIGNATURE
@@ -106,7 +106,8 @@ def _missing(anchors: tuple[TrustAnchor, ...]) -> Iterator[Diagnostic]:
 
 def _identity(files: Mapping[str, bytes], folder: str, anchors: TrustAnchors) -> Iterator[Diagnostic]:
     """Yield what is wrong with the certificate, the key and the authority in an enclave."""
-    absent = [name for name in (CERTIFICATE, KEY, IDENTITY_CA) if name not in files]
+    needed = (CERTIFICATE, IDENTITY_CA) if anchors.public_key else (CERTIFICATE, KEY, IDENTITY_CA)
+    absent = [name for name in needed if name not in files]
     if absent:
         yield from (_error("file-missing", f"{folder}/{name}", "is missing") for name in absent)
         return
@@ -129,6 +130,10 @@ def _identity(files: Mapping[str, bytes], folder: str, anchors: TrustAnchors) ->
         shown = distinguished_names.to_text
         message = f"is for {shown(certificate.subject)!r}, not {shown(expected)!r}"
         yield _error("certificate-subject", file, message)
+    if anchors.public_key and not public_keys.is_of(anchors.public_key, certificate):
+        yield _error("key-mismatch", file, "is for another public key than the package has")
+    if KEY not in files:
+        return
     try:
         key = keys.from_pem(files[KEY], None, Origin(f"{folder}/{KEY}"))
         if not keys.matches(key, certificate):

@@ -1,0 +1,70 @@
+# SPDX-License-Identifier: Apache-2.0
+"""``issuance.xml``: what an authority decided about the certificate and the grant of a package.
+
+Keymint writes this file, and nobody else: its owner's decisions stand in the other documents of the package.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import TYPE_CHECKING
+
+from keymint.api import Issuance
+from keymint.errors import KeymintError
+from keymint.source_documents import Reader, place, text
+from keymint_ros import validity
+from keymint_ros.manifest import ISSUANCE
+
+if TYPE_CHECKING:
+    from lxml import etree
+
+_HEAD = """\
+<?xml version="1.0" encoding="UTF-8"?>
+<!-- Written by keymint: what the authority decided about the certificate and the grant of this package.
+     Keep it under version control, and never write a lower generation: what was revoked would be in force again. -->
+"""
+
+
+def _issuance(root: etree._Element) -> Issuance:
+    renewed = root.find("renewed")
+    return Issuance(
+        generation=int(text(root.find("generation")) or "0"),
+        renewed=None if renewed is None else validity.date(renewed),
+        public_key=_public_key(root.find("public_key")),
+    )
+
+
+def _public_key(element: etree._Element | None) -> bytes:
+    if element is None:
+        return b""
+    from keymint.pki import public_keys  # noqa: PLC0415 - most packages have none, and it takes time to import
+
+    return public_keys.to_pem(public_keys.from_pem((text(element) or "").encode() + b"\n", place(element)))
+
+
+_read = Reader("keymint_ros", "issuance", _issuance)
+
+
+def issuance(folder: str, files: Mapping[str, bytes]) -> Issuance:
+    """Return what the authority decided: see :meth:`keymint.api.IssuanceFiles.issuance`."""
+    content = files.get(ISSUANCE)
+    return Issuance() if content is None else _read(content, f"{folder}/{ISSUANCE}")
+
+
+def with_issuance(issued: Issuance) -> Mapping[str, bytes]:
+    """Return the document: see :meth:`keymint.api.IssuanceFiles.with_issuance`.
+
+    Raises:
+        KeymintError: the generation is negative or has more than nine digits.
+    """
+    if not 0 <= issued.generation < _MOST:
+        raise KeymintError(f"{issued.generation} is not a generation from 0 to {_MOST - 1}", code="generation-range")
+    lines = [f"  <generation>{issued.generation}</generation>"]
+    if issued.renewed is not None:
+        lines.append(f"  <renewed>{issued.renewed:%Y-%m-%dT%H:%M:%SZ}</renewed>")
+    if issued.public_key:
+        lines.append(f"  <public_key>\n{issued.public_key.decode('ascii').strip()}\n  </public_key>")
+    return {ISSUANCE: "\n".join((f'{_HEAD}<issuance format="2">', *lines, "</issuance>", "")).encode()}
+
+
+_MOST = 10**9
