@@ -20,6 +20,7 @@ from keymint.api import Enclave, Environment
 
 from .handmade import Authorities, Authority
 from .lifetimes import DAY, Identity, enclave, identity, revocation_list
+from .presenters import presenting
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -234,3 +235,26 @@ def test_an_identity_authority_that_is_reissued_for_its_key_needs_no_coordinatio
     new = enclave(place.authorities, tmp_path / "new", identity(reissued, "/new"), trusted=reissued.pem)
     reader = system.open(old).edge("subscribe", "rt/x")
     matched(system, new, reader)
+
+
+def test_old_permissions_do_not_fit_a_certificate_of_another_generation(
+    place: Place, vendor: Vendor, probe_cache: Path, tmp_path: Path
+) -> None:
+    """Whoever has a new certificate cannot present an old document: each peer refuses it, without any list."""
+    ca, key = place.ca, place.own.key
+    first, second = identity(ca, "/talker", "1", key=key), identity(ca, "/talker", "2", key=key)
+    listener = enclave(place.authorities, tmp_path / "listener", place.peer)
+    old = enclave(place.authorities, tmp_path / "old", first) / "permissions.p7s"
+    new = enclave(place.authorities, tmp_path / "new", second)
+    for document, refused in ((old, True), (new / "permissions.p7s", False)):
+        with System(presenting(vendor, probe_cache, document)) as system:
+            reader = system.open(listener).edge("subscribe", "rt/x")
+            writer = system.open(new, conforming=False).edge("publish", "rt/x")
+            writer.write("hello")
+            if refused:
+                assert reader.await_rejection(WAIT)
+            else:
+                assert reader.read(WAIT) == "hello"
+    (new / "permissions.p7s").write_bytes(old.read_bytes())
+    with System(vendor) as system, pytest.raises(RefusedError):
+        system.open(new)
