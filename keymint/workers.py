@@ -20,7 +20,7 @@ from dataclasses import fields, is_dataclass, replace
 from typing import TYPE_CHECKING, Any, ClassVar, TypeVar, cast
 
 from keymint.changes import Action, FolderChange
-from keymint.errors import KeymintError
+from keymint.errors import KeymintError, process_ended
 from keymint.plan.build_types import may_share
 from keymint.plan.stage import PackagePlan, PackageStage, after
 from keymint.process import held_signals
@@ -172,11 +172,7 @@ def _answer(pipe: Connection) -> list[Any]:
     try:
         kind, *answer = pickle.loads(pipe.recv_bytes())  # noqa: S301 - from a process that this one forked
     except (EOFError, OSError):
-        raise KeymintError(
-            "a process that planned a part of the packages was ended",
-            help="run it again, or with -j1",
-            code="worker-ended",
-        ) from None
+        raise process_ended("worker-ended") from None
     if kind == _REFUSED:
         raise KeymintError.of(*answer)
     if kind == _CRASHED:

@@ -12,7 +12,7 @@ from itertools import pairwise
 from multiprocessing import get_context
 from typing import Any, Protocol, TypeVar
 
-from keymint.errors import KeymintError
+from keymint.errors import process_ended
 from keymint.plugins import Plugins
 
 Task = TypeVar("Task")
@@ -106,11 +106,7 @@ class Processes:
             for future in in_order(lambda at: executor.submit(_numbered, at), range(len(tasks)), 4 * count):
                 yield future.result()
         except BrokenProcessPool as error:
-            raise KeymintError(
-                "a process of this run ended before its work was done",
-                help="was it killed, or is memory short? run the command again, or with -j 1",
-                code="executor-lost",
-            ) from error
+            raise process_ended("executor-lost") from error
         finally:
             executor.shutdown(cancel_futures=True)
             _inherited.pop()

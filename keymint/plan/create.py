@@ -150,9 +150,7 @@ class CreateStage:
         except KeymintError as error:
             in_the_way = (placed(diagnostic, session.workspace.src) for diagnostic in error.diagnostics)
             return PackagePlan(name, None, None, unnamed if known else (), (*errors, *in_the_way))
-        # The marker goes last: until then a later run sees no package, and creates the missing files.
-        ordered = sorted(new.items(), key=lambda item: item[0] == self._package_type.MARKER)
-        written = {file: File(content) for file, content in ordered}
+        written = self._ordered(new)
         changes = changed(session.tree, folder, written)
         action = (Action.UPDATED if known else Action.CREATED) if changes else Action.UNCHANGED
         step = Step(STAGE, name, action, changes)
@@ -178,12 +176,15 @@ class CreateStage:
                 name, errors=(Diagnostic("infrastructure-taken", Severity.ERROR, message, where, help_),)
             )
         files = session.package_files(name)
-        new = self._package_type.create_infrastructure(session.profile, name, build_type, files)
+        written = self._ordered(self._package_type.create_infrastructure(session.profile, name, build_type, files))
+        outputs = {**session.file_digests(name), **{file: new.digest for file, new in written.items()}}
+        step = Step(STAGE, name, Action.CREATED, changed(session.tree, folder, written))
+        return PackagePlan(name, step, Stamp(self._inputs, _outputs(outputs)))
+
+    def _ordered(self, new: Mapping[str, bytes]) -> dict[str, File]:
+        """Return the files of a new package; the marker goes last: until then a later run sees no package."""
         ordered = sorted(new.items(), key=lambda item: item[0] == self._package_type.MARKER)
-        changes = changed(session.tree, folder, {file: File(content) for file, content in ordered})
-        outputs = {**session.file_digests(name), **{file: digest(content) for file, content in new.items()}}
-        stamp = Stamp(self._inputs, _outputs(outputs))
-        return PackagePlan(name, Step(STAGE, name, Action.CREATED, changes), stamp)
+        return {file: File(content) for file, content in ordered}
 
 
 def _outputs(digests: Mapping[str, str]) -> dict[str, str]:

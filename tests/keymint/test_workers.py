@@ -155,7 +155,7 @@ def test_a_process_that_is_ended_between_planning_and_staging(tmp_path: Path) ->
     ended = run(tmp_path, "provision", source, "-w", "ws", "-j", 2, program=ENDED_BEFORE_STAGING)
     assert ended.returncode == 1, ended.stderr
     assert ended.stderr.count("\n") == 1
-    assert "a process that planned a part of the packages was ended" in ended.stderr
+    assert "a process of this run ended before its work was done" in ended.stderr
     assert not list((tmp_path / "ws").rglob("key.pem"))
     assert run(tmp_path, "provision", source, "-w", "ws").returncode == 0
     assert run(tmp_path, "check", "-w", "ws").returncode == 0
@@ -175,7 +175,7 @@ def test_a_process_that_is_ended(tmp_path: Path, module: str, stage: str, name: 
     ended = run(tmp_path, "provision", source, "-w", "ws", "-j", 2, program=program)
     assert ended.returncode == 1
     assert ended.stderr.count("\n") == 1
-    assert "a process that planned a part of the packages was ended" in ended.stderr
+    assert "a process of this run ended before its work was done" in ended.stderr
     assert not (tmp_path / "ws").exists()
     assert run(tmp_path, "provision", source, "-w", "ws").returncode == 0
     assert run(tmp_path, "check", "-w", "ws").returncode == 0
