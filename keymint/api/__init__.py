@@ -70,6 +70,7 @@ from keymint.api.profiles import Bootstrap as Bootstrap
 from keymint.api.profiles import Infrastructure as Infrastructure
 from keymint.api.profiles import InfrastructurePackage as InfrastructurePackage
 from keymint.api.profiles import IssuanceFiles as IssuanceFiles
+from keymint.api.profiles import OwnValidity as OwnValidity
 from keymint.api.profiles import PackageType as PackageType
 from keymint.api.profiles import PolicySource as PolicySource
 from keymint.api.profiles import ProfileSettings as ProfileSettings

@@ -74,6 +74,8 @@ class Bootstrap:
             unique to the subject).
         now: the clock, UTC.
         build_types: the plugins that build new packages; empty for those of the profile type.
+        valid_for: length of the validity of packages' certificates and grants, an ISO 8601 duration such as ``P90D``;
+            empty for that of the profile type.
     """
 
     name: str
@@ -84,6 +86,7 @@ class Bootstrap:
     subject_format: str
     now: datetime
     build_types: tuple[str, ...] = ()
+    valid_for: str = ""
 
 
 class ProfileType(Protocol):
@@ -269,3 +272,27 @@ class IssuanceFiles(Protocol):
 
     def with_issuance(self, issuance: Issuance) -> Mapping[str, bytes]:
         """Return the files to write into a package's folder, by name, so that it has this."""
+
+
+@runtime_checkable
+class OwnValidity(Protocol):
+    """Optional capability of a package type: gives the certificate and the grant of a package a validity of their own.
+
+    It differs from the defaults of the profile, and stands in the package's own documents.
+    """
+
+    def with_validity(
+        self, profile: WorkspaceProfile, rules: SubjectRules, files: Mapping[str, bytes], valid_for: str, now: datetime
+    ) -> Mapping[str, bytes]:
+        """Return the files of a package that change, by name; none if it has this length of validity already.
+
+        Args:
+            profile: the profile of the workspace.
+            rules: the policy's rules for the subject.
+            files: the package's files by name, those to write included.
+            valid_for: the length, an ISO 8601 duration such as ``P90D``.
+            now: the clock, UTC.
+
+        Raises:
+            KeymintError: its owner gave it another validity, or edited the documents by hand.
+        """

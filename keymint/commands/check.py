@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Sequence
 from datetime import timedelta
 
@@ -12,6 +11,7 @@ import click
 from comarmor.errors import Diagnostic, Severity
 from comarmor.text import counted
 from keymint.check import check as find
+from keymint.commands.durations import period
 from keymint.commands.options import complete_package
 from keymint.commands.run import Run
 from keymint.commands.verb import verb
@@ -21,26 +21,12 @@ from keymint.plan.policy import lazy_policy
 from keymint.plan.policy_drift import uncreated
 from keymint.session import Session
 
-_UNITS = {"h": timedelta(hours=1), "d": timedelta(days=1), "w": timedelta(weeks=1)}
-_MOST_DAYS = 365 * 200
-
-
-def _period(_context: click.Context, _parameter: click.Parameter, value: str) -> timedelta:
-    """Parse a length of time: ``30d``, ``12h`` or ``4w``."""
-    match = re.fullmatch(r"(\d{1,6})([hdw])", value)
-    period = int(match[1]) * _UNITS[match[2]] if match else None
-    if period is None:
-        raise click.BadParameter(f"{value!r} is not a length of time; write 12h, 30d or 4w")
-    if period.days > _MOST_DAYS:
-        raise click.BadParameter(f"{value!r} is longer than any validity")
-    return period
-
 
 @verb()
 @click.argument("names", nargs=-1, metavar="[NAME]...", shell_complete=complete_package)
 @click.option(
     "--within",
-    callback=_period,
+    callback=period,
     default="0d",
     metavar="PERIOD",
     help="Also report certificates and grants that expire within this time: 12h, 30d, 4w.",

@@ -8,7 +8,7 @@ from functools import partial
 import click
 
 from keymint.changes import Plan
-from keymint.commands.options import usage_error
+from keymint.commands.options import usage_error, valid_for_option
 from keymint.commands.run import Run
 from keymint.commands.verb import verb
 from keymint.errors import KeymintError
@@ -23,7 +23,8 @@ from keymint.session import Inputs
 @click.argument("names", nargs=-1, metavar="[NAME]...")
 @click.option("--all", "all_subjects", is_flag=True, help="Create every subject that the policy names exactly.")
 @click.option("-f", "--force", is_flag=True, help="Replace the rules of a package even if they were edited manually.")
-def create(run: Run, names: tuple[str, ...], all_subjects: bool, force: bool) -> Report:
+@valid_for_option
+def create(run: Run, names: tuple[str, ...], all_subjects: bool, force: bool, valid_for: str | None) -> Report:
     """Create source packages in src/, one per subject, or update their rules from the policy.
 
     If a transport of the workspace needs further identities, their packages are created as well.
@@ -46,7 +47,7 @@ def create(run: Run, names: tuple[str, ...], all_subjects: bool, force: bool) ->
                 help="name the subjects: keymint create /robot1/talker",
                 code="subjects-none",
             )
-        create = partial(CreateStage, policy=policy, force=force)
+        create = partial(CreateStage, policy=policy, force=force, valid_for=valid_for or "")
         wanted = create(session).subjects(tuple(subjects))
         run.workers.start(session, wanted, (create,))
         return run.planned(create(session), wanted)

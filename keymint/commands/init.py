@@ -94,6 +94,7 @@ def bootstrap_request(run: Run, workspace: Workspace, policy: Path | None, profi
         subject_format=profile.subject_format or "unique",
         now=run.setting.now,
         build_types=build_types_of(run.plugins, profile.transports),
+        valid_for=profile.valid_for or "",
     )
 
 

@@ -15,6 +15,7 @@ from click.core import ParameterSource
 
 from comarmor.values import dataclass
 from keymint import SPACES
+from keymint.commands import durations
 from keymint.errors import ExitCode, KeymintError
 from keymint.plugins import Plugins
 from keymint.tree import Tree
@@ -214,6 +215,14 @@ policy_options = option_group(
 # -- new workspaces --------------------------------------------------------------------------------------------------
 
 
+valid_for_option = click.option(
+    "--valid-for",
+    callback=durations.validity,
+    metavar="PERIOD",
+    help="Length of validity of certificates and grants, from a day back on: 90d, 12h, 2y, P6M [1 year].",
+)
+
+
 @dataclass(frozen=True, slots=True)
 class ProfileOptions:
     """What shapes the profile of a new workspace; None for an option that was not given."""
@@ -224,6 +233,7 @@ class ProfileOptions:
     layout: str | None
     subject_format: str | None
     transports: tuple[str, ...] = ()
+    valid_for: str | None = None
 
 
 profile_options = option_group(
@@ -254,6 +264,7 @@ profile_options = option_group(
         metavar="NAME",
         help="Form of subject names in certificates, of those that the profile type has [unique].",
     ),
+    valid_for_option,
 )
 
 

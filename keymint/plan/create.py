@@ -8,7 +8,7 @@ from dataclasses import replace
 
 from comarmor.errors import Diagnostic, Severity
 from comarmor.text import did_you_mean
-from keymint.api import DigestedPolicy, InfrastructurePackage, LoadedPolicy, Role
+from keymint.api import DigestedPolicy, InfrastructurePackage, LoadedPolicy, OwnValidity, Role
 from keymint.changes import Action, File, Plan, Step, changed
 from keymint.errors import KeymintError
 from keymint.ir import SubjectRules
@@ -83,12 +83,15 @@ class CreateStage:
         session: the workspace and its profile.
         policy: its policy.
         force: replace documents of rules that were edited by hand.
+        valid_for: length of validity that the packages get in their own documents, an ISO 8601 duration; empty to
+            leave these alone.
     """
 
     NAME = STAGE
 
-    def __init__(self, session: Session, policy: LoadedPolicy, *, force: bool) -> None:
+    def __init__(self, session: Session, policy: LoadedPolicy, *, force: bool, valid_for: str = "") -> None:
         self._session = session
+        self._valid_for = valid_for
         self._policy = policy
         self._force = force
         self.existing = frozenset(packages(session.tree, session.workspace.src))
@@ -131,7 +134,7 @@ class CreateStage:
         stamp = session.state.stamp(STAGE, name)
         digests = session.file_digests(name)
         outputs = _outputs(digests)
-        is_kept = stamp is not None and stamp.outputs == outputs and not force
+        is_kept = stamp is not None and stamp.outputs == outputs and not force and not self._valid_for
         if stamp and is_kept and stamp.inputs == self._inputs:
             return PackagePlan(name, Step(STAGE, name, Action.UNCHANGED))
         context = self._rules_digest(f"/{name}")
@@ -147,6 +150,7 @@ class CreateStage:
         errors = () if known else unnamed
         try:
             new = self._package_type.create(session.profile, rules, files, force=force)
+            new = {**new, **self._with_validity(rules, {**files, **new})}
         except KeymintError as error:
             in_the_way = (placed(diagnostic, session.workspace.src) for diagnostic in error.diagnostics)
             return PackagePlan(name, None, None, unnamed if known else (), (*errors, *in_the_way))
@@ -156,6 +160,20 @@ class CreateStage:
         step = Step(STAGE, name, action, changes)
         outputs |= _outputs({file: new_file.digest for file, new_file in written.items()})
         return PackagePlan(name, step, Stamp(self._inputs, outputs, context=context), unnamed if known else (), errors)
+
+    def _with_validity(self, rules: SubjectRules, files: Mapping[str, bytes]) -> Mapping[str, bytes]:
+        """Return the files of a package that change so that it has the requested validity."""
+        session, package_type = self._session, self._package_type
+        if not self._valid_for:
+            return {}
+        if not isinstance(package_type, OwnValidity):
+            raise KeymintError(
+                f"packages of the type {session.profile.package_type!r} have no validity of their own",
+                where=session.profile_marker(),
+                help="leave out --valid-for, and write it into their sources",
+                code="validity-unsupported",
+            )
+        return package_type.with_validity(session.profile, rules, files, self._valid_for, session.now)
 
     def _rules_digest(self, subject: str) -> str:
         """Return the digest of everything that the sources of a subject are made of; empty if it is not known."""

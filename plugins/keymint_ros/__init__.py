@@ -21,6 +21,7 @@ class RosProfileType:
     PLACES: Mapping[str, tuple[str, ...]] = {
         "domain": ("package.defaults/permissions.xml", "package.defaults/governance.xml"),
         "subject-format": ("package.defaults/permissions.xml", "package.defaults/identities.xml"),
+        "valid-for": ("package.defaults/permissions.xml", "package.defaults/identities.xml"),
     }
 
     bootstrap = lazy("keymint_ros.bootstrap:bootstrap")
@@ -34,8 +35,8 @@ class RosProfileType:
 class RosPackageType:
     """Source packages.
 
-    Implements :class:`keymint.api.PackageType`, :class:`keymint.api.RuleLocator` and
-    :class:`keymint.api.IssuanceFiles`.
+    Implements :class:`keymint.api.PackageType`, :class:`keymint.api.RuleLocator`, :class:`keymint.api.IssuanceFiles`
+    and :class:`keymint.api.OwnValidity`.
     """
 
     API = API_VERSION
@@ -47,6 +48,7 @@ class RosPackageType:
     role = lazy("keymint_ros.manifest:role")
     load = lazy("keymint_ros.package:load")
     rule_places = lazy("keymint_ros.package:rule_places")
+    with_validity = lazy("keymint_ros.create:with_validity")
     issuance = lazy("keymint_ros.issuance:issuance")
     with_issuance = lazy("keymint_ros.issuance:with_issuance")
 

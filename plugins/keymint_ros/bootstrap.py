@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from datetime import datetime, timedelta
 from functools import lru_cache
 from pathlib import PurePosixPath
@@ -13,7 +13,7 @@ from comarmor.data import locate
 from comarmor.text import did_you_mean
 from keymint.api import Bootstrap, Role
 from keymint.errors import ExitCode, KeymintError
-from keymint_ros import distros
+from keymint_ros import distros, validity
 from keymint_ros.manifest import BUILD_TYPE
 
 if TYPE_CHECKING:
@@ -59,6 +59,7 @@ def bootstrap(request: Bootstrap) -> Mapping[str, bytes]:
     start = request.now.replace(hour=0, minute=0, second=0, microsecond=0) - timedelta(days=1)
     issuer, signer = _AUTHORITIES[layout]
     build_types = request.build_types or (BUILD_TYPE,)
+    begin, duration = validity.starting(request.valid_for, request.now) if request.valid_for else ("", "")
     values = {
         "name": request.name,
         "distro": request.distro,
@@ -71,6 +72,8 @@ def bootstrap(request: Bootstrap) -> Mapping[str, bytes]:
         "signer": signer,
         "subject_name": SUBJECT_NAMES[request.subject_format],
         "not_before": _date(start),
+        "package_not_before": begin or _date(start),
+        "package_duration": duration,
         "authority_not_after": _date(start + timedelta(days=365 * _AUTHORITY_YEARS)),
         "package_not_after": _date(start + timedelta(days=365 * _PACKAGE_YEARS)),
     }
@@ -86,6 +89,11 @@ def bootstrap(request: Bootstrap) -> Mapping[str, bytes]:
         example = "talker_listener.xml"
         files[f"{_EXAMPLE}/{example}"] = (locate("keymint_ros", "templates") / "comarmor.d" / example).read_bytes()
     return files
+
+
+def has_grant_validity(build_types: Sequence[str]) -> bool:
+    """Tell whether the grants of packages with these build types have a validity, which some transport reads."""
+    return _DDS in build_types
 
 
 def policies(path: str) -> bytes:

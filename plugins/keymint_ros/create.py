@@ -4,13 +4,14 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from datetime import datetime
 
 from comarmor.errors import Origin
 from keymint.api import Role, WorkspaceProfile
 from keymint.errors import KeymintError
 from keymint.ir import SubjectRules
-from keymint.source_documents import normal_path
-from keymint_ros import bootstrap, manifest, permissions, permissions_writer
+from keymint.source_documents import Reader, normal_path
+from keymint_ros import bootstrap, manifest, permissions, permissions_writer, validity
 from keymint_ros.manifest import MARKER
 from keymint_ros.permissions import Grant
 from keymint_ros.profile import base_of
@@ -96,5 +97,47 @@ def _keeps_edit(grant: Grant, now: str, file: str) -> bool:
         "these permissions were edited by hand, and the policy changed too",
         where=Origin(file, grant.line),
         help="move the edits into the policy, then replace the file with --force",
+        code="hand-edited",
+    )
+
+
+_IDENTITIES = "identities.xml"
+_EMPTY = b"    <identity/>\n"
+_read_identity_length = Reader("keymint_ros", "identities", validity.length)
+_read_grant_length = Reader("keymint_ros", "permissions", validity.length)
+
+
+def with_validity(
+    profile: WorkspaceProfile, rules: SubjectRules, files: Mapping[str, bytes], valid_for: str, now: datetime
+) -> Mapping[str, bytes]:
+    """Return the files that change: see :meth:`keymint.api.OwnValidity.with_validity`."""
+    name = rules.subject.removeprefix("/")
+    marker = f"{name}/{MARKER}"
+    own = manifest.read(files[MARKER], marker)
+    begin, duration = validity.starting(valid_for, now)
+    element = f"<validity><not_before>{begin}</not_before><duration>{duration}</duration></validity>"
+    path = normal_path(own.identities.path, Origin(marker, own.identities.line))
+    changed: dict[str, bytes] = {}
+    if _read_identity_length(files[path], f"{name}/{path}") != duration if path in files else True:
+        before = files.get(path, bootstrap.package_document(_IDENTITIES))
+        if before != bootstrap.package_document(_IDENTITIES):
+            raise _has_own(name, path, duration)
+        identity = f"    <identity>\n      <cert>{element}</cert>\n    </identity>\n".encode()
+        changed[path] = before.replace(_EMPTY, identity)
+    if bootstrap.has_grant_validity(own.build_types):
+        path = normal_path(own.permissions.path, Origin(marker, own.permissions.line))
+        if _read_grant_length(files[path], f"{name}/{path}") != duration:
+            base = base_of(profile)
+            if files[path] != permissions_writer.render(rules, base):
+                raise _has_own(name, path, duration)
+            changed[path] = permissions_writer.render(rules, base, overrides=(element,))
+    return changed
+
+
+def _has_own(name: str, path: str, duration: str) -> KeymintError:
+    return KeymintError(
+        "was edited by hand, so no validity is written into it",
+        where=Origin(f"{name}/{path}"),
+        help=f"write <validity> with <duration>{duration}</duration> into it",
         code="hand-edited",
     )

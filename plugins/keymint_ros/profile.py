@@ -17,7 +17,7 @@ from comarmor.xml.reader import line
 from keymint.api import Authority, PolicySource, WorkspaceProfile
 from keymint.errors import KeymintError
 from keymint.source_documents import Reader, domains, file_in, place, text
-from keymint_ros import bootstrap, certificate, distros, manifest, placeholders
+from keymint_ros import bootstrap, certificate, distros, manifest, placeholders, validity
 from keymint_ros.certificate import CertificateElement
 from keymint_ros.manifest import BUILD_TYPE
 
@@ -282,8 +282,9 @@ def _grant_settings(root: etree._Element) -> Mapping[str, str]:
 
 def _identity_settings(root: etree._Element) -> Mapping[str, str]:
     subject_name = text(root.find("subject_name")) or ""
+    lengths = {"valid-for": validity.length(root)}
     formats = {name: format_ for format_, name in bootstrap.SUBJECT_NAMES.items()}
-    return {"subject-format": formats.get(subject_name, subject_name)}
+    return {"subject-format": formats.get(subject_name, subject_name), **lengths}
 
 
 _read_grant_settings = Reader("keymint_ros", "defaults_permissions", _grant_settings)

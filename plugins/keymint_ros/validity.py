@@ -72,6 +72,35 @@ def renewed(period: Validity, start: datetime | None) -> Validity:
     return replace(period, not_before=start, not_after=min(end, _LAST))
 
 
+def starting(duration: str, now: datetime) -> tuple[str, str]:
+    """Return the begin of a period that is given now, as text, and its length.
+
+    Args:
+        duration: the length, an ISO 8601 duration.
+        now: the clock, UTC.
+
+    Raises:
+        KeymintError: not a duration, or one that ends before it begins or after the year 9999.
+    """
+    from keymint.pki import periods  # noqa: PLC0415 - only needed to write new files
+
+    begin = periods.begin(now, _sum(now, duration) - now)
+    return f"{begin:%Y-%m-%dT%H:%M:%S}", duration
+
+
+def length(root: etree._Element) -> str:
+    """Return the length of the ``<validity>`` of a document as an ISO 8601 duration; empty if it has none.
+
+    It is the text of ``<duration>``, or else the whole days between the dates.
+    """
+    element = root.find(".//validity")
+    period = read(element)
+    if element is None or period is None:
+        return ""
+    given = element.find("duration")
+    return text(given) or f"P{(period.not_after - period.not_before).days}D"
+
+
 def date(element: etree._Element) -> datetime:
     """Return the date of an element; without a zone it is in UTC.
 
@@ -96,15 +125,19 @@ def date(element: etree._Element) -> datetime:
 
 def _later(start: datetime, element: etree._Element) -> datetime:
     """Return the date that is a duration (the text of the element) after ``start``."""
+    return _sum(start, text(element) or "", place(element))
+
+
+def _sum(start: datetime, content: str, where: Origin | None = None) -> datetime:
+    """Return the date that is a duration after ``start``."""
     import isodate  # type: ignore[import-untyped] # noqa: PLC0415 - most documents have two dates
 
-    content = text(element) or ""
     try:
         duration = isodate.parse_duration(content[:_LONGEST])
     except (ValueError, ArithmeticError):
         raise KeymintError(
             f"{quoted(content, _LONGEST)} is not an ISO 8601 duration",
-            where=place(element),
+            where=where,
             help="write e.g. P1Y, P90D or PT12H",
             code="duration-invalid",
         ) from None
@@ -115,7 +148,7 @@ def _later(start: datetime, element: etree._Element) -> datetime:
     if end.year not in _YEARS or end < start:
         raise KeymintError(
             f"the duration {content!r} from {start:%Y-%m-%d} must end later, and before the year {_YEARS.stop}",
-            where=place(element),
+            where=where,
             help="write a positive duration, e.g. P1Y",
             code="duration-invalid",
         )

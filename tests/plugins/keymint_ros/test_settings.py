@@ -19,6 +19,7 @@ def test_the_settings_of_a_new_profile_are_the_options_that_created_it(subject_f
         "layout": "flat",
         "domain": "7",
         "subject-format": subject_format,
+        "valid-for": "P365D",
     }
 
 
