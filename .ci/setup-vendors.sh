@@ -1,7 +1,7 @@
 #!/usr/bin/env bash
 # SPDX-License-Identifier: Apache-2.0
-# Installs the real DDS software that tests/real uses (Debian or Ubuntu), the compilers for its probes, and the browser for
-# the tests of reports. If that fails, it prints the reason, and the tests that need it skip. With
+# Installs the real DDS software that tests/real uses (Debian or Ubuntu), the compilers for its probes, a token in software
+# (PKCS #11) for keys in hardware, and the browser for the tests of reports. If that fails, it prints the reason, and the tests that need it skip. With
 # KEYMINT_REQUIRE_VENDORS=1 they fail, and so does this script.
 set -euo pipefail
 cd "$(dirname "$0")/.."
@@ -10,6 +10,7 @@ packages=(
     libddsc0debian cyclonedds-dev                # Cyclone DDS and its security plugins
     libfastrtps-dev libfastcdr-dev               # Fast DDS, with security compiled in
     gcc g++                                      # the probes of the real transports
+    softhsm2 opensc libengine-pkcs11-openssl     # a token in software, its tools, and what Fast DDS asks tokens with
     openssl strace                               # for other tests
     chromium chromium-driver fonts-dejavu-core   # for the tests of pictures and reports
 )

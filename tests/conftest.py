@@ -18,6 +18,7 @@ import hypothesis
 import pytest
 
 from keymint import cli
+from tests.softhsm import SoftHsm, opened
 
 # Machines are noisy, so an example has no deadline. Where CI is set, hypothesis uses its own profile for it (no
 # deadline, the same examples each time).
@@ -57,7 +58,7 @@ class Outcome:
 def plain_environment(monkeypatch: pytest.MonkeyPatch) -> None:
     """Fix the clock, and hide the machine's ROS."""
     monkeypatch.setenv("SOURCE_DATE_EPOCH", str(NOW))
-    for name in ("ROS_DISTRO", "KEYMINT_TRACEBACK"):
+    for name in ("ROS_DISTRO", "KEYMINT_TRACEBACK", "KEYMINT_PKCS11_PIN", "KEYMINT_PKCS11_MODULE"):
         monkeypatch.delenv(name, raising=False)
 
 
@@ -82,6 +83,15 @@ def keymint(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[..., Ou
         return Outcome(code, out.getvalue(), err.getvalue())
 
     return run
+
+
+@pytest.fixture
+def softhsm(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> SoftHsm:
+    """A token in software without keys, which the modules of this process and of all that it starts see."""
+    token = opened(tmp_path / "softhsm")
+    for name, value in token.environment.items():
+        monkeypatch.setenv(name, value)
+    return token
 
 
 @pytest.fixture

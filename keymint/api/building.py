@@ -6,7 +6,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import field
 from datetime import datetime
-from typing import Any, Protocol, runtime_checkable
+from typing import TYPE_CHECKING, Any, Protocol, runtime_checkable
 
 from comarmor.errors import Diagnostic, Origin
 from comarmor.values import dataclass
@@ -14,6 +14,10 @@ from keymint.api.packages import Package, PackageSettings, PackageSources
 from keymint.api.transports import Enclave
 from keymint.graph import Edge
 from keymint.ir import SubjectRules
+
+if TYPE_CHECKING:
+    from cryptography.hazmat.primitives.asymmetric.ec import EllipticCurvePrivateKey
+    from cryptography.hazmat.primitives.asymmetric.rsa import RSAPrivateKey
 
 
 @dataclass(frozen=True, slots=True)
@@ -56,15 +60,22 @@ class BuildResult:
 
 @dataclass(frozen=True, slots=True)
 class SigningAuthority:
-    """An authority that signs: PEM of its certificate, PEM of its private key, and its password.
+    """An authority that signs; ``repr`` contains none of the secrets.
 
-    ``repr`` contains none of the secrets.
+    Attributes:
+        name: its name in the profile.
+        certificate: PEM of its certificate.
+        key: PEM of its private key; empty if the key lies in a token.
+        password: password of the PEM.
+        token_key: the private key, if it lies in a token: it signs as ``cryptography``'s own keys do, and returns no
+            secret.
     """
 
     name: str
     certificate: bytes
     key: bytes = field(repr=False)
     password: bytes | None = field(default=None, repr=False)
+    token_key: EllipticCurvePrivateKey | RSAPrivateKey | None = field(default=None, repr=False)
 
 
 @dataclass(frozen=True, slots=True)

@@ -25,7 +25,7 @@ class Validity:
 
 @dataclass(frozen=True, slots=True)
 class KeySpec:
-    """An asymmetric key to mint.
+    """An asymmetric key to mint, or one in a PKCS #11 token.
 
     Attributes:
         algorithm: ``"ec"`` or ``"rsa"``.
@@ -33,12 +33,16 @@ class KeySpec:
         size: for RSA, bits; else 0.
         password_env: name of the environment variable that holds the password the stored key is encrypted with;
             empty for an unencrypted key (mode 0600).
+        uri: URI of the private key in its token (RFC 7512); empty for a key in a file.
+        pin_env: name of the environment variable that holds the PIN of the token; empty for the usual one.
     """
 
     algorithm: str
     curve: str = ""
     size: int = 0
     password_env: str = ""
+    uri: str = ""
+    pin_env: str = ""
 
 
 @dataclass(frozen=True, slots=True)

@@ -33,7 +33,7 @@ def load_signer(signer: api.SigningAuthority) -> certificates.Issuer:
     """
     where = Origin(f"authority {signer.name}")
     certificate = certificates.load(signer.certificate, where)
-    key = keys.from_pem(signer.key, signer.password, where)
+    key = signer.token_key or keys.from_pem(signer.key, signer.password, where)
     if not keys.matches(key, certificate):
         raise KeymintError(
             "the private key does not belong to the certificate",

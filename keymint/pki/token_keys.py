@@ -1,0 +1,160 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Private keys in a token: ``cryptography`` takes them wherever it takes a key, and the token signs.
+
+They sign and tell their public key, and nothing else: a token returns no private key.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Callable
+from typing import Any, NoReturn, Self
+
+from cryptography.exceptions import InvalidSignature
+from cryptography.hazmat.primitives.asymmetric import ec, padding, rsa, utils
+
+from comarmor.errors import Origin
+from keymint.errors import KeymintError
+from keymint.pki import keys
+
+Sign = Callable[[bytes, str], bytes]
+"""Signs with a token: takes what it signs and a mechanism of PKCS #11, e.g. ``ECDSA``, and returns the signature."""
+_RSA_MECHANISMS = {"sha256": "SHA256_RSA_PKCS", "sha384": "SHA384_RSA_PKCS", "sha512": "SHA512_RSA_PKCS"}
+MISMATCH = "token-key-mismatch"
+"""Code of the error on a token that has another key than the certificate."""
+
+
+class _TokenKey:
+    """What the keys of both algorithms have in common."""
+
+    def __copy__(self) -> Self:
+        return self
+
+    def __deepcopy__(self, memo: dict[int, Any]) -> Self:
+        return self
+
+    def __reduce__(self) -> NoReturn:
+        raise TypeError("a key in a token stays in the process that opened its session")
+
+    def private_numbers(self) -> NoReturn:
+        """Refuse: a token returns no private key."""
+        _refuse()
+
+    def private_bytes(self, *_: Any, **__: Any) -> NoReturn:
+        """Refuse: a token returns no private key."""
+        _refuse()
+
+
+class TokenEcKey(_TokenKey, ec.EllipticCurvePrivateKey):
+    """A private EC key in a token.
+
+    Args:
+        public: its public key, with which each signature is verified.
+        sign: signs with the token.
+        where: the place that names the key, for messages.
+    """
+
+    def __init__(self, public: ec.EllipticCurvePublicKey, sign: Sign, where: Origin | None = None) -> None:
+        self._public = public
+        self._sign = sign
+        self._where = where
+
+    @property
+    def curve(self) -> ec.EllipticCurve:
+        """Its curve."""
+        return self._public.curve
+
+    @property
+    def key_size(self) -> int:
+        """The bits of its curve."""
+        return self._public.key_size
+
+    def public_key(self) -> ec.EllipticCurvePublicKey:
+        """Return its public key."""
+        return self._public
+
+    def sign(self, data: Any, signature_algorithm: ec.EllipticCurveSignatureAlgorithm) -> bytes:
+        """Return the ECDSA signature of data in DER (RFC 3279, 2.2.3).
+
+        Raises:
+            KeymintError: the token refuses, or has another key.
+        """
+        algorithm = signature_algorithm.algorithm
+        if not isinstance(signature_algorithm, ec.ECDSA) or isinstance(algorithm, utils.Prehashed):
+            raise TypeError("a key in a token signs data with ECDSA")
+        raw = self._sign(hashlib.new(algorithm.name, data).digest(), "ECDSA")
+        half = len(raw) // 2
+        signature = utils.encode_dss_signature(int.from_bytes(raw[:half]), int.from_bytes(raw[half:]))
+        try:
+            self._public.verify(signature, data, ec.ECDSA(algorithm))
+        except InvalidSignature:
+            raise mismatch(self._where) from None
+        return signature
+
+    def exchange(self, *_: Any, **__: Any) -> NoReturn:
+        """Refuse: Keymint only signs with tokens."""
+        _refuse()
+
+
+class TokenRsaKey(_TokenKey, rsa.RSAPrivateKey):
+    """A private RSA key in a token; arguments as for :class:`TokenEcKey`."""
+
+    def __init__(self, public: rsa.RSAPublicKey, sign: Sign, where: Origin | None = None) -> None:
+        self._public = public
+        self._sign = sign
+        self._where = where
+
+    @property
+    def key_size(self) -> int:
+        """The bits of its modulus."""
+        return self._public.key_size
+
+    def public_key(self) -> rsa.RSAPublicKey:
+        """Return its public key."""
+        return self._public
+
+    def sign(self, data: Any, padding: padding.AsymmetricPadding, algorithm: Any) -> bytes:
+        """Return the RSASSA-PKCS1-v1_5 signature of data (RFC 8017, 8.2); errors as :meth:`TokenEcKey.sign`."""
+        mechanism = _RSA_MECHANISMS.get(getattr(algorithm, "name", ""))
+        if not _is_pkcs1v15(padding) or mechanism is None:
+            raise TypeError("an RSA key in a token signs data with PKCS #1 v1.5 and SHA-2")
+        signature = self._sign(bytes(data), mechanism)
+        try:
+            self._public.verify(signature, data, padding, algorithm)
+        except InvalidSignature:
+            raise mismatch(self._where) from None
+        return signature
+
+    def decrypt(self, *_: Any, **__: Any) -> NoReturn:
+        """Refuse: Keymint only signs with tokens."""
+        _refuse()
+
+
+def token_key(public: keys.PublicKey, sign: Sign, where: Origin | None = None) -> keys.PrivateKey:
+    """Return the private key in a token of a public key; arguments as for :class:`TokenEcKey`."""
+    if isinstance(public, ec.EllipticCurvePublicKey):
+        return TokenEcKey(public, sign, where)
+    return TokenRsaKey(public, sign, where)
+
+
+def is_in_token(key: keys.PrivateKey) -> bool:
+    """Tell whether a private key lies in a token."""
+    return isinstance(key, _TokenKey)
+
+
+def mismatch(where: Origin | None) -> KeymintError:
+    """Return the error on a token that has another key than the one whose public key is known."""
+    return KeymintError(
+        "the token has another key than the certificate",
+        where=where,
+        help="name the certificate's key, or see 'keymint install --new-authority' for a new one",
+        code=MISMATCH,
+    )
+
+
+def _is_pkcs1v15(given: object) -> bool:
+    return isinstance(given, padding.PKCS1v15)
+
+
+def _refuse() -> NoReturn:
+    raise TypeError("a key in a token only signs")
