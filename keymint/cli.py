@@ -264,7 +264,18 @@ def _setting(given: Sequence[str]) -> Any:
         cores=os.cpu_count() or 1,
         streams=Streams(sys.stdout, sys.stderr, *call.colours, progress=progress),
         call=call,
+        ask=_ask if sys.stdin is not None and sys.stdin.isatty() else None,
     )
+
+
+def _ask(text: str) -> str:
+    """Show a text on the terminal, and return what the user types, which is not shown; empty at the end of input."""
+    import getpass  # noqa: PLC0415 - few runs need it
+
+    try:
+        return getpass.getpass(text)
+    except EOFError:
+        return ""
 
 
 def _cache() -> Path:

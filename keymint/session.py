@@ -16,6 +16,7 @@ from keymint import __version__
 from keymint.api import Infrastructure, InfrastructurePackage, Layout, Package, PackageType, Role, WorkspaceProfile
 from keymint.changes import Plan
 from keymint.errors import KeymintError
+from keymint.pki.tokens import Tokens
 from keymint.plugins import Plugins
 from keymint.state import State, digest, digest_files
 from keymint.tree import Tree
@@ -46,6 +47,7 @@ class Inputs:
         plugins: the installed plugins.
         environment: environment variables; only those that a profile names for passwords are read.
         now: the clock, UTC.
+        tokens: the tokens that have keys of authorities; opened where something must be signed.
     """
 
     workspace: Workspace
@@ -54,6 +56,7 @@ class Inputs:
     plugins: Plugins
     environment: Mapping[str, str] = field(repr=False)
     now: datetime
+    tokens: Tokens = field(repr=False, compare=False)
 
     def after(self, plan: Plan) -> Self:
         """Return the inputs as they are once a plan is carried out."""
@@ -91,6 +94,7 @@ class Inputs:
                     self.plugins,
                     self.environment,
                     self.now,
+                    self.tokens,
                     profile=plugin.load(root, files),
                     profile_digest=digest(digest_files(files), self.plugins.versions, __version__),
                 )

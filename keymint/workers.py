@@ -69,6 +69,9 @@ class Workers:
             return
         if may_share(session, names):
             return
+        # A module of a token must not be used in a forked process (PKCS #11, C_Initialize), and one session is enough.
+        if any(authority.certificate.key.uri for authority in session.profile.authorities):
+            return
         import multiprocessing  # noqa: PLC0415 - takes 20 ms, and few runs need it
 
         context = multiprocessing.get_context("fork")

@@ -13,7 +13,7 @@ from cryptography import x509
 from comarmor.errors import Diagnostic, Origin, Severity
 from keymint.errors import KeymintError
 from keymint.pki import certificates, keys
-from keymint.plan import authority_files
+from keymint.plan import authority_files, token_keys
 from keymint.plan.authority_files import AuthorityFiles
 from keymint.plan.enclaves import deployed_authorities
 from keymint.plan.private_keys import key_defects
@@ -38,7 +38,7 @@ def authorities(session: Session, within: timedelta) -> Iterator[Diagnostic]:
                 f"the authority {authority.name!r} has no certificate",
                 Origin(files.certificate_file),
                 "'keymint install' restores it"
-                if files.key
+                if files.key or authority.certificate.key.uri
                 else f"restore it; {authority_files.new_authority_help(authority.name)}",
             )
         elif files.certificate is None:
@@ -80,6 +80,8 @@ _DECIDED_BY_A_PERSON = frozenset(
 
 def _key(inputs: Inputs, files: AuthorityFiles) -> tuple[keys.PublicKey | None, Iterator[Diagnostic]]:
     """Return the public key of a readable private key, and the findings on it."""
+    if files.authority.certificate.key.uri:
+        return None, token_keys.left_over(files)
     if files.key is None:
         name = files.authority.name
         message = f"the private key of {name!r} is not here"

@@ -26,6 +26,8 @@ from keymint.folder_status import Sight
 from keymint.names import package_name
 from keymint.output.console import Console, Streams
 from keymint.output.report import Report, folded
+from keymint.pins import Pins
+from keymint.pki.tokens import Tokens
 from keymint.plan import gitignore
 from keymint.plan.stage import PlanStage
 from keymint.plugins import Plugins
@@ -55,6 +57,7 @@ class Setting:
         cores: number of processors.
         streams: where output goes.
         call: the command.
+        ask: shows a text and returns what the user types, unseen; None if there is no terminal.
     """
 
     now: datetime
@@ -65,6 +68,7 @@ class Setting:
     cores: int
     streams: Streams
     call: Call
+    ask: Callable[[str], str] | None = None
 
 
 def exit_code_of(plan: Plan) -> ExitCode:
@@ -97,6 +101,7 @@ class Run:
         self._executor: str = options.get("executor", PROCESSES)
         self.has_cluster = self._executor != PROCESSES
         self.workers = Workers(self.jobs, open_store)
+        self.tokens = Tokens(setting.environment, Pins(setting.environment, setting.ask).pin)
         self._named: Path | None = options.get("workspace")
         self._spaces: dict[str, Path] = {
             space: folder for space in SPACES if (folder := options.get(f"{space}_space")) is not None
@@ -159,7 +164,7 @@ class Run:
         record, mark = (read_file(workspace.state / name, MAX_RECORD) for name in (RECORD, "running"))
         state = load_state(record, mark)
         tree = Tree(known=file_index.load(workspace, sight) if sight else {})
-        return Inputs(workspace, tree, state, self.plugins, self.setting.environment, self.setting.now)
+        return Inputs(workspace, tree, state, self.plugins, self.setting.environment, self.setting.now, self.tokens)
 
     def snapshot(self, workspace: Workspace) -> Inputs:
         """Read a consistent snapshot of a workspace into memory, for verbs that do not write.
@@ -260,7 +265,7 @@ class Run:
             make_plan: makes the plan.
             exit_code: returns the exit code of an executed plan.
         """
-        with contextlib.closing(self.workers):
+        with contextlib.closing(self.workers), contextlib.closing(self.tokens):
             return self._carry_out(workspace, functools.partial(self._plan, make_plan), exit_code)
 
     def _plan(self, make_plan: Callable[[Inputs], Plan], inputs: Inputs) -> Plan:

@@ -16,7 +16,7 @@ from keymint.api import SigningAuthority
 from keymint.changes import Action, File, FolderChange, Plan, Step, changed
 from keymint.errors import ExitCode, KeymintError
 from keymint.pki import certificates, keys
-from keymint.plan import authority_files, key_record
+from keymint.plan import authority_files, key_record, token_keys
 from keymint.plan.authority_files import AuthorityFiles
 from keymint.plan.enclaves import deployed_authorities
 from keymint.plan.private_keys import password
@@ -57,7 +57,8 @@ class MintedAuthority:
 def plan_authorities(session: Session, new: Sequence[str] = ()) -> tuple[Plan, Mapping[str, MintedAuthority]]:
     """Plan the keys and certificates of all authorities that the profile names.
 
-    Existing keys are kept. A certificate without its key means that the key is kept elsewhere; it is not replaced. A
+    Existing keys are kept; a key in a token is never made here. A certificate without its key means that the key is
+    kept elsewhere; it is not replaced. A
     certificate is reissued for the same key if the profile specifies another validity, issuer or extension.
 
     Args:
@@ -92,7 +93,7 @@ def plan_authorities(session: Session, new: Sequence[str] = ()) -> tuple[Plan, M
         action = Action.CREATED if changes else Action.UNCHANGED
         steps.append(Step(STAGE, authority.name, action, changes, "certificate authority"))
     if errors:
-        raise KeymintError.of(errors)
+        raise KeymintError.of(tuple(dict.fromkeys(errors)))  # one token may fail several authorities
     fingerprints = {name: keys.fingerprint(certificates.public_key(each.certificate)) for name, each in minted.items()}
     authority_files.require_own_keys(session, fingerprints)
     state = key_record.record(session.state, key_record.AUTHORITIES, fingerprints)
@@ -116,6 +117,8 @@ def _plan_authority(
 ) -> tuple[MintedAuthority, tuple[FolderChange, ...], Sequence[Diagnostic]]:
     spec, name = files.authority.certificate, files.authority.name
     above = minted[spec.issuer] if spec.issuer else None
+    if spec.key.uri:
+        return _in_token(inputs, files, above, renew=renew)
     signing_error = _signing_error(inputs, files)
     if signing_error is not None and files.content is not None and not renew:
         return _without_key(files, above, signing_error), (), ()
@@ -139,11 +142,38 @@ def _plan_authority(
             authority_files.require_name(files)
             authority_files.require_known(files, public)
         certificate, warnings = _certificate(files, key, above)
+    changes += _stored(inputs, name, certificate)
+    keyed = certificates.Issuer(certificates.load(certificate), key), SigningAuthority(name, certificate, pem, secret)
+    return _minted(certificate, above, keyed), changes, warnings
+
+
+def _in_token(
+    inputs: Inputs, files: AuthorityFiles, above: MintedAuthority | None, *, renew: bool
+) -> tuple[MintedAuthority, tuple[FolderChange, ...], Sequence[Diagnostic]]:
+    """Plan an authority whose key lies in a token, which is opened only if a certificate must be issued."""
+    key = token_keys.load(inputs, files, renew=renew)
+    if renew:
+        certificate, warnings = _new_certificate(files, key, above)
+    else:
+        authority_files.require_name(files)
+        authority_files.require_known(files, key.public_key())
+        certificate, warnings = _certificate(files, key, above)
+    name = files.authority.name
+    signer = SigningAuthority(name, certificate, b"", token_key=key)
+    keyed = certificates.Issuer(certificates.load(certificate), key), signer
+    changes = _stored(inputs, name, certificate)
+    return _minted(certificate, above, keyed), changes, (*warnings, *token_keys.left_over(files))
+
+
+def _stored(inputs: Inputs, name: str, certificate: bytes) -> tuple[FolderChange, ...]:
     path = inputs.workspace.authority_certificate(name)
-    changes += changed(inputs.tree, path.parent, {path.name: File(certificate)})
-    loaded = certificates.load(certificate)
-    keyed = certificates.Issuer(loaded, key), SigningAuthority(name, certificate, pem, secret)
-    return MintedAuthority(loaded, certificate + (above.chain if above else b""), keyed), changes, warnings
+    return changed(inputs.tree, path.parent, {path.name: File(certificate)})
+
+
+def _minted(
+    certificate: bytes, above: MintedAuthority | None, keyed: tuple[certificates.Issuer, SigningAuthority]
+) -> MintedAuthority:
+    return MintedAuthority(keyed[0].certificate, certificate + (above.chain if above else b""), keyed)
 
 
 def _new_certificate(

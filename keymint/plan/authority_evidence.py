@@ -64,7 +64,7 @@ def _require_key(inputs: Inputs, files: AuthorityFiles, certificate: x509.Certif
         KeymintError: it does not match.
     """
     spec = files.authority.certificate
-    if files.key is None:
+    if files.key is None or spec.key.uri:
         return
     try:
         secret = password(spec.key, inputs.environment, spec.origin)

@@ -110,7 +110,7 @@ def complete(own: CertificateElement, defaults: CertificateElement, values: Mapp
         serial=(defaults.serial if own.serial is None else own.serial) or None,
         issuer=issuer(own, defaults)[0],
         hash_algorithm=own.hash_algorithm or defaults.hash_algorithm or _DEFAULT_HASH,
-        key=own.key or defaults.key or _DEFAULT_KEY,
+        key=_complete_key(own.key or defaults.key or _DEFAULT_KEY, defaults.key),
         extensions=tuple(
             replace(extension, origin=Origin(with_extensions.file, extension.origin.line))
             for extension in with_extensions.extensions or ()
@@ -159,9 +159,57 @@ def _extensions(element: etree._Element) -> tuple[Extension, ...]:
     return tuple(extensions.values())
 
 
+def _complete_key(key: KeySpec, defaults: KeySpec | None) -> KeySpec:
+    """Return a key with its type, which that of a key in a token may leave out."""
+    if key.algorithm:
+        return key
+    typed = defaults if defaults is not None and defaults.algorithm else _DEFAULT_KEY
+    return replace(key, algorithm=typed.algorithm, curve=typed.curve, size=typed.size)
+
+
 def _key(element: etree._Element) -> KeySpec:
+    uri = element.find("pkcs11")
+    key = KeySpec("") if element.find("asymmetric_type") is None else _key_type(element)
+    if uri is not None:
+        return _token_key(element, key, uri)
+    pin_env = element.find("pin_env")
+    if not key.algorithm or pin_env is not None:
+        raise KeymintError(
+            "a key without <asymmetric_type>" if not key.algorithm else "<pin_env> is given, but no token",
+            where=place(element if pin_env is None else pin_env),
+            help="write <pkcs11>pkcs11:token=…;object=…</pkcs11> if it lies in a token, else its type",
+            code="key-incomplete",
+        )
+    return _password(element, key)
+
+
+def _token_key(element: etree._Element, key: KeySpec, uri: etree._Element) -> KeySpec:
+    """Return a key in a token; its URI is checked here, so that a typing error has its line."""
+    for name in ("encryption_algorithm", "password_env"):
+        given = element.find(name)
+        if given is not None and text(given) not in {"", "NoEncryption", None}:
+            raise KeymintError(
+                f"<{name}> is given for a key in a token, which no file contains",
+                where=place(given),
+                help="leave it out; <pin_env> names the environment variable of the PIN",
+                code="key-password",
+            )
+    from keymint.pki import pkcs11_uri  # noqa: PLC0415 - few documents need it
+
+    given_uri = text(uri) or ""
+    pkcs11_uri.parse(given_uri, place(uri))
+    return replace(key, uri=given_uri, pin_env=text(element.find("pin_env")) or "")
+
+
+def _key_type(element: etree._Element) -> KeySpec:
     (algorithm,) = element.iterfind("asymmetric_type/*")
     parameter = text(algorithm[0]) or ""
+    if algorithm.tag == "ec":
+        return KeySpec("ec", curve=_CURVES.get(parameter, parameter))
+    return KeySpec("rsa", size=int(parameter))
+
+
+def _password(element: etree._Element, key: KeySpec) -> KeySpec:
     encryption, password_env = element.find("encryption_algorithm"), text(element.find("password_env")) or ""
     encrypted = text(encryption) == "BestAvailableEncryption"
     if encrypted != bool(password_env):
@@ -175,6 +223,4 @@ def _key(element: etree._Element) -> KeySpec:
             else "write <encryption_algorithm>BestAvailableEncryption</encryption_algorithm>, or empty <password_env>",
             code="key-password",
         )
-    if algorithm.tag == "ec":
-        return KeySpec("ec", curve=_CURVES.get(parameter, parameter), password_env=password_env)
-    return KeySpec("rsa", size=int(parameter), password_env=password_env)
+    return replace(key, password_env=password_env)

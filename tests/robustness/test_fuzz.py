@@ -24,6 +24,8 @@ from comarmor.errors import Diagnostic
 from keymint.api import BuildOptions
 from keymint.changes import Plan
 from keymint.errors import KeymintError
+from keymint.pins import Pins
+from keymint.pki.tokens import Tokens
 from keymint.plan.authorities import plan_authorities
 from keymint.plan.build import BuildStage
 from keymint.plan.create import CreateStage, packages_to_create
@@ -211,7 +213,7 @@ def test_all_stages_plan_with_a_mutated_document_or_reject_it(workspace: Path) -
         others = [other for name, other in documents.items() if name.name == path.name] + list(documents.values())[:3]
         mutated = _mutated(content, others, chance)
         now = datetime.fromtimestamp(int(os.environ["SOURCE_DATE_EPOCH"]), UTC)
-        inputs = Inputs(at, Tree({path: mutated}), State(), plugins, {}, now)
+        inputs = Inputs(at, Tree({path: mutated}), State(), plugins, {}, now, Tokens({}, Pins({}).pin))
         with told(f"{path} with seed {seed}", mutated), in_time():
             outcomes[_planned(inputs, in_build=path.is_relative_to(at.build))] += 1
     assert _tree(workspace) == before  # planning writes nothing

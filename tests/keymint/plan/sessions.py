@@ -7,6 +7,8 @@ from datetime import UTC, datetime
 from pathlib import Path
 
 from keymint.api import Environment
+from keymint.pins import Pins
+from keymint.pki.tokens import Tokens
 from keymint.plugins import Plugins
 from keymint.session import Inputs, Session
 from keymint.state import load
@@ -21,4 +23,4 @@ def session_of(root: Path, now: float = NOW) -> Session:
     record = workspace.state / "state.json"
     state = load(record.read_bytes() if record.exists() else None)
     plugins = Plugins(environment=Environment(clock, root.parent))
-    return Inputs(workspace, Tree(), state, plugins, {}, clock).session()
+    return Inputs(workspace, Tree(), state, plugins, {}, clock, Tokens({}, Pins({}).pin)).session()

@@ -14,6 +14,8 @@ from keymint_ros2_dds.kinds import elsewhere
 
 from keymint.api import BuildOptions, Environment
 from keymint.executors.cluster import Cluster
+from keymint.pins import Pins
+from keymint.pki.tokens import Tokens
 from keymint.plan.build import BuildStage
 from keymint.plan.elsewhere import compile_elsewhere
 from keymint.plugins import Plugins
@@ -47,7 +49,7 @@ def session(keymint: Callable[..., Outcome], tmp_path: Path) -> Iterator[Session
     assert keymint("provision", CHECKOUT / "examples/fleet", "-w", "ws", "-q").code == 0
     workspace = Workspace.at(tmp_path / "ws", {}, tmp_path)
     plugins = Plugins(environment=Environment(CLOCK, tmp_path))
-    yield Inputs(workspace, Tree(), State(), plugins, {}, CLOCK).session()
+    yield Inputs(workspace, Tree(), State(), plugins, {}, CLOCK, Tokens({}, Pins({}).pin)).session()
     elsewhere._received.clear()
 
 

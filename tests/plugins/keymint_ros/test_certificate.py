@@ -87,6 +87,45 @@ def test_an_identity_overrides_its_defaults(workspace: Workspace) -> None:
     assert str(extension.origin).startswith("src/robot1/talker/identities.xml:")
 
 
+_URI = "pkcs11:token=ca;object=ca?pin-source=file:/run/pin"
+
+
+@pytest.mark.parametrize(
+    ("element", "key"),
+    [
+        (f"<pkcs11>{_URI}</pkcs11>", KeySpec("ec", "SECP256R1", uri=_URI)),
+        (f"<pkcs11> {_URI} </pkcs11><pin_env>PIN</pin_env>", KeySpec("ec", "SECP256R1", uri=_URI, pin_env="PIN")),
+        (
+            f"<asymmetric_type><rsa><key_size>2048</key_size></rsa></asymmetric_type><pkcs11>{_URI}</pkcs11>",
+            KeySpec("rsa", size=2048, uri=_URI),
+        ),
+    ],
+)
+def test_a_key_in_a_token(workspace: Workspace, element: str, key: KeySpec) -> None:
+    profile = workspace.edit(_AUTHORITIES, "</cert>", f"</cert><key>{element}</key>").load_profile()
+    assert [authority.certificate.key for authority in profile.authorities] == [key, KeySpec("ec", "SECP256R1")]
+
+
+@pytest.mark.parametrize(
+    ("element", "code", "hint"),
+    [
+        ("", "key-incomplete", "<pkcs11>"),
+        ("<pin_env>PIN</pin_env>", "key-incomplete", "<pkcs11>"),
+        (f"<pkcs11>{_URI}</pkcs11><password_env>PW</password_env>", "key-password", "<pin_env>"),
+        (
+            f"<pkcs11>{_URI}</pkcs11><encryption_algorithm>BestAvailableEncryption</encryption_algorithm>",
+            "key-password",
+            "<pin_env>",
+        ),
+    ],
+)
+def test_a_key_that_is_described_by_halves(workspace: Workspace, element: str, code: str, hint: str) -> None:
+    edited = workspace.edit(_AUTHORITIES, "</cert>", f"</cert><key>{element}</key>")
+    diagnostic = diagnostic_of(edited.load_profile, f"/ws/{_AUTHORITIES}")
+    assert diagnostic.code == code
+    assert hint in diagnostic.help
+
+
 @pytest.mark.parametrize(
     ("old", "new", "code", "hint"),
     [
@@ -96,6 +135,8 @@ def test_an_identity_overrides_its_defaults(workspace: Workspace) -> None:
         ("SECP256R1", "SECP256K1", "schema", "did you mean 'SECP256R1'?"),
         ("<password_env>", "<password_env>X", "key-password", "BestAvailableEncryption"),
         ("NoEncryption", "BestAvailableEncryption", "key-password", "environment variable"),
+        ("<key>", "<key><pkcs11>pkcs11:token=ca</pkcs11>", "pkcs11-uri", "object="),
+        ("<key>", "<key><pkcs11>pkcs11:token=ca;object=ca?pin-value=1</pkcs11>", "pkcs11-uri", "<pin_env>"),
         (
             "<serial_number>",
             "<extensions>" + 2 * '<extension name="a">1</extension>' + "</extensions><serial_number>",

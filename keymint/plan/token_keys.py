@@ -1,0 +1,73 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Authorities whose private key lies in a PKCS #11 token."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+from comarmor.errors import Diagnostic, Origin, Severity
+from keymint.errors import KeymintError
+from keymint.pki import certificates, keys
+from keymint.plan import authority_files
+from keymint.plan.authority_files import AuthorityFiles
+from keymint.session import Inputs
+
+
+def load(inputs: Inputs, files: AuthorityFiles, *, renew: bool) -> keys.PrivateKey:
+    """Return the private key of an authority, which the profile names by its URI.
+
+    The token is opened only if there is no certificate that says what its public key is. Otherwise it is opened when
+    the key first signs, and must then be the key of the certificate.
+
+    Args:
+        inputs: the workspace.
+        files: the authority and its files.
+        renew: the authority gets a new certificate, for a key that the user has put into the token.
+
+    Raises:
+        KeymintError: enclaves trust an authority whose certificate is missing; the key is not of the specified kind, or
+            for a new authority still the old one; or those of :class:`keymint.pki.tokens.Tokens`.
+    """
+    spec, name = files.authority.certificate, files.authority.name
+    present = files.certificate
+    if present is not None and not renew:
+        public = certificates.public_key(present)
+        _require_kind(files, public, Origin(files.certificate_file))
+        return inputs.tokens.private_key(spec.key, public, spec.origin)
+    if not renew:
+        authority_files.require_unused(files)
+    public = inputs.tokens.public_key(spec.key, spec.origin)
+    _require_kind(files, public, spec.origin)
+    if present is not None and certificates.public_key(present) == public:
+        raise KeymintError(
+            f"the token still has the key of the present authority {name!r}",
+            where=spec.origin,
+            help="make a new key in the token, and name it in <pkcs11>; a new certificate for the same key needs no "
+            "new authority",
+            code="authority-key-same",
+        )
+    return inputs.tokens.private_key(spec.key, public, spec.origin)
+
+
+def left_over(files: AuthorityFiles) -> Iterator[Diagnostic]:
+    """Yield a warning if the private key lies in a file as well as in its token."""
+    if files.key is not None:
+        yield Diagnostic(
+            "authority-key-copy",
+            Severity.WARNING,
+            f"is a private key of the authority {files.authority.name!r}, whose key is to lie in a token only",
+            Origin(files.key_file),
+            "move it to a safe place that is no computer's disk, or destroy it",
+        )
+
+
+def _require_kind(files: AuthorityFiles, public: keys.PublicKey, where: Origin) -> None:
+    spec = files.authority.certificate
+    if not keys.fits(public, spec.key):
+        kind = f"an EC key on {spec.key.curve}" if spec.key.algorithm == "ec" else f"an RSA key of {spec.key.size} bits"
+        raise KeymintError(
+            f"the key of the authority {files.authority.name!r} is not {kind}, which {spec.origin} asks for",
+            where=where,
+            help="write the type of the token's key into <asymmetric_type>",
+            code="key-kind",
+        )

@@ -1,0 +1,267 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Workspaces whose authorities have their keys in a token."""
+
+from __future__ import annotations
+
+import shutil
+import subprocess
+from collections import Counter
+from pathlib import Path
+
+import pytest
+
+from keymint.pins import VARIABLE
+from keymint.pki.tokens import Tokens
+from tests.conftest import NOW, snapshot
+from tests.keymint.plan.keystores import AUTHORITY_KEYS, CERTIFICATES, ENCLAVES, content, public_key
+from tests.softhsm import PIN, SoftHsm
+
+pytestmark = pytest.mark.softhsm
+NAMES = ("identity_ca", "permissions_ca")
+RIGHT, WRONG = {VARIABLE: PIN}, {VARIABLE: "wrong-secret"}
+
+
+def name_keys(ws: Path, **elements: str) -> None:
+    """Name the authorities' keys in the profile."""
+    path = ws / "profile/authorities.xml"
+    text = path.read_text()
+    for name, element in elements.items():
+        opening = f'<authority name="{name}">'
+        before, after = text.split(opening)
+        text = f"{before}{opening}\n      <key>{element}</key>{after}"
+    path.write_text(text)
+
+
+def uri(element: str) -> str:
+    return f"<pkcs11>{element}</pkcs11>"
+
+
+@pytest.fixture
+def in_token(ws: Path, softhsm: SoftHsm) -> Path:
+    """A workspace that was installed with keys in files, which were then moved into a token."""
+    uris = {}
+    for number, (name, file) in enumerate(zip(NAMES, AUTHORITY_KEYS, strict=True), start=1):
+        uris[name] = uri(softhsm.import_key(ws / file, name, f"{number:02}"))
+    name_keys(ws, **uris)
+    for file in AUTHORITY_KEYS:
+        (ws / file).unlink()
+    return ws
+
+
+@pytest.fixture
+def signatures(monkeypatch: pytest.MonkeyPatch) -> Counter[str]:
+    """Counts what tokens sign, by URI."""
+    counted: Counter[str] = Counter()
+    sign = Tokens._sign
+
+    def counting(self: Tokens, spec, where, data, mechanism) -> bytes:
+        counted[spec.uri.rpartition("=")[2]] += 1
+        return sign(self, spec, where, data, mechanism)
+
+    monkeypatch.setattr(Tokens, "_sign", counting)
+    return counted
+
+
+def expire_soon(ws: Path, package: str = "talker") -> None:
+    """Let the certificate of a package end earlier, so that one certificate must be issued."""
+    path = ws / "src" / package / "identities.xml"
+    period = "<validity><not_before>2026-11-17T00:00:00</not_before><duration>P200D</duration></validity>"
+    path.write_text(path.read_text().replace("<identity/>", f"<identity><cert>{period}</cert></identity>"))
+    assert period in path.read_text()
+
+
+@pytest.mark.parametrize("kinds", [("P-256", "P-256"), ("P-256", "RSA")], ids="/".join)
+def test_a_workspace_whose_authorities_never_had_files(
+    keymint, policy: Path, tmp_path: Path, softhsm: SoftHsm, kinds: tuple[str, str], signatures: Counter[str]
+) -> None:
+    ws = tmp_path / "ws"
+    assert keymint("init", "ws", "--policy", policy).code == 0
+    for file in (*AUTHORITY_KEYS, *CERTIFICATES):
+        (ws / file).unlink()
+    rsa = "<asymmetric_type><rsa><key_size>2048</key_size></rsa></asymmetric_type>"
+    name_keys(
+        ws,
+        **{
+            name: uri(softhsm.make_key(name, f"0{number}", kind)) + (rsa if kind == "RSA" else "")
+            for number, (name, kind) in enumerate(zip(NAMES, kinds, strict=True))
+        },
+    )
+    outcome = keymint("provision", policy, "-w", "ws", env=RIGHT)
+    assert outcome.code == 0, outcome.err
+    assert not [*(ws / "private").glob("*.pem")]
+    assert keymint("check", cwd=ws).out == "checked 2 enclaves: no findings\n"
+    assert keymint("prove", cwd=ws).code == 0
+    # Each authority signed its certificate; then one signed two identities, the other two permissions, one governance.
+    assert signatures == {"identity_ca": 3, "permissions_ca": 4}
+    for enclave in ENCLAVES:
+        folder = ws / "install/enclaves" / enclave
+        accepts("verify", "-CAfile", folder / "identity_ca.cert.pem", folder / "cert.pem")
+        for document in ("permissions.p7s", "governance.p7s"):
+            trusted = ("-CAfile", folder / "permissions_ca.cert.pem", "-in", folder / document)
+            accepts("smime", "-verify", "-text", *trusted)
+    assert PIN not in outcome.out + outcome.err
+    assert not [file for file in ws.rglob("*") if file.is_file() and PIN.encode() in file.read_bytes()]
+
+
+def accepts(*arguments: str | Path) -> None:
+    at = ("-attime", str(NOW))
+    done = subprocess.run(["openssl", *arguments[:1], *at, *arguments[1:]], capture_output=True, check=False)
+    assert done.returncode == 0, done.stderr
+
+
+def test_moving_the_keys_changes_nothing_and_needs_no_token(keymint, in_token: Path, softhsm: SoftHsm) -> None:
+    before = content(in_token)
+    shutil.rmtree(softhsm.folder)
+    assert keymint("build", cwd=in_token).code == 0
+    outcome = keymint("install", cwd=in_token)
+    assert (outcome.code, outcome.err) == (0, "")
+    assert content(in_token) == before
+    assert keymint("check", cwd=in_token).out == "checked 2 enclaves: no findings\n"
+    assert keymint("status", cwd=in_token).code == 0
+
+
+def test_only_what_changed_is_signed(keymint, in_token: Path, signatures: Counter[str]) -> None:
+    expire_soon(in_token)
+    assert keymint("build", cwd=in_token).code == 0
+    before = content(in_token)
+    outcome = keymint("install", cwd=in_token, env=RIGHT)
+    assert outcome.code == 0, outcome.err
+    assert signatures == {"identity_ca": 1}
+    after = content(in_token)
+    assert {name for name in after if after[name] != before[name]} == {"install/enclaves/talker/cert.pem"}
+    assert keymint("check", cwd=in_token).code == 0
+
+
+@pytest.mark.parametrize(
+    ("environment", "said"),
+    [
+        ({}, f"the environment variable {VARIABLE}, which holds the PIN of the token ca, is not set"),
+        (WRONG, "the PIN of the token ca is wrong"),
+    ],
+)
+def test_without_the_pin_nothing_is_written(keymint, in_token: Path, environment: dict[str, str], said: str) -> None:
+    expire_soon(in_token)
+    assert keymint("build", cwd=in_token).code == 0
+    before = snapshot(in_token)
+    outcome = keymint("install", cwd=in_token, env=environment)
+    assert outcome.code == 1
+    assert outcome.err.startswith("profile/authorities.xml:")
+    assert said in outcome.err
+    assert outcome.err.count("\n") == 1
+    assert "wrong-secret" not in outcome.err
+    assert snapshot(in_token) == before
+
+
+def test_a_pin_file_and_a_variable_that_are_named(keymint, in_token: Path, tmp_path: Path) -> None:
+    pin = tmp_path / "ca.pin"
+    pin.write_text(f"{PIN}\n")
+    profile = in_token / "profile/authorities.xml"
+    plain = profile.read_text()
+    expire_soon(in_token)
+    profile.write_text(plain.replace("=identity_ca<", f"=identity_ca?pin-source=file:{pin}<"))
+    assert keymint("build", cwd=in_token).code == 0
+    pin.chmod(0o644)
+    outcome = keymint("install", cwd=in_token, env=WRONG)
+    assert f"the PIN file {pin} has mode 0644" in outcome.err
+    pin.chmod(0o600)
+    assert keymint("install", cwd=in_token, env=WRONG).code == 0
+    expire_soon(in_token, "robot1/listener")
+    profile.write_text(plain.replace("</pkcs11>", "</pkcs11><pin_env>CA_PIN</pin_env>"))
+    assert keymint("build", cwd=in_token).code == 0
+    outcome = keymint("install", cwd=in_token, env=RIGHT)
+    assert "the environment variable CA_PIN, which holds the PIN" in outcome.err
+    assert keymint("install", cwd=in_token, env={**WRONG, "CA_PIN": PIN}).code == 0
+
+
+def test_a_copy_of_the_key_in_a_file_is_reported(keymint, in_token: Path, ws: Path) -> None:
+    (in_token / AUTHORITY_KEYS[0]).write_bytes(b"what is left")
+    (in_token / AUTHORITY_KEYS[0]).chmod(0o600)
+    for verb in ("check", "install"):
+        outcome = keymint(verb, "--json", cwd=in_token)
+        (found,) = [each for each in outcome.document["diagnostics"] if each["code"] == "authority-key-copy"]
+        assert (found["severity"], found["file"]) == ("warning", AUTHORITY_KEYS[0])
+
+
+def test_another_key_in_the_token_signs_nothing(keymint, in_token: Path, softhsm: SoftHsm) -> None:
+    softhsm.delete("identity_ca")
+    softhsm.make_key("identity_ca", "09")
+    expire_soon(in_token)
+    assert keymint("build", cwd=in_token).code == 0
+    before = snapshot(in_token)
+    outcome = keymint("install", "--json", cwd=in_token, env=RIGHT)
+    assert (outcome.code, outcome.codes()) == (1, ["token-key-mismatch"])
+    assert snapshot(in_token) == before
+
+
+def test_a_new_authority_needs_a_new_key(keymint, in_token: Path, softhsm: SoftHsm) -> None:
+    keymint("build", cwd=in_token)
+    before = snapshot(in_token)
+    outcome = keymint("install", "--new-authority", "identity_ca", "--json", cwd=in_token, env=RIGHT)
+    assert (outcome.code, outcome.codes()) == (1, ["authority-key-same"])
+    assert snapshot(in_token) == before
+    old = public_key(in_token / CERTIFICATES[0])
+    softhsm.make_key("next", "09")
+    profile = in_token / "profile/authorities.xml"
+    profile.write_text(profile.read_text().replace("object=identity_ca", "object=next"))
+    keymint("build", cwd=in_token)
+    outcome = keymint("install", "--new-authority", "identity_ca", cwd=in_token, env=RIGHT)
+    assert outcome.code == 0, outcome.err
+    assert "'identity_ca' is a new authority" in outcome.err
+    assert public_key(in_token / CERTIFICATES[0]) != old
+    assert keymint("check", cwd=in_token).code == 0
+
+
+def test_a_lost_certificate_is_not_replaced(keymint, in_token: Path) -> None:
+    (in_token / CERTIFICATES[0]).unlink()
+    keymint("build", cwd=in_token)
+    outcome = keymint("install", "--json", cwd=in_token, env=RIGHT)
+    assert (outcome.code, outcome.codes()) == (1, ["authority-lost"])
+
+
+@pytest.mark.parametrize(
+    ("of_type", "said"),
+    [
+        ("<ec><curve>SECP384R1</curve></ec>", "is not an EC key on SECP384R1"),
+        ("<rsa><key_size>2048</key_size></rsa>", "is not an RSA key of 2048 bits"),
+    ],
+)
+def test_the_type_must_be_that_of_the_token(keymint, in_token: Path, of_type: str, said: str) -> None:
+    profile = in_token / "profile/authorities.xml"
+    text = profile.read_text()
+    profile.write_text(text.replace("</pkcs11>", f"</pkcs11><asymmetric_type>{of_type}</asymmetric_type>", 1))
+    keymint("build", cwd=in_token)
+    outcome = keymint("install", "--json", cwd=in_token, env=RIGHT)
+    assert (outcome.code, outcome.codes()) == (1, ["key-kind"])
+    assert said in outcome.document["diagnostics"][0]["message"]
+
+
+def test_one_key_for_two_authorities_is_refused(keymint, in_token: Path, softhsm: SoftHsm) -> None:
+    profile = in_token / "profile/authorities.xml"
+    profile.write_text(profile.read_text().replace("object=permissions_ca", "object=identity_ca"))
+    keymint("build", cwd=in_token)
+    outcome = keymint("install", "--new-authority", "permissions_ca", "--json", cwd=in_token, env=RIGHT)
+    assert (outcome.code, outcome.codes()) == (1, ["authority-key-shared"])
+
+
+def test_an_authority_in_a_token_below_one_in_a_token(keymint, in_token: Path, signatures: Counter[str]) -> None:
+    profile = in_token / "profile/authorities.xml"
+    before, after = profile.read_text().split('<authority name="identity_ca">')
+    issued = after.replace("<issuer_name></issuer_name>", "<issuer_name>permissions_ca</issuer_name>", 1)
+    profile.write_text(f'{before}<authority name="identity_ca">{issued}')
+    assert keymint("build", "--allow-vendor-specific", cwd=in_token).code == 0
+    outcome = keymint("install", "--no-prove", cwd=in_token, env=RIGHT)
+    assert outcome.code == 0, outcome.err
+    assert signatures["permissions_ca"] == 1
+    authorities = ("-CAfile", in_token / CERTIFICATES[1], in_token / CERTIFICATES[0])
+    accepts("verify", *authorities)
+
+
+def test_many_packages_are_signed_in_one_process(
+    keymint, tmp_path: Path, ws: Path, in_token: Path, signatures: Counter[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("keymint.workers.MIN_PACKAGES", 1)
+    for enclave in ENCLAVES:
+        expire_soon(in_token, enclave)
+    assert keymint("build", "-j2", cwd=in_token).code == 0
+    assert keymint("install", "-j2", cwd=in_token, env=RIGHT).code == 0
+    assert signatures == {"identity_ca": 2}, "what another process signs is not counted"
