@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Iterator, Mapping
 from dataclasses import field
 from enum import StrEnum
@@ -102,23 +103,34 @@ class Step:
 
 @dataclass(frozen=True, slots=True)
 class Plan:
-    """All steps of a run, its diagnostics, and the record to keep when it is done."""
+    """All steps of a run, its diagnostics, and the record to keep when it is done.
+
+    Attributes:
+        first: what is durable before anything else is visible: the register of the certificates that the run issues.
+    """
 
     steps: tuple[Step, ...]
     state: State
     diagnostics: tuple[Diagnostic, ...] = ()
+    first: tuple[FolderChange, ...] = ()
 
     def then(self, other: Plan) -> Plan:
         """Return this plan followed by one that was made on top of it."""
-        return Plan(self.steps + other.steps, other.state, self.diagnostics + other.diagnostics)
+        return Plan(
+            self.steps + other.steps, other.state, self.diagnostics + other.diagnostics, self.first + other.first
+        )
 
     def kept(self) -> frozenset[str]:
         """Return the packages that are left as they are, although they should be something else."""
         return frozenset(step.package for step in self.steps if step.action is Action.KEPT)
 
+    def withdrawn(self) -> frozenset[str]:
+        """Return the packages that are removed."""
+        return frozenset(step.package for step in self.steps if step.action is Action.REMOVED)
+
     def changes(self) -> Iterator[FolderChange]:
-        """Yield the changes of all steps, in order."""
-        return (change for step in self.steps for change in step.changes)
+        """Yield all changes, in order."""
+        return itertools.chain(self.first, (change for step in self.steps for change in step.changes))
 
     def overlay(self, below: str = "") -> list[tuple[str, Content]]:
         """Return the planned content by path, for the stages that plan on top of this one.
@@ -137,4 +149,4 @@ class Plan:
 
     def writes(self) -> bool:
         """Tell whether anything is written."""
-        return any(step.writes() for step in self.steps)
+        return bool(self.first) or any(step.writes() for step in self.steps)

@@ -52,7 +52,9 @@ def execute(
     with store.marked(dump_mark(before, _public(plan), key_record.new_fingerprints(before, plan.state))):
         for guard in guards:  # before the first secret is written
             store.write(guard.folder, guard.files, private=guard.private)
-        staged = _staged(plan, store, workers)
+        if plan.first:
+            store.change(plan.first)
+        staged = _staged(replace(plan, first=()), store, workers)
         visible = clock(workspace.state)
         store.commit(staged)
         for step in plan.steps:

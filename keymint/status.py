@@ -13,6 +13,7 @@ from keymint.pki import certificates
 from keymint.plan import build, create, install, lifetimes
 from keymint.plan.authority_files import trusted_chains
 from keymint.plan.enclaves import hidden, installed, installed_certificate, orphans
+from keymint.plan.register import withdrawn
 from keymint.plan.shared_documents import built_shared, is_current, users
 from keymint.plan.shared_install import installed_shared, is_installed
 from keymint.session import Session
@@ -25,7 +26,8 @@ class PackageRow:
 
     Attributes:
         package: its name.
-        stage: the last stage that it went through: ``source``, ``built`` or ``installed``; ``orphaned`` for an
+        stage: the last stage that it went through: ``source``, ``built`` or ``installed``; ``revoked`` if its
+            certificate was revoked and its enclave removed; ``orphaned`` for an
             enclave without a source package, ``ignored`` for one whose package a KEYMINT_IGNORE hides.
         stale: the first verb that would do something for it, or empty.
         certificate_expires: end of validity of the installed certificate, UTC.
@@ -139,6 +141,8 @@ def _row(
         problem, end = str(error.diagnostics[0]), _certificate_end(session, name)
         return PackageRow(name, "installed" if installed else "source", "", end, None, problem)
     stage = "installed" if installed else "built" if built else "source"
+    if name in withdrawn(session):
+        stage = "revoked"
     try:
         current = built and build.is_current(session, name)
         own = lifetimes.recalled(session, name, session.state.stamp(build.STAGE, name) if current else None)
@@ -150,6 +154,8 @@ def _row(
         stale, problem = "create", str(error.diagnostics[0])
     if not stale and not current:
         stale = "build"
+    if not stale and stage == "revoked":
+        return PackageRow(name, stage, "", None, permissions_end, problem)
     if not stale and installed and install.is_current(session, name, chains):
         end = _recorded_end(session, name, chains)
     else:

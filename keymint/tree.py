@@ -21,6 +21,10 @@ from keymint.state import digest
 
 MAX_FILE = 16 * 1024 * 1024
 """Largest file that is read, in bytes; far more than any document, certificate or key."""
+REGISTER = "register.sqlite3"
+"""Name of the register of issued certificates, which has some hundred bytes for each."""
+MAX_REGISTER = 64 * MAX_FILE
+"""Largest register that is read, in bytes."""
 
 
 def read_file(path: Path | str, most: int | None = None) -> bytes | None:
@@ -28,7 +32,7 @@ def read_file(path: Path | str, most: int | None = None) -> bytes | None:
 
     Args:
         path: the file.
-        most: largest size in bytes; :data:`MAX_FILE` by default.
+        most: largest size in bytes; by default :data:`MAX_REGISTER` for the register, else :data:`MAX_FILE`.
 
     Raises:
         KeymintError: the path is a symbolic link or no regular file, is too large, or cannot be read.
@@ -50,7 +54,8 @@ def read_file(path: Path | str, most: int | None = None) -> bytes | None:
         status = os.fstat(descriptor)
         if not stat.S_ISREG(status.st_mode):
             raise KeymintError("is not a regular file", where=Origin(str(path)), code="file-kind")
-        most = MAX_FILE if most is None else most
+        if most is None:
+            most = MAX_REGISTER if str(path).endswith(REGISTER) else MAX_FILE
         if status.st_size > most:
             raise KeymintError(
                 f"has {status.st_size} bytes, {most} are the most",

@@ -219,8 +219,12 @@ def _plan(pipe: Connection, session: Session, names: Sequence[str], stages: _Sta
         if any(each.errors for each in plans):
             return
         session = after(session, stage.NAME, plans)
-        names = [each.name for each in plans if each.step is None or each.step.action is not Action.KEPT]
+        names = [each.name for each in plans if _is_installed(each)]
         yield [change for each in plans if each.step for change in each.step.changes]
+
+
+def _is_installed(plan: PackagePlan) -> bool:
+    return not plan.withdrawn and (plan.step is None or plan.step.action is not Action.KEPT)
 
 
 def _without_bytes(plan: PackagePlan) -> PackagePlan:

@@ -14,7 +14,7 @@ from comarmor.values import dataclass
 from keymint import SPACES
 from keymint.errors import ExitCode, KeymintError
 from keymint.names import RESERVED, package_name
-from keymint.tree import Tree
+from keymint.tree import REGISTER, Tree
 
 PROFILE_MARKER = "keymint_profile.xml"
 PACKAGE_MARKER = "keymint_package.xml"
@@ -96,6 +96,15 @@ class Workspace:
     def authority_certificate(self, name: str) -> Path:
         """Return the path of an authority's certificate."""
         return self.public / f"{name}.cert.pem"
+
+    def revocation_list(self, name: str) -> Path:
+        """Return the path of an authority's revocation list."""
+        return self.public / f"{name}.crl.pem"
+
+    @property
+    def register(self) -> Path:
+        """The register of issued certificates."""
+        return self.private / REGISTER
 
     def identity_key(self, package: str) -> Path:
         """Return the path of the private key of a package's subject."""

@@ -47,6 +47,8 @@ class Recorder:
     def _kind(event: str, arguments: tuple[Any, ...]) -> str:
         if event == "open":
             return "write" if arguments[2] & WRITING else "read"
+        if event == "sqlite3.connect" and arguments[0] == ":memory:":
+            return ""
         if event in CHANGES:
             return "write"
         if event in LISTS:

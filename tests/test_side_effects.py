@@ -57,6 +57,11 @@ WRITING_VERBS = (
 READING_VERBS = (
     ("check", "-w", "ws"),
     ("status", "-w", "ws"),
+    ("revoke", "talker", "--reason", "superseded", "-w", "ws"),
+    ("revoke", "talker", "--reason", "key-compromise", "-w", "ws"),
+    ("issued", "-w", "ws"),
+    ("crl", "-w", "ws"),
+    ("crl", "--refresh", "-w", "ws"),
     ("prove", "-w", "ws"),
     ("why", "-w", "ws", "/talker", "ros_publish", "/chatter"),
     ("verify", "-w", "ws", "-t", "omg", "-t", "cyclonedds-0.10", "-t", "fastdds-2.9", "--report", "report"),

@@ -32,6 +32,7 @@ from keymint.api.building import Inspection as Inspection
 from keymint.api.building import Layout as Layout
 from keymint.api.building import NameMapping as NameMapping
 from keymint.api.building import RemoteCompiler as RemoteCompiler
+from keymint.api.building import RevocationReader as RevocationReader
 from keymint.api.building import RuleCheck as RuleCheck
 from keymint.api.building import SharedCredentials as SharedCredentials
 from keymint.api.building import SharedDocuments as SharedDocuments
@@ -79,12 +80,14 @@ from keymint.api.profiles import RuleLocator as RuleLocator
 from keymint.api.profiles import WorkspaceProfile as WorkspaceProfile
 from keymint.api.proving import Claim as Claim
 from keymint.api.proving import Counterexample as Counterexample
+from keymint.api.proving import OutlivingRights as OutlivingRights
 from keymint.api.proving import Proof as Proof
 from keymint.api.proving import ProofTask as ProofTask
 from keymint.api.proving import Prover as Prover
 from keymint.api.proving import RemoteProver as RemoteProver
 from keymint.api.proving import SharedProofTask as SharedProofTask
 from keymint.api.proving import SharedProver as SharedProver
+from keymint.api.proving import Succession as Succession
 from keymint.api.proving import TrustAnchor as TrustAnchor
 from keymint.api.proving import TrustAnchors as TrustAnchors
 from keymint.api.proving import ValidityTerm as ValidityTerm

@@ -117,12 +117,14 @@ class EnclaveCredentials:
         key: its private key; empty if it is elsewhere, and the enclave has no ``key.pem``.
         chains: by role, the certificate of the authority, followed by those of the authorities above it.
         signers: by role, the authorities that sign, with their private keys.
+        revocations: the revocation list of the certificate's issuer; empty if it never revoked anything.
     """
 
     certificate: bytes
     key: bytes = field(repr=False)
     chains: Mapping[str, bytes]
     signers: Mapping[str, SigningAuthority]
+    revocations: bytes = b""
 
 
 @dataclass(frozen=True, slots=True)
@@ -294,6 +296,20 @@ class CommonNameIdentity(Protocol):
     """
 
     KNOWS_COMMON_NAMES_ONLY: bool
+
+
+@runtime_checkable
+class RevocationReader(Protocol):
+    """Optional capability of a build type: its transport reads revocation lists."""
+
+    def revocation_files(self, distro: str, layout: str, revocations: bytes) -> Mapping[str, Artifact]:
+        """Return the files with which an enclave has a revocation list, by name; empty if the transport reads none.
+
+        Args:
+            distro: the ROS 2 distribution.
+            layout: name of the layout.
+            revocations: the list, PEM.
+        """
 
 
 @runtime_checkable

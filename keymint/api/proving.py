@@ -190,6 +190,37 @@ class ValidityTerm:
     models: tuple[str, ...] = ()
 
 
+@dataclass(frozen=True, slots=True)
+class OutlivingRights:
+    """Rights that earlier signed files of an enclave give, and its new ones do not.
+
+    Attributes:
+        example: one of them, in words.
+        until: the end of the earlier files, or of the certificate, UTC.
+    """
+
+    example: str
+    until: datetime
+
+
+@runtime_checkable
+class Succession(Protocol):
+    """Optional capability of a build type: compares the files of an enclave with those that replace them."""
+
+    def outliving(self, before: Mapping[str, bytes], after: Mapping[str, bytes]) -> OutlivingRights | None:
+        """Return rights that only the earlier files give although they fit the new certificate, or None.
+
+        What cannot be told counts as such a right.
+
+        Args:
+            before: the earlier files of the enclave by name.
+            after: the files that replace them.
+
+        Raises:
+            KeymintError: a file cannot be read.
+        """
+
+
 @runtime_checkable
 class Prover(Protocol):
     """Optional capability of a build type: proofs about installed documents."""

@@ -12,7 +12,7 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import replace
 from datetime import timedelta
 
-from comarmor.errors import Diagnostic
+from comarmor.errors import Diagnostic, Severity
 from keymint.api import Inspection
 from keymint.check.authorities import authorities, authority_keys, in_defect
 from keymint.check.enclaves import identity_key, inspections, on_disk, unexpected
@@ -25,6 +25,7 @@ from keymint.plan import identity_keys
 from keymint.plan.enclaves import enclave_files, not_installed, unaccounted
 from keymint.plan.identity_keys import Keyring
 from keymint.plan.policy import is_unchanged, load_policy
+from keymint.plan.register import withdrawn
 from keymint.session import Session
 
 
@@ -58,7 +59,7 @@ def check(session: Session, names: Sequence[str], within: timedelta) -> tuple[Di
         unread = [each for each in unreadable if each.code != "symlink-refused"]  # reported with the modes
         findings += unread
         if not files and not unread:
-            findings.append(not_installed(name, session.workspace.shown(session.enclaves / name)))
+            findings.append(_absent(session, name))
             continue
         findings += on_disk(session, name, files)
         findings += unexpected(session, package, files)
@@ -76,6 +77,16 @@ def check(session: Session, names: Sequence[str], within: timedelta) -> tuple[Di
     findings += outside_enclaves(session, shared.files)
     later = _without_install_hints(findings, in_defect(of_authorities))
     return (*of_authorities, *file_status(session), *git_exposure(session), *later)
+
+
+def _absent(session: Session, name: str) -> Diagnostic:
+    """Return the finding on a package without an enclave."""
+    reason = withdrawn(session).get(name)
+    if reason is None:
+        return not_installed(name, session.workspace.shown(session.enclaves / name))
+    message = f"the certificate of /{name} was revoked ({reason}), and its enclave removed"
+    help_ = f"'keymint renew --rekey {name}' makes a new key and certificate"
+    return Diagnostic("identity-revoked", Severity.NOTE, message, None, help_, f"/{name}")
 
 
 def _renderer(session: Session, names: Sequence[str]) -> Callable[[str], object]:

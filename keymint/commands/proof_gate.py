@@ -56,7 +56,7 @@ def proven(
     Raises:
         KeymintError: a claim about an enclave is refuted or unknown; exit code 3.
     """
-    before, session, kept = session, session.after(installed), installed.kept()
+    before, session, kept = session, session.after(installed), installed.kept() | installed.withdrawn()
     # New shared documents decide about enclaves that stay as they are, too.
     names = [name for name in sorted({*names, *affected(before, session)}) if name not in kept]
     stage = proof(session)

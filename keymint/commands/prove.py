@@ -27,6 +27,7 @@ from keymint.plan.policy_drift import uncreated
 from keymint.plan.proof_results import EnclaveProof, ProofResults
 from keymint.plan.prove import NO_PROVER, STAGE
 from keymint.plan.prove import prove as find
+from keymint.plan.register import with_enclaves
 
 SHOWN = 5
 """Number of unprotected topics in the summary; ``--json`` lists all of them."""
@@ -66,7 +67,7 @@ def prove(
     workspace = run.workspace()
     inputs = run.snapshot(workspace)
     session = inputs.session()
-    chosen = run.names(inputs, names)
+    chosen = with_enclaves(session, run.names(inputs, names), names)
     with run.console.progress(len(chosen), run.setting.monotonic) as advance, run.pool() as pool:
         policy = lazy_policy(session)  # loaded only if something is to be proven
         results = find(

@@ -27,6 +27,7 @@ from keymint.output.mismatches import SARIF_RULES, diagnostics, enumerated, juni
 from keymint.output.report import Report
 from keymint.output.sarif import sarif as sarif_log
 from keymint.plan.policy import load_policy
+from keymint.plan.register import with_enclaves
 from keymint.plan.trust_anchors import differences
 from keymint.verify.copies import copied
 from keymint.verify.mismatch import Comparison
@@ -93,7 +94,7 @@ def verify(
     workspace = run.workspace()
     inputs = run.snapshot(workspace)
     session = inputs.session()
-    chosen_names = run.names(inputs, names)
+    chosen_names = with_enclaves(session, run.names(inputs, names), names)
     there = installed_scopes(session, chosen_names)
     # A transport trusts the authorities in the enclave; they must be the workspace's.
     foreign = differences(session, chosen_names)

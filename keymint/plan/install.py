@@ -4,26 +4,39 @@
 from __future__ import annotations
 
 import stat
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 
 from comarmor.errors import Diagnostic, Origin, Severity
+from keymint.api import Artifact, Package, Succession
 from keymint.changes import Action, File, FolderChange, Plan, Step, file_mode
 from keymint.errors import KeymintError
 from keymint.pki import certificates, keys
-from keymint.plan import build, identity_keys, key_record, lifetimes
+from keymint.plan import build, identity_keys, key_record, lifetimes, revocation
 from keymint.plan.authorities import MintedAuthority
 from keymint.plan.build_types import build_types_of, inputs_digest
-from keymint.plan.enclaves import CERTIFICATE, INSTALLED, enclave_files, orphans, require_sources, unaccounted
+from keymint.plan.enclaves import (
+    CERTIFICATE,
+    INSTALLED,
+    enclave_files,
+    installed,
+    orphans,
+    require_sources,
+    unaccounted,
+)
 from keymint.plan.identity_keys import Keyring
+from keymint.plan.register import complete_register, register_change, register_of, require_free_serials
 from keymint.plan.shared_files import shared_steps
 from keymint.plan.shared_install import HAND_EDITED, OUTDATED, plan_shared_install
 from keymint.plan.signing import sign
 from keymint.plan.stage import PackagePlan, recorded, steps_of
+from keymint.plan.terms import shown
 from keymint.session import Inputs, Session
 from keymint.state import Stamp, digest, digest_files
 
 STAGE = INSTALLED
+RIGHTS_OUTLIVE = "rights-outlive"
+"""Code of the finding that replaced rights are wider than the new ones, and stay good."""
 
 
 class InstallStage:
@@ -70,20 +83,37 @@ class InstallStage:
         diagnostics += shared.diagnostics
         diagnostics += lifetimes.findings({each.name: each.lifetimes for each in planned}, session)
         diagnostics += [each for each in unaccounted(session) if not prune or each.code != "enclave-orphaned"]
-        state = recorded(session.state, STAGE, planned, (*removed, *shared.removed))
+        withdrawn = {each.name: each.withdrawn for each in planned if each.withdrawn}
+        state = recorded(session.state, STAGE, planned, (*removed, *shared.removed, *withdrawn))
         state = state.updated(STAGE, shared.stamps)
+        for name, reason in withdrawn.items():
+            steps.append(withdraw(session, name, reason))
         if prune:
             require_sources(session)
             steps += [_prune(session, name) for name in removed]
             state = key_record.forget(state, key_record.IDENTITIES, removed)
-        return Plan(tuple(steps), state, tuple(diagnostics))
+        return Plan(tuple(steps), state, tuple(diagnostics), _register(session, planned))
+
+
+def _register(session: Session, planned: Sequence[PackagePlan]) -> tuple[FolderChange, ...]:
+    """Return what adds the certificates of some plans to the register.
+
+    Raises:
+        KeymintError: the register cannot be restored, or two certificates have one serial number.
+    """
+    issued = [each.issued for each in planned if each.issued]
+    if not issued:
+        return ()
+    register = complete_register(session)
+    require_free_serials(register, issued)
+    return register_change(session, register.with_issued(issued))
 
 
 def _plan_enclave(
     session: Session, name: str, authorities: Mapping[str, MintedAuthority], keyring: Keyring
 ) -> PackagePlan:
     workspace = session.workspace
-    inputs = _inputs_digest(session, name, {authority: minted.chain for authority, minted in authorities.items()})
+    inputs = inputs_of(session, name, {authority: minted.chain for authority, minted in authorities.items()})
     if inputs is None:
         raise KeymintError(
             f"the package {name} is not built",
@@ -109,7 +139,10 @@ def _plan_enclave(
     existing, unreadable = enclave_files(session, name)
     key_pem, public = identity_keys.private_key(session, package), identity_keys.public_key(session, package)
     fingerprint = identity_keys.require_own(session, package, keyring, public)
-    artifacts, warnings = sign(session, package, documents, authorities, (key_pem, public), existing)
+    if reason := register_of(session).barred(fingerprint):
+        return PackagePlan(name, withdrawn=reason)
+    artifacts, issued, warnings = sign(session, package, documents, authorities, (key_pem, public), existing)
+    outliving = _outliving(session, package, existing, artifacts)
     paths = {workspace.shown(folder / file) for file in artifacts} if unreadable else set()
     if blocking := [each for each in unreadable if _is_blocking(each, paths)]:
         kept = Step(STAGE, name, Action.KEPT, detail="not updated")
@@ -143,13 +176,38 @@ def _plan_enclave(
         name,
         Step(STAGE, name, action, changes),
         made,
-        (*warnings, *(replace(each, severity=Severity.WARNING) for each in foreign), *edits),
+        (*warnings, *(replace(each, severity=Severity.WARNING) for each in foreign), *edits, *outliving),
         fingerprint=fingerprint,
         lifetimes=own,
         build_types=tuple(build_types),
         artifacts={file: artifacts[file] for file in copied if file in artifacts},
         outdated=is_recorded and not build.is_current(session, name),
+        issued=issued,
     )
+
+
+def _outliving(
+    session: Session, package: Package, existing: Mapping[str, bytes], artifacts: Mapping[str, Artifact]
+) -> Iterator[Diagnostic]:
+    """Yield a warning for each build type whose earlier signed files give more rights than those that replace them."""
+    new = {file: artifact.content for file, artifact in artifacts.items()}
+    if CERTIFICATE not in existing:
+        return
+    for build_type in build_types_of(session, package).values():
+        try:
+            found = build_type.outliving(existing, new) if isinstance(build_type, Succession) else None
+        except KeymintError:  # what cannot be read gives no rights
+            continue
+        if found is not None:
+            yield Diagnostic(
+                RIGHTS_OUTLIVE,
+                Severity.WARNING,
+                f"the signed rights that are replaced allow more, e.g. to {found.example}, and their holder may "
+                f"present them until {shown(found.until)}",
+                Origin(session.workspace.shown(session.enclaves / package.name)),
+                f"'keymint revoke {package.name} --reason superseded' ends them; so does --revoke-superseded",
+                package.subject,
+            )
 
 
 def _is_blocking(unreadable: Diagnostic, paths: set[str]) -> bool:
@@ -201,7 +259,7 @@ def is_current(session: Session, name: str, chains: Mapping[str, bytes]) -> bool
         chains: certificates of the authorities by name.
     """
     stamp = session.state.stamp(STAGE, name)
-    return stamp is not None and _has_outputs(session, name, stamp, _inputs_digest(session, name, chains))
+    return stamp is not None and _has_outputs(session, name, stamp, inputs_of(session, name, chains))
 
 
 def _has_outputs(session: Session, name: str, stamp: Stamp, inputs: str | None) -> bool:
@@ -217,20 +275,41 @@ def _has_outputs(session: Session, name: str, stamp: Stamp, inputs: str | None) 
         return False  # a file cannot be read
 
 
-def _inputs_digest(session: Session, name: str, chains: Mapping[str, bytes]) -> str | None:
-    """Return the digest of all that an enclave is made from, or None if its package is not built."""
+def inputs_of(session: Session, name: str, chains: Mapping[str, bytes]) -> str | None:
+    """Return the digest of all that an enclave is made from, or None if its package is not built.
+
+    Args:
+        session: the workspace and its profile.
+        name: the package.
+        chains: certificates of the authorities by name.
+    """
     documents = build.document_digests(session, name)
     key = identity_keys.key_digest(session, name)
     if documents is None or key is None:
         return None
     built = (part for item in sorted(documents.items()) for part in item)
-    return digest(inputs_digest(session, name), key, digest_files(chains), session.profile.layout, *built)
+    revoked = revocation.lists(session)
+    more = (digest_files(revoked),) if revoked else ()
+    return digest(inputs_digest(session, name), key, digest_files(chains), session.profile.layout, *built, *more)
 
 
 def _has_mode(inputs: Inputs, path: str, *, secret: bool) -> bool:
     """Tell whether a file on the disk has the mode that it should have; planned files will have it."""
     status = inputs.tree.status(path)
     return status is None or stat.S_IMODE(status.st_mode) & 0o777 == file_mode(secret=secret)
+
+
+def withdraw(session: Session, name: str, reason: str) -> Step:
+    """Return the step for a subject whose key must not be certified again: no robot may get its enclave.
+
+    Args:
+        session: the workspace and its profile.
+        name: the package.
+        reason: why its certificate was revoked.
+    """
+    if name in installed(session):
+        return replace(_prune(session, name), detail=f"revoked: {reason}")
+    return Step(STAGE, name, Action.KEPT, detail=f"revoked: {reason}; 'keymint renew --rekey {name}' makes a new key")
 
 
 def _prune(session: Session, name: str) -> Step:

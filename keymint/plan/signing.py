@@ -14,7 +14,12 @@ from keymint.pki import certificates, keys
 from keymint.plan.authorities import MintedAuthority
 from keymint.plan.build_types import build_types_of, roles_of, two_writers
 from keymint.plan.enclaves import CERTIFICATE
+from keymint.plan.issuance import place_of
+from keymint.plan.register import issued_certificate, issuer_of, register_of
+from keymint.plan.revocation import lists
+from keymint.register.register import IssuedCertificate, Register
 from keymint.session import Session
+from keymint.state import digest_files
 from keymint.workspace import placed
 
 
@@ -25,8 +30,10 @@ def sign(
     authorities: Mapping[str, MintedAuthority],
     key: tuple[bytes, keys.PublicKey],
     existing: Mapping[str, bytes],
-) -> tuple[Mapping[str, Artifact], Sequence[Diagnostic]]:
-    """Return the files of an enclave, and warnings; a certificate that is still right is kept.
+) -> tuple[Mapping[str, Artifact], IssuedCertificate, Sequence[Diagnostic]]:
+    """Return the files of an enclave, its certificate's entry in the register, and warnings.
+
+    A certificate that is still right, and not revoked, is kept.
 
     Args:
         session: the workspace and its profile.
@@ -37,18 +44,25 @@ def sign(
         existing: the enclave's present files.
 
     Raises:
-        KeymintError: an authority is unknown or cannot sign, or the documents cannot be signed.
+        KeymintError: an authority is unknown or cannot sign, the documents cannot be signed, or a later generation
+            of the package was issued.
     """
     issuer = authority_of(authorities, package.identity.issuer, package.identity.origin)
     roles = {
         name: [(role, authority_of(authorities, role.name, role.origin)) for role in of_type]
         for name, of_type in roles_of(session, package).items()
     }
+    register = register_of(session)
+    _require_generation(session, package, register)
     pem, public = key
     certificate = existing.get(CERTIFICATE)
     warnings: Sequence[Diagnostic] = ()
-    if certificate is None or not certificates.certificate_satisfies(
-        certificate, package.identity, public, issuer.issuer.certificate, authority=False
+    if (
+        certificate is None
+        or not certificates.certificate_satisfies(
+            certificate, package.identity, public, issuer.certificate, authority=False
+        )
+        or register.is_revoked(issuer_of(issuer.certificate), certificates.load(certificate).serial_number)
     ):
         issued = certificates.issue_identity(package.identity, public, issuer.issuer)
         certificate = issued.pem
@@ -61,6 +75,7 @@ def sign(
             key=pem,
             chains={role.role: authority.chain for role, authority in roles[name]},
             signers={role.role: authority.signer for role, authority in roles[name] if role.signs},
+            revocations=lists(session).get(package.identity.issuer, b""),
         )
         try:
             own = build_type.install(package, documents, credentials, session.profile.layout, existing)
@@ -72,7 +87,25 @@ def sign(
         if conflicts := two_writers(session, package, writers, name, own, different):
             raise KeymintError.of(conflicts)
         artifacts |= own
-    return artifacts, warnings
+    loaded = certificates.load(certificate)
+    entry = issued_certificate(package, loaded, issuer.certificate, digest_files(documents))
+    return artifacts, entry, warnings
+
+
+def _require_generation(session: Session, package: Package, register: Register) -> None:
+    """Require that nothing is issued for a generation that was revoked or followed by another one.
+
+    Raises:
+        KeymintError: it would be, so that old signed rights would fit the new certificate.
+    """
+    own, lowest = package.issuance.generation, register.generation(package.name)
+    if own < lowest:
+        raise KeymintError(
+            f"the sources have generation {own}, but generation {lowest} is the lowest that may be issued",
+            where=place_of(session, package.name),
+            help=f"restore the file; or run 'keymint revoke {package.name}' again, which goes on where it ended",
+            code="generation-back",
+        )
 
 
 def authority_of(authorities: Mapping[str, MintedAuthority], name: str, origin: Origin) -> MintedAuthority:

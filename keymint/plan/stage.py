@@ -17,6 +17,7 @@ from keymint.changes import Plan, Step
 from keymint.errors import KeymintError
 from keymint.plan import key_record
 from keymint.plan.lifetimes import Lifetime
+from keymint.register.register import IssuedCertificate
 from keymint.session import Session
 from keymint.state import Stamp, State
 
@@ -38,6 +39,9 @@ class PackagePlan:
         build_types: the package's build types, if its enclave changes.
         artifacts: the files of its enclave that may be copied for all enclaves, if it changes.
         outdated: the package's sources changed after its documents were built.
+        issued: the certificate of its enclave and the rights that were signed for it, if its enclave changes.
+        withdrawn: why no certificate is issued to it, although it is built; see
+            :meth:`keymint.register.register.Register.barred`.
     """
 
     name: str
@@ -50,6 +54,8 @@ class PackagePlan:
     build_types: tuple[str, ...] = ()
     artifacts: Mapping[str, Artifact] = field(default_factory=dict)
     outdated: bool = False
+    issued: IssuedCertificate | None = None
+    withdrawn: str = ""
 
 
 class PackageStage(Protocol[_T_co]):

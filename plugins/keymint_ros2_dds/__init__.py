@@ -18,7 +18,7 @@ class DdsSecurity:
     """The build type for DDS Security 1.1 as Cyclone DDS and Fast DDS implement it.
 
     Implements :class:`keymint.api.BuildType`, :class:`keymint.api.NameMapping`, :class:`keymint.api.ActionMapping`,
-    :class:`keymint.api.RuleCheck`, :class:`keymint.api.RemoteCompiler`,
+    :class:`keymint.api.RuleCheck`, :class:`keymint.api.RevocationReader`, :class:`keymint.api.RemoteCompiler`,
     :class:`keymint.api.Prover` and :class:`keymint.api.RemoteProver`.
     """
 
@@ -38,6 +38,7 @@ class DdsSecurity:
     build = lazy("keymint_ros2_dds.build:build")
     install = lazy("keymint_ros2_dds.install:install")
     shared = lazy("keymint_ros2_dds.install:shared")
+    revocation_files = lazy("keymint_ros2_dds.install:revocation_files")
     check = lazy("keymint_ros2_dds.check:check")
     check_all = lazy("keymint_ros2_dds.check_keystore:check_all")
 
@@ -50,6 +51,7 @@ class DdsSecurity:
 
     differences = lazy("keymint_ros2_dds.proving.anchor_check:differences")
     terms = lazy("keymint_ros2_dds.proving:terms")
+    outliving = lazy("keymint_ros2_dds.proving.succession:outliving")
 
     is_remote = lazy("keymint_ros2_dds.kinds.elsewhere:is_remote")
     receive = lazy("keymint_ros2_dds.kinds.elsewhere:receive")

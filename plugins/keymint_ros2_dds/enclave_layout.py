@@ -40,12 +40,13 @@ def files(layout: str) -> frozenset[str]:
     return frozenset((*FILES.get(layout, ()), CRL))
 
 
-def reads_revocations(distro: str) -> bool:
+def reads_revocations(distro: str, layout: str = "sros2") -> bool:
     """Return whether the nodes of a ROS 2 distribution read the revocation list of their enclave.
 
     Humble and later give it to the vendor if it exists (rmw_dds_common#52, rmw_cyclonedds#325, rmw_fastrtps#546).
 
     Args:
         distro: name of the distribution; an unknown one counts as later.
+        layout: name of the layout; ``flat`` is that of distributions before Foxy.
     """
-    return distro not in _WITHOUT_REVOCATIONS
+    return layout == "sros2" and distro not in _WITHOUT_REVOCATIONS

@@ -16,6 +16,7 @@ from keymint_ros2_dds.documents import dds_xml
 from keymint_ros2_dds.enclave_layout import (
     CA,
     CERTIFICATE,
+    CRL,
     FILES,
     GOVERNANCE,
     GOVERNANCE_P7S,
@@ -26,6 +27,7 @@ from keymint_ros2_dds.enclave_layout import (
     PERMISSIONS_CA,
     PERMISSIONS_P7S,
     PERMISSIONS_XML,
+    reads_revocations,
 )
 
 
@@ -62,7 +64,15 @@ def install(
         PERMISSIONS_P7S: Artifact(_signed(permissions, PERMISSIONS, credentials, installed)),
         GOVERNANCE_P7S: Artifact(_signed(governance, GOVERNANCE, credentials, installed)),
     }
-    return {name: files[name] for name in FILES[layout] if name != KEY or credentials.key}
+    chosen = {name: files[name] for name in FILES[layout] if name != KEY or credentials.key}
+    if credentials.revocations:
+        chosen |= revocation_files(package.distro, layout, credentials.revocations)
+    return chosen
+
+
+def revocation_files(distro: str, layout: str, revocations: bytes) -> Mapping[str, Artifact]:
+    """Return the file of a revocation list; see :meth:`keymint.api.RevocationReader.revocation_files`."""
+    return {CRL: Artifact(revocations)} if reads_revocations(distro, layout) else {}
 
 
 def _document(package: Package, documents: Mapping[str, bytes], kind: str) -> bytes:

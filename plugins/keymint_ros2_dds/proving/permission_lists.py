@@ -31,7 +31,13 @@ _DIFFERS = re.compile(r"[\[\\\s]")
 
 def has_partitions(lowered: Lowered, grants: Iterable[DocumentGrant]) -> bool:
     """Tell whether policy or document may allow anything outside of the default partition."""
-    return any(listed not in {(), ("",)} for side in lowered.allow.values() for _, listed in side) or any(
+    by_policy = any(listed not in {(), ("",)} for side in lowered.allow.values() for _, listed in side)
+    return by_policy or have_partitions(grants)
+
+
+def have_partitions(grants: Iterable[DocumentGrant]) -> bool:
+    """Tell whether grants may allow anything outside of the default partition."""
+    return any(
         grant.allows  # by default, in every partition
         or any(
             criteria.partitions not in {None, ("",)}

@@ -1,0 +1,105 @@
+# SPDX-License-Identifier: Apache-2.0
+"""``keymint crl``: show the revocation lists, and issue them again."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import click
+
+from comarmor.errors import Origin
+from keymint.changes import Plan
+from keymint.commands.reissue import reissued
+from keymint.commands.run import Run
+from keymint.commands.verb import verb
+from keymint.errors import ExitCode, KeymintError
+from keymint.output.report import Report
+from keymint.pki import revocation_lists
+from keymint.plan.register import complete_register, register_change
+from keymint.plan.revocation import lists
+from keymint.session import Inputs, Session
+
+
+@verb(dry_run=True)
+@click.option(
+    "--refresh", is_flag=True, help="Issue the lists again, with a higher number, and put them into all enclaves."
+)
+@click.option(
+    "--rebuild",
+    is_flag=True,
+    help="Make the lost register of issued certificates again, although it cannot have all revocations.",
+)
+def crl(run: Run, refresh: bool, rebuild: bool) -> Report:
+    """Show the revocation lists: number, dates, and revoked certificates.
+
+    A list ends with its authority. An expired one would keep each node that has it from starting, so a shorter
+    period must be asked for.
+    """
+    workspace = run.workspace()
+    if not refresh and not rebuild:
+        return _shown(run, run.snapshot(workspace).session())
+
+    def make_plan(inputs: Inputs) -> Plan:
+        session = inputs.session()
+        first = Plan((), session.state)
+        if rebuild:
+            if session.tree.has_file(workspace.register):
+                raise KeymintError(
+                    "the register of issued certificates is there, so there is nothing to rebuild",
+                    where=Origin(workspace.shown(workspace.register)),
+                    help="remove it first if it is the wrong one",
+                    code="register-exists",
+                    exit_code=ExitCode.USAGE,
+                )
+            register = complete_register(session, lossy=True)
+            first = Plan((), session.state, first=register_change(session, register))
+        return reissued(run, session, first, (), refresh=tuple(lists(session)) if refresh else ())
+
+    report = run.carry_out(workspace, make_plan)
+    return report if run.dry_run else _shown(run, run.snapshot(workspace).session(), report)
+
+
+def _shown(run: Run, session: Session, done: Report | None = None) -> Report:
+    """Show the lists, after what was done."""
+    register = complete_register(session)
+    subjects = {each.serial: f"/{each.name}" for each in register.certificates.values() if each.revoked and each.name}
+    rows: list[dict[str, Any]] = []
+    cells: list[list[str]] = []
+    for name, content in lists(session).items():
+        path = session.workspace.shown(session.workspace.revocation_list(name))
+        found = revocation_lists.load(content, Origin(path))
+        head = [name, str(found.number), f"{found.this_update:%Y-%m-%d}", f"{found.next_update:%Y-%m-%d}"]
+        cells += [
+            [*head, f"{each.serial:x}", subjects.get(each.serial, "-"), f"{each.at:%Y-%m-%d}", each.reason]
+            for each in found.revocations
+        ] or [[*head, "-", "-", "-", "-"]]
+        rows.append(
+            {
+                "authority": name,
+                "file": path,
+                "number": found.number,
+                "this_update": found.this_update.isoformat(),
+                "next_update": found.next_update.isoformat(),
+                "revoked": [
+                    {
+                        "serial": f"{each.serial:x}",
+                        "subject": subjects.get(each.serial),
+                        "at": each.at.isoformat(),
+                        "reason": each.reason,
+                    }
+                    for each in found.revocations
+                ],
+            }
+        )
+    if cells:
+        run.console.table(["AUTHORITY", "NUMBER", "FROM", "UNTIL", "SERIAL", "SUBJECT", "REVOKED", "REASON"], cells)
+    else:
+        run.console.line("no revocation list: nothing was ever revoked")
+    return Report(
+        run.verb,
+        session.workspace,
+        done.steps if done else (),
+        done.diagnostics if done else (),
+        {"lists": rows},
+        done.exit_code if done else ExitCode.DONE,
+    )

@@ -1,0 +1,51 @@
+# SPDX-License-Identifier: Apache-2.0
+"""``keymint issued``: the register of issued certificates."""
+
+from __future__ import annotations
+
+import click
+
+from keymint.commands.options import complete_package
+from keymint.commands.revoke import document
+from keymint.commands.run import Run
+from keymint.commands.verb import verb
+from keymint.names import package_name
+from keymint.output.report import Report
+from keymint.plan.register import complete_register
+
+
+@verb()
+@click.argument("names", nargs=-1, metavar="[NAME]...", shell_complete=complete_package)
+@click.option("--revoked", is_flag=True, help="Only certificates that were revoked.")
+def issued(run: Run, names: tuple[str, ...], revoked: bool) -> Report:
+    """List the certificates that were issued: serial number, subject, generation, dates, and whether it is revoked.
+
+    NAME is a package [all], also one whose sources are gone. --json has the fingerprints of the keys as well.
+    """
+    workspace = run.workspace()
+    session = run.snapshot(workspace).session()
+    register = complete_register(session)
+    chosen = {package_name(name) for name in names}
+    entries = [
+        each
+        for each in register.certificates.values()
+        if (not chosen or each.name in chosen) and (each.revoked or not revoked)
+    ]
+    cells = [
+        [
+            f"/{each.name}" if each.name else "-",
+            str(each.generation),
+            f"{each.serial:x}",
+            f"{each.not_after:%Y-%m-%d}",
+            f"revoked {each.revoked:%Y-%m-%d} ({each.reason})"
+            if each.revoked
+            else "expired"
+            if each.not_after < session.now
+            else "in force",
+        ]
+        for each in entries
+    ]
+    run.console.table(["SUBJECT", "GENERATION", "SERIAL", "NOT AFTER", "STATE"], cells)
+    if not cells:
+        run.console.line("no certificates")
+    return Report(run.verb, workspace, result={"certificates": [document(each) for each in entries]})

@@ -1,0 +1,69 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Issue the certificates and documents of some packages again, after their sources changed."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Sequence
+from datetime import datetime
+from functools import partial
+
+from keymint.api import BuildOptions
+from keymint.changes import Plan
+from keymint.commands.proof_gate import proof_stage, proven
+from keymint.commands.run import Run
+from keymint.plan.authorities import plan_authorities
+from keymint.plan.build import BuildStage
+from keymint.plan.distribution import plan_distribution
+from keymint.plan.install import InstallStage
+from keymint.plan.policy import lazy_policy
+from keymint.plan.register import complete_register
+from keymint.plan.revocation import plan_lists
+from keymint.session import Session
+
+
+def reissued(
+    run: Run,
+    session: Session,
+    first: Plan,
+    names: Sequence[str],
+    *,
+    rekey: Collection[str] = (),
+    prove: bool = True,
+    refresh: Collection[str] = (),
+    list_end: datetime | None = None,
+) -> Plan:
+    """Return a plan followed by what builds, signs and installs some packages, and the revocation lists for all others.
+
+    Nothing else changes: the other enclaves get new revocation lists only.
+
+    Args:
+        run: the run.
+        session: the workspace before the plan, and its profile.
+        first: what changes the sources, the register or the authorities.
+        names: the packages to issue again.
+        rekey: those of them that get a new key.
+        prove: require that the documents permit what the policy says.
+        refresh: authorities whose revocation list is issued again in any case.
+        list_end: nextUpdate of new revocation lists, UTC; the end of the authority's certificate by default.
+
+    Raises:
+        KeymintError: a package cannot be built, signed or proven, or an authority cannot sign; with all defects.
+    """
+    before, session = session, session.after(first)
+    minted, authorities = plan_authorities(session)
+    session = session.after(minted)
+    revoked = plan_lists(session, authorities, register=complete_register(session), refresh=refresh, end=list_end)
+    session = session.after(revoked)
+    build = {again: BuildStage(session, BuildOptions(), force=False, renew=again) for again in (False, True)}
+    built = build[False].plan([build[name in rekey].package(name) for name in names])
+    session = session.after(built)
+    install = InstallStage(session, authorities, prune=False)
+    planned = [install.package(name) for name in names]
+    installed = install.plan(planned)
+    others = plan_distribution(before, session.after(installed), names)
+    plan = first.then(minted).then(revoked).then(built).then(installed).then(others)
+    issued = [each.name for each in planned if not each.withdrawn]
+    if not prove or not issued:
+        return plan
+    proof = proof_stage(run, lazy_policy(session), standard_only=False)
+    return proven(run, session, installed.then(others), issued, partial(proof), plan)

@@ -1,0 +1,108 @@
+# SPDX-License-Identifier: Apache-2.0
+"""``keymint revoke``: end the certificates of subjects."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import click
+
+from comarmor.text import counted
+from keymint.changes import Action, Plan, Step
+from keymint.commands.options import complete_package, prove_option
+from keymint.commands.reissue import reissued
+from keymint.commands.run import Run
+from keymint.commands.verb import verb
+from keymint.names import package_name
+from keymint.output.report import Report
+from keymint.plan.enclaves import INSTALLED
+from keymint.plan.revoking import Revoking, plan_revocation
+from keymint.register.register import REASONS, SUPERSEDED, IssuedCertificate
+from keymint.session import Inputs
+
+SHOWN = 8
+"""Names of enclaves in one line; ``--json`` has all."""
+
+
+@verb(dry_run=True)
+@click.argument("names", nargs=-1, required=True, metavar="NAME...", shell_complete=complete_package)
+@click.option(
+    "--reason",
+    type=click.Choice(REASONS),
+    required=True,
+    help="superseded: the same key gets a new certificate. All others: nothing is issued for this key again.",
+)
+@prove_option
+def revoke(run: Run, names: tuple[str, ...], reason: str, prove: bool) -> Report:
+    """Revoke the certificates of some packages.
+
+    Their serial numbers go to the revocation list of the authority, which every enclave gets as crl.pem, and the
+    generation in their sources rises, so that permissions that were signed before fit no later certificate. A list
+    takes effect when the peers restart. NAME is a package, also one whose sources are gone.
+
+    With the reason superseded a new certificate for the same key is installed. Otherwise the enclave is removed, until
+    'keymint renew --rekey NAME' makes a new key.
+    """
+    workspace = run.workspace()
+    chosen = tuple(dict.fromkeys(map(package_name, names)))
+    done: list[tuple[Revoking, Plan]] = []
+
+    def make_plan(inputs: Inputs) -> Plan:
+        session = inputs.session()
+        revoking = plan_revocation(session, chosen, reason)
+        plan = reissued(run, session, revoking.plan, revoking.packages, prove=prove)
+        done[:] = [(revoking, plan)]
+        return Plan(plan.steps, plan.state, (*plan.diagnostics, *revoking.diagnostics), plan.first)
+
+    report = run.carry_out(workspace, make_plan)
+    ((revoking, plan),) = done
+    peers = _updated(plan.steps, chosen)
+    names_again = [name for name in _updated(plan.steps, ()) if name in chosen]
+    say = run.console.line
+    for each in revoking.certificates:
+        say(f"revoked   /{each.name} serial {each.serial:x}, generation {each.generation}, {reason}")
+    if peers:
+        say(
+            f"deploy and restart {counted(len(peers), 'enclave')}: {_listed(peers)}; a node that runs keeps its "
+            "old list, and until its restart accepts the revoked certificate; connections made before go on until then"
+        )
+    if names_again:
+        say(f"deploy and restart with the new certificate: {_listed(names_again)}")
+    elif reason != SUPERSEDED and revoking.packages:
+        say(f"nothing is issued for {_listed(revoking.packages)} until 'keymint renew --rekey'")
+    return Report(
+        report.verb, report.workspace, report.steps, report.diagnostics,
+        {"revoked": [document(each) for each in revoking.certificates], "restart": [f"/{name}" for name in peers],
+         "issued_again": [f"/{name}" for name in names_again]},
+        report.exit_code, dry_run=report.dry_run,
+    )  # fmt: skip
+
+
+def _updated(steps: tuple[Step, ...], omitted: tuple[str, ...]) -> list[str]:
+    changing = (Action.UPDATED, Action.CREATED)
+    return [
+        step.package
+        for step in steps
+        if step.stage == INSTALLED and step.package and step.action in changing and step.package not in omitted
+    ]
+
+
+def _listed(names: list[str] | tuple[str, ...]) -> str:
+    more = len(names) - SHOWN
+    return ", ".join(f"/{name}" for name in names[:SHOWN]) + (f" and {more} more" if more > 0 else "")
+
+
+def document(each: IssuedCertificate) -> dict[str, Any]:
+    """Return the entry of a certificate for ``--json``; serial numbers are hexadecimal."""
+    return {
+        "serial": f"{each.serial:x}",
+        "authority": each.authority,
+        "subject": f"/{each.name}" if each.name else None,
+        "generation": each.generation,
+        "not_before": each.not_before.isoformat(),
+        "not_after": each.not_after.isoformat(),
+        "key": each.key or None,
+        "rights": each.rights or None,
+        "revoked": each.revoked.isoformat() if each.revoked else None,
+        "reason": each.reason or None,
+    }

@@ -1,0 +1,163 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Certificate revocation lists (RFC 5280, 5): issued, read, and compared with the authority in force.
+
+Transports do not start a node whose list has expired, is by another authority, or cannot be read. So no such list is
+ever issued, and a file has exactly one.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from datetime import UTC, datetime, timedelta
+from types import MappingProxyType
+
+from cryptography import x509
+from cryptography.exceptions import UnsupportedAlgorithm
+from cryptography.hazmat.primitives import hashes
+from cryptography.hazmat.primitives.serialization import Encoding
+
+from comarmor.errors import Origin
+from comarmor.values import dataclass
+from keymint.errors import KeymintError
+from keymint.pki import certificates, extensions
+from keymint.pki.certificates import Issuer
+from keymint.pki.distinguished_names import to_text
+
+_FLAGS: Mapping[str, x509.ReasonFlags | None] = MappingProxyType(
+    {
+        "superseded": x509.ReasonFlags.superseded,
+        "key-compromise": x509.ReasonFlags.key_compromise,
+        "retired": x509.ReasonFlags.cessation_of_operation,
+        "affiliation-changed": x509.ReasonFlags.affiliation_changed,
+        "privilege-withdrawn": x509.ReasonFlags.privilege_withdrawn,
+        "unspecified": None,  # RFC 5280, 5.3.1: should be absent instead
+    }
+)
+_LAST = datetime.max.replace(tzinfo=UTC) - timedelta(seconds=1)
+_DAY = timedelta(days=1)
+
+
+@dataclass(frozen=True, slots=True)
+class Revocation:
+    """A revoked serial number, when it was revoked (UTC), and why (see :data:`keymint.register.register.REASONS`)."""
+
+    serial: int
+    at: datetime
+    reason: str
+
+
+@dataclass(frozen=True, slots=True)
+class RevocationList:
+    """A revocation list.
+
+    Attributes:
+        issuer: subject name of its authority, for messages.
+        number: its number (RFC 5280, 5.2.3); 0 if it has none.
+        this_update: when it was issued, UTC.
+        next_update: its end, UTC; vendors refuse it afterwards.
+        revocations: the revoked certificates.
+    """
+
+    issuer: str
+    number: int
+    this_update: datetime
+    next_update: datetime
+    revocations: tuple[Revocation, ...]
+
+
+def require_signs_lists(authority: x509.Certificate, where: Origin) -> None:
+    """Require that an authority may sign revocation lists (RFC 5280, 4.2.1.3).
+
+    Raises:
+        KeymintError: its keyUsage lacks cRLSign, so nobody accepts its lists.
+    """
+    usage = extensions.value(authority, x509.KeyUsage)
+    if usage is not None and not usage.crl_sign:
+        raise KeymintError(
+            f"the certificate of {to_text(authority.subject)!r} cannot sign revocation lists: its keyUsage lacks "
+            "cRLSign",
+            where=where,
+            help="add cRLSign to its keyUsage in authorities.xml and run 'keymint authority renew', which issues the "
+            "certificate again for the same key; without it, revoking needs a new authority",
+            code="authority-cannot-revoke",
+        )
+
+
+def issue(
+    issuer: Issuer, revocations: Iterable[Revocation], number: int, now: datetime, end: datetime | None = None
+) -> bytes:
+    """Issue a revocation list, PEM.
+
+    Args:
+        issuer: the authority, which may sign lists; see :func:`require_signs_lists`.
+        revocations: all that the authority ever revoked.
+        number: higher than that of every earlier list.
+        now: the clock, UTC. The list is valid from a day before, since clocks differ.
+        end: its nextUpdate, at most the end of the authority's certificate, which is the default.
+    """
+    authority = issuer.certificate
+    begin = max(now.replace(microsecond=0) - _DAY, authority.not_valid_before_utc)
+    last = min(end or _LAST, authority.not_valid_after_utc)
+    builder = (
+        x509.CertificateRevocationListBuilder()
+        .issuer_name(authority.subject)
+        .last_update(begin)
+        .next_update(last)
+        .add_extension(x509.CRLNumber(number), critical=False)
+        .add_extension(extensions.authority_key_identifier(authority), critical=False)
+    )
+    for each in sorted(revocations, key=lambda each: (each.at, each.serial)):
+        entry = x509.RevokedCertificateBuilder().serial_number(each.serial).revocation_date(each.at)
+        if flag := _FLAGS[each.reason]:
+            entry = entry.add_extension(x509.CRLReason(flag), critical=False)
+        builder = builder.add_revoked_certificate(entry.build())
+    return builder.sign(issuer.key, hashes.SHA256()).public_bytes(Encoding.PEM)
+
+
+def load(pem: bytes, where: Origin) -> RevocationList:
+    """Return the revocation list of a file, unverified; see :func:`problem`.
+
+    Raises:
+        KeymintError: the file does not have exactly one list in canonical PEM.
+    """
+    try:
+        return _loaded(pem)
+    except (ValueError, TypeError, UnsupportedAlgorithm, x509.DuplicateExtension):
+        raise KeymintError(
+            "is not one revocation list in PEM",
+            where=where,
+            help="'keymint crl --refresh' issues it again",
+            code="revocation-list-invalid",
+        ) from None
+
+
+def _loaded(pem: bytes) -> RevocationList:
+    crl = x509.load_pem_x509_crl(pem)
+    if crl.public_bytes(Encoding.PEM) != pem:
+        raise ValueError
+    revocations = []
+    for entry in crl:
+        try:
+            flag = entry.extensions.get_extension_for_class(x509.CRLReason).value.reason
+        except x509.ExtensionNotFound:
+            flag = None
+        reason = next((name for name, value in _FLAGS.items() if value is flag), "unspecified")
+        revocations.append(Revocation(entry.serial_number, entry.revocation_date_utc, reason))
+    try:
+        number = crl.extensions.get_extension_for_class(x509.CRLNumber).value.crl_number
+    except x509.ExtensionNotFound:
+        number = 0
+    return RevocationList(
+        to_text(crl.issuer), number, crl.last_update_utc, crl.next_update_utc or _LAST, tuple(revocations)
+    )
+
+
+def problem(pem: bytes, authority: x509.Certificate) -> str:
+    """Return why nodes with this list and authority do not start, dates aside; empty if they do."""
+    try:
+        crl = x509.load_pem_x509_crl(pem)
+        if crl.issuer != authority.subject or not crl.is_signature_valid(certificates.public_key(authority)):
+            return "is not a revocation list of the certificate's issuer"
+    except (ValueError, TypeError, UnsupportedAlgorithm, KeymintError):
+        return "is not a revocation list in PEM"
+    return ""

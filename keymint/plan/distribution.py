@@ -1,0 +1,85 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Put new revocation lists into the installed enclaves, and change nothing else in them.
+
+That needs no sources, no build and no signature, so a defect of one package does not keep a revocation from the others.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Iterator
+from dataclasses import replace
+
+from cryptography import x509
+
+from keymint.api import RevocationReader
+from keymint.changes import Action, File, FolderChange, Plan, Step
+from keymint.errors import KeymintError
+from keymint.pki import certificates
+from keymint.plan import install
+from keymint.plan.authority_files import trusted_chains
+from keymint.plan.enclaves import CERTIFICATE, INSTALLED, installed
+from keymint.plan.revocation import lists
+from keymint.session import Session
+from keymint.state import Stamp
+
+
+def plan_distribution(before: Session, session: Session, omitted: Collection[str] = ()) -> Plan:
+    """Plan the revocation lists of all installed enclaves.
+
+    Args:
+        before: the workspace with the lists of the last installation.
+        session: the workspace with the lists in force.
+        omitted: enclaves that are left as they are.
+    """
+    in_force = lists(session)
+    if in_force == lists(before):
+        return Plan((), session.state)
+    chains = trusted_chains(session)
+    old_chains = trusted_chains(before)
+    issuers = {name: certificates.load_bundle(chain)[0] for name, chain in chains.items() if chain}
+    steps: list[Step] = []
+    stamps: dict[str, Stamp] = {}
+    for name in installed(session):
+        if name in omitted:
+            continue
+        folder = session.enclaves / name
+        pem = session.tree.try_read(f"{folder}/{CERTIFICATE}") or b""
+        files: dict[str, File] = {}
+        for authority, content in in_force.items():
+            if authority in issuers and _is_by(pem, issuers[authority]):
+                files |= _files(session, content)
+        different = {
+            file: item for file, item in files.items() if session.tree.digest(f"{folder}/{file}") != item.digest
+        }
+        if not different:
+            continue
+        steps.append(Step(INSTALLED, name, Action.UPDATED, (FolderChange(folder, different),), "revocation list"))
+        stamp = session.state.stamp(INSTALLED, name)
+        if stamp is not None:
+            outputs = {**stamp.outputs, **{file: item.digest for file, item in files.items()}}
+            current = install.is_current(before, name, old_chains)
+            inputs = install.inputs_of(session, name, chains) if current else None
+            stamps[name] = replace(stamp, outputs=outputs, inputs=inputs or stamp.inputs)
+    return Plan(tuple(steps), session.state.updated(INSTALLED, stamps))
+
+
+def _is_by(pem: bytes, issuer: x509.Certificate) -> bool:
+    """Tell whether a certificate names an issuer; one that cannot be read names none."""
+    try:
+        return certificates.load(pem).issuer == issuer.subject
+    except KeymintError:
+        return False
+
+
+def _files(session: Session, revocations: bytes) -> dict[str, File]:
+    """Return the files of a list by name, as all build types of the profile have them."""
+    return session.once(("revocation files", revocations), lambda: dict(_of_build_types(session, revocations)))
+
+
+def _of_build_types(session: Session, revocations: bytes) -> Iterator[tuple[str, File]]:
+    profile = session.profile
+    for name in profile.build_types:
+        build_type = session.plugins.build_type(name, session.profile_marker())
+        if isinstance(build_type, RevocationReader):
+            found = build_type.revocation_files(profile.distro, profile.layout, revocations)
+            yield from ((file, File(artifact.content)) for file, artifact in found.items())

@@ -1,0 +1,198 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The register of a workspace: read, written with what a run issues, and restored from what is installed."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
+from functools import lru_cache
+
+from cryptography import x509
+
+from comarmor.errors import Origin
+from keymint.api import Package
+from keymint.changes import File, FolderChange
+from keymint.errors import KeymintError
+from keymint.pki import certificates, keys, revocation_lists
+from keymint.plan.authority_files import trusted_chains
+from keymint.plan.enclaves import installed, installed_certificate
+from keymint.plan.issuance import issuance_of
+from keymint.register import database
+from keymint.register.register import IssuedCertificate, Register
+from keymint.session import Session
+
+
+def register_of(session: Session) -> Register:
+    """Return the register of a workspace as it is on the disk; empty if there is none.
+
+    Raises:
+        KeymintError: it is damaged.
+    """
+    return session.once("register", lambda: _read(session))
+
+
+def _read(session: Session) -> Register:
+    path = session.workspace.register
+    content = session.tree.read(path)
+    return Register() if content is None else _load(content, session.workspace.shown(path))
+
+
+# Each stage of a run reads it.
+@lru_cache(maxsize=2)
+def _load(content: bytes, shown: str) -> Register:
+    return database.load(content, Origin(shown))
+
+
+def withdrawn(session: Session) -> Mapping[str, str]:
+    """Return the packages whose certificate was revoked and whose enclave is gone, each with the reason.
+
+    Raises:
+        KeymintError: the register is damaged.
+    """
+    return session.once("withdrawn", lambda: _withdrawn(session))
+
+
+def _withdrawn(session: Session) -> dict[str, str]:
+    register, there = register_of(session), frozenset(installed(session))
+    found = {name: register.withdrawn(name) for name in session.packages() if name not in there}
+    return {name: reason for name, reason in found.items() if reason}
+
+
+def with_enclaves(session: Session, names: Sequence[str], given: Collection[str]) -> tuple[str, ...]:
+    """Return packages without those whose certificate was revoked and whose enclave is gone, unless a user named them.
+
+    Args:
+        session: the workspace and its profile.
+        names: the packages.
+        given: the packages that a user named; empty for all.
+    """
+    return tuple(names) if given else tuple(name for name in names if name not in withdrawn(session))
+
+
+def complete_register(session: Session, *, lossy: bool = False) -> Register:
+    """Return the register, restored from the installed certificates and revocation lists if there is none.
+
+    Args:
+        session: the workspace and its profile.
+        lossy: restore it although revocations cannot be accounted for.
+
+    Raises:
+        KeymintError: it is damaged; or there is none, and a revocation cannot be accounted for.
+    """
+    if session.tree.has_file(session.workspace.register):
+        return register_of(session)
+    return _restored(session, lossy=lossy)
+
+
+def register_change(session: Session, register: Register) -> tuple[FolderChange, ...]:
+    """Return what writes a register, if it differs from the one on the disk; see :attr:`keymint.changes.Plan.first`."""
+    if register == register_of(session):
+        return ()
+    path = session.workspace.register
+    return (FolderChange(path.parent, {path.name: File(database.dump(register), secret=True)}, private=True),)
+
+
+def issuer_of(authority: x509.Certificate) -> str:
+    """Return what identifies an issuer in the register: the fingerprint of its public key."""
+    return keys.fingerprint(certificates.public_key(authority))
+
+
+def issued_certificate(
+    package: Package, certificate: x509.Certificate, issuer: x509.Certificate, rights: str
+) -> IssuedCertificate:
+    """Return the entry of a certificate for the register.
+
+    Args:
+        package: the package.
+        certificate: its certificate.
+        issuer: the certificate of its issuer.
+        rights: digest of the package's documents.
+    """
+    return IssuedCertificate(
+        issuer=issuer_of(issuer),
+        serial=certificate.serial_number,
+        authority=package.identity.issuer,
+        name=package.name,
+        generation=package.issuance.generation,
+        not_before=certificate.not_valid_before_utc,
+        not_after=certificate.not_valid_after_utc,
+        key=keys.fingerprint(certificates.public_key(certificate)),
+        rights=rights,
+    )
+
+
+def _restored(session: Session, *, lossy: bool) -> Register:
+    """Return a register of what is installed.
+
+    Raises:
+        KeymintError: a package was revoked, but no list has a serial number of it, or the certificate with this number
+            is not known; then it is not known which key must not be certified again.
+    """
+    register = Register().with_issued(_found(session))
+    generations = {name: issuance_of(session, name).generation for name in session.packages()}
+    lost = [name for name, generation in generations.items() if generation]
+    for name, chain in trusted_chains(session).items():
+        path = session.workspace.revocation_list(name)
+        content = session.tree.read(path)
+        if content is None or not chain:
+            continue
+        found = revocation_lists.load(content, Origin(session.workspace.shown(path)))
+        issuer = issuer_of(certificates.load_bundle(chain)[0])
+        register = register.with_number(issuer, found.number or 1)
+        for each in found.revocations:
+            known = register.certificates.get((issuer, each.serial))
+            if known is None:
+                known = IssuedCertificate(issuer, each.serial, name, "", 0, each.at, each.at, "")
+                register = register.with_issued([known])
+            register = register.with_revoked([known], each.reason, each.at)
+    unknown = [each for each in register.certificates.values() if not each.name]
+    if (lost or unknown) and not lossy:
+        who = f"/{lost[0]} was revoked" if lost else f"{len(unknown)} certificates were revoked"
+        raise KeymintError(
+            f"the register of issued certificates is missing, and {who}: its keys and certificates cannot be told",
+            where=Origin(session.workspace.shown(session.workspace.register)),
+            help="restore it from a backup; or 'keymint crl --rebuild' makes it again: what the revocation lists here "
+            "have stays revoked, but a key that was revoked as compromised may be certified again",
+            code="register-lost",
+        )
+    return register
+
+
+def _found(session: Session) -> Iterator[IssuedCertificate]:
+    """Yield an entry for each installed certificate that one of the workspace's authorities issued."""
+    issuers = {name: certificates.load_bundle(chain)[0] for name, chain in trusted_chains(session).items() if chain}
+    known = frozenset(session.packages())
+    for name in installed(session):
+        certificate = installed_certificate(session, name)
+        for authority, issuer in issuers.items():
+            if certificate is not None and certificates.is_issued_by(certificate, issuer):
+                yield IssuedCertificate(
+                    issuer=issuer_of(issuer),
+                    serial=certificate.serial_number,
+                    authority=authority,
+                    name=name,
+                    generation=issuance_of(session, name).generation if name in known else 0,
+                    not_before=certificate.not_valid_before_utc,
+                    not_after=certificate.not_valid_after_utc,
+                    key=keys.fingerprint(certificates.public_key(certificate)),
+                )
+                break
+
+
+def require_free_serials(register: Register, issued: Iterable[IssuedCertificate]) -> None:
+    """Require that no serial number is given to two certificates of an issuer (RFC 5280, 4.1.2.2).
+
+    Raises:
+        KeymintError: two certificates have one.
+    """
+    taken: dict[tuple[str, int], IssuedCertificate] = {}
+    for each in issued:
+        other = taken.setdefault((each.issuer, each.serial), each)
+        other = other if other is not each else register.certificates.get((each.issuer, each.serial), each)
+        if (other.name, other.key, other.not_before, other.not_after) != (
+            each.name, each.key, each.not_before, each.not_after,
+        ):  # fmt: skip
+            raise KeymintError(
+                f"the serial number {each.serial} of /{each.name} was given to a certificate of /{other.name} before",
+                help="leave <serial_number> empty for a random one",
+                code="serial-taken",
+            )

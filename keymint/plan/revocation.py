@@ -1,0 +1,112 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The revocation lists of a workspace: one for each authority that ever revoked a certificate.
+
+The register says what is revoked. A list that a killed run did not write is written by the next run that can sign.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Mapping
+from datetime import datetime
+
+from comarmor.errors import Origin
+from keymint.changes import Action, File, FolderChange, Plan, Step
+from keymint.errors import KeymintError
+from keymint.pki import revocation_lists
+from keymint.pki.revocation_lists import Revocation, RevocationList
+from keymint.plan.authorities import MintedAuthority
+from keymint.plan.register import issuer_of, register_change, register_of
+from keymint.register.register import Register
+from keymint.session import Session
+
+STAGE = "crl"
+
+
+def lists(session: Session) -> Mapping[str, bytes]:
+    """Return the revocation lists in the public space, PEM, by authority."""
+    return session.once("revocation lists", lambda: _lists(session))
+
+
+def _lists(session: Session) -> Mapping[str, bytes]:
+    names = [authority.name for authority in session.profile.authorities]
+    contents = {name: session.tree.read(session.workspace.revocation_list(name)) for name in names}
+    return {name: content for name, content in contents.items() if content is not None}
+
+
+def plan_lists(
+    session: Session,
+    authorities: Mapping[str, MintedAuthority],
+    *,
+    register: Register | None = None,
+    refresh: Collection[str] = (),
+    end: datetime | None = None,
+) -> Plan:
+    """Plan the revocation lists that the register demands; one that is right stays as it is.
+
+    Args:
+        session: the workspace and its profile.
+        authorities: the authorities by name, as they will be.
+        register: the register as it will be; the one on the disk by default.
+        refresh: authorities whose list is issued again in any case.
+        end: nextUpdate of the lists that are issued, UTC; the end of the authority's certificate by default.
+
+    Raises:
+        KeymintError: a list has revocations that the register does not know, is by another authority, or must be
+            issued by an authority that cannot sign lists or whose key is not here.
+    """
+    register = register_of(session) if register is None else register
+    steps: list[Step] = []
+    for name, minted in authorities.items():
+        path = session.workspace.revocation_list(name)
+        issuer = issuer_of(minted.certificate)
+        content = session.tree.read(path)
+        revoked = {each.serial: each for each in register.revoked(issuer)}
+        present = None if content is None else _present(session, name, minted, content)
+        if present is not None and session.tree.has_file(session.workspace.register):
+            _require_known(session, name, present, revoked)
+        if present is None and not revoked and name not in refresh:
+            if content is not None:  # the list of an earlier authority of this name, which nobody trusts any more
+                steps.append(Step(STAGE, name, Action.REMOVED, (FolderChange(path.parent, removed=(path.name,)),)))
+            continue
+        serials = {each.serial for each in present.revocations} if present else frozenset[int]()
+        if present and serials >= revoked.keys() and session.now < present.next_update and name not in refresh:
+            continue
+        number = 1 + max(register.numbers.get(issuer, 0), present.number if present else 0)
+        where = Origin(session.workspace.shown(session.workspace.authority_certificate(name)))
+        revocation_lists.require_signs_lists(minted.certificate, where)
+        revocations = [Revocation(each.serial, each.revoked or session.now, each.reason) for each in revoked.values()]
+        pem = revocation_lists.issue(minted.issuer, revocations, number, session.now, end)
+        register = register.with_number(issuer, number)
+        action = Action.UPDATED if present else Action.CREATED
+        detail = f"number {number}, {len(revocations)} revoked"
+        steps.append(Step(STAGE, name, action, (FolderChange(path.parent, {path.name: File(pem)}),), detail))
+    return Plan(tuple(steps), session.state, first=register_change(session, register))
+
+
+def _present(session: Session, name: str, minted: MintedAuthority, content: bytes) -> RevocationList | None:
+    """Return the list of an authority, or None for one of an earlier authority of this name.
+
+    Raises:
+        KeymintError: the list is damaged.
+    """
+    shown = Origin(session.workspace.shown(session.workspace.revocation_list(name)))
+    present = revocation_lists.load(content, shown)
+    return None if revocation_lists.problem(content, minted.certificate) else present
+
+
+def _require_known(session: Session, name: str, present: RevocationList, revoked: Collection[int]) -> None:
+    """Require that the register knows all revocations of a list: revocations are never taken back.
+
+    Raises:
+        KeymintError: it does not, so it is an old one.
+    """
+    unknown = [each for each in present.revocations if each.serial not in revoked]
+    if unknown:
+        shown = session.workspace.shown(session.workspace.revocation_list(name))
+        raise KeymintError(
+            f"does not know {len(unknown)} of the revocations in {shown}, e.g. of the serial number "
+            f"{unknown[0].serial:x}: it is older than the list",
+            where=Origin(session.workspace.shown(session.workspace.register)),
+            help="restore the latest register from a backup; or remove it, and 'keymint crl --rebuild' makes it again",
+            code="register-outdated",
+        )

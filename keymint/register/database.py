@@ -1,0 +1,158 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The file of the register: an SQLite database, read and written as a whole.
+
+It is made in memory, so that it is written like every other file: complete, atomic, and 0600 from its first byte.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import sqlite3  # noqa: TID251 - in memory only
+from datetime import UTC, datetime
+
+from comarmor.errors import Origin
+from keymint.errors import KeymintError
+from keymint.register.register import REASONS, IssuedCertificate, Register
+
+_APPLICATION = 0x4B594D54  # "KYMT", for file(1)
+_VERSION = 1
+_MAX_NUMBER = 1 << 62
+_SCHEMA = f"""
+PRAGMA application_id = {_APPLICATION};
+PRAGMA user_version = {_VERSION};
+CREATE TABLE certificates (
+    number INTEGER PRIMARY KEY,
+    issuer TEXT NOT NULL,
+    serial TEXT NOT NULL,
+    authority TEXT NOT NULL,
+    name TEXT NOT NULL,
+    generation INTEGER NOT NULL,
+    not_before TEXT NOT NULL,
+    not_after TEXT NOT NULL,
+    key TEXT NOT NULL,
+    rights TEXT NOT NULL,
+    revoked TEXT,
+    reason TEXT NOT NULL,
+    UNIQUE (issuer, serial)
+);
+CREATE TABLE lists (issuer TEXT PRIMARY KEY, number INTEGER NOT NULL);
+CREATE TABLE bundles (name TEXT PRIMARY KEY, number INTEGER NOT NULL);
+"""
+_COLUMNS = "issuer, serial, authority, name, generation, not_before, not_after, key, rights, revoked, reason"
+
+
+def load(content: bytes, where: Origin) -> Register:
+    """Return the register of a file.
+
+    Args:
+        content: the file's bytes.
+        where: the file, for messages.
+
+    Raises:
+        KeymintError: it is damaged, or a later version of Keymint wrote it.
+    """
+    if not content:
+        raise _damaged(where)
+    try:
+        with contextlib.closing(sqlite3.connect(":memory:")) as database:
+            database.deserialize(content)
+            (version,) = database.execute("PRAGMA user_version").fetchone()
+            if version != _VERSION:
+                raise KeymintError(
+                    f"is a register of version {version}, expected {_VERSION}",
+                    where=where,
+                    help="use the version of Keymint that wrote it",
+                    code="register-version",
+                )
+            if database.execute("PRAGMA quick_check").fetchone() != ("ok",):
+                raise _damaged(where)
+            rows = database.execute(f"SELECT {_COLUMNS} FROM certificates ORDER BY number")  # noqa: S608 - constant
+            issued = [_certificate(row) for row in rows]
+            numbers, bundles = (dict(map(_numbered, database.execute(f"SELECT * FROM {name}"))) for name in _NUMBERED)  # noqa: S608 - constants
+    except (sqlite3.Error, ValueError, TypeError, OverflowError):
+        raise _damaged(where) from None
+    return Register({(each.issuer, each.serial): each for each in issued}, numbers, bundles)
+
+
+_NUMBERED = ("lists", "bundles")
+
+
+def dump(register: Register) -> bytes:
+    """Return the file of a register."""
+    with contextlib.closing(sqlite3.connect(":memory:")) as database:
+        database.executescript(_SCHEMA)
+        database.executemany(
+            f"INSERT INTO certificates ({_COLUMNS}) VALUES (?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?)",  # noqa: S608 - constant
+            map(_row, register.certificates.values()),
+        )
+        database.executemany("INSERT INTO lists VALUES (?, ?)", sorted(register.numbers.items()))
+        database.executemany("INSERT INTO bundles VALUES (?, ?)", sorted(register.bundles.items()))
+        database.commit()
+        return database.serialize()
+
+
+def _row(each: IssuedCertificate) -> tuple[object, ...]:
+    return (
+        each.issuer,
+        f"{each.serial:x}",
+        each.authority,
+        each.name,
+        each.generation,
+        each.not_before.isoformat(),
+        each.not_after.isoformat(),
+        each.key,
+        each.rights,
+        each.revoked and each.revoked.isoformat(),
+        each.reason,
+    )
+
+
+def _certificate(row: tuple[object, ...]) -> IssuedCertificate:
+    """Return the certificate of a row.
+
+    Raises:
+        ValueError: a value is not one that :func:`dump` writes.
+    """
+    issuer, serial, authority, name, generation, first, last, key, rights, revoked, reason = row
+    texts = (issuer, serial, authority, name, first, last, key, rights, reason)
+    if not all(isinstance(each, str) for each in texts) or not isinstance(generation, int) or generation < 0:
+        raise ValueError
+    if (revoked is None) != (not reason) or reason not in ("", *REASONS):
+        raise ValueError
+    return IssuedCertificate(
+        issuer=str(issuer),
+        serial=int(str(serial), 16),
+        authority=str(authority),
+        name=str(name),
+        generation=generation,
+        not_before=_moment(first),
+        not_after=_moment(last),
+        key=str(key),
+        rights=str(rights),
+        revoked=None if revoked is None else _moment(revoked),
+        reason=str(reason),
+    )
+
+
+def _moment(text: object) -> datetime:
+    moment = datetime.fromisoformat(str(text))
+    if moment.tzinfo is None:
+        raise ValueError
+    return moment.astimezone(UTC)
+
+
+def _numbered(row: tuple[object, ...]) -> tuple[str, int]:
+    name, number = row
+    if not isinstance(name, str) or not isinstance(number, int) or not 0 < number < _MAX_NUMBER:
+        raise ValueError
+    return name, number
+
+
+def _damaged(where: Origin) -> KeymintError:
+    return KeymintError(
+        "is not a register of issued certificates, or a damaged one",
+        where=where,
+        help="restore it from a backup; without one remove it, and 'keymint crl --rebuild' makes it again from the "
+        "certificates and revocation lists that are here",
+        code="register-damaged",
+    )

@@ -1,0 +1,73 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Rights that the earlier permissions of an enclave give, and its new ones do not, while both fit its certificate.
+
+A signed document stays good until it expires: its holder may present the earlier one.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+
+from comarmor.patterns.decision_lists import DecisionList, SearchBudget, Universe, Unknown, Witness
+from comarmor.patterns.proofs import escapes
+from comarmor.patterns.tokens import PatternError
+from keymint.api import OutlivingRights
+from keymint.pki import certificates, smime
+from keymint_ros2_dds import subject_name_text
+from keymint_ros2_dds.credentials import subject_of
+from keymint_ros2_dds.decision import OMG, read
+from keymint_ros2_dds.enclave_layout import CERTIFICATE, PERMISSIONS_P7S
+from keymint_ros2_dds.proving import octets, permission_lists
+from keymint_ros2_dds.proving.enclave_governance import ACTIONS, cuts
+from keymint_ros2_dds.proving.governance_lists import NOTHING
+from keymint_ros2_dds.proving.grant_periods import grant_periods
+from keymint_ros2_dds.reading.signed_permissions import DocumentGrant
+
+_STATES = 50_000
+_SEMANTICS = OMG.semantics
+
+
+def outliving(before: Mapping[str, bytes], after: Mapping[str, bytes]) -> OutlivingRights | None:
+    """Return what the earlier files of an enclave permit and the new ones do not; see :class:`keymint.api.Succession`.
+
+    The documents are compared over all names, as the standard reads them (OMG DDS-SECURITY 1.1, 9.4.1.3).
+    """
+    old, new = (smime.signed_content(files.get(PERMISSIONS_P7S, b"")) for files in (before, after))
+    if old == new:
+        return None
+    name = subject_name_text.render(subject_of(after[CERTIFICATE]))
+    earlier = tuple(grant_periods(read(old, PERMISSIONS_P7S), name, _SEMANTICS))
+    if not earlier:
+        return None
+    later = [each.grant for each in grant_periods(read(new, PERMISSIONS_P7S), name, _SEMANTICS)]
+    ends = max(each.end for each in earlier), certificates.load(after[CERTIFICATE]).not_valid_after_utc
+    example = next(_lost([each.grant for each in earlier], later), "")
+    return OutlivingRights(example, min(ends)) if example else None
+
+
+def _lost(earlier: Sequence[DocumentGrant], later: Sequence[DocumentGrant]) -> Iterator[str]:
+    """Yield an example for each action and domain in which a right is lost, or may be."""
+    grants = (*earlier, *later)
+    pairs = permission_lists.have_partitions(grants)
+    universe = Universe(
+        octets.ALPHABET, fields=2 if pairs else 1, separator=permission_lists.SEPARATOR, last_nonempty=True
+    )
+    for domains in cuts(each for grant in grants for rule in grant.rules for each in rule.domains):
+        for action in ACTIONS:
+            where = f"in domain {domains.first}"
+            try:
+                denying = [one for each in _lists(later, domains.first, action, pairs=pairs) for one in each]
+                for permitting in _lists(earlier, domains.first, action, pairs=pairs):
+                    for each in denying or [NOTHING]:
+                        found = escapes(permitting, each, universe, SearchBudget(_STATES))
+                        if isinstance(found, Witness):
+                            word = octets.in_text(found.word.rpartition(permission_lists.SEPARATOR)[2])
+                            yield f"{action} {word!r} {where}"
+                        elif isinstance(found, Unknown):
+                            yield f"{action} something {where} (unknown: {found.reason})"
+            except PatternError as error:
+                yield f"{action} something {where} (unknown: {error})"
+
+
+def _lists(grants: Sequence[DocumentGrant], domain: int, action: str, *, pairs: bool) -> list[tuple[DecisionList, ...]]:
+    return [permission_lists.of_grant(each, domain, action, _SEMANTICS, pairs=pairs) for each in grants]

@@ -1,0 +1,234 @@
+# SPDX-License-Identifier: Apache-2.0
+"""``keymint revoke``, ``issued`` and ``crl``: who is out, what the others get, and what is never lost."""
+
+from __future__ import annotations
+
+import subprocess
+from pathlib import Path
+
+import pytest
+from cryptography import x509
+
+from keymint.register.register import REASONS
+from tests.conftest import snapshot
+
+NAMES = ("robot1/listener", "talker")
+
+
+def crl(path: Path) -> x509.CertificateRevocationList:
+    return x509.load_pem_x509_crl(path.read_bytes())
+
+
+def certificate(workspace: Path, name: str) -> x509.Certificate:
+    return x509.load_pem_x509_certificate((workspace / f"install/enclaves/{name}/cert.pem").read_bytes())
+
+
+def test_nothing_revoked_no_list(provisioned: Path, keymint) -> None:
+    assert not list(provisioned.rglob("*crl*"))
+    shown = keymint("crl", cwd=provisioned)
+    assert (shown.code, shown.out) == (0, "no revocation list: nothing was ever revoked\n")
+    issued = keymint("issued", "--json", cwd=provisioned).document["result"]["certificates"]
+    assert [each["subject"] for each in issued] == [f"/{name}" for name in NAMES]
+    assert [int(each["serial"], 16) for each in issued] == [certificate(provisioned, n).serial_number for n in NAMES]
+    assert {(each["generation"], each["revoked"]) for each in issued} == {(0, None)}
+    assert (provisioned / "private/register.sqlite3").stat().st_mode & 0o777 == 0o600
+
+
+def test_superseded(provisioned: Path, keymint) -> None:
+    before = snapshot(provisioned / "install")
+    old = certificate(provisioned, "talker")
+    outcome = keymint("revoke", "talker", "--reason", "superseded", cwd=provisioned)
+    assert outcome.code == 0, outcome.err
+    new = certificate(provisioned, "talker")
+    assert new.serial_number != old.serial_number
+    assert new.public_key() == old.public_key()
+    assert new.subject != old.subject
+    assert [each.oid for each in new.subject] == [each.oid for each in old.subject]
+    lists = {path.read_bytes() for path in (provisioned / "install/enclaves").rglob("crl.pem")}
+    assert lists == {(provisioned / "public/identity_ca.crl.pem").read_bytes()}
+    assert [each.serial_number for each in crl(provisioned / "public/identity_ca.crl.pem")] == [old.serial_number]
+    after = snapshot(provisioned / "install")
+    changed = {name for name, content in after.items() if before.get(name) != content and "." in name}
+    assert changed == {
+        "enclaves/robot1/listener/crl.pem", "enclaves/talker/crl.pem", "enclaves/talker/cert.pem",
+        "enclaves/talker/permissions.p7s", "enclaves/talker/permissions.xml",
+    }  # fmt: skip
+    assert "deploy and restart 1 enclave: /robot1/listener" in outcome.out
+    for verb in ("check", "prove", "install", "verify"):
+        arguments = ("-t", "omg") if verb == "verify" else ()
+        assert keymint(verb, *arguments, cwd=provisioned).code == 0, verb
+    subprocess.run(
+        ["openssl", "verify", "-crl_check", "-attime", "1800000000", "-CAfile", "identity_ca.cert.pem",
+         "-CRLfile", "crl.pem", "cert.pem"],
+        cwd=provisioned / "install/enclaves/talker", check=True, capture_output=True,
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize("reason", [each for each in REASONS if each != "superseded"])
+def test_nothing_is_issued_for_a_key_that_was_given_up(provisioned: Path, keymint, reason: str) -> None:
+    old = certificate(provisioned, "talker").serial_number
+    outcome = keymint("revoke", "/talker", "--reason", reason, cwd=provisioned)
+    assert outcome.code == 0, outcome.err
+    assert not (provisioned / "install/enclaves/talker").exists()
+    assert [each.serial_number for each in crl(provisioned / "install/enclaves/robot1/listener/crl.pem")] == [old]
+    assert (provisioned / "private/identities/talker/key.pem").exists()
+    before = snapshot(provisioned / "install")
+    for verb in (("build",), ("install",), ("check",), ("prove",), ("verify", "-t", "omg"), ("install", "talker")):
+        assert keymint(*verb, cwd=provisioned).code == 0, verb
+    assert snapshot(provisioned / "install") == before
+    rows = keymint("status", "--json", cwd=provisioned).document["result"]["packages"]
+    assert {row["package"]: row["stage"] for row in rows} == {"talker": "revoked", "robot1/listener": "installed"}
+
+
+def test_a_new_key_after_a_compromise(provisioned: Path, keymint) -> None:
+    old = certificate(provisioned, "talker")
+    keymint("revoke", "talker", "--reason", "key-compromise", cwd=provisioned)
+    assert keymint("build", "--renew", "talker", cwd=provisioned).code == 0
+    assert keymint("install", cwd=provisioned).code == 0
+    new = certificate(provisioned, "talker")
+    assert new.public_key() != old.public_key()
+    assert new.subject != old.subject
+    assert keymint("check", cwd=provisioned).code == 0
+    assert (provisioned / "install/enclaves/talker/crl.pem").exists()
+
+
+def test_numbers_rise_and_revocations_stay(provisioned: Path, keymint) -> None:
+    numbers, serials = [], []
+    for _ in range(3):
+        serials.append(certificate(provisioned, "talker").serial_number)
+        assert keymint("revoke", "talker", "--reason", "superseded", cwd=provisioned).code == 0
+        found = crl(provisioned / "install/enclaves/talker/crl.pem")
+        numbers.append(found.extensions.get_extension_for_class(x509.CRLNumber).value.crl_number)
+        assert {each.serial_number for each in found} == {*serials}
+    assert numbers == [1, 2, 3]
+    assert keymint("crl", "--refresh", cwd=provisioned).code == 0
+    shown = keymint("crl", "--json", cwd=provisioned).document["result"]["lists"]
+    assert [(each["number"], {int(one["serial"], 16) for one in each["revoked"]}) for each in shown] == [
+        (4, {*serials})
+    ]
+    assert {one["subject"] for one in shown[0]["revoked"]} == {"/talker"}
+
+
+def test_a_subject_whose_sources_are_gone(provisioned: Path, keymint, policy: Path) -> None:
+    for path in sorted((provisioned / "src/talker").rglob("*"), reverse=True):
+        path.unlink()
+    (provisioned / "src/talker").rmdir()
+    outcome = keymint("revoke", "talker", "--reason", "retired", cwd=provisioned)
+    assert outcome.code == 0, outcome.err
+    assert not (provisioned / "install/enclaves/talker").exists()
+    assert len(crl(provisioned / "install/enclaves/robot1/listener/crl.pem")) == 1
+
+
+@pytest.mark.parametrize(
+    ("arguments", "code", "message"),
+    [
+        (("nobody", "--reason", "retired"), 1, "/nobody never had a certificate here"),
+        (("talke", "--reason", "retired"), 1, "did you mean"),
+        (("talker",), 2, "--reason"),
+        (("talker", "--reason", "stolen"), 2, "superseded"),
+        (("../talker", "--reason", "retired"), 1, "is not a legal name"),
+    ],
+)
+def test_bad_input_changes_nothing(
+    provisioned: Path, keymint, arguments: tuple[str, ...], code: int, message: str
+) -> None:
+    before = snapshot(provisioned)
+    outcome = keymint("revoke", *arguments, cwd=provisioned)
+    assert outcome.code == code, outcome.err
+    assert message in outcome.err
+    assert snapshot(provisioned) == before
+
+
+def test_dry_run_changes_nothing(provisioned: Path, keymint) -> None:
+    before = snapshot(provisioned)
+    outcome = keymint("revoke", "talker", "--reason", "retired", "--dry-run", "--json", cwd=provisioned)
+    assert outcome.code == 0, outcome.err
+    assert outcome.document["result"]["restart"] == ["/robot1/listener"]
+    assert snapshot(provisioned) == before
+
+
+def test_twice(provisioned: Path, keymint) -> None:
+    keymint("revoke", "talker", "--reason", "retired", cwd=provisioned)
+    before = snapshot(provisioned)
+    again = keymint("revoke", "talker", "--reason", "retired", cwd=provisioned)
+    assert again.code == 1
+    assert "was revoked on 2027-01-15 already (retired)" in again.err
+    assert snapshot(provisioned) == before
+
+
+def test_the_register_is_restored_from_what_is_installed(provisioned: Path, keymint) -> None:
+    register = provisioned / "private/register.sqlite3"
+    before = keymint("issued", "--json", cwd=provisioned).document["result"]["certificates"]
+    register.unlink()
+    after = keymint("issued", "--json", cwd=provisioned).document["result"]["certificates"]
+    unknown = {"rights": None}
+    assert [each | unknown for each in after] == [each | unknown for each in before]
+    assert keymint("revoke", "talker", "--reason", "superseded", cwd=provisioned).code == 0
+
+
+def test_a_lost_register_with_revocations_is_the_owners_decision(provisioned: Path, keymint) -> None:
+    keymint("revoke", "talker", "--reason", "key-compromise", cwd=provisioned)
+    before = crl(provisioned / "public/identity_ca.crl.pem")
+    (provisioned / "private/register.sqlite3").unlink()
+    for verb in (("issued",), ("revoke", "robot1/listener", "--reason", "superseded")):
+        lost = keymint(*verb, cwd=provisioned)
+        assert lost.code == 1
+        assert "the register of issued certificates is missing, and /talker was revoked" in lost.err
+    assert keymint("crl", "--rebuild", cwd=provisioned).code == 0
+    assert keymint("revoke", "robot1/listener", "--reason", "superseded", cwd=provisioned).code == 0
+    after = crl(provisioned / "public/identity_ca.crl.pem")
+    assert {each.serial_number for each in after} > {each.serial_number for each in before}
+
+
+def test_an_old_register_does_not_take_revocations_back(provisioned: Path, keymint) -> None:
+    register = provisioned / "private/register.sqlite3"
+    old = register.read_bytes()
+    keymint("revoke", "talker", "--reason", "retired", cwd=provisioned)
+    register.write_bytes(old)
+    before = snapshot(provisioned)
+    outcome = keymint("revoke", "robot1/listener", "--reason", "superseded", cwd=provisioned)
+    assert outcome.code == 1
+    assert "it is older than the list" in outcome.err
+    assert snapshot(provisioned) == before
+
+
+def test_old_sources_are_refused(provisioned: Path, keymint) -> None:
+    keymint("revoke", "talker", "--reason", "superseded", cwd=provisioned)
+    (provisioned / "src/talker/issuance.xml").unlink()
+    assert keymint("build", cwd=provisioned).code == 0
+    outcome = keymint("install", cwd=provisioned)
+    assert outcome.code == 1
+    assert "the sources have generation 0, but generation 1 is the lowest that may be issued" in outcome.err
+
+
+def test_distributions_that_read_no_list(keymint, policy: Path, tmp_path: Path) -> None:
+    assert keymint("provision", policy, "-w", "ws", "--distro", "foxy").code == 0
+    outcome = keymint("revoke", "talker", "--reason", "retired", "-w", "ws")
+    assert outcome.code == 0
+    assert "nodes of foxy with the layout 'sros2' read no revocation list" in outcome.err
+    assert not list((tmp_path / "ws/install").rglob("crl.pem"))
+
+
+def test_the_subject_format_of_sros2_has_no_generation(keymint, policy: Path) -> None:
+    assert keymint("provision", policy, "-w", "ws", "--subject-format", "sros2").code == 0
+    outcome = keymint("revoke", "talker", "--reason", "superseded", "-w", "ws")
+    assert outcome.code == 0
+    assert "the subject name has no generation: permissions that were signed before still fit" in outcome.err
+
+
+def test_narrower_rights(provisioned: Path, keymint, policy: Path) -> None:
+    policy.write_text(policy.read_text().replace("<attachment>/chatter<", "<attachment>/other<"))
+    for verb in (("create", "--all"), ("build",)):
+        assert keymint(*verb, cwd=provisioned).code == 0
+    outcome = keymint("install", cwd=provisioned)
+    assert outcome.code == 0
+    assert (
+        "allow more, e.g. to publish 'rt/chatter' in domain 0, and their holder may present them until" in outcome.err
+    )
+    assert "'keymint revoke talker --reason superseded' ends them" in outcome.err
+    policy.write_text(policy.read_text().replace("<attachment>/other<", "<attachment>/*<"))
+    for verb in (("create", "--all"), ("build",)):
+        assert keymint(*verb, cwd=provisioned).code == 0
+    wider = keymint("install", cwd=provisioned)
+    assert wider.code == 0
+    assert "allow more" not in wider.err

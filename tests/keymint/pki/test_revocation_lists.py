@@ -1,0 +1,91 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Revocation lists: openssl enforces them, and only what every vendor accepts is issued."""
+
+from __future__ import annotations
+
+from datetime import UTC, datetime, timedelta
+
+import pytest
+
+from comarmor.errors import Origin
+from keymint.errors import KeymintError
+from keymint.pki import certificates, keys, revocation_lists
+from keymint.pki.certificates import Issuer
+from keymint.pki.revocation_lists import Revocation
+from keymint.register.register import REASONS
+
+NOW = datetime(2027, 1, 15, 8, tzinfo=UTC)
+WHERE = Origin("public/ca.crl.pem")
+
+
+@pytest.fixture
+def ca(spec) -> Issuer:
+    return authority(spec("CN=ca"))
+
+
+def authority(of) -> Issuer:
+    key = keys.generate(of.key)
+    return Issuer(certificates.issue_authority(of, key, None).certificate, key)
+
+
+def test_openssl_refuses_the_revoked_certificate_only(openssl, spec, ca: Issuer) -> None:
+    robots = [
+        certificates.issue_identity(spec(f"CN=/robot{number}"), keys.generate(spec("CN=x").key).public_key(), ca)
+        for number in range(2)
+    ]
+    stolen = Revocation(robots[0].certificate.serial_number, NOW, "key-compromise")
+    openssl.put(
+        ca=certificates.to_pem(ca.certificate), stolen=robots[0].pem, other=robots[1].pem,
+        crl=revocation_lists.issue(ca, [stolen], 1, NOW), empty=revocation_lists.issue(ca, [], 2, NOW),
+    )  # fmt: skip
+    at = ("-attime", str(int(NOW.timestamp())))
+    checked = ("verify", "-x509_strict", "-crl_check", *at, "-CAfile", "ca", "-CRLfile")
+    openssl.accepts(*checked, "crl", "other")
+    openssl.refuses(*checked, "crl", "stolen")
+    openssl.accepts(*checked, "empty", "stolen")
+    text = openssl.run("crl", "-in", "crl", "-noout", "-text").stdout.decode()
+    assert "Key Compromise" in text
+    assert "X509v3 CRL Number" in text
+    assert "X509v3 Authority Key Identifier" in text
+
+
+def test_round_trip(ca: Issuer) -> None:
+    assert len(REASONS) == 6
+    revoked = [Revocation(serial, NOW, reason) for serial, reason in enumerate(REASONS, 1)]
+    pem = revocation_lists.issue(ca, reversed(revoked), 41, NOW)
+    read = revocation_lists.load(pem, WHERE)
+    assert (read.number, list(read.revocations)) == (41, revoked)
+    assert read.this_update == NOW - timedelta(days=1)
+    assert read.next_update == ca.certificate.not_valid_after_utc
+    assert revocation_lists.problem(pem, ca.certificate) == ""
+
+
+def test_it_neither_begins_before_its_authority_nor_outlives_it(ca: Issuer) -> None:
+    begin, end = ca.certificate.not_valid_before_utc, ca.certificate.not_valid_after_utc
+    read = revocation_lists.load(revocation_lists.issue(ca, [], 1, begin, end + timedelta(9)), WHERE)
+    assert (read.this_update, read.next_update) == (begin, end)
+    short = revocation_lists.load(revocation_lists.issue(ca, [], 1, NOW, NOW + timedelta(30)), WHERE)
+    assert short.next_update == NOW + timedelta(30)
+
+
+def test_lists_of_others(ca: Issuer, spec) -> None:
+    pem = revocation_lists.issue(ca, [], 1, NOW)
+    same_name, other_name = authority(spec("CN=ca")), authority(spec("CN=other"))
+    for other in (same_name, other_name):
+        assert "not a revocation list of the certificate's issuer" in revocation_lists.problem(pem, other.certificate)
+    assert "not a revocation list in PEM" in revocation_lists.problem(b"", ca.certificate)
+
+
+@pytest.mark.parametrize(
+    "change", [lambda _pem: b"", lambda pem: pem + pem, lambda pem: pem[:-40], lambda pem: b"x\n" + pem]
+)
+def test_a_file_has_exactly_one_list(ca: Issuer, change) -> None:
+    with pytest.raises(KeymintError, match="is not one revocation list in PEM"):
+        revocation_lists.load(change(revocation_lists.issue(ca, [], 1, NOW)), WHERE)
+
+
+def test_an_authority_that_cannot_sign_lists(spec) -> None:
+    adopted = authority(spec("CN=ca", keyUsage="critical, keyCertSign, digitalSignature"))
+    with pytest.raises(KeymintError, match="its keyUsage lacks cRLSign") as caught:
+        revocation_lists.require_signs_lists(adopted.certificate, WHERE)
+    assert caught.value.diagnostics[0].where == WHERE
