@@ -74,9 +74,8 @@ def require_strace() -> None:
 
 def environment() -> dict[str, str]:
     """Return an environment in which every run makes the same calls."""
-    kept = {
-        name: os.environ[name] for name in ("PATH", "HOME", "PYTHONPATH", "SOURCE_DATE_EPOCH") if name in os.environ
-    }
+    names = ("PATH", "HOME", "PYTHONPATH", "PYTHONPYCACHEPREFIX", "SOURCE_DATE_EPOCH")
+    kept = {name: os.environ[name] for name in names if name in os.environ}
     return kept | {"PYTHONDONTWRITEBYTECODE": "1", "PYTHONHASHSEED": "0", "LC_ALL": "C.UTF-8"}
 
 
