@@ -43,6 +43,7 @@ class WorkspaceProfile:
         distro: ROS 2 distribution.
         files: files of the profile by path relative to the profile space (for plugins of the same format).
         accepts: weakenings of the policy that the owner accepts, as build types call them.
+        revoke_superseded: a certificate is revoked where new signed rights are narrower than those it had.
     """
 
     name: str
@@ -57,6 +58,7 @@ class WorkspaceProfile:
     distro: str
     files: Mapping[str, bytes] = field(repr=False)
     accepts: frozenset[str] = frozenset()
+    revoke_superseded: bool = False
 
 
 @dataclass(frozen=True, slots=True)

@@ -15,10 +15,12 @@ from keymint.commands.options import (
     new_authority_option,
     prove_option,
     prune_option,
+    revoke_superseded_option,
     standard_only_option,
     strict_option,
 )
 from keymint.commands.proof_gate import proof_stage, proven
+from keymint.commands.reissue import reissued, superseded
 from keymint.commands.run import Run, exit_code_of
 from keymint.commands.verb import verb
 from keymint.errors import ExitCode
@@ -27,6 +29,9 @@ from keymint.plan.authorities import plan_authorities
 from keymint.plan.install import InstallStage
 from keymint.plan.policy import lazy_policy
 from keymint.plan.policy_drift import UNCREATED, policy_changed, uncreated
+from keymint.plan.revocation import plan_lists
+from keymint.plan.revoking import plan_revocation
+from keymint.register.register import SUPERSEDED
 from keymint.session import Inputs
 
 
@@ -37,6 +42,7 @@ from keymint.session import Inputs
 @prove_option
 @standard_only_option
 @strict_option
+@revoke_superseded_option
 def install(
     run: Run,
     names: tuple[str, ...],
@@ -45,6 +51,7 @@ def install(
     prove: bool,
     allow_vendor_specific: bool,
     strict: bool,
+    revoke_superseded: bool,
 ) -> Report:
     """Sign the documents in build/ and stage them in install/, one complete enclave per subject.
 
@@ -59,12 +66,17 @@ def install(
     def make_plan(inputs: Inputs) -> Plan:
         session = inputs.session()
         plan, authorities = plan_authorities(session, new_authority)
+        plan = plan.then(plan_lists(session.after(plan), authorities))
         after = session.after(plan)
         chosen = run.names(inputs, names)
         install = partial(InstallStage, authorities=authorities, prune=prune)
         proof = proof_stage(run, lazy_policy(session), standard_only=allow_vendor_specific) if prove else None
         run.workers.start(after, chosen, (install, *((proof,) if proof else ())))
         installed = run.planned(install(after), chosen)
+        if narrower := superseded(session, installed, asked=revoke_superseded):
+            run.workers.close()
+            first = plan_revocation(session, narrower, SUPERSEDED).plan
+            return reissued(run, session, first, chosen, prove=prove, new_authority=new_authority)
         warnings = policy_changed(session) if chosen else (no_packages(inputs),)
         missing = () if names or (chosen and not prove) else uncreated(inputs, lazy_policy(session), chosen)
         done = plan.then(installed)

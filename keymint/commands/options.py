@@ -311,6 +311,11 @@ new_authority_option = click.option(
     help="Replace the key and certificate of this authority. Deployed enclaves reject what the new one signs "
     "until all are redeployed. May be repeated.",
 )
+revoke_superseded_option = click.option(
+    "--revoke-superseded",
+    is_flag=True,
+    help="Where new signed rights allow less than those they replace, revoke the certificate and issue a new one.",
+)
 prove_option = click.option(
     "--prove/--no-prove",
     default=True,

@@ -24,9 +24,11 @@ from keymint.commands.options import (
     prove_option,
     prune_option,
     renew_option,
+    revoke_superseded_option,
     strict_option,
 )
 from keymint.commands.proof_gate import proof_stage, proven
+from keymint.commands.reissue import reissued, superseded
 from keymint.commands.run import Run
 from keymint.commands.verb import verb
 from keymint.errors import KeymintError
@@ -37,6 +39,9 @@ from keymint.plan.build import BuildStage
 from keymint.plan.create import CreateStage, packages_to_create
 from keymint.plan.install import InstallStage
 from keymint.plan.policy import lazy_policy
+from keymint.plan.revocation import plan_lists
+from keymint.plan.revoking import plan_revocation
+from keymint.register.register import SUPERSEDED
 from keymint.session import Inputs
 
 
@@ -50,6 +55,7 @@ from keymint.session import Inputs
 @new_authority_option
 @prove_option
 @strict_option
+@revoke_superseded_option
 def provision(
     run: Run,
     policy: Path,
@@ -61,6 +67,7 @@ def provision(
     new_authority: tuple[str, ...],
     prove: bool,
     strict: bool,
+    revoke_superseded: bool,
 ) -> Report:
     """Turn a ComArmor POLICY into a keystore in one step: init, create --all, build and install.
 
@@ -88,6 +95,7 @@ def provision(
             )
         # Processes begin with the authorities, which then sign the last.
         minted, authorities = plan_authorities(session, new_authority)
+        minted = minted.then(plan_lists(session.after(minted), authorities))
         session = session.after(minted)
         create = partial(CreateStage, policy=acquired, force=force)
         build = partial(BuildStage, options=hinted.options, force=force, renew=renew)
@@ -106,6 +114,14 @@ def provision(
         built = run.planned(build(session), names)
         session = session.after(built)
         installed = run.planned(install(session), names)
+        if narrower := superseded(session, installed, asked=revoke_superseded):
+            run.workers.close()
+            revoking = plan_revocation(session, narrower, SUPERSEDED).plan
+            first = plan.then(created).then(built).then(revoking)
+            return reissued(
+                run, inputs.after(plan).session(), first, names, prove=prove, new_authority=new_authority,
+                options=hinted.options,
+            )  # fmt: skip
         for stage in (created, built, minted, installed):
             plan = plan.then(stage)
         slips = policy_slips(session, (*created.steps, *built.steps), acquired)

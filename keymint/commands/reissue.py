@@ -7,18 +7,20 @@ from collections.abc import Collection, Sequence
 from datetime import datetime
 from functools import partial
 
-from keymint.api import BuildOptions
+from keymint.api import BuildOptions, Role
 from keymint.changes import Plan
 from keymint.commands.proof_gate import proof_stage, proven
 from keymint.commands.run import Run
 from keymint.plan.authorities import plan_authorities
-from keymint.plan.build import BuildStage
+from keymint.plan.build import BuildStage, is_built
 from keymint.plan.distribution import plan_distribution
-from keymint.plan.install import InstallStage
+from keymint.plan.install import RIGHTS_OUTLIVE, InstallStage
 from keymint.plan.policy import lazy_policy
 from keymint.plan.register import complete_register
 from keymint.plan.revocation import plan_lists
 from keymint.session import Session
+
+_PLAIN = BuildOptions()
 
 
 def reissued(
@@ -31,6 +33,8 @@ def reissued(
     prove: bool = True,
     refresh: Collection[str] = (),
     list_end: datetime | None = None,
+    new_authority: Sequence[str] = (),
+    options: BuildOptions = _PLAIN,
 ) -> Plan:
     """Return a plan followed by what builds, signs and installs some packages, and the revocation lists for all others.
 
@@ -45,16 +49,20 @@ def reissued(
         prove: require that the documents permit what the policy says.
         refresh: authorities whose revocation list is issued again in any case.
         list_end: nextUpdate of new revocation lists, UTC; the end of the authority's certificate by default.
+        new_authority: authorities that get a new key and certificate.
+        options: options of the build.
 
     Raises:
         KeymintError: a package cannot be built, signed or proven, or an authority cannot sign; with all defects.
     """
     before, session = session, session.after(first)
-    minted, authorities = plan_authorities(session)
+    if any(session.role(name) is Role.INFRASTRUCTURE for name in names):  # all others are built from its sources, too
+        names = tuple(dict.fromkeys((*names, *(name for name in session.packages() if is_built(session, name)))))
+    minted, authorities = plan_authorities(session, new_authority)
     session = session.after(minted)
     revoked = plan_lists(session, authorities, register=complete_register(session), refresh=refresh, end=list_end)
     session = session.after(revoked)
-    build = {again: BuildStage(session, BuildOptions(), force=False, renew=again) for again in (False, True)}
+    build = {again: BuildStage(session, options, force=False, renew=again) for again in (False, True)}
     built = build[False].plan([build[name in rekey].package(name) for name in names])
     session = session.after(built)
     install = InstallStage(session, authorities, prune=False)
@@ -67,3 +75,17 @@ def reissued(
         return plan
     proof = proof_stage(run, lazy_policy(session), standard_only=False)
     return proven(run, session, installed.then(others), issued, partial(proof), plan)
+
+
+def superseded(session: Session, installed: Plan, *, asked: bool) -> tuple[str, ...]:
+    """Return the packages whose certificate is to be revoked because their new signed rights are narrower.
+
+    Args:
+        session: its profile may ask for it.
+        installed: the plan of an installation.
+        asked: the user asks for it.
+    """
+    if not asked and not session.profile.revoke_superseded:
+        return ()
+    found = (each for each in installed.diagnostics if each.code == RIGHTS_OUTLIVE)
+    return tuple(dict.fromkeys(each.subject.removeprefix("/") for each in found))

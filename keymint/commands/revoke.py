@@ -66,6 +66,15 @@ def revoke(run: Run, names: tuple[str, ...], reason: str, prove: bool) -> Report
             f"deploy and restart {counted(len(peers), 'enclave')}: {_listed(peers)}; a node that runs keeps its "
             "old list, and until its restart accepts the revoked certificate; connections made before go on until then"
         )
+    shared = [
+        workspace.shown(change.folder / file)
+        for step in plan.steps
+        if step.stage == INSTALLED and not step.package
+        for change in step.changes
+        for file in change.written
+    ]
+    if shared:
+        say(f"deploy {', '.join(shared)}, and restart what reads it")
     if names_again:
         say(f"deploy and restart with the new certificate: {_listed(names_again)}")
     elif reason != SUPERSEDED and revoking.packages:
@@ -73,7 +82,7 @@ def revoke(run: Run, names: tuple[str, ...], reason: str, prove: bool) -> Report
     return Report(
         report.verb, report.workspace, report.steps, report.diagnostics,
         {"revoked": [document(each) for each in revoking.certificates], "restart": [f"/{name}" for name in peers],
-         "issued_again": [f"/{name}" for name in names_again]},
+         "shared": shared, "issued_again": [f"/{name}" for name in names_again]},
         report.exit_code, dry_run=report.dry_run,
     )  # fmt: skip
 

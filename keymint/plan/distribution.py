@@ -17,6 +17,7 @@ from keymint.errors import KeymintError
 from keymint.pki import certificates
 from keymint.plan import install
 from keymint.plan.authority_files import trusted_chains
+from keymint.plan.build_types import BUILD
 from keymint.plan.enclaves import CERTIFICATE, INSTALLED, installed
 from keymint.plan.revocation import lists
 from keymint.session import Session
@@ -47,7 +48,7 @@ def plan_distribution(before: Session, session: Session, omitted: Collection[str
         files: dict[str, File] = {}
         for authority, content in in_force.items():
             if authority in issuers and _is_by(pem, issuers[authority]):
-                files |= _files(session, content)
+                files |= _files(session, _build_types(session, name), content)
         different = {
             file: item for file, item in files.items() if session.tree.digest(f"{folder}/{file}") != item.digest
         }
@@ -71,14 +72,26 @@ def _is_by(pem: bytes, issuer: x509.Certificate) -> bool:
         return False
 
 
-def _files(session: Session, revocations: bytes) -> dict[str, File]:
-    """Return the files of a list by name, as all build types of the profile have them."""
-    return session.once(("revocation files", revocations), lambda: dict(_of_build_types(session, revocations)))
+def _build_types(session: Session, name: str) -> tuple[str, ...]:
+    """Return the build types of an enclave; those of the profile if its sources are gone or have defects."""
+    stamp = session.state.stamp(BUILD, name)
+    if stamp is not None and stamp.build_types:
+        return stamp.build_types
+    try:
+        return session.package(name).build_types
+    except KeymintError:
+        return session.profile.build_types
 
 
-def _of_build_types(session: Session, revocations: bytes) -> Iterator[tuple[str, File]]:
+def _files(session: Session, build_types: tuple[str, ...], revocations: bytes) -> dict[str, File]:
+    """Return the files of a list by name, as the transports read them."""
+    key = ("revocation files", build_types, revocations)
+    return session.once(key, lambda: dict(_of_build_types(session, build_types, revocations)))
+
+
+def _of_build_types(session: Session, build_types: tuple[str, ...], revocations: bytes) -> Iterator[tuple[str, File]]:
     profile = session.profile
-    for name in profile.build_types:
+    for name in build_types:
         build_type = session.plugins.build_type(name, session.profile_marker())
         if isinstance(build_type, RevocationReader):
             found = build_type.revocation_files(profile.distro, profile.layout, revocations)

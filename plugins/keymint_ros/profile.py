@@ -56,6 +56,7 @@ class _ProfileManifest:
     distro: str
     distro_line: int
     accepts: frozenset[str]
+    revoke_superseded: bool
 
 
 @dataclass(frozen=True, slots=True)
@@ -93,6 +94,7 @@ def _manifest(root: etree._Element) -> _ProfileManifest:
         distro=exports.get("distro") or distros.DEFAULT,
         distro_line=line(root if distro is None else distro),
         accepts=frozenset(str(part.tag) for part in root.iterfind("accept/*")),
+        revoke_superseded=root.find("revoke_superseded") is not None,
     )
 
 
@@ -190,6 +192,7 @@ def load(root: Path, files: Mapping[str, bytes]) -> WorkspaceProfile:
         distro=own.distro,
         files=files,
         accepts=own.accepts,
+        revoke_superseded=own.revoke_superseded,
     )
 
 

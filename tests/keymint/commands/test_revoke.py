@@ -232,3 +232,72 @@ def test_narrower_rights(provisioned: Path, keymint, policy: Path) -> None:
     wider = keymint("install", cwd=provisioned)
     assert wider.code == 0
     assert "allow more" not in wider.err
+
+
+@pytest.mark.parametrize("way", ["install", "provision", "profile"])
+def test_narrower_rights_are_revoked_on_request(provisioned: Path, keymint, policy: Path, way: str) -> None:
+    old = {name: certificate(provisioned, name).serial_number for name in NAMES}
+    policy.write_text(policy.read_text().replace("<attachment>/chatter<", "<attachment>/other<"))
+    if way == "profile":
+        profile = provisioned / "profile/keymint_profile.xml"
+        profile.write_text(profile.read_text().replace("</profile>", "<revoke_superseded/></profile>"))
+    if way == "provision":
+        outcome = keymint("provision", policy, "-w", provisioned, "--revoke-superseded")
+    else:
+        for verb in (("create", "--all"), ("build",)):
+            assert keymint(*verb, cwd=provisioned).code == 0
+        outcome = keymint("install", *(["--revoke-superseded"] if way == "install" else []), cwd=provisioned)
+    assert outcome.code == 0, outcome.err
+    assert "allow more" not in outcome.err
+    found = crl(provisioned / "install/enclaves/talker/crl.pem")
+    assert {each.serial_number for each in found} == set(old.values())
+    for name in NAMES:
+        assert certificate(provisioned, name).serial_number != old[name]
+        permissions = (provisioned / f"install/enclaves/{name}/permissions.xml").read_text()
+        assert "other" in permissions
+    assert keymint("check", cwd=provisioned).code == 0
+    assert "nothing to do" in keymint("install", cwd=provisioned).out
+
+
+def test_install_completes_a_list_that_was_not_written(provisioned: Path, keymint) -> None:
+    keymint("revoke", "talker", "--reason", "superseded", cwd=provisioned)
+    revoked = {each.serial_number for each in crl(provisioned / "public/identity_ca.crl.pem")}
+    (provisioned / "public/identity_ca.crl.pem").unlink()
+    assert keymint("install", cwd=provisioned).code == 0
+    found = crl(provisioned / "install/enclaves/robot1/listener/crl.pem")
+    assert {each.serial_number for each in found} == revoked
+    assert found.extensions.get_extension_for_class(x509.CRLNumber).value.crl_number == 2
+
+
+def test_a_new_authority_begins_without_a_list(provisioned: Path, keymint) -> None:
+    keymint("revoke", "talker", "--reason", "superseded", cwd=provisioned)
+    assert keymint("install", "--new-authority", "identity_ca", cwd=provisioned).code == 0
+    assert not list(provisioned.rglob("*crl.pem"))
+    assert keymint("check", cwd=provisioned).code == 0
+
+
+@pytest.mark.parametrize("reason", ["superseded", "retired"])
+def test_on_zenoh_the_revoked_name_has_no_rights(keymint, policy: Path, tmp_path: Path, reason: str) -> None:
+    made = keymint("provision", policy, "-w", "ws", "--transport", "dds", "--transport", "zenoh")
+    assert made.code == 0, made.err
+    router = tmp_path / "ws/install/zenoh/router.json5"
+    own = '"cert_common_names": ["/talker"]'
+    assert own in router.read_text()
+    outcome = keymint("revoke", "talker", "--reason", reason, "-w", "ws")
+    assert outcome.code == 0, outcome.err
+    assert own not in router.read_text()
+    assert "deploy ws/install/zenoh/router.json5, ws/install/zenoh/router.json5.p7s" in outcome.out
+    for verb in ("check", "prove"):
+        done = keymint(verb, "-w", "ws")
+        assert done.code == 0, (verb, done.out, done.err)
+
+
+def test_a_router_is_revoked_like_a_robot(keymint, policy: Path, tmp_path: Path) -> None:
+    assert keymint("provision", policy, "-w", "ws", "--transport", "zenoh").code == 0
+    outcome = keymint("revoke", "zenoh_router", "--reason", "superseded", "-w", "ws")
+    assert outcome.code == 0, outcome.err
+    for session in (tmp_path / "ws/install/enclaves").rglob("session.json5"):
+        assert '"zenoh_router.1"' in session.read_text() or "/zenoh_router.1" in session.read_text()
+    for verb in ("check", "prove"):
+        done = keymint(verb, "-w", "ws")
+        assert done.code == 0, (verb, done.out, done.err)
