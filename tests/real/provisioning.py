@@ -6,6 +6,7 @@ from __future__ import annotations
 import os
 import subprocess
 import sys
+from collections.abc import Mapping
 from pathlib import Path
 
 
@@ -24,13 +25,25 @@ def provision(policy: str | Path, folder: Path, *arguments: str) -> Path:
     if isinstance(policy, str):
         source.write_text(policy, encoding="utf-8")
     workspace = folder / "ws"
-    command = [sys.executable, "-m", "keymint", "provision", str(source), "-w", str(workspace), *arguments]
-    searched = os.pathsep.join(str(Path(entry).resolve()) for entry in sys.path if entry)
-    environment = {**os.environ, "PYTHONPATH": searched}
-    environment.pop("SOURCE_DATE_EPOCH", None)  # vendors use the clock of the machine
-    done = subprocess.run(command, env=environment, capture_output=True, text=True, check=False)
-    assert done.returncode == 0, f"{command} ended with {done.returncode}:\n{done.stdout}{done.stderr}"
+    keymint("provision", source, "-w", workspace, *arguments)
     return workspace / "install"
+
+
+def keymint(*arguments: object, code: int = 0, environment: Mapping[str, str] | None = None) -> str:
+    """Run the command with the clock of the machine, which vendors use; return its output.
+
+    Args:
+        arguments: its arguments.
+        code: the exit code that it must have.
+        environment: further environment variables.
+    """
+    command = [sys.executable, "-m", "keymint", *map(str, arguments)]
+    searched = os.pathsep.join(str(Path(entry).resolve()) for entry in sys.path if entry)
+    variables = {**os.environ, **(environment or {}), "PYTHONPATH": searched}
+    variables.pop("SOURCE_DATE_EPOCH", None)
+    done = subprocess.run(command, env=variables, capture_output=True, text=True, check=False)
+    assert done.returncode == code, f"{command} ended with {done.returncode}:\n{done.stdout}{done.stderr}"
+    return done.stdout
 
 
 def enclave(install: Path, subject: str) -> Path:
