@@ -43,12 +43,14 @@ class TrustAnchors:
         layout: name of the layout.
         public_key: the subject's public key (PEM), from the package, if its private key is elsewhere; then the enclave
             need not have that, and its certificate must be for this key. Empty if the workspace has the private key.
+        key_uri: URI of the private key in the subject's token, from the package; empty if it lies in a file.
     """
 
     authorities: Mapping[str, TrustAnchor]
     subject_name: str
     layout: str
     public_key: bytes = b""
+    key_uri: str = ""
 
 
 @dataclass(frozen=True, slots=True)

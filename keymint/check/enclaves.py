@@ -86,7 +86,7 @@ def identity_key(
     fingerprint = ""
     try:
         pem = session.tree.read(path)
-        if pem is None and not package.issuance.public_key:
+        if pem is None and not package.issuance.public_key and not package.identity.key.uri:
             message = f"the private key of {subject} is not here"
             where, help_ = Origin(session.workspace.shown(path)), f"'keymint build {package.name}' restores it"
             return "", (Diagnostic("key-missing", Severity.NOTE, message, where, help_, subject),)

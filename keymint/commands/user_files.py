@@ -14,20 +14,15 @@ from keymint.store import Store
 from keymint.tree import read_file
 
 
-def read_input(run: Run, path: Path, most: int | None = None) -> bytes:
+def read_input(run: Run, path: Path) -> bytes:
     """Return the content of a file that the user named; links are followed.
-
-    Args:
-        run: the run.
-        path: the file.
-        most: its largest size in bytes; :data:`keymint.tree.MAX_FILE` by default.
 
     Raises:
         KeymintError: it is missing, is not a regular file, or cannot be read.
     """
     resolved = _resolved(run, path)
     try:
-        content = read_file(resolved, most)
+        content = read_file(resolved)
     except KeymintError as error:
         message = error.diagnostics[0].message
         raise KeymintError(message, where=Origin(str(path)), code=error.diagnostics[0].code) from error
@@ -36,9 +31,7 @@ def read_input(run: Run, path: Path, most: int | None = None) -> bytes:
     return content
 
 
-def write_outputs(
-    run: Run, path: Path, content: bytes, beside: Mapping[str, bytes] | None = None, *, secret: bool = False
-) -> list[str]:
+def write_outputs(run: Run, path: Path, content: bytes, beside: Mapping[str, bytes] | None = None) -> list[str]:
     """Write a file that the user named, and files beside it, atomically; unchanged files are not written.
 
     Args:
@@ -46,7 +39,6 @@ def write_outputs(
         path: the file.
         content: its bytes.
         beside: further files by path relative to its folder, written first.
-        secret: the files are 0600.
 
     Returns:
         The files that are, or would be, written, as the user would type them.
@@ -62,7 +54,7 @@ def write_outputs(
         store = Store({folder: False}, folder)
         for name, data in changed:
             place = folder / name
-            store.write(place.parent, {place.name: File(data, secret=secret)})
+            store.write(place.parent, {place.name: File(data)})
     return [str(path.parent / name) for name, _ in changed]
 
 
@@ -77,11 +69,6 @@ def show_written(run: Run, path: Path, written: list[str]) -> None:
 def exists(run: Run, path: Path) -> bool:
     """Return whether a path that the user named exists."""
     return _resolved(run, path).exists()
-
-
-def is_folder(run: Run, path: Path) -> bool:
-    """Return whether a path that the user named is an existing folder."""
-    return _resolved(run, path).is_dir()
 
 
 def _current(path: Path) -> bytes | None:

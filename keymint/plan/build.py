@@ -157,6 +157,7 @@ def _key(session: Session, package: Package, *, renew: bool) -> tuple[tuple[Fold
         identity_keys.refuse_elsewhere(session, package.name)
     if package.issuance.public_key:
         return (), ""  # the private key is on the subject's machine, and none is needed here
+    identity_keys.refuse_unknown(package)
     content = session.tree.read(path)
     if content is not None and not renew:
         identity_keys.load(session, package, path, content)

@@ -71,6 +71,22 @@ def refuse_elsewhere(session: Session, name: str) -> None:
         )
 
 
+def refuse_unknown(package: Package) -> None:
+    """Refuse a package whose key lies in the token of its subject, and whose public key is not known here.
+
+    Raises:
+        KeymintError: that is so.
+    """
+    spec = package.identity
+    if spec.key.uri and not package.issuance.public_key:
+        raise KeymintError(
+            f"the key of {package.subject} lies in a token, and its public key is not known here",
+            where=spec.origin,
+            help="run 'keymint request' on the machine that has the token, then 'keymint sign' here",
+            code="key-unknown",
+        )
+
+
 def private_key(session: Session, package: Package) -> bytes:
     """Return the stored private key of a package, in PEM; empty if it is elsewhere, or missing."""
     if package.issuance.public_key:
@@ -82,10 +98,11 @@ def public_key(session: Session, package: Package) -> keys.PublicKey:
     """Return the public key that a package's certificate is issued for.
 
     Raises:
-        KeymintError: the stored private key cannot be used.
+        KeymintError: the stored private key cannot be used, or the key lies in a token and is not known here.
     """
     if package.issuance.public_key:
         return public_keys.from_pem(package.issuance.public_key, place_of(session, package.name))
+    refuse_unknown(package)
     path = session.workspace.identity_key(package.name)
     return load(session, package, path, private_key(session, package))
 

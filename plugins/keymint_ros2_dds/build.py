@@ -10,7 +10,7 @@ from comarmor.errors import Diagnostic, Origin, Severity
 from keymint.api import BuildOptions, BuildResult, Package
 from keymint.errors import KeymintError
 from keymint.pki import distinguished_names
-from keymint_ros2_dds import governance_warnings, vendor_limits
+from keymint_ros2_dds import governance_warnings, token_key, vendor_limits
 from keymint_ros2_dds.documents import governance_document
 from keymint_ros2_dds.domains import in_words, uncovered
 from keymint_ros2_dds.enclave_layout import GOVERNANCE, GOVERNANCE_XML, PERMISSIONS, PERMISSIONS_XML
@@ -26,6 +26,7 @@ def build(package: Package, options: BuildOptions) -> BuildResult:
     """
     lenient = options.allow_vendor_specific
     checks = [*_check(package), *vendor_limits.check_key(package.identity.key, package, allow_vendor_specific=lenient)]
+    checks += token_key.check(package, allow_vendor_specific=lenient)
     checks += vendor_limits.check_issuers(package)
     errors: list[Diagnostic] = []
     notes: list[Diagnostic] = []

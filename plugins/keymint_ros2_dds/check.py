@@ -13,7 +13,7 @@ from keymint.api import DomainRange, Inspection
 from keymint.errors import KeymintError
 from keymint.pki import certificates, certification_path, distinguished_names, keys, smime
 from keymint_ros2_dds import authority_roles as roles
-from keymint_ros2_dds import check_governance, subject_name_text, vendor_limits
+from keymint_ros2_dds import check_governance, subject_name_text, token_key, vendor_limits
 from keymint_ros2_dds.credentials import CredentialCheck, revocation_period, subject_of
 from keymint_ros2_dds.documents import dds_xml
 from keymint_ros2_dds.domains import in_words, uncovered
@@ -26,6 +26,7 @@ from keymint_ros2_dds.enclave_layout import (
     GOVERNANCE,
     IDENTITY_CA,
     KEY,
+    KEY_URI,
     PERMISSIONS,
     PERMISSIONS_CA,
     PERMISSIONS_P7S,
@@ -93,6 +94,13 @@ class _EnclaveCheck(CredentialCheck):
         return replace(diagnostic, where=where, subject=self._subject)
 
     def _inventory(self) -> Iterator[Diagnostic]:
+        key = self._inspection.package.identity.key
+        if key.uri and not token_key.is_uri(self._files.get(KEY_URI), key.uri):
+            problem = "is not the URI of the sources" if KEY_URI in self._files else "is missing"
+            yield self._error("key-uri", KEY_URI, problem)
+        elif not key.uri and KEY_URI in self._files:
+            message = f"replaces {KEY} where Fast DDS runs, although the key of the sources lies in a file"
+            yield self._error("key-uri", KEY_URI, message, "remove it")
         for name in self._names:
             if name not in self._files and not (name == KEY and self._inspection.package.issuance.public_key):
                 yield self._error("file-missing", name, "is missing")

@@ -21,6 +21,10 @@ GOVERNANCE_XML = f"{GOVERNANCE}.xml"
 PERMISSIONS_P7S = f"{PERMISSIONS}.p7s"
 GOVERNANCE_P7S = f"{GOVERNANCE}.p7s"
 CERTIFICATE, KEY = "cert.pem", "key.pem"
+KEY_URI = "key.p11"
+"""In place of the key: a text file with the URI of a key in a token, which rmw_fastrtps reads from Jazzy on."""
+READS_KEY_URI = ("jazzy", "kilted", "lyrical", "rolling")
+"""The distributions that read it (rmw_dds_common, ``security.cpp``)."""
 CA, IDENTITY_CA, PERMISSIONS_CA = "ca.cert.pem", "identity_ca.cert.pem", "permissions_ca.cert.pem"
 CRL = "crl.pem"
 """The revocation list of an enclave; see :func:`reads_revocations`."""
@@ -37,7 +41,8 @@ COPIED = (IDENTITY_CA, PERMISSIONS_CA, GOVERNANCE_P7S)
 
 def files(layout: str) -> frozenset[str]:
     """Return the names of all files that may lie in an enclave; see :meth:`keymint.api.BuildType.files`."""
-    return frozenset((*FILES.get(layout, ()), CRL))
+    names = FILES.get(layout, ())
+    return frozenset((*names, CRL, *((KEY_URI,) if IDENTITY_CA in names else ())))
 
 
 def reads_revocations(distro: str, layout: str = "sros2") -> bool:

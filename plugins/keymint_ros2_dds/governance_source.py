@@ -24,6 +24,8 @@ PART = "governance"
 """Name of the part of a package that this module reads."""
 OPEN_GOVERNANCE = "open_governance"
 """What a profile accepts that leaves topics without access control."""
+KEY_URIS = "token_keys"
+"""What a profile accepts that only participants of Fast DDS can use."""
 _STRICT_DOMAIN: Mapping[str, Any] = {
     "allow_unauthenticated_participants": False,
     "enable_join_access_control": True,
@@ -66,7 +68,7 @@ def settings(sources: PackageSources) -> PackageSettings:
             help="use the same authority for both: a DDS participant verifies both with one certificate",
             code="signers-differ",
         )
-    return PackageSettings(DdsSettings(governance))
+    return PackageSettings(DdsSettings(governance, KEY_URIS in sources.accepts))
 
 
 def _governance(sources: PackageSources, part: SourcePart) -> Governance:

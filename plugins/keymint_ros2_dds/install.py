@@ -23,6 +23,7 @@ from keymint_ros2_dds.enclave_layout import (
     GOVERNANCE_XML,
     IDENTITY_CA,
     KEY,
+    KEY_URI,
     PERMISSIONS,
     PERMISSIONS_CA,
     PERMISSIONS_P7S,
@@ -65,6 +66,8 @@ def install(
         GOVERNANCE_P7S: Artifact(_signed(governance, GOVERNANCE, credentials, installed)),
     }
     chosen = {name: files[name] for name in FILES[layout] if name != KEY or credentials.key}
+    if uri := package.identity.key.uri:  # ROS 2 reads one word; the end of the line is for people
+        chosen[KEY_URI] = Artifact(f"{uri}\n".encode())
     if credentials.revocations:
         chosen |= revocation_files(package.distro, layout, credentials.revocations)
     return chosen

@@ -75,9 +75,15 @@ class Governance:
 
 @dataclass(frozen=True, slots=True)
 class DdsSettings:
-    """The payload of this build type in a package."""
+    """The payload of this build type in a package.
+
+    Attributes:
+        governance: the protection of domains and topics.
+        accepts_token_keys: the profile accepts identities whose keys only one vendor reads.
+    """
 
     governance: Governance
+    accepts_token_keys: bool = False
 
 
 def settings_of(package: Package) -> DdsSettings:

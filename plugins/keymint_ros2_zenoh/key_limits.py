@@ -19,6 +19,12 @@ def check_identity(package: Package) -> Iterator[Diagnostic]:
     """Yield what a router or session would refuse of a package's key and certificate, and of their authorities."""
     subject, identity = package.subject, package.identity
     yield from _curve(identity, "the key", subject)
+    if identity.key.uri:
+        yield Diagnostic(
+            "zenoh-key-token", Severity.ERROR,
+            "the private key lies in a token, and Zenoh reads keys from files only",
+            identity.origin, "leave out <pkcs11>", subject,
+        )  # fmt: skip
     if identity.key.password_env:
         yield Diagnostic(
             "zenoh-key-encrypted", Severity.ERROR,

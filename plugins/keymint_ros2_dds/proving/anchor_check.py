@@ -14,6 +14,7 @@ from keymint.api import TrustAnchor, TrustAnchors
 from keymint.errors import KeymintError
 from keymint.pki import certificates, certification_path, distinguished_names, smime
 from keymint_ros2_dds import authority_roles as roles
+from keymint_ros2_dds import token_key
 from keymint_ros2_dds.credentials import CredentialCheck
 from keymint_ros2_dds.enclave_layout import (
     CA,
@@ -22,6 +23,7 @@ from keymint_ros2_dds.enclave_layout import (
     GOVERNANCE_P7S,
     IDENTITY_CA,
     KEY,
+    KEY_URI,
     PERMISSIONS_CA,
     PERMISSIONS_P7S,
 )
@@ -91,7 +93,8 @@ class _AnchorCheck(CredentialCheck):
         yield from self._signed(GOVERNANCE_P7S)
 
     def _in_place_of(self) -> Iterator[Diagnostic]:
-        for name in sorted(self._files.keys() & IN_PLACE_OF.keys()):
+        known = {KEY_URI} if token_key.is_uri(self._files.get(KEY_URI), self._anchors.key_uri) else set()
+        for name in sorted(self._files.keys() & IN_PLACE_OF.keys() - known):
             message = (
                 f"replaces {IN_PLACE_OF[name]} in ROS 2 Jazzy and later, and Keymint cannot check what it refers to"
             )

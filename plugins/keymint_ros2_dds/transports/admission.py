@@ -71,7 +71,7 @@ def admission(
     """
     for (subject, domain), group in groupby(edges, key=lambda edge: (edge.subject, edge.domain)):
         enclave, enclave_model = models.enclave(subject), models.of(subject, domain)
-        enclave_files.refuse_encrypted_key(enclave)
+        enclave_files.refuse_unusable_key(enclave)
         try:
             with System(vendor) as system:
                 try:
@@ -100,7 +100,7 @@ def admitted(vendor: Vendor, enclave: Enclave, domain: int, endpoints: Sequence[
     Raises:
         KeymintError: the vendor's process fails.
     """
-    enclave_files.refuse_encrypted_key(enclave)
+    enclave_files.refuse_unusable_key(enclave)
     topics = [(each.permission, each.object.name, *each.object.partitions) for each in endpoints]
     try:
         with System(vendor) as system:

@@ -20,6 +20,7 @@ from keymint_ros2_dds.enclave_layout import (
     CERTIFICATE,
     GOVERNANCE_P7S,
     KEY,
+    KEY_URI,
     PERMISSIONS_CA,
     PERMISSIONS_P7S,
     PERMISSIONS_XML,
@@ -126,12 +127,18 @@ def subject_name(certificate: bytes, where: Origin) -> str:
         return loaded.subject.rfc4514_string()
 
 
-def refuse_encrypted_key(enclave: Enclave) -> None:
-    """Refuse an enclave whose private key is encrypted: participants cannot be given the password.
+def refuse_unusable_key(enclave: Enclave) -> None:
+    """Refuse an enclave whose private key is encrypted or in a token: participants are given neither password nor PIN.
 
     Raises:
-        KeymintError: the key is encrypted.
+        KeymintError: that is so.
     """
+    if (enclave.folder / KEY_URI).is_file():
+        raise KeymintError(
+            f"the private key of {enclave.subject} lies in a token of its robot, so no participant can be started here",
+            help="use transports that need no key: -t omg -t fastdds-2.9",
+            code="key-in-token",
+        )
     if (enclave.folder / KEY).is_file() and b"ENCRYPTED" in content(enclave.folder, KEY):
         raise KeymintError(
             f"the private key of {enclave.subject} is encrypted, and participants cannot be given the password",

@@ -72,7 +72,7 @@ class RealTransport:
         if tier is Tier.ADMISSION:
             return admission.admission(vendor, self.MODEL, models, edges)
         for enclave in enclaves:
-            enclave_files.refuse_encrypted_key(enclave)
+            enclave_files.refuse_unusable_key(enclave)
         return exchange(vendor, self.MODEL, models, edges)
 
     def admitted(self, enclave: Enclave, endpoints: Column, tier: Tier) -> bytes:

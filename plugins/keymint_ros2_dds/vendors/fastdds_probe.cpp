@@ -4,6 +4,7 @@
 
 #include <chrono>
 #include <cstdint>
+#include <fstream>
 #include <iostream>
 #include <map>
 #include <memory>
@@ -228,7 +229,7 @@ private:
         set(qos, "dds.sec.auth.plugin", "builtin.PKI-DH");
         set(qos, "dds.sec.auth.builtin.PKI-DH.identity_ca", authority(folder, "identity_ca.cert.pem"));
         set(qos, "dds.sec.auth.builtin.PKI-DH.identity_certificate", file + "cert.pem");
-        set(qos, "dds.sec.auth.builtin.PKI-DH.private_key", file + "key.pem");
+        set(qos, "dds.sec.auth.builtin.PKI-DH.private_key", private_key(folder));
         set(qos, "dds.sec.crypto.plugin", "builtin.AES-GCM-GMAC");
         set(qos, "dds.sec.access.plugin", "builtin.Access-Permissions");
         set(qos, "dds.sec.access.builtin.Access-Permissions.permissions_ca", authority(folder, "permissions_ca.cert.pem"));
@@ -243,6 +244,15 @@ private:
             return "REFUSED " + complaints.take();
         type_.register_type(participant_);
         return "OPENED";
+    }
+
+    // rmw_fastrtps of Jazzy and later prefers key.p11, if its first word is the URI of a key in a token.
+    static std::string private_key(const std::string& folder)
+    {
+        std::ifstream file(folder + "/key.p11");
+        std::string uri;
+        const bool in_token = (file >> uri) && uri.rfind("pkcs11:", 0) == 0;
+        return in_token ? uri : "file://" + folder + "/key.pem";
     }
 
     // The layout of Ardent has one file for both authorities.

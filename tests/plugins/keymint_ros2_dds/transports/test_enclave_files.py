@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 from keymint_ros2_dds.transports.enclave_files import (
     document_topics,
-    refuse_encrypted_key,
+    refuse_unusable_key,
     signed_documents,
     subject_name,
     unverified_permissions,
@@ -93,12 +93,16 @@ def test_bytes_that_are_no_certificate_have_no_subject() -> None:
         subject_name(b"garbage", Origin("cert.pem"))
 
 
-def test_only_an_encrypted_key_is_refused(tmp_path: Path) -> None:
+def test_a_key_that_is_encrypted_or_in_a_token_is_refused(tmp_path: Path) -> None:
     enclave = write(tmp_path)
-    refuse_encrypted_key(enclave)
+    refuse_unusable_key(enclave)
     (tmp_path / "key.pem").write_bytes(b"-----BEGIN ENCRYPTED PRIVATE KEY-----\n")
     with pytest.raises(KeymintError) as caught:
-        refuse_encrypted_key(enclave)
+        refuse_unusable_key(enclave)
     assert caught.value.diagnostics[0].code == "key-encrypted"
     (tmp_path / "key.pem").unlink()
-    refuse_encrypted_key(enclave)
+    refuse_unusable_key(enclave)
+    (tmp_path / "key.p11").write_bytes(b"pkcs11:token=robot;object=talker\n")
+    with pytest.raises(KeymintError) as caught:
+        refuse_unusable_key(enclave)
+    assert caught.value.diagnostics[0].code == "key-in-token"
